@@ -45,7 +45,7 @@ def record(job: str, seconds: float) -> tuple[Cycles, dict[str, float]]:
         arm.start()
         time.sleep(SETTLE + seconds)
         copies = transfers(arm, CHAINS[job])
-        recording = arm.logbook.finish(arm.fleet)
+        recording = arm.recordings.finish(arm.clients)
         if recording is None:
             raise StateError("nothing was recorded", where=job)
         return recording, copies
@@ -57,7 +57,7 @@ def transfers(arm: Subsystem, tasks: Sequence[str]) -> dict[str, float]:
     numbers = {variable.name: i for i, variable in enumerate(table)}
     moved = 0
     for name in tasks:
-        task = arm.picture.find(name).task
+        task = arm.model.find(name).task
         for names in (task.inputs, task.outputs):
             moved += group_of(table, [numbers[one] for one in names]).bytes
     return {"transfers a period": 2.0 * len(tasks), "bytes a period": float(moved)}

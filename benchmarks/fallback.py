@@ -164,7 +164,7 @@ def one(subsystem: Subsystem, original: str, standby: str) -> list[float]:
     """Kill a task; return what `NAMES` says, in periods."""
     status = {status.task: status for status in subsystem.status_all()}
     rings = {name: Ring.attach(status[name].ring) for name in (standby, "guard")}
-    agent = subsystem.fleet.call("bench0", Hello(), AgentInfo)
+    agent = subsystem.clients.call("bench0", Hello(), AgentInfo)
     core = rt.CoreTable(agent.core, member=False)
     try:
         time.sleep(random.uniform(0.01, 0.02))

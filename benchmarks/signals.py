@@ -26,7 +26,7 @@ from pbonet.errors import NoAnswerError
 from pbonet.master import Subsystem
 from pbonet.master.console.follow_events import Follower
 from pbonet.master.subsystem.embedded_agents import Embedded
-from pbonet.master.subsystem.event_filter import Choice
+from pbonet.master.subsystem.event_filter import EventFilter
 from pbonet.node.ring._ring import Ring
 
 TASKS = 8
@@ -121,7 +121,7 @@ def flood(subsystem: Subsystem) -> dict[str, float]:
     names = [f"f{n}" for n in range(TASKS)]
     for name in names:
         subsystem.spawn(name)
-    follower = Follower(subsystem, Choice())
+    follower = Follower(subsystem, EventFilter())
     follower.take()
     begin = time.monotonic()
     subsystem.reconfig([(name, "on") for name in names])

@@ -214,7 +214,7 @@ class Watched:
     """
 
     def __init__(self, subsystem: Subsystem, folder: Path, rtpus: list[str]) -> None:
-        call = subsystem.fleet.call
+        call = subsystem.clients.call
         cores = {call(rtpu, Hello(), AgentInfo).core for rtpu in rtpus}
         loops = [(core, Stalls(folder, core)) for core in cores]
         self._cores = [(loop, Trace(core, STAY)) for core, loop in loops]

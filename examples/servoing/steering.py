@@ -58,7 +58,7 @@ class Steering:
         arm.finish()
         if arm.simulation is not None:
             return arm.simulation.recording
-        log = arm.logbook.log()
+        log = arm.recordings.log()
         if log is None:
             raise StateError("the job was never started", where=arm.name)
         return log

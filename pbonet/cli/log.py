@@ -115,10 +115,10 @@ def events(
 
     from pbonet.log import Log, last_run
     from pbonet.master.console import render
-    from pbonet.master.subsystem import Choice
+    from pbonet.master.subsystem import EventFilter
     from pbonet.xm.net import Event
 
-    wanted = Choice.of({"task": task, "code": code, "severity": severity})
+    wanted = EventFilter.of({"task": task, "code": code, "severity": severity})
     found = [msgspec.convert(one, Event) for one in Log(file or last_run()).events()]
     chosen = [event for event in found if wanted(event)]
     if doubt := wanted.doubt(found):

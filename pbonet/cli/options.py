@@ -89,7 +89,7 @@ TO_CHANGE = Compound((*_PLACE, parameter("take_over", TakeOver, default=False)),
 
 Agents = A[Reach, Compound(_REACH, _reach)]
 Watching = A[Place, TO_WATCH]
-Changing = A[Place, TO_CHANGE]
+ChangeTransaction = A[Place, TO_CHANGE]
 
 
 def show_files(

@@ -26,7 +26,7 @@ def command(
     ] = None,
     leave: A[bool, Option("Leave the tasks running at the end.")] = False,
     keep_going: A[bool, Option("Go on after a command that failed.")] = False,
-    place: options.Changing,
+    place: options.ChangeTransaction,
     json_: options.Json = False,
     debug: options.Debug = False,
 ) -> int:

@@ -35,7 +35,7 @@ def command(
     profile: A[
         bool, Option("Save the measured execution times of the tasks at the end.")
     ] = False,
-    place: options.Changing,
+    place: options.ChangeTransaction,
     json_: options.Json = False,
 ) -> int:
     """Run a job from start to end, with agents of its own if need be.

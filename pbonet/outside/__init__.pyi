@@ -12,4 +12,4 @@ from .playing import (
     refuse as refuse,
     using as using,
 )
-from .told import Told as Told
+from .told import ModuleAnswers as ModuleAnswers

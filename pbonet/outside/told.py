@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Told:
+class ModuleAnswers:
     """Asks on behalf of a module, and of its handler of timing failures.
 
     Args:

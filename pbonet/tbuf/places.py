@@ -189,7 +189,7 @@ def standing(domain: str) -> list[str]:
     return names.standing(KIND, domain)
 
 
-class Standing:
+class StandingLinks:
     """The links of a domain on this machine, for repeated listing.
 
     Args:

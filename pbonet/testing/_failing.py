@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from pbonet.node.task import Executor
-    from pbonet.outside import Player, Told
+    from pbonet.outside import ModuleAnswers, Player
     from pbonet.pbo import PythonWatch
 
     from ._outside import Time
@@ -48,7 +48,7 @@ class Failing:
 
     def __init__(
         self,
-        told: Told,
+        told: ModuleAnswers,
         player: Player | None,
         executor: Executor,
         source: Time,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pbonet.io import no_devices
-from pbonet.outside import NotRecordedError, Player, Told, using
+from pbonet.outside import ModuleAnswers, NotRecordedError, Player, using
 from pbonet.pbo import (
     Counted,
     PythonWatch,
@@ -49,7 +49,7 @@ class Time(Counted):
         clock: Gives nanoseconds between cycles.
     """
 
-    def __init__(self, told: Told, clock: Callable[[], int]) -> None:
+    def __init__(self, told: ModuleAnswers, clock: Callable[[], int]) -> None:
         self._told = told
         super().__init__(clock)
 
@@ -72,7 +72,7 @@ class Context(TaskContext):
         more: As for `TaskContext`.
     """
 
-    def __init__(self, told: Told, *args: Any, **more: Any) -> None:  # noqa: ANN401
+    def __init__(self, told: ModuleAnswers, *args: Any, **more: Any) -> None:  # noqa: ANN401
         super().__init__(*args, **more)
         self._told = told
         self.is_stale = lambda _port: told.ask(bool, default=False)
@@ -91,7 +91,7 @@ class Watch(PythonWatch):
         task: The task.
     """
 
-    def __init__(self, told: Told, task: TaskContext) -> None:
+    def __init__(self, told: ModuleAnswers, task: TaskContext) -> None:
         super().__init__(task)
         self._told = told
         self._of = task
@@ -115,10 +115,10 @@ class Watch(PythonWatch):
         check_deadline(self._of, value)
 
 
-def of_task(player: Player | None, *, timing: bool) -> Told:
+def of_task(player: Player | None, *, timing: bool) -> ModuleAnswers:
     """Return what was told of the task itself: the first sources of each task."""
     with using(player):
-        return Told(timing=timing)
+        return ModuleAnswers(timing=timing)
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def arm(nodes, files):
     subsystem.warned = subsystem.heard.append
     subsystem.open()
     yield subsystem
-    if subsystem._crew is not None:
+    if subsystem._task_set is not None:
         subsystem.finish()
 
 
@@ -155,7 +155,7 @@ def test_who_cannot_take_a_value_is_named_and_the_others_have_it(held):
 def test_a_second_producer_of_another_value_is_refused_at_once(held):
     with pytest.raises(MethodError, match="gives the constant MASS another value"):
         held.spawn("drill")
-    assert "drill" not in held.picture
+    assert "drill" not in held.model
     wait_torque(held, 10.0)
 
 
@@ -234,7 +234,7 @@ def test_constants_in_a_circle_are_refused_and_drawn(arm, nodes, files):
         arm.start("grip")
     assert "wait for each other's constants" in str(caught.value)
     assert "weigh --WEIGHT--> back --MASS--> weigh" in str(caught.value)
-    assert len(arm.picture.names) == 0
+    assert len(arm.model.names) == 0
 
 
 def test_a_size_cannot_change_under_a_task(arm, nodes, files):

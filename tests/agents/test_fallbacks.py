@@ -112,7 +112,7 @@ def start(nodes, tmp_path):
 
 
 def events(arm, code):
-    got = arm.fleet.call("arm0", m.Events(), list[m.Event])
+    got = arm.clients.call("arm0", m.Events(), list[m.Event])
     return [event.text for event in got if event.code == code]
 
 
@@ -247,7 +247,9 @@ def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):
         wait_for(lambda: table.info("Y0").owner == "second", "the standby to own Y0")
         wait_for(lambda: table.info("Y0").cycle > 3, "cycles of the standby")
     nodes.agent_process("arm0")
-    wait_for(lambda: "arm0" in arm.fleet.client.rtpus(), "the master to see the agent")
+    wait_for(
+        lambda: "arm0" in arm.clients.client.rtpus(), "the master to see the agent"
+    )
     (text,) = told(arm)
     assert text.startswith("first has died: its fallback second was released")
     assert {one.task: one.state for one in arm.status_all()}["second"] == "ON"
@@ -281,7 +283,7 @@ def test_a_standby_that_hangs_in_on_can_be_killed(start, nodes):
     os.kill(arm.status("first").tid, signal.SIGKILL)
     wait_for(lambda: "in on" in events(arm, "OUTPUT"), "that it is engaged")
     by_force = m.Control(task="second", signal="kill", timeout=1.0)
-    arm.fleet.call("arm0", by_force, m.TaskStatus)
+    arm.clients.call("arm0", by_force, m.TaskStatus)
     wait_for(lambda: len(events(arm, "TASK_DIED")) == 1, "the news of the first")
     assert states(arm) == {"first": "NOT-CREATED", "hold": "ON"}
     assert causes(arm) == {"first has died (arm0/first)"}
@@ -337,7 +339,7 @@ def test_a_standby_obeys_while_it_stands_by(start, tmp_path):
     wait_standing(arm)
     by_hand = m.Control(task="second", signal="on")
     with pytest.raises(SvarOwnerError):
-        arm.fleet.call("arm0", by_hand, m.TaskStatus)
+        arm.clients.call("arm0", by_hand, m.TaskStatus)
     wait_standing(arm)  # it stands by again
     arm.control("second", "kill")
     assert states(arm) == {"first": "ON", "hold": "ON"}

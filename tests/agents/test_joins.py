@@ -101,7 +101,7 @@ def test_what_the_refusal_of_two_writers_says_is_legal_and_runs(arm, files):
         "a join connector (join_average or join_first or join_max or join_min)" in text
     )
     assert "SVARALIAS Z1=X', SVARALIAS Z2=X'', SVARALIAS Z=X" in text
-    assert arm.picture.names == []
+    assert arm.model.names == []
 
 
 def test_weights_that_do_not_sum_to_one_start_nothing(arm, files):

@@ -100,14 +100,14 @@ def arm(nodes, tmp_path):
 def stand_by(arm, heir, *olds, limit=LIMIT):
     """Have a task of arm1 stand by for some of arm0; return whom these have to call."""
     request = m.Successors(after={heir: list(olds)}, timeout=limit)
-    return arm.fleet.call("arm1", request, dict[str, list[m.Call]])
+    return arm.clients.call("arm1", request, dict[str, list[m.Call]])
 
 
 def turn_off(arm, old, calls):
     """Turn a task of arm0 off that has an heir; nobody tells arm1."""
     handover = {old: [f"Y{'ac'.index(old)}"]}
     request = m.Reconfig(items=[(old, "off")], handover=handover, calls=calls)
-    return arm.fleet.call("arm0", request, m.Reconfigured)
+    return arm.clients.call("arm0", request, m.Reconfigured)
 
 
 def test_the_new_one_begins_on_the_grid_behind_the_old_one(arm):
@@ -201,7 +201,7 @@ def test_an_heir_that_is_killed_between_two_calls(arm):
 
 def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
     calls = stand_by(arm, "b", "a")
-    arm.fleet.call("arm1", m.Successors(after={"b": []}), dict[str, list[m.Call]])
+    arm.clients.call("arm1", m.Successors(after={"b": []}), dict[str, list[m.Call]])
     stand_by(arm, "b", "a")
     answer = turn_off(arm, "a", calls)
     assert answer.error["what"] == "b cannot take over: it does not stand by"

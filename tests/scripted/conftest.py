@@ -15,11 +15,11 @@ from pbonet.xm.net import session
 @pytest.fixture
 def world(run_dir, monkeypatch):  # noqa: ARG001 - it must stand first
     """One machine of fake agents, in a domain of its own, whose links stand long."""
-    from fakeagent import World
+    from fakeagent import SharedState
 
     monkeypatch.setattr(session, "LEASE_MS", LEASE_MS)
     monkeypatch.setattr(session, "OPEN_MS", LEASE_MS)
-    return World(domain=f"t{secrets.token_hex(3)}")
+    return SharedState(domain=f"t{secrets.token_hex(3)}")
 
 
 class Fakes(dict):

@@ -1,6 +1,6 @@
 """Agents without tasks: they speak the messages over zenoh and have fault switches.
 
-For tests of the master alone; what tasks do is the node's matter. A `World` stands for
+For tests of the master alone; what tasks do is the node's matter. A `SharedState` is
 one machine: its agents share the values of each subsystem's table.
 """
 
@@ -76,7 +76,7 @@ class FakeTask:
 
 
 @dataclass
-class World:
+class SharedState:
     """What the agents of one machine share."""
 
     domain: str
@@ -94,7 +94,7 @@ class Link:
     a test is about the loss of a router.
     """
 
-    def __init__(self, world: World, *names: str) -> None:
+    def __init__(self, world: SharedState, *names: str) -> None:
         places = [run_folder.Places(world.domain, name) for name in names]
         endpoints = [one.endpoint for one in places[1:]]
         near = dialling.neighbours(places[0])
@@ -108,7 +108,7 @@ class Link:
 
 
 class FakeAgent:
-    def __init__(self, world: World, name: str, link: Link) -> None:
+    def __init__(self, world: SharedState, name: str, link: Link) -> None:
         self.world = world
         self.name = name
         self.places = run_folder.Places(world.domain, name)

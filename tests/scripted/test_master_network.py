@@ -153,7 +153,7 @@ def test_foreign_program_assembles_steers_and_hands_back(arm, port, world):
     assert (fields["state"], fields["refF"]) == ("ON", 25.0)
     assert answers[4]["error"]["code"] == "STATE"
     assert port.told_lines == ["onika has control", "onika has ended; control is back"]
-    assert [member.name for member in arm.picture] == ["puma_pidg", "jttrace"]
+    assert [member.name for member in arm.model] == ["puma_pidg", "jttrace"]
 
 
 def test_interface_goes_on_when_the_program_ends(arm, world, capfd):

@@ -59,7 +59,7 @@ def test_commands_are_carried_out_and_the_default_follows(type_in, arm):
         "jttrace ON",
         "jttrace OFF",
     ]
-    assert [member.name for member in arm.picture] == ["puma_pidg", "jttrace"]
+    assert [member.name for member in arm.model] == ["puma_pidg", "jttrace"]
 
 
 def test_errors_never_lose_the_prompt(type_in):

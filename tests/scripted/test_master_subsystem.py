@@ -82,13 +82,13 @@ def test_second_master_is_refused_while_the_first_lives(arm, world):
     with pytest.raises(SeveralError) as caught:
         other(arm, world).open()
     assert all(isinstance(error, ClaimError) for error in caught.value.errors)
-    assert arm.fleet.client.name in str(caught.value)
+    assert arm.clients.client.name in str(caught.value)
 
 
 def test_master_that_takes_over_locks_the_former_out(robot, world):
     robot.spawn("jttrace", "arm1")
     with other(robot, world, take_over=True) as successor:
-        assert [member.name for member in successor.picture] == ["puma_pidg", "jttrace"]
+        assert [member.name for member in successor.model] == ["puma_pidg", "jttrace"]
         with pytest.raises(ClaimError, match="another master has taken over"):
             robot.control("jttrace", "on")
         successor.control("jttrace", "on")
@@ -100,8 +100,8 @@ def test_master_that_comes_after_finds_the_tasks_running(arm, world):
     arm.detach()
     with other(arm, world) as successor:
         assert states(successor) == ON
-        assert successor.picture.find("grav_comp").rmod.module == "grav_comp"
-        assert successor.picture.find("grav_comp").rtpu == "arm1"
+        assert successor.model.find("grav_comp").rmod.module == "grav_comp"
+        assert successor.model.find("grav_comp").rtpu == "arm1"
 
 
 def test_exclusive_rtpu_is_refused_to_another_subsystem(arm, world, tmp_path):
@@ -250,7 +250,7 @@ def test_off_and_kill_are_never_refused_and_raise_the_flag(arm, agents):
     arm.reconfig([("jttrace", "off"), ("jttrace", "kill")])
     arm.spawn("jttrace", "arm1")
     assert arm.stop().off != []
-    assert arm.crew.picture.killed == {"grav_comp"}  # by order, and not back
+    assert arm.task_set.model.killed == {"grav_comp"}  # by order, and not back
 
 
 def test_second_writer_is_refused_naming_both_and_a_remedy(robot, puma):
@@ -395,7 +395,7 @@ def test_lost_rtpu_keeps_nobody_from_looking_and_turning_off(arm, agents):
     arm.heard.clear()
     assert {status.rtpu for status in arm.status_all()} == {"arm1"}
     assert any(text.startswith("arm0: no agent of this name") for text in arm.heard)
-    assert "puma_pidg" in arm.picture  # as it was last seen
+    assert "puma_pidg" in arm.model  # as it was last seen
     assert arm.control("jttrace", "off").state == "OFF"
     arm.reconfig([("qrdiff", "off"), ("qrdiff", "kill")])
     with pytest.raises(UnreachableError, match="arm0"):

@@ -23,7 +23,7 @@ from pbonet.node.task.executor import Executor
 from pbonet.node.task.parameters_in_task import set_param
 from pbonet.node.task.task_ports import local_table
 from pbonet.node.wire import rtpu_messages
-from pbonet.outside import Tape, Told, using
+from pbonet.outside import ModuleAnswers, Tape, using
 from pbonet.pbo import Counted, TaskContext, bind, decode_params
 from pbonet.svar import Table
 
@@ -114,7 +114,7 @@ class Task:
         self.ring = Ring.create(spec.ring)
         self.tape = Tape()
         with using(self.tape):
-            self.told = Told()
+            self.told = ModuleAnswers()
         self.journal = journal.Journal(
             self.local, self.ring, self.about, self.time, self.tape
         )

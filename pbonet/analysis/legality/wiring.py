@@ -29,12 +29,12 @@ def producers(rmods: Iterable[Rmod]) -> dict[str, tuple[str, ...]]:
 def check_writers(configuration: Configuration) -> Iterator[Problem]:
     """Yield variables that two tasks write (equation 1)."""
     writers = _by_variable(configuration.running, "OUTVAR")
-    givers = _by_variable(configuration.tasks, "OUTCONST")
+    owned_constants = _by_variable(configuration.tasks, "OUTCONST")
     for variable, tasks in writers.items():
-        constant = [t for t in givers.get(variable, []) if t not in tasks]
+        constant = [t for t in owned_constants.get(variable, []) if t not in tasks]
         if len(tasks) + len(constant) > 1:
             yield _two_writers(configuration, variable, tasks, constant)
-    for variable, tasks in givers.items():
+    for variable, tasks in owned_constants.items():
         if len(tasks) > 1:
             yield _two_givers(variable, tasks)
 

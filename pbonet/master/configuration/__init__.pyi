@@ -17,4 +17,4 @@ from .failures import (
 from .recording_plan import RecordingPlan as RecordingPlan
 from .saved_profiles import Saved as Saved, here as here, profile_of as profile_of
 from .subsystem_files import Files as Files, RmodSource as RmodSource
-from .task_model import Member as Member, Picture as Picture
+from .task_model import Member as Member, TaskModel as TaskModel

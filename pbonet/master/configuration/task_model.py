@@ -74,7 +74,7 @@ class Member(Struct, kw_only=True):
         return {*task.inputs, *task.outputs, *task.needs, *task.gives}
 
 
-class Picture:
+class TaskModel:
     """The tasks of a subsystem in the order in which they were spawned."""
 
     def __init__(self) -> None:

@@ -59,7 +59,7 @@ def status(session: SessionState, given: Given) -> Data:
     )
     rtpus = session.subsystem.rtpu_status()
     for task in wanted:
-        session.subsystem.picture.find(task)
+        session.subsystem.model.find(task)
     if len(wanted) == 1:
         session.default = wanted[0]
     tasks = [
@@ -97,10 +97,10 @@ def profiles(session: SessionState, given: Given) -> Data:
     found = session.subsystem.profile(wanted)
     if len(wanted) == 1:
         session.default = wanted[0]
-    picture = session.subsystem.picture
+    model = session.subsystem.model
     tasks: list[Data] = []
     for one in found:
-        member = picture.get(one.status.task)
+        member = model.get(one.status.task)
         tasks.append(profiling.task_data(one, member.rmod if member else None))
     rtpus = [
         profiling.rtpu_data(status, tasks) for status in session.subsystem.rtpu_status()

@@ -138,7 +138,7 @@ class CommandSession(SessionState):
                 run = command.run
                 data = run(self, given) if run else self._pass_on(command, given)
         finally:
-            if self.default not in self.subsystem.picture:
+            if self.default not in self.subsystem.model:
                 self.default = ""  # it was killed, or never there
         return Reply(command=command.name, data=data, warnings=warnings)
 
@@ -176,7 +176,7 @@ class CommandSession(SessionState):
     def _no_task(self, word: object) -> UnknownTaskError:
         """Return the error for a command that needs a task and has none."""
         text = word if isinstance(word, str) else ""
-        known = self.subsystem.picture.names
+        known = self.subsystem.model.names
         return UnknownTaskError(
             f"the subsystem has no task {text}" if text else "no task is named",
             got="tasks: " + (", ".join(known) or "none"),
@@ -184,7 +184,7 @@ class CommandSession(SessionState):
         )
 
     def _knows(self, task: str) -> bool:
-        return task in self.subsystem.picture
+        return task in self.subsystem.model
 
 
 def split_name(words: list[str]) -> tuple[Command, list[str]]:

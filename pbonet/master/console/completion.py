@@ -72,7 +72,7 @@ def _arguments(
     for word in plain:
         if places and not places[0].many:
             arg = places.pop(0)
-            if arg.last and word not in session.subsystem.picture and places:
+            if arg.last and word not in session.subsystem.model and places:
                 arg = places.pop(0)  # the task was left out
             task = word if arg.kind is Kind.TASK else task
     found = [f"{arg.name}=" for arg in command.args if arg.option]
@@ -91,7 +91,7 @@ def _words(
         states = _STATES.get(command.name)
         return [
             member.name
-            for member in session.subsystem.picture
+            for member in session.subsystem.model
             if states is None or member.state in states
         ]
     if arg.kind is Kind.PARAM:
@@ -101,11 +101,11 @@ def _words(
 
 
 def _params(session: CommandSession, task: str) -> Iterable[str]:
-    member = session.subsystem.picture.get(task)
+    member = session.subsystem.model.get(task)
     if member is None:
         return ()
     try:
-        info = member.info or session.subsystem.crew.info(member.rtpu, member.rmod)
+        info = member.info or session.subsystem.task_set.info(member.rtpu, member.rmod)
     except PbonetError:
         return list(member.rmod.local)
     return [param.name for param in info.params]
@@ -122,13 +122,13 @@ def _signals(session: CommandSession) -> Iterable[str]:
 
 def _items(session: CommandSession) -> Iterable[str]:
     return [
-        f"{t}:{signal}" for t in session.subsystem.picture.names for signal in SIGNALS
+        f"{t}:{signal}" for t in session.subsystem.model.names for signal in SIGNALS
     ]
 
 
 _KINDS: Final[dict[Kind, Callable[[CommandSession], Iterable[str]]]] = {
     Kind.RMOD: lambda session: session.subsystem.files.rmods(),
-    Kind.RTPU: lambda session: session.subsystem.fleet.names,
+    Kind.RTPU: lambda session: session.subsystem.clients.names,
     Kind.VARIABLE: _variables,
     Kind.MODULE: lambda session: session.subsystem.files.library.modules(),
     Kind.JOB: lambda session: session.subsystem.files.jobs(),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from pbonet.errors import PbonetError
-from pbonet.master.subsystem import Choice, Subsystem, since
+from pbonet.master.subsystem import EventFilter, Subsystem, since
 from pbonet.xm.net import messages as m
 
 from . import render
@@ -38,7 +38,7 @@ class Follower:
         wanted: Which events.
     """
 
-    def __init__(self, subsystem: Subsystem, wanted: Choice) -> None:
+    def __init__(self, subsystem: Subsystem, wanted: EventFilter) -> None:
         self._subsystem = subsystem
         self._wanted = wanted
         self._next: dict[str, int] = {}
@@ -53,7 +53,7 @@ class Follower:
     def take(self) -> list[m.Event]:
         """Return what has happened since the last call, the oldest first."""
         found: list[m.Event] = []
-        for rtpu in self._subsystem.fleet.names:
+        for rtpu in self._subsystem.clients.names:
             found += self._of(rtpu)
         if self.doubt is None:
             self.doubt = self._wanted.doubt(found)
@@ -89,9 +89,9 @@ class Follower:
         The event before the first one wanted is asked for too: an RTPU that has
         another one under its number, or none, is another process.
         """
-        fleet = self._subsystem.fleet
+        clients = self._subsystem.clients
         request = m.Events(since=max(since - 1, 0))
-        events = fleet.call(rtpu, request, list[m.Event])
+        events = clients.call(rtpu, request, list[m.Event])
         if since <= 1:
             return events
         if events and events[0].n == since - 1:
@@ -100,7 +100,7 @@ class Follower:
         elif events:
             return events  # what lay between is forgotten
         self._next[rtpu] = 0
-        return fleet.call(rtpu, m.Events(), list[m.Event])
+        return clients.call(rtpu, m.Events(), list[m.Event])
 
 
 def follow(
@@ -122,7 +122,7 @@ def follow(
         PbonetError: An argument is wrong, or no agent can be reached.
         BrokenPipeError: Nobody reads any more.
     """
-    wanted = Choice.of(given)
+    wanted = EventFilter.of(given)
     subsystem = Subsystem(
         path,
         domain=place.domain,

@@ -131,7 +131,7 @@ class Port:
             DuplicateNameError: Another master serves a port of this name.
             UnreachableError: The connection to the agents is closed.
         """
-        client = self._subsystem.fleet.client
+        client = self._subsystem.clients.client
         if client.tokens(self._key):
             raise DuplicateNameError(
                 f"the port {self.name} is taken",

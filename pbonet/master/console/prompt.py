@@ -238,7 +238,7 @@ class _Toolbar:
     def _poll(self) -> None:
         while True:
             try:
-                results, errors = self._subsystem.fleet.each(
+                results, errors = self._subsystem.clients.each(
                     lambda _: m.Status(), m.RtpuStatus
                 )
             except PbonetError as error:

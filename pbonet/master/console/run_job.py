@@ -11,7 +11,7 @@ from pbonet.analysis import legality
 from pbonet.config import Library
 from pbonet.errors import PbonetError, SeveralError, Severity, StateError
 from pbonet.master.configuration import Files
-from pbonet.master.subsystem import Embedded, Logbook, Subsystem, profiling
+from pbonet.master.subsystem import Embedded, RecordingControl, Subsystem, profiling
 from pbonet.xm.net import messages as m
 
 from . import live_status, render, summary
@@ -72,7 +72,7 @@ class Run:
         self._seconds = seconds
         self._embed = embed
         self._wait = wait
-        self._logbook = Logbook(record)
+        self._recordings = RecordingControl(record)
         self._record = record
         self._runs = runs
         self._profile = profile
@@ -137,7 +137,7 @@ class Run:
             warned=lambda text: self._view.say(render.warning(text)),
             record=self._record,
         )
-        self._logbook = subsystem.logbook
+        self._recordings = subsystem.recordings
         subsystem.open()
         infos = self._tell_limits(subsystem)
         statuses: list[RtpuStatus] = []
@@ -172,7 +172,7 @@ class Run:
     def _read_log(self, outcome: Outcome) -> None:
         """Read what was recorded on this machine, for the exact delays."""
         try:
-            log = self._logbook.log()
+            log = self._recordings.log()
         except PbonetError as error:
             self._view.say(render.warning(f"the log cannot be read: {error}"))
             return
@@ -187,7 +187,7 @@ class Run:
     def _save_profiles(self, subsystem: Subsystem) -> None:
         """Save what was measured; that it cannot be is no fault of the run."""
         try:
-            saved = profiling.save(subsystem.crew, [])
+            saved = profiling.save(subsystem.task_set, [])
         except PbonetError as error:
             self._view.say(render.warning(f"no profiles were saved: {error}"))
             return
@@ -196,7 +196,7 @@ class Run:
 
     def _tell_limits(self, subsystem: Subsystem) -> dict[str, m.AgentInfo]:
         """Say what the RTPUs cannot guarantee, each thing once; return who they are."""
-        infos, _ = subsystem.fleet.each(lambda _: m.Hello(), m.AgentInfo)
+        infos, _ = subsystem.clients.each(lambda _: m.Hello(), m.AgentInfo)
         lacking: dict[str, list[str]] = {}
         for rtpu, info in infos.items():
             for limit in info.limits:
@@ -268,7 +268,7 @@ class Run:
                     left = min(left, max(0.0, self._seconds - passed))
                 self._interrupts.wished.wait(left)
         listener.close()
-        return seen.last(subsystem.crew.picture.killed)
+        return seen.last(subsystem.task_set.model.killed)
 
     @contextlib.contextmanager
     def _port(self, subsystem: Subsystem) -> Generator[None]:
@@ -293,7 +293,7 @@ class Run:
             statuses = []
             self._view.say(render.warning(str(error)))
         there = {rtpu.rtpu for rtpu in statuses}
-        lost = [name for name in subsystem.fleet.names if name not in there]
+        lost = [name for name in subsystem.clients.names if name not in there]
         self._missing = self._missing + 1 if lost else 0
         if self._missing > _PATIENCE:
             self._reason = f"{' and '.join(lost)} cannot be reached"

@@ -63,8 +63,8 @@ class Listener:
 
     def open(self) -> None:
         """Hear from now on."""
-        client = self._subsystem.fleet.client
-        for rtpu in self._subsystem.fleet.names:
+        client = self._subsystem.clients.client
+        for rtpu in self._subsystem.clients.names:
             self._declared.append(
                 client.session.declare_subscriber(
                     key_expressions.rtpu(client.domain, rtpu, "event"),
@@ -75,7 +75,7 @@ class Listener:
     def close(self) -> None:
         """Hear no more."""
         for subscriber in self._declared:
-            if not self._subsystem.fleet.client.session.is_closed():
+            if not self._subsystem.clients.client.session.is_closed():
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
         self._declared = []
 
@@ -103,7 +103,7 @@ class Listener:
             return False
         least = self._least
         if least is None:
-            entry = self._subsystem.fleet.entries.get(event.rtpu)
+            entry = self._subsystem.clients.entries.get(event.rtpu)
             least = _LEAST[entry.errprint] if entry else Severity.WARNING
         return least is not None and event.severity >= least
 

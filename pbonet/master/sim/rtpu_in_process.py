@@ -19,12 +19,12 @@ from pbonet.config import TaskType, parse_rmod
 from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import HEAD_DTYPE, RECORD
 from pbonet.node import rt
-from pbonet.node.agent import Overview
+from pbonet.node.agent import SharedMemoryStatus
 from pbonet.node.ring import Ring
 from pbonet.node.rtpu import (
     Child,
     Opened,
-    Operations,
+    RequestHandlers,
     Rtpu,
     Spawner,
     Tables,
@@ -56,7 +56,7 @@ _HEARD = 1 << 14
 """Bytes that are kept free in a ring for what a cycle hears from outside."""
 
 
-class World:
+class SharedState:
     """The state that the RTPUs of a simulation share.
 
     Args:
@@ -98,7 +98,9 @@ class VirtualRtpu(Rtpu):
         events: Where to tell what happens.
     """
 
-    def __init__(self, name: str, number: int, world: World, events: EventLog) -> None:
+    def __init__(
+        self, name: str, number: int, world: SharedState, events: EventLog
+    ) -> None:
         self.world = world
         self.hosts: dict[int, VirtualTask] = {}
         """By their slots."""
@@ -112,7 +114,7 @@ class VirtualRtpu(Rtpu):
         self.core = VirtualCore(number, virtual_ns=world.loop.now_ns)
         self.core.asked = self._asked
         world.cores.append(self.core)
-        self.operations = Operations(self)
+        self.operations = RequestHandlers(self)
         self.overview = VirtualOverview(self)
 
     def turn(self) -> None:
@@ -189,7 +191,7 @@ class VirtualCore(rt.CoreTable):
 class VirtualTables(Tables):
     """Tables that this process alone can open, each the same for all RTPUs."""
 
-    def __init__(self, world: World, *, changed: Callable[[], None]) -> None:
+    def __init__(self, world: SharedState, *, changed: Callable[[], None]) -> None:
         super().__init__(world.domain, changed=changed)
         self._world = world
 
@@ -216,7 +218,7 @@ class VirtualTables(Tables):
         return self._create(name, file)
 
 
-class VirtualOverview(Overview):
+class VirtualOverview(SharedMemoryStatus):
     """An agent's knowledge of its RTPU.
 
     Args:
@@ -230,14 +232,14 @@ class VirtualOverview(Overview):
         super().__init__(rtpu.config.domain, rtpu.name, note, lambda _: None)
         self._state = rtpu
         self._core = rtpu.core
-        self._teller = rtpu_snapshot.Teller(rtpu)
+        self._snapshots = rtpu_snapshot.SnapshotPublisher(rtpu)
 
     def refresh(self) -> None:
         """Learn what has changed."""
         tables = self._state.tables
         opened = {name: tables.need(name) for name in tables.subsystems()}
         self._tables = {name: (one.table, one.keep) for name, one in opened.items()}
-        if news := self._teller.news():
+        if news := self._snapshots.news():
             self.learn(msgspec.msgpack.decode(news, type=rtpu_snapshot.Known))
 
 

@@ -20,7 +20,7 @@ from pbonet.errors import (
     UnknownTaskError,
     did_you_mean,
 )
-from pbonet.master.configuration import Files, Member, Picture, conditions, stuck
+from pbonet.master.configuration import Files, Member, TaskModel, conditions, stuck
 from pbonet.node.task import placed
 from pbonet.pbo import Signal, State
 from pbonet.xm.net import messages as m
@@ -68,7 +68,7 @@ class Simulation(VirtualRtpus):
         files = Files(path, Library(folders))
         self.job: JobFile = files.read_job()
         self.events: list[str] = []
-        self._picture = Picture()
+        self._model = TaskModel()
         self._steady = False
         """Whether inputs that nobody writes raise the flag: not while a job begins or
         ends."""
@@ -176,7 +176,7 @@ class Simulation(VirtualRtpus):
             PbonetError: The module does not load, or its `init` failed.
         """
         member = self._member(JobTask(rmod=rmod, rtpu=rtpu, freq=freq))
-        if member.name in self._picture:
+        if member.name in self._model:
             raise StateError(
                 f"the simulation has a task {member.name} already",
                 remedy="an RMOD is one task; copy it under another name for a second",
@@ -238,7 +238,7 @@ class Simulation(VirtualRtpus):
         self._steady = False
         on = [self.task(n) for n, state in self.states().items() if state is State.ON]
         order = legality.off_order([one.task for one in on], self.job.off_order)
-        order += [n for n in reversed(self._picture.names) if n not in order]
+        order += [n for n in reversed(self._model.names) if n not in order]
         for rtpu in self.rtpus:
             self._ask(rtpu, m.Stop(order=order), m.Stopped)
 
@@ -267,9 +267,9 @@ class Simulation(VirtualRtpus):
         Raises:
             UnknownTaskError: There is none of that name.
         """
-        member = self._picture.get(name)
+        member = self._model.get(name)
         if member is None:
-            names = self._picture.names
+            names = self._model.names
             raise UnknownTaskError(
                 f"the simulation has no task {name}",
                 expected=" or ".join(names) or "a job that was started",
@@ -284,9 +284,9 @@ class Simulation(VirtualRtpus):
             for rtpu in self.rtpus.values()
             for task in rtpu.tasks.values()
         }
-        for member in self._picture:
+        for member in self._model:
             member.state = there.get(member.name, State.NOT_CREATED)
-        return {member.name: member.state for member in self._picture}
+        return {member.name: member.state for member in self._model}
 
     def status(self) -> list[m.RtpuStatus]:
         """Return what `pbonet status` would show; CPU times are not simulated."""
@@ -332,7 +332,7 @@ class Simulation(VirtualRtpus):
         """Judge a change; with `producers`, remedies can name RMODs of the library."""
         now = legality.Configuration(
             svar=self.files.table,
-            tasks=tuple(member.task for member in self._picture),
+            tasks=tuple(member.task for member in self._model),
             on=frozenset(n for n, state in self.states().items() if state is State.ON),
             rtpus=self.files.sbs.rtpus,
             producers=self.files.producers() if producers else {},
@@ -341,7 +341,7 @@ class Simulation(VirtualRtpus):
         return legality.judge(now, change)
 
     def _spawn(self, member: Member) -> None:
-        self._picture.spawned(member)
+        self._model.spawned(member)
         request = m.Spawn(
             task=member.name,
             rmod=member.source.text,
@@ -353,9 +353,9 @@ class Simulation(VirtualRtpus):
 
     def _rank(self) -> None:
         """Tell the RTPUs the user priorities; criticalities are their own rule's."""
-        priorities = legality.user_priorities([one.task for one in self._picture])
+        priorities = legality.user_priorities([one.task for one in self._model])
         for rtpu in self.rtpus:
-            here = [one for one in self._picture if one.rtpu == rtpu]
+            here = [one for one in self._model if one.rtpu == rtpu]
             ranks = {one.name: (one.rmod.crit, priorities[one.name]) for one in here}
             self._ask(rtpu, m.Rank(tasks=ranks), NoneType)
 
@@ -366,8 +366,8 @@ class Simulation(VirtualRtpus):
         if not self._steady:
             return
         self.states()
-        on = [one for one in self._picture if one.is_on]
-        fell = [one for one in self._picture if one.state is State.ERROR]
+        on = [one for one in self._model if one.is_on]
+        fell = [one for one in self._model if one.state is State.ERROR]
         written = {name for one in [*on, *fell] for name in one.task.outputs}
         now = {
             f"{one.name} reads {name}, which nobody writes"

@@ -23,7 +23,7 @@ from pbonet.node.agent import HANDLED
 from pbonet.node.wire import EventLog
 from pbonet.xm.net import Codec, failure, machine, messages as m, rpc
 
-from .rtpu_in_process import VirtualRtpu, World
+from .rtpu_in_process import SharedState, VirtualRtpu
 from .sim_recording import Recording
 from .virtual_loop import BEGIN_NS, make_loop, running
 
@@ -84,7 +84,7 @@ class VirtualRtpus:
         self._codec = Codec()
         self._loop = make_loop(BEGIN_NS)
         domain = f"virtual{os.getpid()}-{next(_NUMBERS)}"
-        self.world = World(
+        self.world = SharedState(
             self._loop, files.library, domain, self.simulated, self._record
         )
         self.logs = {one.name: self._event_log(one.name) for one in files.sbs.rtpus}

@@ -5,8 +5,8 @@ from .argument_text import (
     sequence as sequence,
 )
 from .embedded_agents import Embedded as Embedded
-from .event_filter import Choice as Choice, since as since
-from .recording_control import Logbook as Logbook
+from .event_filter import EventFilter as EventFilter, since as since
+from .recording_control import RecordingControl as RecordingControl
 from .rtpu_clients import client_name as client_name
 from .status_fields import (
     Window as Window,

@@ -17,7 +17,7 @@ from pbonet.pbo import State
 from pbonet.xm.net import messages as m, rpc
 
 from . import constants
-from .condition_gate import Gate
+from .condition_gate import ConditionGate
 
 if TYPE_CHECKING:
     import threading
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from pbonet.config import JobFile, JobTask
     from pbonet.master.configuration import Member
 
-    from .subsystem_tasks import Crew
+    from .subsystem_tasks import SubsystemTasks
 
 
-def plan(crew: Crew, job: JobFile) -> list[Member]:
+def plan(task_set: SubsystemTasks, job: JobFile) -> list[Member]:
     """Return the job's tasks as they would be spawned.
 
     Raises:
@@ -39,15 +39,15 @@ def plan(crew: Crew, job: JobFile) -> list[Member]:
     errors: list[PbonetError] = []
     for task in job.tasks:
         try:
-            member = crew.plan(crew.files.rmod(task.rmod), task.rtpu, task.freq)
+            member = task_set.plan(task_set.files.rmod(task.rmod), task.rtpu, task.freq)
         except PbonetError as error:
-            if not error.where or task.rtpu not in {None, *crew.fleet.names}:
+            if not error.where or task.rtpu not in {None, *task_set.clients.names}:
                 error.where = str(task.place or job.file)
             errors.append(error)
             continue
         members.append(member)
         try:
-            members += _fallback(crew, task, member)
+            members += _fallback(task_set, task, member)
         except PbonetError as error:
             error.where = error.where or str(task.place or job.file)
             errors.append(error)
@@ -58,7 +58,9 @@ def plan(crew: Crew, job: JobFile) -> list[Member]:
     return members
 
 
-def _fallback(crew: Crew, task: JobTask, original: Member) -> list[Member]:
+def _fallback(
+    task_set: SubsystemTasks, task: JobTask, original: Member
+) -> list[Member]:
     """Return the standby of a task as it would be spawned, beside its original.
 
     Raises:
@@ -66,25 +68,27 @@ def _fallback(crew: Crew, task: JobTask, original: Member) -> list[Member]:
     """
     if task.fallback is None:
         return []
-    member = crew.plan(crew.files.rmod(task.fallback), original.rtpu, None)
+    member = task_set.plan(task_set.files.rmod(task.fallback), original.rtpu, None)
     member.fallback_of = original.name
     return [member]
 
 
-def change(crew: Crew, job: JobFile) -> legality.Change:
+def change(task_set: SubsystemTasks, job: JobFile) -> legality.Change:
     """Return the change that a start of the job makes, to be judged.
 
     Raises:
         PbonetError: RMODs, RTPUs or modules are missing or wrong; all are named.
     """
-    return legality.job([member.task for member in plan(crew, job)])
+    return legality.job([member.task for member in plan(task_set, job)])
 
 
-def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStatus]:
+def start(
+    task_set: SubsystemTasks, job: JobFile, stopped: threading.Event
+) -> list[m.TaskStatus]:
     """Assemble a job; return the status of its tasks.
 
     Args:
-        crew: The subsystem.
+        task_set: The subsystem's tasks.
         job: What to assemble; its PRE must hold, before and when all tasks are there.
         stopped: When it is set, the assembly gives up and is undone.
 
@@ -93,38 +97,40 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
         ConditionError: A condition does not hold; nothing was done.
         PbonetError: A step failed; what was done was undone.
     """
-    gate = Gate(crew, job, leaves=False)
-    wanted = plan(crew, job)
+    gate = ConditionGate(task_set, job, leaves=False)
+    wanted = plan(task_set, job)
     tasks = [member.task for member in wanted]
-    problems = crew.legal(legality.job(tasks))
+    problems = task_set.legal(legality.job(tasks))
     gate.must_hold()
-    crew.say(problems)
+    task_set.say(problems)
     by_name = {member.name: member for member in wanted}
-    done = Done(crew)
+    done = Done(task_set)
     with done.undone_on_error(f"the job {job.name} did not start"):
         for name in legality.spawn_order(tasks):
             go_on(stopped)
-            if not stands(crew, by_name[name]):
+            if not stands(task_set, by_name[name]):
                 done.spawn(by_name[name])
-        crew.rank()
+        task_set.rank()
         gate.must_hold()
-        pair(crew, wanted)  # before a task may fail for which somebody stands by
+        pair(task_set, wanted)  # before a task may fail for which somebody stands by
         for name in legality.on_order([one for one in tasks if not one.fallback_of]):
             go_on(stopped)
-            if not crew.picture.find(name).is_on:
+            if not task_set.model.find(name).is_on:
                 done.turn_on(name)
-        pair(crew, wanted)
+        pair(task_set, wanted)
         gate.entered()
-    part(crew, [two for two in unpaired(crew, wanted) if replaced(wanted, *two)])
-    statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
+    part(
+        task_set, [two for two in unpaired(task_set, wanted) if replaced(wanted, *two)]
+    )
+    statuses = [status for rtpu in task_set.refresh() for status in rtpu.tasks]
     return [status for status in statuses if status.task in by_name]
 
 
-def end(crew: Crew, name: str) -> list[PbonetError]:
+def end(task_set: SubsystemTasks, name: str) -> list[PbonetError]:
     """Turn OFF in order, end every task, give everything back.
 
     Args:
-        crew: The subsystem.
+        task_set: The subsystem's tasks.
         name: Its name, for errors.
 
     Returns:
@@ -134,11 +140,11 @@ def end(crew: Crew, name: str) -> list[PbonetError]:
         SeveralError: Parts of it could not be done, the rest was; of one part, its own
             error.
     """
-    crew.off()
-    still_on = [member for member in crew.picture if member.is_on]
-    stopped, errors = crew.stop()
+    task_set.off()
+    still_on = [member for member in task_set.model if member.is_on]
+    stopped, errors = task_set.stop()
     told = {str(error) for error in errors}
-    errors += [error for error in crew.leave() if str(error) not in told]
+    errors += [error for error in task_set.leave() if str(error) not in told]
     hung = [forced(one) for one in still_on if one.name in stopped.killed]
     if errors:
         what = f"the end of subsystem {name} left something behind"
@@ -146,7 +152,7 @@ def end(crew: Crew, name: str) -> list[PbonetError]:
     return hung
 
 
-def pair(crew: Crew, wanted: Sequence[Member]) -> None:
+def pair(task_set: SubsystemTasks, wanted: Sequence[Member]) -> None:
     """Have the standbys of a job stand by for their originals.
 
     Raises:
@@ -154,15 +160,17 @@ def pair(crew: Crew, wanted: Sequence[Member]) -> None:
     """
     for member in wanted:
         if member.fallback_of:
-            crew.stand_by(member.name, member.fallback_of)
+            task_set.stand_by(member.name, member.fallback_of)
 
 
-def unpaired(crew: Crew, wanted: Sequence[Member]) -> list[tuple[Member, str]]:
+def unpaired(
+    task_set: SubsystemTasks, wanted: Sequence[Member]
+) -> list[tuple[Member, str]]:
     """Return tasks that are fallbacks, and none in a job, and for whom each is one."""
     standbys = {member.name for member in wanted if member.fallback_of}
     return [
         (member, member.fallback_of)
-        for member in crew.picture
+        for member in task_set.model
         if member.fallback_of and member.name not in standbys
     ]
 
@@ -177,22 +185,24 @@ def replaced(wanted: Sequence[Member], standby: Member, original: str) -> bool:
     )
 
 
-def part(crew: Crew, pairs: Sequence[tuple[Member, str]]) -> None:
+def part(task_set: SubsystemTasks, pairs: Sequence[tuple[Member, str]]) -> None:
     """Have tasks be the fallbacks of others no more; what fails is a warning."""
     for member, original in pairs:
         try:
-            crew.stand_by(member.name, "")
+            task_set.stand_by(member.name, "")
         except UnknownTaskError:
             continue  # it has died, or a stop was quicker
         except PbonetError as error:
-            crew.tell([f"{member.name} is still the fallback of {original}: {error}"])
+            task_set.tell([
+                f"{member.name} is still the fallback of {original}: {error}"
+            ])
 
 
 class Done:
     """Steps done so far, and how each is undone."""
 
-    def __init__(self, crew: Crew) -> None:
-        self._crew = crew
+    def __init__(self, task_set: SubsystemTasks) -> None:
+        self._task_set = task_set
         self._spawned: list[str] = []
         self._on: list[str] = []
         self._robbed: dict[str, str] = {}
@@ -233,23 +243,23 @@ class Done:
             leaving: Tasks that are about to be killed, and need no new constants.
         """
         freq = member.freq if member.freq != member.rmod.freq else None
-        constants.at_hand(self._crew, member)
-        self._crew.create(member, freq, replaces)
+        constants.at_hand(self._task_set, member)
+        self._task_set.create(member, freq, replaces)
         self._spawned.append(member.name)
         self._robbed |= dict.fromkeys(replaces, member.name)
-        constants.given(self._crew, member.name, leaving)
+        constants.given(self._task_set, member.name, leaving)
 
     def give(
         self, name: str, replaces: Sequence[str], leaving: Collection[str]
     ) -> None:
         """Let a task that stands give constants in the place of others; as `spawn`."""
-        self._crew.control(name, "reinit", "", replaces)
+        self._task_set.control(name, "reinit", "", replaces)
         self._robbed |= dict.fromkeys(replaces, name)
-        constants.given(self._crew, name, leaving)
+        constants.given(self._task_set, name, leaving)
 
     def turn_on(self, name: str) -> None:
         """Turn a task on."""
-        self._crew.control(name, "on", "")
+        self._task_set.control(name, "on", "")
         self._on.append(name)
 
     def undo(self) -> list[PbonetError]:
@@ -259,10 +269,10 @@ class Done:
         steps += [(name, "kill") for name in reversed(self._spawned)]
         for name, signal in steps:
             try:
-                self._crew.refresh()
-                member = self._crew.picture.get(name)
+                self._task_set.refresh()
+                member = self._task_set.model.get(name)
                 if member is not None and (signal == "kill" or member.is_on):
-                    self._crew.control(name, signal, "")
+                    self._task_set.control(name, signal, "")
             except UnknownTaskError:
                 continue  # a stop was quicker
             except PbonetError as error:
@@ -274,20 +284,20 @@ class Done:
         errors: list[PbonetError] = []
         for old, new in reversed(self._robbed.items()):
             try:
-                self._crew.control(old, "reinit", "", [new])
-                constants.given(self._crew, old)
+                self._task_set.control(old, "reinit", "", [new])
+                constants.given(self._task_set, old)
             except PbonetError as error:
                 errors.append(error)
         return errors
 
 
-def stands(crew: Crew, member: Member) -> bool:
+def stands(task_set: SubsystemTasks, member: Member) -> bool:
     """Tell whether the task is there already, made from the same RMOD on its RTPU.
 
     Raises:
         StateError: A task of that name is there, but another one, or in ERROR.
     """
-    old = crew.picture.get(member.name)
+    old = task_set.model.get(member.name)
     if old is None:
         return False
     same = old.source.text == member.source.text

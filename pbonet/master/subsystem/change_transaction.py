@@ -8,14 +8,14 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Sequence
 
-    from .subsystem_tasks import Crew
+    from .subsystem_tasks import SubsystemTasks
 
 
-class Changing:
-    """One command at a time, by a master that holds the claim, on a fresh picture.
+class ChangeTransaction:
+    """One command at a time, by a master that holds the claim, with fresh task states.
 
     Args:
-        crew: The subsystem's tasks.
+        task_set: The subsystem's tasks.
         busy: Held meanwhile.
         strict: Whether every RTPU must say how its tasks stand.
         claimed: False for a command that only tells what it would do.
@@ -24,30 +24,30 @@ class Changing:
 
     def __init__(
         self,
-        crew: Crew,
+        task_set: SubsystemTasks,
         busy: threading.RLock,
         *,
         strict: bool,
         claimed: bool = True,
         rtpus: Sequence[str] | None = None,
     ) -> None:
-        self._crew = crew
+        self._task_set = task_set
         self._busy = busy
         self._strict = strict
         self._claimed = claimed
         self._rtpus = rtpus
 
-    def __enter__(self) -> Crew:
+    def __enter__(self) -> SubsystemTasks:
         if self._claimed:
-            self._crew.fleet.must_be_claimed()
+            self._task_set.clients.must_be_claimed()
         self._busy.acquire()
         try:
             if self._rtpus != []:
-                self._crew.refresh(strict=self._strict, rtpus=self._rtpus)
+                self._task_set.refresh(strict=self._strict, rtpus=self._rtpus)
         except BaseException:
             self._busy.release()
             raise
-        return self._crew
+        return self._task_set
 
     def __exit__(self, *_: object) -> None:
         self._busy.release()

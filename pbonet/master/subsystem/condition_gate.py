@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pbonet.config import JobFile
     from pbonet.master.configuration import Clock
 
-    from .subsystem_tasks import Crew
+    from .subsystem_tasks import SubsystemTasks
 
 T = TypeVar("T")
 
@@ -30,11 +30,11 @@ LOOK_TIME: Final = 0.02
 """Seconds between two looks whether conditions hold by now."""
 
 
-class Gate:
+class ConditionGate:
     """Conditions that are checked before a job is entered.
 
     Args:
-        crew: The subsystem.
+        task_set: The subsystem's tasks.
         job: The job to come.
         leaves: Whether the one that stands is left by that.
 
@@ -42,13 +42,15 @@ class Gate:
         VerificationError: A condition cannot be answered.
     """
 
-    def __init__(self, crew: Crew, job: JobFile, *, leaves: bool) -> None:
-        self._crew = crew
+    def __init__(self, task_set: SubsystemTasks, job: JobFile, *, leaves: bool) -> None:
+        self._task_set = task_set
         self._job = job
-        self._table = crew.files.table.variables
+        self._table = task_set.files.table.variables
         must_be_answerable(job, self._table)
         self._asked = [Asked("PRE", job.name, one) for one in job.pre]
-        for stands in crew.fleet.call(_keeper(crew), m.Job(), list[m.Standing]):
+        for stands in task_set.clients.call(
+            _keeper(task_set), m.Job(), list[m.Standing]
+        ):
             if leaves and (stands.name, stands.file) == (job.name, job.file):
                 self._asked = []  # it was entered already, and something is done again
             elif leaves:
@@ -67,15 +69,19 @@ class Gate:
         job = self._job
         posts = [(one.text, *_at(one)) for one in job.post]
         stands = m.Standing(name=job.name, file=job.file, post=posts)
-        self._crew.fleet.call(_keeper(self._crew), m.Job(told=stands), list[m.Standing])
+        self._task_set.clients.call(
+            _keeper(self._task_set), m.Job(told=stands), list[m.Standing]
+        )
 
     def _look(self, names: list[str]) -> list[m.VarValue]:
         request = m.Display(names=names)
-        return self._crew.fleet.call(_keeper(self._crew), request, list[m.VarValue])
+        return self._task_set.clients.call(
+            _keeper(self._task_set), request, list[m.VarValue]
+        )
 
 
-def _keeper(crew: Crew) -> str:
-    return crew.files.sbs.keeper
+def _keeper(task_set: SubsystemTasks) -> str:
+    return task_set.files.sbs.keeper
 
 
 def _at(condition: Condition) -> tuple[int, int]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Member
 
-    from .subsystem_tasks import Crew
+    from .subsystem_tasks import SubsystemTasks
 
 
 ARRIVAL_TIME: Final = 5.0
@@ -28,7 +28,7 @@ ARRIVAL_TIME: Final = 5.0
 LOOK_TIME: Final = 0.005
 
 
-def at_hand(crew: Crew, member: Member) -> None:
+def at_hand(task_set: SubsystemTasks, member: Member) -> None:
     """Wait until the machine of a task to be has the constants that others give.
 
     Raises:
@@ -37,26 +37,26 @@ def at_hand(crew: Crew, member: Member) -> None:
     wanted = {*member.task.needs}
     given_at = {
         name: other.rtpu
-        for other in crew.picture
+        for other in task_set.model
         for name in wanted.intersection(other.task.gives)
     }
-    _arrived(crew, member, given_at)
+    _arrived(task_set, member, given_at)
 
 
-def given(crew: Crew, task: str, leaving: Collection[str] = ()) -> None:
+def given(task_set: SubsystemTasks, task: str, leaving: Collection[str] = ()) -> None:
     """Re-initialize who uses the constants of a task that gives them from now on.
 
     Args:
-        crew: The tasks.
+        task_set: The subsystem's tasks.
         task: The one that was created, or took them over.
         leaving: Tasks that are about to be killed, and need not know.
 
     Raises:
         SeveralError: As `renew`; the task gives them all the same.
     """
-    giver = crew.picture.find(task)
+    giver = task_set.model.find(task)
     gives = dict.fromkeys(giver.task.gives, giver.rtpu)
-    renew(crew, f"{task} gives {' and '.join(gives)}", gives, leaving)
+    renew(task_set, f"{task} gives {' and '.join(gives)}", gives, leaving)
 
 
 def taken_over(
@@ -80,12 +80,15 @@ def taken_over(
 
 @contextmanager
 def followed(
-    crew: Crew, why: str, variables: Mapping[str, str], done: Collection[str] = ()
+    task_set: SubsystemTasks,
+    why: str,
+    variables: Mapping[str, str],
+    done: Collection[str] = (),
 ) -> Generator[None]:
     """Re-initialize, behind the block, who uses a constant whose value changed in it.
 
     Args:
-        crew: The tasks.
+        task_set: The subsystem's tasks.
         why: What the block does, for messages.
         variables: What may change in it, and the RTPU that changes it.
         done: Tasks that the block re-initializes behind the change.
@@ -93,22 +96,22 @@ def followed(
     Raises:
         SeveralError: As `renew`. Where the block fails itself it is a warning.
     """
-    used = {name for member in crew.picture for name in member.task.needs}
+    used = {name for member in task_set.model for name in member.task.needs}
     constants = {name: rtpu for name, rtpu in variables.items() if name in used}
-    before = _values(crew, constants)
+    before = _values(task_set, constants)
     try:
         yield
     except PbonetError:
         try:
-            renew(crew, why, _changed(crew, constants, before))
+            renew(task_set, why, _changed(task_set, constants, before))
         except PbonetError as error:
-            crew.tell([str(error)])
+            task_set.tell([str(error)])
         raise
-    renew(crew, why, _changed(crew, constants, before), done)
+    renew(task_set, why, _changed(task_set, constants, before), done)
 
 
 def signals(
-    crew: Crew, items: Sequence[tuple[str, str]]
+    task_set: SubsystemTasks, items: Sequence[tuple[str, str]]
 ) -> AbstractContextManager[None]:
     """Return `followed` for a list of signals.
 
@@ -117,7 +120,7 @@ def signals(
     gives: dict[tuple[str, str], Member] = {}
     for task, signal in items:
         if signal in {"reinit", "on"}:
-            one = crew.picture.find(task)
+            one = task_set.model.find(task)
             if one.task.gives and (signal == "reinit" or one.task.needs):
                 gives[task, signal] = one
     last = max((items.index(item) for item in gives), default=0)
@@ -125,7 +128,7 @@ def signals(
     done = {
         task
         for task, signal in items[last:]
-        if signal == "reinit" and homes <= {crew.picture.find(task).rtpu}
+        if signal == "reinit" and homes <= {task_set.model.find(task).rtpu}
     }
     why = ", ".join(
         f"{kind} of {' and '.join(task for task, signal in gives if signal == kind)}"
@@ -134,11 +137,14 @@ def signals(
     variables = {
         name: member.rtpu for member in gives.values() for name in member.task.gives
     }
-    return followed(crew, why, variables, done)
+    return followed(task_set, why, variables, done)
 
 
 def renew(
-    crew: Crew, why: str, constants: Mapping[str, str], done: Collection[str] = ()
+    task_set: SubsystemTasks,
+    why: str,
+    constants: Mapping[str, str],
+    done: Collection[str] = (),
 ) -> None:
     """Re-initialize every task that has these constants as in-consts.
 
@@ -146,7 +152,7 @@ def renew(
     changes. One that fails keeps nobody else from the new values.
 
     Args:
-        crew: The tasks.
+        task_set: The subsystem's tasks.
         why: What happened, for messages: "tool_b gives TOOL_MASS".
         constants: The constants that are new, and the RTPU where each was given.
         done: Tasks that took them in already.
@@ -158,33 +164,35 @@ def renew(
     new = dict(constants)
     renewed: list[str] = []
     errors: list[PbonetError] = []
-    members = {member.name: member for member in crew.picture} if new else {}
+    members = {member.name: member for member in task_set.model} if new else {}
     for name in legality.spawn_order([member.task for member in members.values()]):
         member = members[name]
         held = [one for one in member.task.needs if one in new]
         if not held or name in done:
             continue
         try:
-            _arrived(crew, member, {one: new[one] for one in held})
+            _arrived(task_set, member, {one: new[one] for one in held})
             gives = dict.fromkeys(member.task.gives, member.rtpu)
-            before = _values(crew, gives)
-            crew.control(name, "reinit", "")
+            before = _values(task_set, gives)
+            task_set.control(name, "reinit", "")
             renewed.append(name)
-            new |= _changed(crew, gives, before)
+            new |= _changed(task_set, gives, before)
         except PbonetError as error:
             errors.append(_unrenewed(error, why, held))
     if renewed:
-        crew.tell([f"{why}: re-initialized {', '.join(renewed)}"])
+        task_set.tell([f"{why}: re-initialized {', '.join(renewed)}"])
     rpc.raise_all(f"{why}, and {len(errors)} tasks did not take it in", errors)
 
 
-def _arrived(crew: Crew, member: Member, given_at: Mapping[str, str]) -> None:
+def _arrived(
+    task_set: SubsystemTasks, member: Member, given_at: Mapping[str, str]
+) -> None:
     """Wait until constants stand in a task's table as in that of the task giving them.
 
     Each machine has one table, and a value needs time from one to another.
 
     Args:
-        crew: The tasks.
+        task_set: The subsystem's tasks.
         member: The task that is to take them in.
         given_at: The constants, and the RTPU where each was given.
 
@@ -192,15 +200,15 @@ def _arrived(crew: Crew, member: Member, given_at: Mapping[str, str]) -> None:
         NoAnswerError: They did not come.
         PbonetError: The task's own RTPU does not say what it has.
     """
-    near = crew.fleet.share_a_machine
+    near = task_set.clients.share_a_machine
     far = {name: rtpu for name, rtpu in given_at.items() if not near(rtpu, member.rtpu)}
     end = time.monotonic() + ARRIVAL_TIME
     while far:
         try:
-            there = _values(crew, far)
+            there = _values(task_set, far)
         except PbonetError:  # who gave them cannot be asked: these are the last ones
             return
-        here = _values(crew, dict.fromkeys(far, member.rtpu))
+        here = _values(task_set, dict.fromkeys(far, member.rtpu))
         far = {name: rtpu for name, rtpu in far.items() if there[name] != here[name]}
         if far and time.monotonic() > end:
             raise NoAnswerError(
@@ -214,20 +222,20 @@ def _arrived(crew: Crew, member: Member, given_at: Mapping[str, str]) -> None:
             time.sleep(LOOK_TIME)
 
 
-def _values(crew: Crew, where: Mapping[str, str]) -> dict[str, str]:
+def _values(task_set: SubsystemTasks, where: Mapping[str, str]) -> dict[str, str]:
     """Return the value of each variable, as text, in the table of an RTPU."""
     found: dict[str, str] = {}
     for rtpu in dict.fromkeys(where.values()):
         names = [name for name, at in where.items() if at == rtpu]
-        shown = crew.fleet.call(rtpu, m.Display(names=names), list[m.VarValue])
+        shown = task_set.clients.call(rtpu, m.Display(names=names), list[m.VarValue])
         found |= {one.name: str(one.values) for one in shown}  # NaN is NaN
     return found
 
 
 def _changed(
-    crew: Crew, where: Mapping[str, str], before: Mapping[str, str]
+    task_set: SubsystemTasks, where: Mapping[str, str], before: Mapping[str, str]
 ) -> dict[str, str]:
-    now = _values(crew, where)
+    now = _values(task_set, where)
     return {name: where[name] for name in before if now[name] != before[name]}
 
 

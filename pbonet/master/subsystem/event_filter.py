@@ -62,7 +62,7 @@ def since(word: int | str) -> tuple[int, float]:
     return 0, time.time() - float(found[1]) * _UNITS[found[2]]
 
 
-class Choice(msgspec.Struct, frozen=True, kw_only=True):
+class EventFilter(msgspec.Struct, frozen=True, kw_only=True):
     """Which events are wanted."""
 
     least: Severity = Severity.DEBUG
@@ -72,13 +72,13 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds since 1970."""
 
     @staticmethod
-    def of(given: Mapping[str, Any]) -> Choice:
+    def of(given: Mapping[str, Any]) -> EventFilter:
         """Return what the arguments of `events` choose.
 
         Raises:
             StateError: There is no such severity.
         """
-        return Choice(
+        return EventFilter(
             least=severity(given.get("severity") or "debug"),
             code=given.get("code"),
             task=given.get("task"),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Clock
     from pbonet.xm.net import messages as m
 
-    from .subsystem_tasks import Crew
+    from .subsystem_tasks import SubsystemTasks
 
     Item = tuple[str, str]
 
@@ -26,7 +26,7 @@ _LOOK = 0.002
 
 
 def prove(
-    crew: Crew,
+    task_set: SubsystemTasks,
     items: Sequence[Item],
     kills: Sequence[Item],
     clock: Clock,
@@ -35,7 +35,7 @@ def prove(
     """Wait for the first cycles of tasks that have come; return where these stand.
 
     Args:
-        crew: The subsystem.
+        task_set: The subsystem's tasks.
         items: What was carried out.
         kills: What is to be done behind it.
         clock: By which first cycles are waited for.
@@ -49,7 +49,7 @@ def prove(
     end = clock.now() + PATIENCE
     while True:
         try:
-            statuses = [task for rtpu in crew.refresh() for task in rtpu.tasks]
+            statuses = [task for rtpu in task_set.refresh() for task in rtpu.tasks]
         except PbonetError as silence:
             raise stuck([*items, *kills], len(items), silence) from silence
         there = {one.task: one for one in statuses if one.task in came}
@@ -57,14 +57,14 @@ def prove(
             if one.state in {State.ERROR, State.NOT_CREATED} and not stopped.is_set():
                 error = _failed(one)
                 raise stuck([*items, *kills], len(items), error) from error
-        begins = [one for one in there.values() if _begins(crew, one)]
+        begins = [one for one in there.values() if _begins(task_set, one)]
         if not begins or clock.now() >= end or clock.wait(_LOOK, stopped):
             return {task: one.state for task, one in there.items()}
 
 
-def _begins(crew: Crew, task: m.TaskStatus) -> bool:
+def _begins(task_set: SubsystemTasks, task: m.TaskStatus) -> bool:
     """Tell whether a task has its first cycle, which time brings soon, before it."""
-    member = crew.picture.get(task.task)
+    member = task_set.model.get(task.task)
     periodic = member is not None and member.rmod.tasktype is TaskType.PERIODIC
     soon = task.ref_f * PATIENCE >= 1.0
     return periodic and soon and task.state == State.ON and not task.cycle

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Saved
     from pbonet.xm.net import RtpuStatus
 
-    from .subsystem_tasks import Crew
+    from .subsystem_tasks import SubsystemTasks
 
 Data = dict[str, Any]
 QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
@@ -42,22 +42,22 @@ FAILURES: Final = ("failures", "overruns", "aborted", "skipped", "delivery_max")
 """Timing failures in a status (section 6.3)."""
 
 
-def ask(crew: Crew, tasks: Sequence[str]) -> list[TaskProfile]:
+def ask(task_set: SubsystemTasks, tasks: Sequence[str]) -> list[TaskProfile]:
     """Return the profiles of tasks, of all if none is named, RTPU by RTPU.
 
     Raises:
         UnknownTaskError: There is no such task.
     """
-    crew.refresh(strict=False)
+    task_set.refresh(strict=False)
     for task in tasks:
-        crew.picture.find(task)
-    results, errors = crew.fleet.each(lambda _: m.Profile(), list[TaskProfile])
-    crew.tell(map(str, errors))
-    found = [one for name in crew.fleet.names for one in results.get(name, [])]
+        task_set.model.find(task)
+    results, errors = task_set.clients.each(lambda _: m.Profile(), list[TaskProfile])
+    task_set.tell(map(str, errors))
+    found = [one for name in task_set.clients.names for one in results.get(name, [])]
     return [one for one in found if not tasks or one.status.task in tasks]
 
 
-def save(crew: Crew, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
+def save(task_set: SubsystemTasks, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
     """Save profiles beside the ``.sbs`` file, for later starts; return them.
 
     Where no task is named, those that have run too few cycles are told as warnings.
@@ -68,16 +68,18 @@ def save(crew: Crew, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
         ConfigFileError: A file cannot be written.
     """
     saved: list[tuple[Saved, Path]] = []
-    for found in ask(crew, tasks):
-        rmod = crew.picture.find(found.status.task).rmod
-        host = crew.fleet.agent(found.status.rtpu).host
+    for found in ask(task_set, tasks):
+        rmod = task_set.model.find(found.status.task).rmod
+        host = task_set.clients.agent(found.status.rtpu).host
         when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
         try:
-            saved.append(crew.files.profiles.keep(found, rmod, host=host, when=when))
+            saved.append(
+                task_set.files.profiles.keep(found, rmod, host=host, when=when)
+            )
         except StateError as error:
             if tasks:
                 raise
-            crew.warned(str(error))
+            task_set.warned(str(error))
     return saved
 
 

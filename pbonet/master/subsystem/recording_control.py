@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from pbonet.log import Log
     from pbonet.master.configuration import Files
 
-    from .rtpu_clients import Fleet
+    from .rtpu_clients import RtpuClients
 
 FINISH_TIME: Final = 5.0
 """Seconds that recorders may take to finish."""
 
 
-class Logbook(RecordingPlan):
+class RecordingControl(RecordingPlan):
     """Has runs of a subsystem recorded, as planned.
 
     Args:
@@ -39,7 +39,9 @@ class Logbook(RecordingPlan):
         super().__init__(mode)
         self.paths: dict[str, m.Recorded] = {}
 
-    def begin(self, fleet: Fleet, files: Files, warned: Callable[[str], None]) -> None:
+    def begin(
+        self, clients: RtpuClients, files: Files, warned: Callable[[str], None]
+    ) -> None:
         """Have the agents record from now on, unless they do already."""
         if self.run:
             return
@@ -48,7 +50,7 @@ class Logbook(RecordingPlan):
         if not self.wanted:
             return
         texts = self.texts(files)
-        alone = len(fleet.names) == 1
+        alone = len(clients.names) == 1
 
         def request(rtpu: str) -> m.Record:
             return m.Record(
@@ -62,7 +64,7 @@ class Logbook(RecordingPlan):
                 last=self.last,
             )
 
-        self.paths, errors = fleet.each(request, m.Recorded)
+        self.paths, errors = clients.each(request, m.Recorded)
         for error in errors:
             warned(f"not recorded: {error}")
 
@@ -70,13 +72,13 @@ class Logbook(RecordingPlan):
         """The run has ended; the next task begins another."""
         self.run = ""
 
-    def finish(self, fleet: Fleet) -> Log | None:
+    def finish(self, clients: RtpuClients) -> Log | None:
         """Have the logs finished while tasks go on; return the run as recorded here.
 
         Raises:
             PbonetError: An agent did not answer, or a log cannot be read.
         """
-        _, errors = fleet.each(lambda _: m.Record(mode="off"), m.Recorded)
+        _, errors = clients.each(lambda _: m.Record(mode="off"), m.Recorded)
         rpc.raise_all("not every log was finished", errors)
         return self.log()
 
@@ -111,11 +113,11 @@ class Logbook(RecordingPlan):
         return [Path(one.path) for one in found if one.path]
 
 
-def book(mode: str | None, *, virtual: bool) -> Logbook:
+def book(mode: str | None, *, virtual: bool) -> RecordingControl:
     """Return the logbook of a program.
 
     Args:
-        mode: As for `Logbook`.
+        mode: As for `RecordingControl`.
         virtual: In virtual time, where a program writes no log.
 
     Raises:
@@ -130,7 +132,7 @@ def book(mode: str | None, *, virtual: bool) -> Logbook:
             remedy="every cycle is in simulation.recording; 'pbonet run --sim' writes "
             "the log of a job in virtual time",
         )
-    return Logbook("off" if virtual else mode)
+    return RecordingControl("off" if virtual else mode)
 
 
 def _newest(path: Path) -> Path:

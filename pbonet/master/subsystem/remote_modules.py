@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pbonet.config import Library
     from pbonet.pbo import ModuleInfo
 
-    from .rtpu_clients import Fleet
+    from .rtpu_clients import RtpuClients
 
 _LOAD_TIME = 10.0
 """Seconds in which an agent imports and describes the modules of its libraries."""
@@ -25,11 +25,11 @@ def _answer() -> type[list[ModuleInfo]]:
     return list[ModuleInfo]
 
 
-def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
+def on(clients: RtpuClients, library: Library, rtpu: str, module: str) -> ModuleInfo:
     """Return the description of a module as an RTPU's library has it.
 
     Args:
-        fleet: The agents.
+        clients: The agents.
         library: The master's own, which says what to do where the agent lacks one.
         rtpu: Whose library.
         module: Its name.
@@ -39,7 +39,7 @@ def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
     """
     request = m.Modules(name=module)
     try:
-        found = fleet.call(rtpu, request, _answer(), timeout=_LOAD_TIME)
+        found = clients.call(rtpu, request, _answer(), timeout=_LOAD_TIME)
     except ModuleLoadError as error:
         if error.what == no_module(module):
             error.remedy = library.for_agent(module, rtpu) or error.remedy
@@ -54,14 +54,14 @@ def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
     return found[0]
 
 
-def of(fleet: Fleet, name: str | None = None) -> list[ModuleInfo]:
+def of(clients: RtpuClients, name: str | None = None) -> list[ModuleInfo]:
     """Return the modules of all libraries of a subsystem, each version once.
 
     Raises:
         ModuleLoadError: No library has a module `name`, or it does not load.
         SeveralError: Several agents do not answer; of one, its own error.
     """
-    results, errors = fleet.each(
+    results, errors = clients.each(
         lambda _: m.Modules(name=name), _answer(), timeout=_LOAD_TIME
     )
     if not results and len({error.what for error in errors}) == 1:

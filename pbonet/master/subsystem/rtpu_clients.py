@@ -40,7 +40,7 @@ def client_name(kind: str) -> str:
     return f"{kind}-{host}-{os.getpid()}-{os.urandom(2).hex()}"
 
 
-class Fleet:
+class RtpuClients:
     """The RTPUs that a ``.sbs`` file names, as one master sees them.
 
     Args:

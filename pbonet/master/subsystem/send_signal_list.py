@@ -22,26 +22,26 @@ from . import signal_list_split
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.master.configuration import Picture
+    from pbonet.master.configuration import TaskModel
 
-    from .rtpu_clients import Fleet
+    from .rtpu_clients import RtpuClients
 
 Item = tuple[str, str]
 
 
 def send(
-    picture: Picture,
-    fleet: Fleet,
+    model: TaskModel,
+    clients: RtpuClients,
     items: Sequence[Item],
     limit: float,
     *,
     before: Sequence[Item] = (),
 ) -> dict[str, str]:
-    """Send signals in order; see `Crew.send`."""
-    sending = _Sending(picture, fleet, items, limit, before)
+    """Send signals in order; see `SubsystemTasks.send`."""
+    sending = _Sending(model, clients, items, limit, before)
     try:
         sending.have_successors_stand_by()
-        for step in signal_list_split.steps(picture, items, sending.successors):
+        for step in signal_list_split.steps(model, items, sending.successors):
             sending.step(step)
     except PbonetError:
         sending.withdraw()
@@ -54,19 +54,19 @@ class _Sending:
 
     def __init__(
         self,
-        picture: Picture,
-        fleet: Fleet,
+        model: TaskModel,
+        clients: RtpuClients,
         items: Sequence[Item],
         limit: float,
         before: Sequence[Item],
     ) -> None:
-        self._picture = picture
-        self._fleet = fleet
+        self._model = model
+        self._clients = clients
         self._limit = limit
         self._items = list(items)
         self._whole = [*before, *items]
         self._done = len(before)
-        self._handover = signal_list_split.handed_over(picture, items)
+        self._handover = signal_list_split.handed_over(model, items)
         self._calls: dict[str, list[m.Call]] = {}
         self.successors: dict[str, list[str]] = {}
         """Tasks that stand by, and who calls each."""
@@ -78,12 +78,12 @@ class _Sending:
         Raises:
             ReconfigError: One could not take over; nothing was done.
         """
-        found = signal_list_split.across(self._picture, self._items)
+        found = signal_list_split.across(self._model, self._items)
         for task, olds in found.items():
             self._stand_by(task, olds)
 
     def _machine(self, task: str) -> str:
-        return self._fleet.agent(self._picture.find(task).rtpu).machine
+        return self._clients.agent(self._model.find(task).rtpu).machine
 
     def _stand_by(self, task: str, olds: list[str]) -> None:
         here = self._machine(task)
@@ -92,8 +92,8 @@ class _Sending:
         request = m.Successors(after={task: olds}, timeout=timeout, far=far)
         self.successors[task] = olds
         try:
-            calls = self._fleet.call(
-                self._picture.find(task).rtpu,
+            calls = self._clients.call(
+                self._model.find(task).rtpu,
                 request,
                 dict[str, list[m.Call]],
                 timeout=self._limit,
@@ -109,11 +109,11 @@ class _Sending:
     def withdraw(self) -> None:
         """Have tasks stand by no longer that have not come on."""
         for task in self.successors:
-            member = self._picture.get(task)
+            member = self._model.get(task)
             if member is not None and member.state is State.OFF:
                 request = m.Successors(after={task: []})
                 with contextlib.suppress(PbonetError):  # its time limit ends it, too
-                    self._fleet.call(member.rtpu, request, dict[str, list[m.Call]])
+                    self._clients.call(member.rtpu, request, dict[str, list[m.Call]])
         self.successors, self._calls = {}, {}
 
     def _take_called(self, sent: int) -> dict[Item, str]:
@@ -151,11 +151,11 @@ class _Sending:
 
     def _state(self, task: str) -> State | None:
         """Return the state of a task as its RTPU says; None: it does not."""
-        member = self._picture.get(task)
+        member = self._model.get(task)
         if member is None:
             return State.NOT_CREATED
         try:
-            status = self._fleet.call(member.rtpu, m.Status(task=task), m.RtpuStatus)
+            status = self._clients.call(member.rtpu, m.Status(task=task), m.RtpuStatus)
         except PbonetError:
             return None
         states = [State(one.state) for one in status.tasks if one.task == task]
@@ -207,9 +207,9 @@ class _Sending:
 
     def _take(self, answer: m.Reconfigured, made: Sequence[Item]) -> None:
         for task, signal in made:
-            self._picture.ordered(task, signal)
+            self._model.ordered(task, signal)
         for task, state in answer.states.items():
-            self._picture.move(task, State(state))
+            self._model.move(task, State(state))
         self.states |= answer.states
         self._done += len(made)
 
@@ -220,14 +220,14 @@ class _Sending:
         limit = self._limit * max(map(len, parts.values()))
         requests = {rtpu: self._request(part, parts) for rtpu, part in parts.items()}
         if len(parts) > 1:
-            answers, errors = self._fleet.each(
+            answers, errors = self._clients.each(
                 lambda rtpu: requests[rtpu], m.Reconfigured, rtpus=parts, timeout=limit
             )
             silent = [rtpu for rtpu in parts if rtpu not in answers]
             return answers, dict(zip(silent, errors, strict=True))
         ((rtpu, request),) = requests.items()
         try:
-            answer = self._fleet.call(rtpu, request, m.Reconfigured, timeout=limit)
+            answer = self._clients.call(rtpu, request, m.Reconfigured, timeout=limit)
         except PbonetError as error:
             return {}, {rtpu: error}
         return {rtpu: answer}, {}
@@ -235,7 +235,7 @@ class _Sending:
     def _request(self, part: list[Item], parts: dict[str, list[Item]]) -> m.Reconfig:
         """Return what one RTPU is sent, while others are sent the other parts."""
         others = [task for one in parts.values() if one is not part for task, _ in one]
-        rates = [self._picture.find(task).freq for task in others]
+        rates = [self._model.find(task).freq for task in others]
         return m.Reconfig(
             items=part,
             handover=self._handover,

@@ -11,17 +11,17 @@ from pbonet.xm.net import MOST_CALLERS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from pbonet.master.configuration import Picture
+    from pbonet.master.configuration import TaskModel
 
 
 def handed_over(
-    picture: Picture, items: Sequence[tuple[str, str]]
+    model: TaskModel, items: Sequence[tuple[str, str]]
 ) -> dict[str, list[str]]:
     """Return for tasks that go off which of their outputs a later item takes over."""
     found: dict[str, list[str]] = {}
     taken: set[str] = set()
     for task, signal in reversed(items):
-        outputs = picture.find(task).task.outputs
+        outputs = model.find(task).task.outputs
         if signal == "on":
             taken.update(outputs)
         elif signal == "off" and (theirs := [one for one in outputs if one in taken]):
@@ -29,7 +29,7 @@ def handed_over(
     return found
 
 
-def across(picture: Picture, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
+def across(model: TaskModel, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
     """Return tasks that take over from tasks on other RTPUs, and from which.
 
     These call them as soon as they have ended, and successors on their own RTPU that
@@ -37,16 +37,16 @@ def across(picture: Picture, items: Sequence[tuple[str, str]]) -> dict[str, list
     stand side by side in the list, and those that share a predecessor with one of
     these.
     """
-    olds = _predecessors(picture, items)
-    far = {task for task in olds if len(_rtpus(picture, [task, *olds[task]])) > 1}
+    olds = _predecessors(model, items)
+    far = {task for task in olds if len(_rtpus(model, [task, *olds[task]])) > 1}
     called = _sharing(olds, far)
-    direct = {task for task in olds if _direct(picture, items, task, olds[task])}
+    direct = {task for task in olds if _direct(model, items, task, olds[task])}
     called -= _sharing(olds, called - direct)
     return {task: olds[task] for task in olds if task in called}
 
 
-def _rtpus(picture: Picture, tasks: Iterable[str]) -> set[str]:
-    return {picture.find(task).rtpu for task in tasks}
+def _rtpus(model: TaskModel, tasks: Iterable[str]) -> set[str]:
+    return {model.find(task).rtpu for task in tasks}
 
 
 def _sharing(olds: Mapping[str, list[str]], tasks: set[str]) -> set[str]:
@@ -62,13 +62,13 @@ def _sharing(olds: Mapping[str, list[str]], tasks: set[str]) -> set[str]:
 
 
 def _predecessors(
-    picture: Picture, items: Sequence[tuple[str, str]]
+    model: TaskModel, items: Sequence[tuple[str, str]]
 ) -> dict[str, list[str]]:
     """Return from which of those before it each task that comes on takes over."""
     gone: dict[str, set[str]] = {}
     found: dict[str, list[str]] = {}
     for task, signal in items:
-        outputs = set(picture.find(task).task.outputs)
+        outputs = set(model.find(task).task.outputs)
         if signal == "off":
             gone[task] = outputs
         elif signal == "on":
@@ -77,14 +77,14 @@ def _predecessors(
 
 
 def _direct(
-    picture: Picture, items: Sequence[tuple[str, str]], task: str, olds: list[str]
+    model: TaskModel, items: Sequence[tuple[str, str]], task: str, olds: list[str]
 ) -> bool:
     """Tell whether a task can stand by for others that call it."""
     names = [name for name, _ in items]
     first = names.index(olds[0])
     return (
-        picture.find(task).state is State.OFF
-        and all(picture.find(old).is_on for old in olds)
+        model.find(task).state is State.OFF
+        and all(model.find(old).is_on for old in olds)
         and all(names.count(one) == 1 for one in (task, *olds))
         and names[first : first + len(olds)] == olds
         and len(olds) <= MOST_CALLERS
@@ -92,7 +92,7 @@ def _direct(
 
 
 def steps(
-    picture: Picture,
+    model: TaskModel,
     items: Sequence[tuple[str, str]],
     successors: Mapping[str, list[str]],
 ) -> Iterator[dict[str, list[tuple[str, str]]]]:
@@ -105,12 +105,12 @@ def steps(
     for first, last in _together(items, successors):
         parts: dict[str, list[tuple[str, str]]] = {}
         for task, signal in items[first:last]:
-            parts.setdefault(picture.find(task).rtpu, []).append((task, signal))
+            parts.setdefault(model.find(task).rtpu, []).append((task, signal))
         if len(parts) > 1:
-            yield from _runs(picture, items[begin:first])
+            yield from _runs(model, items[begin:first])
             yield parts
             begin = last
-    yield from _runs(picture, items[begin:])
+    yield from _runs(model, items[begin:])
 
 
 def _together(
@@ -130,8 +130,8 @@ def _together(
 
 
 def _runs(
-    picture: Picture, items: Sequence[tuple[str, str]]
+    model: TaskModel, items: Sequence[tuple[str, str]]
 ) -> Iterator[dict[str, list[tuple[str, str]]]]:
     """Yield the items cut wherever the next is for another RTPU."""
-    for rtpu, part in groupby(items, key=lambda item: picture.find(item[0]).rtpu):
+    for rtpu, part in groupby(items, key=lambda item: model.find(item[0]).rtpu):
         yield {rtpu: list(part)}

@@ -52,13 +52,13 @@ from .argument_text import (
     names_of,
     task_of,
 )
-from .change_transaction import Changing
-from .condition_gate import Gate, in_time
-from .event_filter import Choice
+from .change_transaction import ChangeTransaction
+from .condition_gate import ConditionGate, in_time
+from .event_filter import EventFilter
 from .recording_control import book
-from .rtpu_clients import Fleet, client_name
+from .rtpu_clients import RtpuClients, client_name
 from .status_fields import columns
-from .subsystem_tasks import CONTROL_TIME, Crew
+from .subsystem_tasks import CONTROL_TIME, SubsystemTasks
 from .task_signal_inbox import Inbox, Sent
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
     import zenoh
 
     from pbonet.config import SbsFile
-    from pbonet.master.configuration import Clock, Picture, Saved
+    from pbonet.master.configuration import Clock, Saved, TaskModel
     from pbonet.master.sim import VirtualRtpus
     from pbonet.pbo import ModuleInfo
 
@@ -145,13 +145,13 @@ class Subsystem:
         self.shown: tuple[str, ...] = status_fields.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = status_fields.Baselines()
-        self.logbook = book(record, virtual=virtual)
+        self.recordings = book(record, virtual=virtual)
         self._connect = connect
         self._kind = kind
         self._take_over = take_over
         self._partly = partly
         self.inbox = Inbox()
-        self._crew: Crew | None = None
+        self._task_set: SubsystemTasks | None = None
         self._busy = threading.RLock()
 
     # -- opening and closing ----------------------------------------------------------
@@ -165,7 +165,7 @@ class Subsystem:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._crew is None:
+        if self._task_set is None:
             return
         if self.watch:
             self.detach()
@@ -183,29 +183,29 @@ class Subsystem:
         return self.files.sbs
 
     @property
-    def crew(self) -> Crew:
+    def task_set(self) -> SubsystemTasks:
         """Its tasks and RTPUs, and the steps that commands are made of.
 
         Raises:
             NodeError: The subsystem is not open.
         """
-        if self._crew is None:
+        if self._task_set is None:
             raise NodeError(
                 "the subsystem is not open",
                 where=self.name,
                 remedy="open it, or use it as 'with Subsystem(...) as name:'",
             )
-        return self._crew
+        return self._task_set
 
     @property
-    def fleet(self) -> Fleet:
+    def clients(self) -> RtpuClients:
         """Its RTPUs."""
-        return self.crew.fleet
+        return self.task_set.clients
 
     @property
-    def picture(self) -> Picture:
+    def model(self) -> TaskModel:
         """Its tasks as they stood at the last look."""
-        return self.crew.picture
+        return self.task_set.model
 
     def open(
         self,
@@ -232,7 +232,7 @@ class Subsystem:
             rtpus = [entry.name for entry in self.files.sbs.rtpus]
             self._agents.start(self._agents.missing(rtpus))
         try:
-            self._crew = self._open(self._client(opened), task, once=once)
+            self._task_set = self._open(self._client(opened), task, once=once)
         except BaseException:
             self._end_agents()
             raise
@@ -250,25 +250,27 @@ class Subsystem:
         opened = opened or session.client(self.domain, connect=self._connect)
         return rpc.Client(opened, self.domain, name, warned=warned)
 
-    def _open(self, client: rpc.Client, task: str, *, once: bool) -> Crew:
-        fleet = Fleet(client, self.files.sbs)
-        crew = Crew(self.files, fleet, self._warn, self.logbook, self.inbox)
+    def _open(self, client: rpc.Client, task: str, *, once: bool) -> SubsystemTasks:
+        clients = RtpuClients(client, self.files.sbs)
+        task_set = SubsystemTasks(
+            self.files, clients, self._warn, self.recordings, self.inbox
+        )
         try:
             if not self.watch:
-                crew.take(take_over=self._take_over, partly=self._partly, task=task)
+                task_set.take(take_over=self._take_over, partly=self._partly, task=task)
             self.inbox.clear()
-            statuses = crew.refresh(
-                strict=False, rtpus=list(fleet.epochs) if task else None
+            statuses = task_set.refresh(
+                strict=False, rtpus=list(clients.epochs) if task else None
             )
             for rtpu in statuses:
                 self.inbox.begin(rtpu.tasks)
             if once:
-                crew.reuse(statuses)
+                task_set.reuse(statuses)
         except BaseException:
-            fleet.drop()
+            clients.drop()
             client.close()
             raise
-        return crew
+        return task_set
 
     def _end_agents(self) -> None:
         if self._agents is not None:
@@ -280,11 +282,11 @@ class Subsystem:
 
         Those of embedded agents end with their agents.
         """
-        if self._crew is not None:
-            fleet = self._crew.fleet
-            self._crew = None
-            fleet.drop()
-            fleet.client.close()
+        if self._task_set is not None:
+            clients = self._task_set.clients
+            self._task_set = None
+            clients.drop()
+            clients.client.close()
             self._end_agents()
 
     def finish(self) -> list[PbonetError]:
@@ -299,7 +301,7 @@ class Subsystem:
         """
         self.stopped.set()
         try:
-            return assembly.end(self.crew, self.name)
+            return assembly.end(self.task_set, self.name)
         finally:
             self.detach()
 
@@ -333,17 +335,17 @@ class Subsystem:
         """
         if hz is not None:
             check_rate(rmod, hz)
-        with self._changing() as crew:
-            member = crew.plan(self.files.rmod(rmod), rtpu, hz)
-            crew.must_be_new(member)
-            crew.judge(legality.spawn(member.task))
+        with self._changing() as task_set:
+            member = task_set.plan(self.files.rmod(rmod), rtpu, hz)
+            task_set.must_be_new(member)
+            task_set.judge(legality.spawn(member.task))
             try:
-                constants.at_hand(crew, member)
-                status = crew.create(member, hz)
-                constants.given(crew, member.name)
+                constants.at_hand(task_set, member)
+                status = task_set.create(member, hz)
+                constants.given(task_set, member.name)
                 return status
             finally:
-                crew.settle()
+                task_set.settle()
 
     def control(self, task: str, signal: str, arg: str = "") -> m.TaskStatus:
         """Send ``on off kill clear reinit`` to a task (section 4.5.3).
@@ -365,16 +367,16 @@ class Subsystem:
             PbonetError: A method of the module failed.
         """
         check_signal(signal)
-        rtpus = self.crew.concerned([task])
-        with self._changing(strict=signal == "on", rtpus=rtpus) as crew:
-            crew.home(task, signal)
+        rtpus = self.task_set.concerned([task])
+        with self._changing(strict=signal == "on", rtpus=rtpus) as task_set:
+            task_set.home(task, signal)
             if signal == "on":
-                crew.judge(legality.signal(task, signal))
+                task_set.judge(legality.signal(task, signal))
             try:
-                with constants.signals(crew, [(task, signal)]):
-                    return crew.control(task, signal, arg)
+                with constants.signals(task_set, [(task, signal)]):
+                    return task_set.control(task, signal, arg)
             finally:
-                crew.settle()
+                task_set.settle()
 
     def freq(self, task: str, hz: float | None = None) -> float:
         """Return a task's frequency in Hz; with `hz`, set it first.
@@ -386,17 +388,17 @@ class Subsystem:
             VerificationError: The RTPU could not bear the new rate.
         """
         if hz is None:
-            return self.crew.ask(task, m.Freq(task=task), float)
+            return self.task_set.ask(task, m.Freq(task=task), float)
         check_rate(task, hz)
-        with self._changing(rtpus=[self.crew.locate(task)]) as crew:
-            member = crew.picture.find(task)
-            crew.judge(legality.frequency(structs.replace(member.task, freq=hz)))
+        with self._changing(rtpus=[self.task_set.locate(task)]) as task_set:
+            member = task_set.model.find(task)
+            task_set.judge(legality.frequency(structs.replace(member.task, freq=hz)))
             request = m.Freq(task=task, hz=hz)
             try:
-                member.freq = self.fleet.call(member.rtpu, request, float)
+                member.freq = self.clients.call(member.rtpu, request, float)
                 return member.freq
             finally:
-                crew.keep()
+                task_set.keep()
 
     def get(self, task: str, param: str | None = None) -> list[m.ParamValue]:
         """Return the parameters of a task's module, or the one named.
@@ -406,7 +408,7 @@ class Subsystem:
             ParameterError: It has no such parameter.
         """
         request = m.Get(task=task, name=param)
-        return self.crew.ask(task, request, list[m.ParamValue])
+        return self.task_set.ask(task, request, list[m.ParamValue])
 
     def set(
         self, task: str, param: str | None = None, value: object = None
@@ -426,8 +428,8 @@ class Subsystem:
         if param is None or value is None:
             return self.get(task, param)
         request = m.Set(task=task, name=param, value=local_words(value))
-        with self._changing(rtpus=[]) as crew:
-            return crew.ask(task, request, list[m.ParamValue], timeout=CONTROL_TIME)
+        with self._changing(rtpus=[]) as task_set:
+            return task_set.ask(task, request, list[m.ParamValue], timeout=CONTROL_TIME)
 
     def write(self, variable: str, value: float | Iterable[float]) -> m.VarValue:
         """Set a variable that no task writes; who has it as in-const takes it in.
@@ -436,13 +438,15 @@ class Subsystem:
             UnknownVariableError: The table has no such variable.
             SvarOwnerError: A task writes it.
         """
-        with self._changing(strict=False) as crew:
+        with self._changing(strict=False) as task_set:
             self.files.must_have(variable)
             values = [value] if isinstance(value, (int, float)) else value
             request = m.Write(name=variable, values=[float(one) for one in values])
             keeper = self.sbs.keeper
-            with constants.followed(crew, f"{variable} was set", {variable: keeper}):
-                return self.fleet.call(keeper, request, m.VarValue)
+            with constants.followed(
+                task_set, f"{variable} was set", {variable: keeper}
+            ):
+                return self.clients.call(keeper, request, m.VarValue)
 
     # -- signals ----------------------------------------------------------------------
 
@@ -517,20 +521,22 @@ class Subsystem:
         for _, signal in items:
             check_signal(signal)
         judged = any(signal == "on" for _, signal in items)
-        with self._changing(strict=judged) as crew:
+        with self._changing(strict=judged) as task_set:
             for task, signal in items:
-                crew.home(task, signal)
-            names = crew.picture.names
+                task_set.home(task, signal)
+            names = task_set.model.names
             living = [item for item in items if item[0] in names]
             if judged:
-                crew.judge(legality.reconfig(living))
+                task_set.judge(legality.reconfig(living))
             try:
                 dead = dict.fromkeys(task for task, _ in items if task not in names)
-                states = {task: crew.control(task, "kill", "").state for task in dead}
-                with constants.signals(crew, living):
-                    return states | crew.send(living)
+                states = {
+                    task: task_set.control(task, "kill", "").state for task in dead
+                }
+                with constants.signals(task_set, living):
+                    return states | task_set.send(living)
             finally:
-                crew.settle()
+                task_set.settle()
 
     def swap(
         self,
@@ -560,11 +566,11 @@ class Subsystem:
             ReconfigError: A signal failed; it says which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
-        with self._changing(claimed=not dry_run) as crew:
-            plan = switching.plan_swap(crew, old, new, rtpu)
+        with self._changing(claimed=not dry_run) as task_set:
+            plan = switching.plan_swap(task_set, old, new, rtpu)
             self.stopped.clear()
             return switching.carry_out(
-                crew, plan, self.clock, self.stopped, dry_run=dry_run
+                task_set, plan, self.clock, self.stopped, dry_run=dry_run
             )
 
     def switch(
@@ -600,12 +606,12 @@ class Subsystem:
         """
 
         def attempt() -> Transition:
-            with self._changing(claimed=not dry_run) as crew:
+            with self._changing(claimed=not dry_run) as task_set:
                 wanted = self.files.read_job(job)
-                gate = Gate(crew, wanted, leaves=True)
-                plan = switching.plan_job(crew, wanted)
+                gate = ConditionGate(task_set, wanted, leaves=True)
+                plan = switching.plan_job(task_set, wanted)
                 return switching.carry_out(
-                    crew, plan, self.clock, self.stopped, gate, dry_run=dry_run
+                    task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
                 )
 
         return in_time(attempt, wait, self.clock, self.stopped)
@@ -633,13 +639,13 @@ class Subsystem:
         """
 
         def attempt() -> list[m.TaskStatus]:
-            with self._changing() as crew:
+            with self._changing() as task_set:
                 wanted = self.files.read_job(job)
-                self.logbook.of(wanted, self.files)
+                self.recordings.of(wanted, self.files)
                 try:
-                    return assembly.start(crew, wanted, self.stopped)
+                    return assembly.start(task_set, wanted, self.stopped)
                 finally:
-                    crew.settle()
+                    task_set.settle()
 
         return in_time(attempt, wait, self.clock, self.stopped)
 
@@ -653,21 +659,21 @@ class Subsystem:
             VerificationError: It would be, or is, illegal.
         """
         with self._busy:
-            return self.crew.verdict(self._change(job))
+            return self.task_set.verdict(self._change(job))
 
     def report(self, job: str | Path | None = None) -> list[legality.RtpuReport]:
         """Return the analysis of a job, or of what stands, be it legal or not."""
         with self._busy:
-            return self.crew.report(self._change(job))
+            return self.task_set.report(self._change(job))
 
     def _change(self, job: str | Path | None) -> legality.Change | None:
         """Return what a check is about; None for the tasks as they stand."""
-        self.crew.refresh()
+        self.task_set.refresh()
         if job is None and self.files.job is None:
             return None
         wanted = self.files.read_job(job)
         must_be_answerable(wanted, self.files.table.variables)
-        return assembly.change(self.crew, wanted)
+        return assembly.change(self.task_set, wanted)
 
     def stop(self) -> m.Stopped:
         """Turn everything OFF and end it, now, on all RTPUs at once.
@@ -679,11 +685,11 @@ class Subsystem:
             SeveralError: An RTPU did not confirm; the others were stopped.
         """
         self.stopped.set()
-        stopped, errors = self.crew.stop()
+        stopped, errors = self.task_set.stop()
         self.inbox.clear()
         must_be_stopped(stopped, errors)
-        if self.fleet.claimed:
-            self.crew.settle()
+        if self.clients.claimed:
+            self.task_set.settle()
         return stopped
 
     # -- looking ----------------------------------------------------------------------
@@ -725,7 +731,7 @@ class Subsystem:
         shown = columns(names_of(fields or ())) or self.shown
         found = [t for t in self.status_all() if not wanted or t.task in wanted]
         for name in wanted:
-            self.picture.find(name)
+            self.model.find(name)
         if fields is not None:
             return [one.only(shown) for one in self.baselines.since(found)]
         if not isinstance(task, str):
@@ -759,7 +765,7 @@ class Subsystem:
         Raises:
             SeveralError: None answers, of several; of one, its own error.
         """
-        return self.crew.refresh(strict=False)
+        return self.task_set.refresh(strict=False)
 
     def events_count(self, task: str | Sequence[str] = ()) -> list[dict[str, Any]]:
         """Return how often each kind of event came, those held back in floods too.
@@ -776,7 +782,7 @@ class Subsystem:
         wanted = names_of(task)
         rtpus = self.rtpu_status()
         for name in wanted:
-            self.picture.find(name)
+            self.model.find(name)
         return [
             {"rtpu": rtpu.rtpu, "task": name, "code": code, "count": count}
             for rtpu in rtpus
@@ -791,7 +797,7 @@ class Subsystem:
         Raises:
             UnknownTaskError: There is no such task.
         """
-        return profiling.ask(self.crew, names_of(task))
+        return profiling.ask(self.task_set, names_of(task))
 
     def profile_save(self, task: str | Sequence[str] = ()) -> list[tuple[Saved, Path]]:
         """Save profiles beside the ``.sbs`` file, for the analysis of later starts.
@@ -801,7 +807,7 @@ class Subsystem:
             StateError: One that is named has run too few cycles.
             ConfigFileError: A file cannot be written.
         """
-        return profiling.save(self.crew, names_of(task))
+        return profiling.save(self.task_set, names_of(task))
 
     def display(
         self,
@@ -827,13 +833,13 @@ class Subsystem:
         patterns = names_of(variable or ())
         names = matching(patterns, known) if patterns else known
         if task:
-            ports = self.picture.find(task).variables
+            ports = self.model.find(task).variables
             names = [name for name in names if name in ports]
         if not names:
             return []
         request = m.Display(names=names)
         keeper = self.files.sbs.keeper
-        values = self.fleet.call(keeper, request, list[m.VarValue])
+        values = self.clients.call(keeper, request, list[m.VarValue])
         values.sort(key=lambda one: names.index(one.name))
         return [one for one in values if writer in {None, task_of(one.writer)}]
 
@@ -843,7 +849,7 @@ class Subsystem:
         Raises:
             ModuleLoadError: No library has such a module, or it does not load.
         """
-        return remote_modules.of(self.fleet, module)
+        return remote_modules.of(self.clients, module)
 
     # -- signals and events of tasks ---------------------------------------------------
 
@@ -879,7 +885,7 @@ class Subsystem:
         with self.news() as news:
             statuses = self.status_all()
             task_signal_inbox.must_be_known(
-                signals, tasks, statuses, self.picture, self.name
+                signals, tasks, statuses, self.model, self.name
             )
             while True:
                 if sent := self.inbox.take(statuses, signals, tasks):
@@ -898,7 +904,7 @@ class Subsystem:
 
     def news(self) -> AbstractContextManager[threading.Event]:
         """Have an event set whenever an RTPU publishes one of its own."""
-        return task_signal_inbox.heard(self.fleet)
+        return task_signal_inbox.heard(self.clients)
 
     def signals(self) -> list[Sent]:
         """Return the signals that are pending, and leave them so."""
@@ -928,9 +934,9 @@ class Subsystem:
         tasks = [] if task is None else [task]
         names = [] if signals in (["none"], ["unset"]) else list(signals or ())
         if signals is not None:
-            self.fleet.must_be_claimed()
+            self.clients.must_be_claimed()
         task_signal_inbox.must_be_known(
-            names, tasks, self.status_all(), self.picture, self.name
+            names, tasks, self.status_all(), self.model, self.name
         )
         request = m.Sigmask(
             task=task or "",
@@ -938,9 +944,9 @@ class Subsystem:
             unset=signals == ["unset"],
         )
         if task is not None and signals is not None:
-            self.fleet.call(self.crew.locate(task), request, dict[str, list[str]])
+            self.clients.call(self.task_set.locate(task), request, dict[str, list[str]])
             request = m.Sigmask()
-        found, errors = self.fleet.each(lambda _: request, dict[str, list[str]])
+        found, errors = self.clients.each(lambda _: request, dict[str, list[str]])
         rpc.raise_all(f"{len(errors)} RTPUs do not take a signal mask", errors)
         return {key: mask for masks in found.values() for key, mask in masks.items()}
 
@@ -967,9 +973,11 @@ class Subsystem:
             StateError: There is no such severity, or `since` says not since when.
         """
         given = {"task": task, "code": code, "severity": severity, "since": since}
-        wanted, first = Choice.of(given), event_filter.since(since)[0]
+        wanted, first = EventFilter.of(given), event_filter.since(since)[0]
         request = m.Events
-        results, errors = self.fleet.each(lambda _: request(since=first), list[m.Event])
+        results, errors = self.clients.each(
+            lambda _: request(since=first), list[m.Event]
+        )
         rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
         found = [event for events in results.values() for event in events]
         if doubt := wanted.doubt(found):
@@ -1022,7 +1030,7 @@ class Subsystem:
         strict: bool = True,
         claimed: bool = True,
         rtpus: Sequence[str] | None = None,
-    ) -> Changing:
-        return Changing(
-            self.crew, self._busy, strict=strict, claimed=claimed, rtpus=rtpus
+    ) -> ChangeTransaction:
+        return ChangeTransaction(
+            self.task_set, self._busy, strict=strict, claimed=claimed, rtpus=rtpus
         )

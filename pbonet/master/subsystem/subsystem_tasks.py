@@ -22,13 +22,13 @@ from pbonet.errors import (
     UnreachableError,
 )
 from pbonet.lazy import logger
-from pbonet.master.configuration import Member, Picture, RmodSource, already
+from pbonet.master.configuration import Member, RmodSource, TaskModel, already
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
-from .unwritten_inputs import Unfed
-from .warning_dedup import Standing
+from .unwritten_inputs import UnwrittenInputs
+from .warning_dedup import WarningDedup
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Files
     from pbonet.pbo import ModuleInfo
 
-    from .recording_control import Logbook
-    from .rtpu_clients import Fleet
+    from .recording_control import RecordingControl
+    from .rtpu_clients import RtpuClients
     from .task_signal_inbox import Inbox
 
     Warned = Callable[[str], None]
@@ -63,7 +63,7 @@ _BY_OTHERS: Final = {legality.Code.NO_WRITER, legality.Code.NO_CONSTANT}
 T = TypeVar("T")
 
 
-class Crew:
+class SubsystemTasks:
     """The tasks of a subsystem and the RTPUs they stand on.
 
     Args:
@@ -77,22 +77,22 @@ class Crew:
     def __init__(
         self,
         files: Files,
-        fleet: Fleet,
+        clients: RtpuClients,
         warned: Warned,
-        logbook: Logbook,
+        recordings: RecordingControl,
         inbox: Inbox,
     ) -> None:
         self.files = files
-        self.fleet = fleet
+        self.clients = clients
         self.warned = warned
-        self.logbook = logbook
+        self.recordings = recordings
         self._inbox = inbox
-        self.picture = Picture()
-        self._info = cache(partial(remote_modules.on, fleet, files.library))
-        self._standing = Standing()
+        self.model = TaskModel()
+        self._info = cache(partial(remote_modules.on, clients, files.library))
+        self._standing = WarningDedup()
         self._producers: Mapping[str, tuple[str, ...]] = {}  # as last read
-        self._unfed = Unfed(
-            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self.say
+        self._unwritten = UnwrittenInputs(
+            lambda flag: clients.call(files.sbs.keeper, flag, list[str]), self.say
         )
         self._noted: set[str] = set()  # told already, of saved profiles
         self._modules: dict[str, Any] = {}  # that tasks run, as claims describe them
@@ -117,7 +117,9 @@ class Crew:
         """
         if task and not take_over and self._take_home(task):
             return
-        others = [name for name in self.fleet.names if name not in self.fleet.epochs]
+        others = [
+            name for name in self.clients.names if name not in self.clients.epochs
+        ]
         claims, errors = self._claim(others, take_over=take_over, partly=partly)
         self.tell(map(str, errors))
         self._take_in(claims)
@@ -129,17 +131,17 @@ class Crew:
         except (UnreachableError, NoAnswerError):  # the task may be on another one
             return False
         self._take_in(claims)
-        return task in self.picture
+        return task in self.model
 
     def _claim(
         self, rtpus: list[str], *, take_over: bool = False, partly: bool = False
     ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
-        return self.fleet.claim(
+        return self.clients.claim(
             rtpus,
             svar=self.files.table_text,
             svar_name=self.files.table.file,
             take_over=take_over,
-            partly=partly or self.fleet.claimed,
+            partly=partly or self.clients.claimed,
         )
 
     def _take_in(self, claims: dict[str, m.Claimed]) -> None:
@@ -148,7 +150,7 @@ class Crew:
             for task in claimed.tasks:
                 source = self._source(task, claimed.rmods.get(task))
                 freq = source.record.freq or 0.0
-                self.picture.add(Member(source=source, rtpu=rtpu, freq=freq))
+                self.model.add(Member(source=source, rtpu=rtpu, freq=freq))
             self._modules |= claimed.modules
             if claimed.status is not None:
                 self._fresh[rtpu] = claimed.status
@@ -170,18 +172,20 @@ class Crew:
             UnknownTaskError: There is no such task.
             PbonetError: As `rpc.Client.call` and the agent say.
         """
-        member = self.picture.get(task)
+        member = self.model.get(task)
         if member is None and self._whole:
-            return self.fleet.call(self.locate(task), request, result, timeout=timeout)
+            return self.clients.call(
+                self.locate(task), request, result, timeout=timeout
+            )
         rtpu = member.rtpu if member else self.files.likely_rtpu(task)
         try:
-            return self.fleet.call(rtpu, request, result, timeout=timeout)
+            return self.clients.call(rtpu, request, result, timeout=timeout)
         except (UnknownTaskError, UnreachableError, NoAnswerError):
             self.refresh(strict=False)
-            home = self.picture.find(task).rtpu
+            home = self.model.find(task).rtpu
             if home == rtpu:
                 raise
-        return self.fleet.call(home, request, result, timeout=timeout)
+        return self.clients.call(home, request, result, timeout=timeout)
 
     def concerned(self, tasks: Sequence[str]) -> list[str]:
         """Return the RTPUs whose tasks a change of some tasks can make illegal.
@@ -189,14 +193,14 @@ class Crew:
         They are those that the tasks are on, and those with tasks that share a variable
         with them. If a task is not known or gives constants, all are.
         """
-        members = [self.picture.get(task) for task in tasks]
+        members = [self.model.get(task) for task in tasks]
         known = [member for member in members if member is not None]
         if len(known) < len(members) or any(one.task.gives for one in known):
-            return self.fleet.names
+            return self.clients.names
         shared = {name for member in known for name in member.variables}
-        homes = {one.rtpu for one in self.picture if one.variables & shared}
+        homes = {one.rtpu for one in self.model if one.variables & shared}
         homes |= {member.rtpu for member in known}
-        return [name for name in self.fleet.names if name in homes]
+        return [name for name in self.clients.names if name in homes]
 
     def reuse(self, statuses: Iterable[m.RtpuStatus]) -> None:
         """Have the next `refresh` take these statuses, and ask for no newer ones."""
@@ -218,36 +222,38 @@ class Crew:
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
-        known, dead = set(self.picture.names), self._inbox.dead()
-        wanted = self.fleet.names if rtpus is None else rtpus
+        known, dead = set(self.model.names), self._inbox.dead()
+        wanted = self.clients.names if rtpus is None else rtpus
         results = {name: self._fresh[name] for name in wanted if name in self._fresh}
         self._fresh.clear()
-        self._whole = self._whole or len(wanted) == len(self.fleet.names)
+        self._whole = self._whole or len(wanted) == len(self.clients.names)
         asked = [name for name in wanted if name not in results]
-        found, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus, rtpus=asked)
+        found, errors = self.clients.each(
+            lambda _: m.Status(), m.RtpuStatus, rtpus=asked
+        )
         results |= found
         if strict or not results:
             rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
         self.tell(map(str, errors))
-        statuses = [results[name] for name in self.fleet.names if name in results]
+        statuses = [results[name] for name in self.clients.names if name in results]
         there = [task for rtpu in statuses for task in rtpu.tasks]
         for status in there:
             self.note(status)
         names = {status.task for status in there}
         self._inbox.bury({t for t, rtpu in dead.items() if rtpu in results} - names)
-        for member in self.picture:
+        for member in self.model:
             gone = member.rtpu in results and member.name not in names
             if gone and member.name in known:  # else it was spawned meanwhile
-                self.picture.remove(member.name)
-        if self.fleet.sbs.keeper in results:
-            self._unfed.seen(cause for rtpu in statuses for cause in rtpu.illegal)
+                self.model.remove(member.name)
+        if self.clients.sbs.keeper in results:
+            self._unwritten.seen(cause for rtpu in statuses for cause in rtpu.illegal)
         return statuses
 
     def note(self, status: m.TaskStatus) -> None:
         """Take a task's status into the picture, and its signals."""
         self._inbox.note(status)
         self._priorities[status.task] = status.priority
-        member = self.picture.get(status.task)
+        member = self.model.get(status.task)
         if member is None:
             try:
                 source = self._source(status.rmod, None)
@@ -255,10 +261,10 @@ class Crew:
                 logger("pbonet.master").debug("task %s: %s", status.task, error)
                 return
             member = Member(source=source, rtpu=status.rtpu, freq=status.ref_f)
-            self.picture.add(member)
+            self.model.add(member)
         member.rtpu, member.freq = status.rtpu, status.ref_f
         member.fallback_of = status.fallback_of or member.fallback_of
-        self.picture.move(status.task, State(status.state))
+        self.model.move(status.task, State(status.state))
 
     def locate(self, task: str) -> str:
         """Return the RTPU of a task, asking the agents when it is not known.
@@ -266,10 +272,10 @@ class Crew:
         Raises:
             UnknownTaskError: There is no such task.
         """
-        member = self.picture.get(task)
+        member = self.model.get(task)
         if member is None:
             self.refresh(strict=False)
-            member = self.picture.find(task)
+            member = self.model.find(task)
         return member.rtpu
 
     def _source(self, task: str, text: str | None) -> RmodSource:
@@ -295,8 +301,8 @@ class Crew:
             NodeError: The subsystem has no such RTPU.
             ModuleLoadError: The agent there has no such module, or it does not load.
         """
-        where = rtpu or source.record.rtpu or self.fleet.names[0]
-        self.fleet.entry(where)
+        where = rtpu or source.record.rtpu or self.clients.names[0]
+        self.clients.entry(where)
         member = Member(
             source=source, rtpu=where, freq=freq or source.record.freq or 0.0
         )
@@ -312,7 +318,7 @@ class Crew:
         member.info = member.info or self.info(member.rtpu, member.rmod)
         store = self.files.profiles
         if store.hosts(member.name):
-            host = self.fleet.agent(member.rtpu).host
+            host = self.clients.agent(member.rtpu).host
             member.saved, note = store.find(member.rmod, host, member.info)
             if note and note not in self._noted:
                 self._noted.add(note)
@@ -324,7 +330,7 @@ class Crew:
         Raises:
             StateError: The subsystem has a task of this name.
         """
-        old = self.picture.get(member.name)
+        old = self.model.get(member.name)
         if old is not None:
             raise already(old)
 
@@ -355,7 +361,7 @@ class Crew:
         return list(map(legality.as_text, self._legal(change, list)))
 
     def _legal(self, change: legality.Change | None, news: News) -> Problems:
-        self.with_infos(self.picture)
+        self.with_infos(self.model)
         problems = self._problems(change, news)
         if refused := warning_dedup.refused(problems):
             raise legality.as_error(refused)
@@ -388,7 +394,7 @@ class Crew:
         Raises:
             ModuleLoadError: A task's module is not there any more.
         """
-        self.with_infos(self.picture)
+        self.with_infos(self.model)
         now = self.configuration()
         return legality.report(legality.judge(now, change).after if change else now)
 
@@ -396,8 +402,8 @@ class Crew:
         """Return the subsystem as it stands."""
         return legality.Configuration(
             svar=self.files.table,
-            tasks=tuple(member.task for member in self.picture),
-            on=frozenset(member.name for member in self.picture if member.is_on),
+            tasks=tuple(member.task for member in self.model),
+            on=frozenset(member.name for member in self.model if member.is_on),
             rtpus=self.files.sbs.rtpus,
             producers=self._producers,
             limit=PLANNED,
@@ -435,7 +441,7 @@ class Crew:
         Raises:
             PbonetError: It could not be created; nothing of it stays.
         """
-        priorities = self.priorities([*self.picture, member])
+        priorities = self.priorities([*self.model, member])
         soft = legality.effective(member.task)
         request = m.Spawn(
             task=member.name,
@@ -448,11 +454,11 @@ class Crew:
             timeout=SPAWN_TIME,
             replaces=list(replaces),
         )
-        if not len(self.picture):
-            self.logbook.begin(self.fleet, self.files, self.warned)
+        if not len(self.model):
+            self.recordings.begin(self.clients, self.files, self.warned)
         limit = SPAWN_TIME + 1.0
-        status = self.fleet.call(member.rtpu, request, m.TaskStatus, timeout=limit)
-        self.picture.spawned(member)
+        status = self.clients.call(member.rtpu, request, m.TaskStatus, timeout=limit)
+        self.model.spawned(member)
         self._modules.pop(member.name, None)
         self.note(status)
         return status
@@ -463,10 +469,10 @@ class Crew:
         Raises:
             PbonetError: It could not take over.
         """
-        member = self.picture.find(standby)
+        member = self.model.find(standby)
         request = m.Standby(task=standby, original=original)
         member.fallback_of = original
-        self.note(self.fleet.call(member.rtpu, request, m.TaskStatus))
+        self.note(self.clients.call(member.rtpu, request, m.TaskStatus))
 
     def control(
         self, task: str, signal: str, arg: str, replaces: Sequence[str] = ()
@@ -485,8 +491,8 @@ class Crew:
         rtpu = self.home(task, signal)
         request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
         request.replaces = list(replaces)
-        status = self.fleet.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
-        self.picture.ordered(task, signal)
+        status = self.clients.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
+        self.model.ordered(task, signal)
         self.note(status)
         if signal == "kill":
             self._inbox.bury([task])
@@ -498,8 +504,8 @@ class Crew:
         Raises:
             UnknownTaskError: There is no such task.
         """
-        died = "" if task in self.picture else self._inbox.dead().get(task, "")
-        return died if died and signal == "kill" else self.picture.find(task).rtpu
+        died = "" if task in self.model else self._inbox.dead().get(task, "")
+        return died if died and signal == "kill" else self.model.find(task).rtpu
 
     def send(
         self, items: Sequence[tuple[str, str]], before: Sequence[tuple[str, str]] = ()
@@ -517,7 +523,7 @@ class Crew:
             ReconfigError: An item failed; the rest was not sent.
         """
         states = send_signal_list.send(
-            self.picture, self.fleet, items, CONTROL_TIME, before=before
+            self.model, self.clients, items, CONTROL_TIME, before=before
         )
         self._inbox.bury(task for task, signal in items if signal == "kill")
         return states
@@ -530,7 +536,7 @@ class Crew:
         """
         try:
             problems = self._problems(None, self._standing.new_unfed)
-            self._unfed.settle(warning_dedup.unfed(problems))
+            self._unwritten.settle(warning_dedup.unwritten(problems))
             self._standing.keep(problems)
             self.rank()
         except PbonetError as error:
@@ -550,14 +556,14 @@ class Crew:
 
         Criticalities are their own rule's.
         """
-        priorities = self.priorities(self.picture)
+        priorities = self.priorities(self.model)
         ranks: dict[str, dict[str, tuple[int | None, int]]] = {}
-        for member in self.picture:
+        for member in self.model:
             priority = priorities[member.name]
             if self._priorities.get(member.name) != priority:
                 rank = (member.rmod.crit, priority)
                 ranks.setdefault(member.rtpu, {})[member.name] = rank
-        ranked, errors = self.fleet.each(
+        ranked, errors = self.clients.each(
             lambda rtpu: m.Rank(tasks=ranks[rtpu]), NoneType, rtpus=ranks
         )
         for rtpu in ranked:
@@ -569,22 +575,22 @@ class Crew:
     def leave(self) -> list[PbonetError]:
         """Close the table, its keeper last, and give the RTPUs back."""
         errors: list[PbonetError] = []
-        for rtpu in reversed(self.fleet.keeper_first):
+        for rtpu in reversed(self.clients.keeper_first):
             try:
-                self.fleet.call(rtpu, m.CloseTable(), NoneType)
+                self.clients.call(rtpu, m.CloseTable(), NoneType)
             except PbonetError as error:
                 errors.append(error)
-        return errors or self.fleet.release()
+        return errors or self.clients.release()
 
     def order_of_off(self) -> list[str]:
         """Return the order in which the tasks are turned off."""
         stated = self.files.job.off_order if self.files.job else ()
-        return legality.off_order([member.task for member in self.picture], stated)
+        return legality.off_order([member.task for member in self.model], stated)
 
     def off(self) -> None:
         """Turn OFF task by task in order; what refuses is left to `stop`."""
         for name in self.order_of_off():
-            member = self.picture.get(name)
+            member = self.model.get(name)
             if member is None or not member.is_on:
                 continue
             try:
@@ -595,17 +601,17 @@ class Crew:
     def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
         """Stop every RTPU at once; return what it did and what went wrong."""
         order = self.order_of_off()
-        results, errors = self.fleet.each(
+        results, errors = self.clients.each(
             lambda _: m.Stop(timeout=STOP_TIME, order=order),
             m.Stopped,
             timeout=STOP_TIME + rpc.ANSWER_TIME,
         )
-        self.logbook.end()
+        self.recordings.end()
         stopped = m.Stopped(
             off=[task for one in results.values() for task in one.off],
             killed=[task for one in results.values() for task in one.killed],
         )
-        for member in self.picture:
+        for member in self.model:
             if member.rtpu in results:
-                self.picture.remove(member.name)
+                self.model.remove(member.name)
         return stopped, errors

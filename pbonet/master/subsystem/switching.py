@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pbonet.config import JobFile
     from pbonet.master.configuration import Clock, Member
 
-    from .condition_gate import Gate
-    from .subsystem_tasks import Crew
+    from .condition_gate import ConditionGate
+    from .subsystem_tasks import SubsystemTasks
 
 _RATE = 1e-6
 """Relative difference below which two frequencies are the same."""
@@ -55,11 +55,11 @@ class Transition(Struct, kw_only=True):
 
 
 def carry_out(
-    crew: Crew,
+    task_set: SubsystemTasks,
     plan: Plan,
     clock: Clock,
     stopped: threading.Event,
-    gate: Gate | None = None,
+    gate: ConditionGate | None = None,
     *,
     dry_run: bool,
 ) -> Transition:
@@ -70,33 +70,33 @@ def carry_out(
     """
     with plan.supposed():
         transition = plan.transition()
-        problems = crew.legal(plan.change(transition), only_asked=dry_run)
+        problems = task_set.legal(plan.change(transition), only_asked=dry_run)
         if gate is not None:
             transition.conditions = gate.must_hold()
     if dry_run:
-        crew.tell(map(legality.as_text, problems))
+        task_set.tell(map(legality.as_text, problems))
         return transition
     try:
-        crew.say(problems)
+        task_set.say(problems)
         with plan.supposed():
             plan.spawn(transition, stopped, gate)
         items = transition.items
-        transition.states = crew.send(items)
+        transition.states = task_set.send(items)
         plan.pair()
         if kills := [(name, "kill") for name in transition.kills]:
-            came = prove(crew, items, kills, clock, stopped)
+            came = prove(task_set, items, kills, clock, stopped)
             transition.states |= came
-            transition.states |= crew.send(kills, before=items)
+            transition.states |= task_set.send(kills, before=items)
     finally:
-        crew.settle()
+        task_set.settle()
     return transition
 
 
 class Plan:
     """Which tasks leave and which come."""
 
-    def __init__(self, crew: Crew) -> None:
-        self._crew = crew
+    def __init__(self, task_set: SubsystemTasks) -> None:
+        self._task_set = task_set
         self._going: dict[str, Member] = {}
         self._coming: dict[str, Member] = {}
         self._killed: list[str] = []
@@ -127,7 +127,7 @@ class Plan:
             original: Whose fallback it is to be.
         """
         self._standbys[member.name] = member
-        other = self._crew.picture.get(member.fallback_of)
+        other = self._task_set.model.get(member.fallback_of)
         if member.fallback_of != original and other is not None and other.is_on:
             self._kept.add(member.name)
 
@@ -140,7 +140,7 @@ class Plan:
 
         It is until the change is made; who comes in its place waits as long.
         """
-        other = self._crew.picture.get(original)
+        other = self._task_set.model.get(original)
         if other is not None and other.is_on:
             self._kept |= {one.name for one, of in self._originals if of == original}
         self._parted.append((member, original))
@@ -148,7 +148,7 @@ class Plan:
 
     @contextmanager
     def supposed(self) -> Generator[None]:
-        """Have the picture say who is to stand by; not any more if nothing is begun."""
+        """Set in the model which tasks stand by; undo it if nothing is begun."""
         before = [(member, member.fallback_of) for member, _ in self._originals]
         _set_fallbacks(self._originals)
         try:
@@ -163,11 +163,11 @@ class Plan:
 
     def transition(self) -> Transition:
         """Return what is to be done."""
-        picture = self._crew.picture
-        stays = [one for one in picture if one.is_on and one.name not in self._going]
+        model = self._task_set.model
+        stays = [one for one in model if one.is_on and one.name not in self._going]
         wanted = {**self._coming, **self._standbys}
-        new = [one for one in wanted.values() if one.name not in picture]
-        order = legality.spawn_order([one.task for one in (*picture, *new)])
+        new = [one for one in wanted.values() if one.name not in model]
+        order = legality.spawn_order([one.task for one in (*model, *new)])
         spawns = {one.name: one.rtpu for one in new}
         spawns = {name: spawns[name] for name in order if name in spawns}
         items = legality.change_order(
@@ -198,11 +198,14 @@ class Plan:
         Raises:
             PbonetError: One could not take over.
         """
-        assembly.part(self._crew, self._parted)
-        assembly.pair(self._crew, list(self._standbys.values()))
+        assembly.part(self._task_set, self._parted)
+        assembly.pair(self._task_set, list(self._standbys.values()))
 
     def spawn(
-        self, transition: Transition, stopped: threading.Event, gate: Gate | None
+        self,
+        transition: Transition,
+        stopped: threading.Event,
+        gate: ConditionGate | None,
     ) -> None:
         """Create the tasks that do not stand; a failure leaves none of them.
 
@@ -212,7 +215,7 @@ class Plan:
             ConditionError: A condition does not hold any more.
             PbonetError: One could not be created.
         """
-        done = assembly.Done(self._crew)
+        done = assembly.Done(self._task_set)
         replaces, kills = transition.replaces, transition.kills
         with done.undone_on_error("the change was not begun"):
             for name in replaces.keys() - transition.spawns:
@@ -226,15 +229,18 @@ class Plan:
                     gate.must_hold()
                 # Before a task may fail for which somebody stands by.
                 free = self._standbys.keys() - self._kept
-                assembly.pair(self._crew, [self._standbys[name] for name in free])
+                assembly.pair(self._task_set, [self._standbys[name] for name in free])
                 gate.entered()
         self._begun = True
         if transition.spawns:
-            self._crew.rank()
+            self._task_set.rank()
 
 
 def plan_swap(
-    crew: Crew, old: str | Sequence[str], new: str | Sequence[str], rtpu: str | None
+    task_set: SubsystemTasks,
+    old: str | Sequence[str],
+    new: str | Sequence[str],
+    rtpu: str | None,
 ) -> Plan:
     """Return the plan that puts tasks into the place of others.
 
@@ -244,38 +250,38 @@ def plan_swap(
         VerificationError: No task is named.
     """
     olds, news = _once_each(old), _once_each(new)
-    plan = Plan(crew)
-    plan.take_out([crew.picture.find(name) for name in olds], but=news)
+    plan = Plan(task_set)
+    plan.take_out([task_set.model.find(name) for name in olds], but=news)
     for name in news:
-        plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
+        plan.put_in(_newcomer(task_set, name, rtpu, task_set.model.find(olds[0])))
     return plan
 
 
-def plan_job(crew: Crew, job: JobFile) -> Plan:
+def plan_job(task_set: SubsystemTasks, job: JobFile) -> Plan:
     """Return the plan that leads to a job.
 
     Raises:
         PbonetError: RMODs, RTPUs or modules are missing or wrong.
         StateError: A task of the job stands, but is another one.
     """
-    plan = Plan(crew)
-    wanted = assembly.plan(crew, job)
+    plan = Plan(task_set)
+    wanted = assembly.plan(task_set, job)
     plan.take_out(
-        [one for one in crew.picture if one.state is not State.OFF],
+        [one for one in task_set.model if one.state is not State.OFF],
         but=[member.name for member in wanted if not member.fallback_of],
     )
     plan.kill_all(but=[member.name for member in wanted])
     for member in wanted:
-        stands = assembly.stands(crew, member)
-        standing = crew.picture.find(member.name) if stands else member
+        stands = assembly.stands(task_set, member)
+        standing = task_set.model.find(member.name) if stands else member
         plan.pair_with(standing, member.fallback_of)
         if member.fallback_of:
             plan.have_ready(standing, member.fallback_of)
         else:
             plan.put_in(standing)
         if stands:
-            _must_run_at(crew.picture.find(member.name), member)
-    for member, original in assembly.unpaired(crew, wanted):
+            _must_run_at(task_set.model.find(member.name), member)
+    for member, original in assembly.unpaired(task_set, wanted):
         plan.part(member, original)
     return plan
 
@@ -285,18 +291,20 @@ def _set_fallbacks(pairs: Sequence[tuple[Member, str]]) -> None:
         member.fallback_of = original
 
 
-def _newcomer(crew: Crew, name: str, rtpu: str | None, old: Member) -> Member:
+def _newcomer(
+    task_set: SubsystemTasks, name: str, rtpu: str | None, old: Member
+) -> Member:
     """Return a task that comes: the one that stands, else the one to be spawned.
 
     Raises:
         StateError: It stands, but in ERROR or on another RTPU.
         PbonetError: Its RMOD, RTPU or module is missing or wrong.
     """
-    member = crew.picture.get(name)
+    member = task_set.model.get(name)
     if member is None:
-        source = crew.files.rmod(name)
-        member = crew.plan(source, rtpu or source.record.rtpu or old.rtpu, None)
-        crew.must_be_new(member)
+        source = task_set.files.rmod(name)
+        member = task_set.plan(source, rtpu or source.record.rtpu or old.rtpu, None)
+        task_set.must_be_new(member)
         return member
     place = f"{member.rtpu}/{name}"
     if member.state is State.ERROR:

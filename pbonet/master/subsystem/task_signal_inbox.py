@@ -20,10 +20,10 @@ from pbonet.xm.net import key_expressions
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Sequence
 
-    from pbonet.master.configuration import Picture
+    from pbonet.master.configuration import TaskModel
     from pbonet.xm.net import messages as m, rpc
 
-    from .rtpu_clients import Fleet
+    from .rtpu_clients import RtpuClients
 
 
 LOOK_TIME = 0.5
@@ -176,12 +176,12 @@ class Inbox:
 
 
 @contextmanager
-def heard(fleet: Fleet) -> Generator[Event]:
+def heard(clients: RtpuClients) -> Generator[Event]:
     """Have an event set whenever an RTPU publishes one of its own."""
     news = Event()
-    client = fleet.client
+    client = clients.client
     with ExitStack() as declared:
-        for rtpu in fleet.names:
+        for rtpu in clients.names:
             key = key_expressions.rtpu(client.domain, rtpu, "event")
             declared.callback(_take_back, client.hear(key, news.set))
         yield news
@@ -191,7 +191,7 @@ def must_be_known(
     signals: Sequence[str],
     tasks: Sequence[str],
     statuses: Sequence[m.TaskStatus],
-    picture: Picture,
+    model: TaskModel,
     where: str,
 ) -> None:
     """Refuse tasks and signals that do not exist.
@@ -203,7 +203,7 @@ def must_be_known(
     there = {status.task for status in statuses}
     for task in tasks:
         if task not in there:
-            picture.find(task)
+            model.find(task)
     known = dict.fromkeys(PREDEFINED)
     for status in statuses:
         if not tasks or status.task in tasks:

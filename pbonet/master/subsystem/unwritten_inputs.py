@@ -16,7 +16,7 @@ _CAUSE = 100
 """Characters of a cause that the flag has room for."""
 
 
-class Unfed:
+class UnwrittenInputs:
     """Warnings given about a subsystem's inputs without a writer.
 
     Args:
@@ -71,15 +71,15 @@ class Unfed:
         standing: list[str] = []
         if problems:
             names = [name for problem in problems for name in problem.variables]
-            standing = self._ask(m.Flag(cause=cause, up=True, unfed=names))
+            standing = self._ask(m.Flag(cause=cause, up=True, unwritten=names))
         for old in self._causes - {cause}:
             self._ask(m.Flag(cause=old, up=False))
         self._causes = {cause} if problems else set()
         return any(one.partition(" (")[0] == cause for one in standing)
 
 
-def _cause(unfed: Iterable[legality.Problem]) -> str:
+def _cause(unwritten: Iterable[legality.Problem]) -> str:
     """Return the cause for inputs without a writer: which, and whose."""
-    named = (f"{' '.join(p.variables)} for {' and '.join(p.tasks)}" for p in unfed)
+    named = (f"{' '.join(p.variables)} for {' and '.join(p.tasks)}" for p in unwritten)
     text = UNFED + ", ".join(named)
     return text if len(text) <= _CAUSE else f"{text[: _CAUSE - 3]}..."

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 
-class Standing:
+class WarningDedup:
     """Warnings already given about the tasks of a subsystem.
 
     A change is judged with all that stands, and so finds again what was found before.
@@ -32,7 +32,7 @@ class Standing:
 
     def new_unfed(self, problems: Iterable[legality.Problem]) -> list[legality.Problem]:
         """Return the same of inputs that nobody writes."""
-        return self.new(unfed(problems))
+        return self.new(unwritten(problems))
 
     def say(self, problems: Iterable[legality.Problem]) -> list[str]:
         """Return what is new, as texts; from here on it is said."""
@@ -50,6 +50,6 @@ def refused(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
     return [one for one in problems if one.severity is legality.Severity.REFUSE]
 
 
-def unfed(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
+def unwritten(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
     """Return those that are about inputs which nobody writes (equation 2)."""
     return [one for one in problems if one.code is legality.Code.NO_WRITER]

@@ -16,7 +16,7 @@ import msgspec
 from pbonet.errors import NodeError, PbonetError
 from pbonet.log import LOG_SCHEMA, log_message
 from pbonet.master.console import Follower, Interrupts, render
-from pbonet.master.subsystem import Choice, Subsystem
+from pbonet.master.subsystem import EventFilter, Subsystem
 from pbonet.xm.net import messages as m, session
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Viewer:
         """Topics that a viewer has just begun to look at."""
         self._seen: dict[str, tuple[str | None, int]] = {}
         """The writer and the number of the value that was sent last."""
-        self._follower = Follower(subsystem, Choice.of({}))
+        self._follower = Follower(subsystem, EventFilter.of({}))
         name = subsystem.name
         self._variables = {
             variable.name: self._channel(
@@ -111,7 +111,7 @@ class Viewer:
         keeper = self._subsystem.files.sbs.keeper
         request = m.Display(names=names)
         now = time.time_ns()
-        for value in self._subsystem.fleet.call(keeper, request, list[m.VarValue]):
+        for value in self._subsystem.clients.call(keeper, request, list[m.VarValue]):
             state = (value.writer, value.seq)
             if value.name in fresh or self._seen.get(value.name) != state:
                 self._seen[value.name] = state
@@ -130,8 +130,8 @@ class Viewer:
             at = round(event.wall * 1e9)
             plain = msgspec.to_builtins(event)
             self._events.log(log_message(plain, at, event.subsystem), log_time=at)
-        fleet = self._subsystem.fleet
-        results, errors = fleet.each(lambda _: m.Status(), m.RtpuStatus)
+        clients = self._subsystem.clients
+        results, errors = clients.each(lambda _: m.Status(), m.RtpuStatus)
         now = time.time_ns()
         there: set[str] = set()
         for status in _tasks_of(results):

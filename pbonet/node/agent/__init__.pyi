@@ -1,3 +1,6 @@
 from . import agent_main as agent_main
 from .agent import Agent as Agent
-from .shared_memory_status import HANDLED as HANDLED, Overview as Overview
+from .shared_memory_status import (
+    HANDLED as HANDLED,
+    SharedMemoryStatus as SharedMemoryStatus,
+)

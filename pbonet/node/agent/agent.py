@@ -24,7 +24,7 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.node.mirror import Mirrors
+from pbonet.node.mirror import TableCarrier
 from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts
@@ -39,13 +39,13 @@ from pbonet.xm.net import (
 
 from . import restart_check
 from .certificate_expiry import KeyTerm
-from .duplicate_agents import Twins
+from .duplicate_agents import DuplicateAgents
 from .ipc_facade import Mail
-from .key_subscriptions import Ears
-from .peer_latency import Ways
+from .key_subscriptions import KeySubscriptions
+from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
 from .rtpu_link import RtpuLink
-from .shared_memory_status import Overview, restarting
+from .shared_memory_status import SharedMemoryStatus, restarting
 from .shutdown_event import Ending
 from .start_rtpu import choose_core
 from .subsystem_links import Links
@@ -108,16 +108,18 @@ class Agent:
         )
         self._recorders = Recorders(self._note, config)
         fares = self._recorders.fares
-        self._overview = Overview(config.domain, config.name, self._note, fares)
+        self._overview = SharedMemoryStatus(
+            config.domain, config.name, self._note, fares
+        )
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
         self._server: Server | None = None
-        self._twins: Twins | None = None
-        self._ways: Ways | None = None
-        self._mirrors: Mirrors | None = None
+        self._duplicates: DuplicateAgents | None = None
+        self._ways: PeerLatencies | None = None
+        self._mirrors: TableCarrier | None = None
         self._token: zenoh.LivelinessToken | None = None
-        self._ears: Ears | None = None
+        self._subscriptions: KeySubscriptions | None = None
         self._links: Links | None = None
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
@@ -181,20 +183,24 @@ class Agent:
         )
         self._server.start()
         self._refuse_duplicate()
-        self._twins = Twins(
+        self._duplicates = DuplicateAgents(
             self._session,
             key_expressions.rtpu(self.config.domain, self.name, "sbs"),
             os.getpid(),
             self._met_twin,
         )
-        self._twins.start()
-        self._ways = Ways(self._session, self.info, self._recorders.tell, self._note)
+        self._duplicates.start()
+        self._ways = PeerLatencies(
+            self._session, self.info, self._recorders.tell, self._note
+        )
         self._ways.start()
         where = self._session, self.config.domain
-        self._mirrors = Mirrors(*where, self._ways.offset, self._note)
+        self._mirrors = TableCarrier(*where, self._ways.offset, self._note)
         self._mirrors.start()
         self._mirrors.carry(info.tables)
-        self._ears = Ears(self._session, self.config.events, self._arrived)
+        self._subscriptions = KeySubscriptions(
+            self._session, self.config.events, self._arrived
+        )
         self._links = Links(*where, self.name, self._offset, self._note)
         unlinked = partial(self._ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
@@ -285,12 +291,18 @@ class Agent:
             link.send(message)
 
     def _leave(self) -> None:
-        network = self._mail, self._links, self._ears, self._mirrors, self._ways
-        for part in (*network, self._twins, self._term):
+        network = (
+            self._mail,
+            self._links,
+            self._subscriptions,
+            self._mirrors,
+            self._ways,
+        )
+        for part in (*network, self._duplicates, self._term):
             if part is not None:
                 part.stop()
-        self._mail = self._links = self._ears = None
-        self._mirrors = self._ways = self._twins = self._term = None
+        self._mail = self._links = self._subscriptions = None
+        self._mirrors = self._ways = self._duplicates = self._term = None
         if self._restarter is not None:
             self._restarter.join()
         self._overview.let_go()
@@ -435,7 +447,7 @@ class Agent:
         self._overview.learn(news)
 
     def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
-        """Call `done` when the other machines know the table; see `Mirrors.spread`."""
+        """Call `done` when the other machines know it; see `TableCarrier.spread`."""
         if subsystem and self._mirrors is not None:
             self._mirrors.spread(subsystem, done, **how)
         else:

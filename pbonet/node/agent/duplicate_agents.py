@@ -27,7 +27,7 @@ SETTLE_TIME = 0.5
 ANSWER_TIME = 2.0
 
 
-class Twins:
+class DuplicateAgents:
     """The search for agents of the same name.
 
     Args:
@@ -54,7 +54,7 @@ class Twins:
         self._codec = codec.Codec()
         self._listener: zenoh.TransportEventsListener[None] | None = None
         self._thread = threading.Thread(
-            target=self._watch, name="pbonet twins", daemon=True
+            target=self._watch, name="pbonet names", daemon=True
         )
 
     def start(self) -> None:

@@ -45,7 +45,7 @@ _ACCESS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP, errno.ENXIO}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
-class Filer:
+class FileServer:
     """Reads and writes for clients on other machines.
 
     Args:

@@ -19,7 +19,7 @@ REQUESTS = 4096
 """Requests that are known to be recorded; the oldest go first."""
 
 
-class Repeats:
+class RepeatedRequests:
     """Answers by client and the request's id.
 
     A request is repeated when a link was lost meanwhile, so the newest answers suffice.
@@ -58,7 +58,7 @@ class Repeats:
             reply(data)
 
 
-class Noted:
+class RecordedRequests:
     """The recorded requests: a repeated one is only answered again."""
 
     def __init__(self) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .file_server import Filer
-from .resource_server import Office
-from .task_gateway import Relay
+from .file_server import FileServer
+from .resource_server import ResourceServer
+from .task_gateway import TaskGateway
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,18 +32,18 @@ class Mail:
         self, session: zenoh.Session, places: run_folder.Places, files: str | None
     ) -> None:
         domain, name = places.domain, places.name
-        self._office = Office(session, domain, name, Filer(files, name))
-        self._relay = Relay(session, domain, name, places.post)
+        self._resources = ResourceServer(session, domain, name, FileServer(files, name))
+        self._relay = TaskGateway(session, domain, name, places.post)
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Start a request, whose answer is sent when it is done; returns at once."""
-        self._office.take(request, reply)
+        self._resources.take(request, reply)
 
     def end_waits(self) -> None:
         """Let go of all resources, which can then be removed."""
-        self._office.stop()
+        self._resources.stop()
 
     def stop(self) -> None:
         """End for good."""
-        self._office.stop()
+        self._resources.stop()
         self._relay.stop()

@@ -26,7 +26,7 @@ WAITING = 256
 """Messages that wait to be passed on; the oldest go first."""
 
 
-class Ears:
+class KeySubscriptions:
     """Subscribes to keys and passes on what comes.
 
     Callbacks of zenoh must return at once, so a thread passes the messages on.
@@ -56,7 +56,7 @@ class Ears:
             for queue, key in keys.items()
         ]
         self._thread = threading.Thread(
-            target=self._work, name="pbonet ears", daemon=True
+            target=self._work, name="pbonet keys", daemon=True
         )
         self._thread.start()
 

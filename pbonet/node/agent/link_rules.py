@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
 
-class Here(Struct, frozen=True):
+class LocalUsers(Struct, frozen=True):
     """Users of a link on this machine, without agents."""
 
     writer: bool
     reader: bool
 
 
-class Elsewhere(Struct):
+class RemoteUsers(Struct):
     """Users of a link on other machines, as their agents show them."""
 
     sinks: set[str] = set()
@@ -32,7 +32,7 @@ class Elsewhere(Struct):
     """Agents whose machine has the writer, and the sink that each serves."""
 
 
-class Duty(Struct, frozen=True):
+class LinkDuty(Struct, frozen=True):
     """An agent's duty for a link."""
 
     sink: bool = False
@@ -43,16 +43,16 @@ class Duty(Struct, frozen=True):
     """Take records from the machine of this agent."""
 
 
-IDLE = Duty()
+IDLE = LinkDuty()
 
 
-def duty(me: str, here: Here, there: Elsewhere, now: Duty) -> Duty:
+def duty(me: str, here: LocalUsers, there: RemoteUsers, now: LinkDuty) -> LinkDuty:
     """Return the duty of the agent `me` for a link, given its present duty `now`."""
     if here.writer and not here.reader:
-        return Duty(serve=_keep(now.serve, there.sinks - {me}))
+        return LinkDuty(serve=_keep(now.serve, there.sinks - {me}))
     if here.reader and not here.writer:
         serving = {agent for agent, sink in there.sources if sink == me}
-        return Duty(sink=True, take=_keep(now.take, serving - {me}))
+        return LinkDuty(sink=True, take=_keep(now.take, serving - {me}))
     return IDLE
 
 

@@ -47,7 +47,7 @@ class Known(NamedTuple):
     """Whether it is on this machine."""
 
 
-class Relink:
+class LinkWatchdog:
     """An agent's knowledge of its neighbours.
 
     Args:

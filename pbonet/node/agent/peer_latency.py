@@ -58,7 +58,7 @@ MOST_LOST = 64
 _UNASKED = "its agent is seen, and no request finds its way there"
 
 
-class Trip(NamedTuple):
+class RoundTrip(NamedTuple):
     """One round trip."""
 
     seconds: float
@@ -69,8 +69,8 @@ class Peer:
     """Another agent, as the last round trips have shown it."""
 
     def __init__(self) -> None:
-        self.trips: deque[Trip] = deque(maxlen=KEPT)
-        self.best: Trip | None = None
+        self.trips: deque[RoundTrip] = deque(maxlen=KEPT)
+        self.best: RoundTrip | None = None
         """The shortest trip; asked for with each record of a link."""
         self.info: m.AgentInfo | None = None
         self.error = ""
@@ -83,11 +83,11 @@ class Peer:
             self.trips.clear()
         self.info, self.error = info, ""
         middle = (begin_ns + end_ns) // 2
-        self.trips.append(Trip((end_ns - begin_ns) * 1e-9, info.now_ns - middle))
+        self.trips.append(RoundTrip((end_ns - begin_ns) * 1e-9, info.now_ns - middle))
         self.best = min(self.trips)
 
 
-class Ways:
+class PeerLatencies:
     """The measurement of the paths from one agent to the others.
 
     Args:
@@ -113,7 +113,7 @@ class Ways:
         """Agents that were seen, and when a search for them failed."""
         self._ended: set[str] = set()
         """Agents that have announced their end."""
-        self._relink = link_watchdog.Relink(link)
+        self._watchdog = link_watchdog.LinkWatchdog(link)
         self._guard = threading.Lock()
         self._over = threading.Event()
         self._codec = codec.Codec()
@@ -215,7 +215,9 @@ class Ways:
         ways = [_way(name, peer, me) for name, peer in peers]
         names = {p.info.zid: name for name, p in peers if p.info is not None}
         double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
-        unseen = sorted(one.name for one in self._relink.unseen(_seen(peers)).values())
+        unseen = sorted(
+            one.name for one in self._watchdog.unseen(_seen(peers)).values()
+        )
         return m.LinkReport(
             rtpu=me.name, ways=ways, double=sorted(double), unseen=unseen
         )
@@ -234,7 +236,7 @@ class Ways:
         """Let links be made again through which neighbours are not seen."""
         with self._guard:
             peers = list(self._peers.items())
-        for name in self._relink.look(_seen(peers)):
+        for name in self._watchdog.look(_seen(peers)):
             text = f"the link to agent {name} stood and told nothing; it is made anew"
             log.warning("%s: %s", self._me().name, text)
             if self._note is not None:
@@ -278,7 +280,7 @@ class Ways:
                         self._ended.discard(name)  # it was started again
                     peer.add(found, begin, end)
                     peer.near = found.zid in near
-                    self._relink.met(found, here=found.machine == machine)
+                    self._watchdog.met(found, here=found.machine == machine)
                 else:
                     peer.error = found
 
@@ -311,7 +313,7 @@ class Ways:
 
 
 def _port(address: str) -> str:
-    """Return the port at the end of an address, as `relink.plain` spells it."""
+    """Return the port at the end of an address, as `watchdog.plain` spells it."""
     return address.rpartition(" ")[2]
 
 

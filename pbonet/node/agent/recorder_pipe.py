@@ -17,7 +17,7 @@ STUCK: Final = 10.0
 """Seconds for which a reader may take nothing while something waits for it."""
 
 
-class Feed:
+class RecorderPipe:
     """Frames for a reader that may be slow, may end, and may be replaced.
 
     Args:

@@ -19,7 +19,7 @@ from pbonet.errors import Severity
 from pbonet.node.rtpu import describe_end, orphaned_rings
 from pbonet.node.wire import command, process_setup, rtpu_messages
 
-from .recorder_pipe import Feed
+from .recorder_pipe import RecorderPipe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
@@ -64,7 +64,7 @@ class _Child:
         self._ending = threading.Event()
         self._lost: list[float] = []
         self._said = -1
-        self._feed = Feed(self._unfit, self._kill)
+        self._feed = RecorderPipe(self._unfit, self._kill)
         self._process = self._start(before)
         self._thread = threading.Thread(
             target=self._listen, name="pbonet recorder", daemon=True

@@ -40,12 +40,12 @@ from pbonet.xm.net import (
     roles,
 )
 
-from .idempotency import Repeats
+from .idempotency import RepeatedRequests
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .file_server import Filer
+    from .file_server import FileServer
 
 log = logging.getLogger("pbonet.node")
 
@@ -82,7 +82,7 @@ class Held:
             self.thing.v()
 
 
-class Office:
+class ResourceServer:
     """Carries out what clients ask of an RTPU's semaphores and queues.
 
     Args:
@@ -93,11 +93,11 @@ class Office:
     """
 
     def __init__(
-        self, session: zenoh.Session, domain: str, rtpu: str, filer: Filer
+        self, session: zenoh.Session, domain: str, rtpu: str, fileserver: FileServer
     ) -> None:
-        self._domain, self._rtpu, self._filer = domain, rtpu, filer
+        self._domain, self._rtpu, self._fileserver = domain, rtpu, fileserver
         self._codec = codec.Codec()
-        self._repeats = Repeats()
+        self._repeats = RepeatedRequests()
         self._change = threading.Condition()
         self._clients: set[str] = set()
         self._held: dict[int, Held] = {}
@@ -117,7 +117,7 @@ class Office:
             r.Look: self._look,
             r.Settle: self._settle,
             r.Interrupt: self._interrupt,
-            **filer.operations,
+            **fileserver.operations,
         }
         self._pool = ThreadPoolExecutor(WAITS + OTHERS, "pbonet office")
         self._subscriber = session.liveliness().declare_subscriber(
@@ -164,7 +164,7 @@ class Office:
                 held.gone = True
         for _, held in theirs:
             self._clean(held)
-        self._filer.lost(client)
+        self._fileserver.lost(client)
 
     def _clean(self, held: Held) -> None:
         """Release what a client that is gone had, once no request uses it."""

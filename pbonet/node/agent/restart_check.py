@@ -15,7 +15,7 @@ from pbonet.errors import NodeError
 from pbonet.xm.net import access_control, credentials, session
 
 from . import link_watchdog
-from .file_server import Filer
+from .file_server import FileServer
 
 if TYPE_CHECKING:
     from pbonet.config import AgentConfig
@@ -61,7 +61,7 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
         session.check_dialled(endpoint, key_folder=keys)
     if keys is not None:
         credentials.prove(keys, credentials.Role.AGENT)
-    Filer(new.files, old.name or "")
+    FileServer(new.files, old.name or "")
     ours = {_address(endpoint)[1] for endpoint in old.listen}
     for endpoint in new.listen:
         if _address(endpoint)[1] not in ours:  # such are given up before

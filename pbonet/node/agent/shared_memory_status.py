@@ -61,7 +61,7 @@ class Seen(NamedTuple):
     signals: tuple[int, ...]
 
 
-class Overview:
+class SharedMemoryStatus:
     """The state of one RTPU, its tasks and its tables.
 
     Args:
@@ -80,7 +80,7 @@ class Overview:
     ) -> None:
         self._recorder = recorder
         self._domain, self._rtpu = domain, rtpu
-        self._links = places.Standing(domain)
+        self._links = places.StandingLinks(domain)
         self._answers = Answers(
             rtpu, lambda text: note(Note(int(Severity.ERROR), "INTERNAL", text))
         )

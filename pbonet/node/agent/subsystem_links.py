@@ -23,7 +23,7 @@ from pbonet.xm.ipc import names
 from pbonet.xm.net import direct, key_expressions
 
 from .link_ends import Receiver, Sender
-from .link_rules import IDLE, Duty, Elsewhere, Here, duty
+from .link_rules import IDLE, LinkDuty, LocalUsers, RemoteUsers, duty
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +36,7 @@ YIELD = 1.0
 """Seconds until a link that another agent serves is tried again."""
 
 
-class Care:
+class ServedLink:
     """One link that this agent serves."""
 
     def __init__(self, name: names.Name) -> None:
@@ -49,9 +49,9 @@ class Care:
         self.tokens: dict[str, zenoh.LivelinessToken] = {}
 
     @property
-    def here(self) -> Here:
+    def here(self) -> LocalUsers:
         """Users of the link on this machine, without this agent."""
-        return Here(
+        return LocalUsers(
             writer=self.receiver is None and places.has(self.buffer.fileno, WRITER),
             reader=self.sender is None and places.has(self.buffer.fileno, READER),
         )
@@ -87,10 +87,10 @@ class Links:
         self._name = name
         self._offset = offset
         self._tell = tell
-        self._standing = places.Standing(domain)
-        self._cares: dict[str, Care] = {}
+        self._standing = places.StandingLinks(domain)
+        self._cares: dict[str, ServedLink] = {}
         self._later: dict[str, float] = {}
-        self._there: dict[str, Elsewhere] = {}
+        self._there: dict[str, RemoteUsers] = {}
         self._guard = threading.Lock()
         self._news = threading.Event()
         self._over = False
@@ -125,7 +125,7 @@ class Links:
         text, leaf, agents = parts
         came = sample.kind == zenoh.SampleKind.PUT
         with self._guard:
-            there = self._there.setdefault(text, Elsewhere())
+            there = self._there.setdefault(text, RemoteUsers())
             if leaf == "sink" and len(agents) == 1:
                 change = there.sinks.add if came else there.sinks.discard
                 change(agents[0])
@@ -136,10 +136,10 @@ class Links:
                 del self._there[text]
         self._news.set()
 
-    def _elsewhere(self, text: str) -> Elsewhere:
+    def _elsewhere(self, text: str) -> RemoteUsers:
         with self._guard:
-            found = self._there.get(text, Elsewhere())
-            return Elsewhere(set(found.sinks), set(found.sources))
+            found = self._there.get(text, RemoteUsers())
+            return RemoteUsers(set(found.sinks), set(found.sources))
 
     # -- what is done ------------------------------------------------------------------
 
@@ -163,7 +163,7 @@ class Links:
             except Exception:  # the others must be served too
                 log.exception("%s: link %s cannot be looked after", self._name, text)
 
-    def _tend(self, text: str, care: Care, *, stands: bool) -> None:
+    def _tend(self, text: str, care: ServedLink, *, stands: bool) -> None:
         """Serve one link."""
         here = care.here
         unused = not here.writer and not here.reader and care.duty == IDLE
@@ -182,7 +182,7 @@ class Links:
             return
         place, _, resource = text.partition(":")
         try:
-            self._cares[text] = Care(names.Name(self._domain, place, resource))
+            self._cares[text] = ServedLink(names.Name(self._domain, place, resource))
             self._later.pop(text, None)
         except XmError as error:
             self._later[text] = time.monotonic() + YIELD
@@ -193,7 +193,7 @@ class Links:
         self._change(care, IDLE)
         places.leave(care.buffer)
 
-    def _change(self, care: Care, wanted: Duty) -> None:
+    def _change(self, care: ServedLink, wanted: LinkDuty) -> None:
         """Change to another duty; what cannot be done now is tried again."""
         if care.receiver is not None and care.duty.take != wanted.take:
             care.receiver.stop()
@@ -205,13 +205,13 @@ class Links:
             self._begin(care, wanted)
         except (XmError, zenoh.ZError) as error:
             log.debug("%s: link %s: %s", self._name, care.name, error)
-            wanted = Duty(sink=wanted.sink)
+            wanted = LinkDuty(sink=wanted.sink)
         self._show(care, wanted)
         if (wanted.take, wanted.serve) != (care.duty.take, care.duty.serve):
             self._report(care, wanted)
         care.duty = wanted
 
-    def _begin(self, care: Care, wanted: Duty) -> None:
+    def _begin(self, care: ServedLink, wanted: LinkDuty) -> None:
         me, name = self._name, care.name
         if wanted.serve and care.sender is None:
             key = key_expressions.link(
@@ -231,7 +231,7 @@ class Links:
                 misfit=lambda error: self._misfit(name, error),
             )
 
-    def _show(self, care: Care, wanted: Duty) -> None:
+    def _show(self, care: ServedLink, wanted: LinkDuty) -> None:
         """Declare the tokens of a duty, and no others."""
         text, shown = str(care.name), set[str]()
         if wanted.sink:
@@ -250,7 +250,7 @@ class Links:
 
     # -- what is told ------------------------------------------------------------------
 
-    def _report(self, care: Care, wanted: Duty) -> None:
+    def _report(self, care: ServedLink, wanted: LinkDuty) -> None:
         if wanted.take or wanted.serve:
             text = f"link {care.name} {_way(wanted)} is up"
             self._note(rtpu_messages.Note(int(Severity.INFO), "LINK_UP", text))
@@ -268,5 +268,5 @@ class Links:
             self._tell(note)
 
 
-def _way(done: Duty) -> str:
+def _way(done: LinkDuty) -> str:
     return f"from {done.take}" if done.take else f"to {done.serve}"

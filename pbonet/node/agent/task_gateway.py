@@ -62,7 +62,7 @@ class _Wire:
                 twin.shutdown(socket.SHUT_RDWR)
 
 
-class Relay:
+class TaskGateway:
     """Takes letters of tasks and passes them on.
 
     Args:

@@ -34,7 +34,7 @@ from pbonet.xm.net import (
     session,
 )
 
-from .idempotency import Noted, Repeats
+from .idempotency import RecordedRequests, RepeatedRequests
 from .shared_memory_status import HANDLED
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from pbonet.xm.net import AgentInfo, AnyMessage, LinkReport
 
-    from .shared_memory_status import Handled, Overview
+    from .shared_memory_status import Handled, SharedMemoryStatus
 
 log = logging.getLogger("pbonet.node")
 
@@ -148,7 +148,7 @@ class Server:
         *,
         node: Node,
         mail: Mail,
-        overview: Overview,
+        overview: SharedMemoryStatus,
         book: Book,
     ) -> None:
         self._session = session
@@ -158,7 +158,7 @@ class Server:
         self._keys = [key_expressions.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = key_expressions.rtpu(domain, name, "event")
         self._codec = codec.Codec()
-        self._repeats, self._noted = Repeats(), Noted()
+        self._repeats, self._noted = RepeatedRequests(), RecordedRequests()
         self._count = itertools.count(1)
         self._pending: dict[int, _Waiting] = {}
         self._guard = threading.Lock()

@@ -1,1 +1,1 @@
-from .table_carrier import Mirrors as Mirrors
+from .table_carrier import TableCarrier as TableCarrier

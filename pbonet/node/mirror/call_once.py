@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-class Promises:
+class CallOnce:
     """Functions to be called exactly once each: by their cause, or at the end."""
 
     def __init__(self) -> None:

@@ -23,7 +23,7 @@ from pbonet.svar.mirror import Mirror, packets
 from pbonet.xm.net import direct, key_expressions
 
 from . import remote_handover
-from .packet_queue import Incoming
+from .packet_queue import PacketQueue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -53,7 +53,7 @@ TOLD_NS = 10_000_000_000
 
 
 class Owner(Protocol):
-    """The thread that does the work; see `Mirrors`."""
+    """The thread that does the work; see `TableCarrier`."""
 
     session: zenoh.Session
     domain: str
@@ -78,7 +78,7 @@ class Owner(Protocol):
         """Call a function, and log its exception."""
 
 
-class Carried:
+class MirroredTable:
     """One table of this machine, which this agent carries.
 
     Args:
@@ -96,7 +96,7 @@ class Carried:
         self.next = 0.0
         self.changed = False
         """Whether commands have changed it while there was no other machine."""
-        self.incoming = Incoming(lambda: owner.do(self._take_waiting))
+        self.incoming = PacketQueue(lambda: owner.do(self._take_waiting))
         self._beat = self._flag = 0.0
         self._lost, self._told_ns = 0, -TOLD_NS
         self._there: set[str] = set()

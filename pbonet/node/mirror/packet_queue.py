@@ -18,7 +18,7 @@ WAITING = 256
 """Maximum number of waiting packets of each table."""
 
 
-class Incoming:
+class PacketQueue:
     """The received packets of one table that were not taken yet.
 
     Args:

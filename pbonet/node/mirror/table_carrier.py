@@ -25,8 +25,8 @@ from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Watch
 from pbonet.xm.net import key_expressions, messages as m, run_folder
 
-from .call_once import Promises
-from .mirrored_table import ALONE, ANSWER_TIME, Carried
+from .call_once import CallOnce
+from .mirrored_table import ALONE, ANSWER_TIME, MirroredTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,7 +45,7 @@ ASKED = 1000
 """Maximum number of messages of others that wait for the carrier; more are refused."""
 
 
-class Mirrors:
+class TableCarrier:
     """The tables that an agent carries, and the thread that carries them.
 
     Args:
@@ -66,14 +66,14 @@ class Mirrors:
         self.session, self.domain, self.tell = session, domain, tell
         self.machine = key_expressions.machine(run_folder.machine())
         self._offset = offset
-        self._carried: dict[str, Carried] = {}
+        self._carried: dict[str, MirroredTable] = {}
         self._tables: dict[str, bool] = {}
         """Tables to be carried that the carrier's thread has not taken yet."""
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
         self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
         """Answers requests that wait for other machines."""
-        self._promises = Promises()
+        self._calls = CallOnce()
         self._over = False
         self._thread = threading.Thread(
             target=self._work, name="pbonet mirrors", daemon=True
@@ -90,7 +90,7 @@ class Mirrors:
         self.do(self._end)
         if self._thread.is_alive():
             self._thread.join()
-        for done in self._promises.end():
+        for done in self._calls.end():
             self.safely(done)
         with contextlib.suppress(TimeoutError):  # answers that are about to be given
             self._ends.submit(int).result(LAST_TIME)
@@ -157,7 +157,7 @@ class Mirrors:
                 self.do(partial(setattr, carried, "next", 0.0))
             return
 
-        promised = self._promises.make(done)
+        promised = self._calls.make(done)
         if promised is None:
             done()
             return
@@ -228,7 +228,7 @@ class Mirrors:
             if subsystem in self._carried:
                 continue
             try:
-                self._carried[subsystem] = Carried(self, subsystem, keep=keep)
+                self._carried[subsystem] = MirroredTable(self, subsystem, keep=keep)
             except SvarError as error:
                 log.warning("the table of %s is not carried: %s", subsystem, error)
 

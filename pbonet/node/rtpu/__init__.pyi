@@ -7,7 +7,7 @@ from . import (
 )
 from .fallbacks import LIMIT as LIMIT, Pair as Pair
 from .fork_client import Child as Child, Spawner as Spawner
-from .request_handlers import Operations as Operations
+from .request_handlers import RequestHandlers as RequestHandlers
 from .rtpu_snapshot import Known as Known, KnownTask as KnownTask
 from .rtpu_state import Rtpu as Rtpu
 from .tables import (

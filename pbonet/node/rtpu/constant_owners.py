@@ -32,7 +32,7 @@ class Home(Protocol):
     tasks: dict[tuple[str, str], Task]
 
 
-class Giver(Struct):
+class ConstantOwner(Struct):
     """A task that provides constants in place of others."""
 
     task: Task
@@ -42,7 +42,7 @@ class Giver(Struct):
     told: bool = False
 
 
-class Givers:
+class ConstantOwners:
     """The tasks of one RTPU that have taken constants over.
 
     Args:
@@ -51,26 +51,28 @@ class Givers:
 
     def __init__(self, rtpu: Home) -> None:
         self._rtpu = rtpu
-        self._givers: list[Giver] = []
+        self._owned_constants: list[ConstantOwner] = []
 
     def took_over(self, task: Task, olds: Sequence[str]) -> None:
         """Note that a task provides the constants of others from now on."""
-        for giver in list(self._givers):
+        for giver in list(self._owned_constants):
             same = giver.task.facts.subsystem == task.facts.subsystem
             if same and (giver.task is task or giver.task.name in olds):
                 self._end(giver)
         if olds:
-            self._givers.append(Giver(task, list(olds), time.monotonic()))
+            self._owned_constants.append(
+                ConstantOwner(task, list(olds), time.monotonic())
+            )
 
     def heard(self, subsystem: str) -> None:
         """Note that the master of a subsystem continues."""
-        for giver in self._givers:
+        for giver in self._owned_constants:
             if giver.task.facts.subsystem == subsystem:
                 giver.heard = time.monotonic()
 
     def look(self) -> None:
         """Raise the flag where no master continues, and withdraw it once one does."""
-        for giver in list(self._givers):
+        for giver in list(self._owned_constants):
             left = self._on(giver)
             if giver.task.gone.is_set() or not left:
                 self._end(giver)
@@ -81,7 +83,7 @@ class Givers:
                 cause += f", which {verb} still ON: nobody goes on with the exchange"
                 self._rtpu.flags.up(giver.task.facts.subsystem, RAISER, cause)
 
-    def _on(self, giver: Giver) -> list[str]:
+    def _on(self, giver: ConstantOwner) -> list[str]:
         """Return those that are ON, here or, as their variables tell, elsewhere."""
         subsystem, flags = giver.task.facts.subsystem, self._rtpu.flags
         owners = flags.owners(subsystem, giver.task.facts.outputs)
@@ -92,7 +94,7 @@ class Givers:
             if old in owners or (task is not None and task.state is State.ON)
         ]
 
-    def _end(self, giver: Giver) -> None:
-        self._givers.remove(giver)
+    def _end(self, giver: ConstantOwner) -> None:
+        self._owned_constants.remove(giver)
         if giver.told:
             self._rtpu.flags.down(giver.task.facts.subsystem, RAISER)

@@ -15,7 +15,7 @@ _NO_TIME = bytes(4)
 """Microseconds that waking may take, in the kernel's format."""
 
 
-class Awake:
+class IdleStateLock:
     """Keeps the processors awake until it is closed, or the process ends."""
 
     def __init__(self) -> None:

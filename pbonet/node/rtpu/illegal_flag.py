@@ -116,15 +116,17 @@ class Flags:
         if entry is not None and entry.missing is not None:
             entry.missing = [output for output in entry.missing if output in outputs]
 
-    def master_found(self, subsystem: str, cause: str, unfed: Collection[str]) -> None:
+    def master_found(
+        self, subsystem: str, cause: str, unwritten: Collection[str]
+    ) -> None:
         """Raise an entry for a master, whose knowledge of the tasks may be outdated.
 
         Args:
             subsystem: The flag's subsystem.
             cause: Why.
-            unfed: Variables that no task writes, as far as the master knows. The entry
-                goes when all of them are written, and is not raised if they are: a
-                fallback asks no master. None: the master withdraws it itself.
+            unwritten: Variables that no task writes, as far as the master knows. The
+                entry goes when all of them are written, and is not raised if they are:
+                a fallback asks no master. None: the master withdraws it itself.
 
         Raises:
             SvarMissingError: The table is not open.
@@ -132,13 +134,13 @@ class Flags:
             SvarFullError: There is no room.
         """
         opened = self._tables.need(subsystem)
-        if unfed and self.written(subsystem, unfed):
+        if unwritten and self.written(subsystem, unwritten):
             self.master_mended(subsystem, cause)
             return
         opened.table.raise_illegal(cause, MASTER)
-        if unfed:
+        if unwritten:
             self._entries[subsystem, MASTER, cause] = _Entry(
-                opened, MASTER, cause, unfed
+                opened, MASTER, cause, unwritten
             )
         self.evaluate()
 

@@ -26,7 +26,7 @@ PATIENCE = 8.0
 """Seconds: the code of every module in the libraries is run."""
 
 
-class Inspecting:
+class ModuleInspection:
     """Serves inspection requests, one after the other.
 
     An inspector runs the code of all modules, so many at once would hold up everything

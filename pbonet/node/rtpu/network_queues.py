@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pbonet.node.wire import EventLog, rtpu_messages
 
 
-class Inlets:
+class NetworkQueues:
     """Queues that the network fills; the newest messages stay.
 
     Args:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pbonet.config import Rmod, RtpuEntry
 
 
-class Wish(Struct, kw_only=True):
+class RankRequest(Struct, kw_only=True):
     """A task before it is ranked."""
 
     name: str
@@ -46,7 +46,7 @@ class Ranked(Struct, frozen=True):
     """Criticality once its reserve is used up."""
 
 
-def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
+def rank(rtpu: RtpuEntry, wishes: Iterable[RankRequest]) -> dict[str, Ranked]:
     """Return the rank of every task.
 
     The tasks that are ON share the core among themselves. One that is OFF takes nothing
@@ -77,7 +77,7 @@ def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
     }
 
 
-def _task(wish: Wish, rtpu: str) -> Task:
+def _task(wish: RankRequest, rtpu: str) -> Task:
     """Return a task in the form of the rule, with the criticality set for it, if any.
 
     The master's value goes before the RMOD's.

@@ -53,7 +53,7 @@ class _Known(NamedTuple):
     answer: asyncio.Task[bytes]
 
 
-class Operations:
+class RequestHandlers:
     """Carries out requests on one RTPU.
 
     Args:
@@ -62,7 +62,7 @@ class Operations:
 
     def __init__(self, rtpu: Rtpu) -> None:
         self._rtpu = rtpu
-        self._inspecting = module_inspection.Inspecting(rtpu)
+        self._inspecting = module_inspection.ModuleInspection(rtpu)
         self._codec = codec.Codec()
         self._pack = Answers(rtpu.name, self._report)
         self._answers: OrderedDict[tuple[str, str], _Known] = OrderedDict()
@@ -150,7 +150,7 @@ class Operations:
         if isinstance(request, m.Sigmask | m.Job) and not request.changes:
             return
         self._rtpu.claims.check(request)
-        self._rtpu.givers.heard(request.subsystem)
+        self._rtpu.owned_constants.heard(request.subsystem)
         if request.subsystem in self._rtpu.stopping:
             raise being_stopped(self._rtpu.name, request.subsystem)
 
@@ -237,7 +237,7 @@ class Operations:
         rtpu, subsystem = self._rtpu, request.subsystem
         rtpu.tables.need(subsystem)
         if request.up:
-            rtpu.flags.master_found(subsystem, request.cause, request.unfed)
+            rtpu.flags.master_found(subsystem, request.cause, request.unwritten)
         else:
             rtpu.flags.master_mended(subsystem, request.cause)
         return rtpu.tables.causes(subsystem), []
@@ -267,7 +267,7 @@ class Operations:
 
     async def _spawn(self, request: m.Spawn) -> Result:
         task = await create_task.spawn(self._rtpu, request)
-        self._rtpu.givers.took_over(task, request.replaces)
+        self._rtpu.owned_constants.took_over(task, request.replaces)
         notes = task.ready.notes if task.ready and self._rtpu.locks_memory else []
         return self._rtpu.status_of(task), list(notes)
 
@@ -289,7 +289,7 @@ class Operations:
         if request.signal == "kill":
             return task.last_status, warnings
         if request.replaces:
-            rtpu.givers.took_over(task, request.replaces)
+            rtpu.owned_constants.took_over(task, request.replaces)
         return rtpu.status_of(task), warnings
 
     async def _reconfig(self, request: m.Reconfig) -> Result:

@@ -28,9 +28,9 @@ from pbonet.xm.net import run_folder
 
 from . import agent_loss, cleanup, orphaned_rings, signal_tasks
 from .fork_client import Server
-from .network_queues import Inlets
-from .request_handlers import Operations
-from .rtpu_snapshot import Teller
+from .network_queues import NetworkQueues
+from .request_handlers import RequestHandlers
+from .rtpu_snapshot import SnapshotPublisher
 from .rtpu_state import Rtpu
 
 if TYPE_CHECKING:
@@ -51,14 +51,14 @@ class AgentLink:
     def __init__(self, rtpu: Rtpu, end: asyncio.Future[str]) -> None:
         self._rtpu = rtpu
         self._end = end
-        self._operations = Operations(rtpu)
-        self._inlets = Inlets(rtpu.events)
+        self._operations = RequestHandlers(rtpu)
+        self._queues = NetworkQueues(rtpu.events)
         self._writer: asyncio.StreamWriter | None = None
         self._agent_pid = 0
         self._grace = rtpu.config.grace
         self._grace_timer: asyncio.TimerHandle | None = None
         self._published = 0
-        self._teller = Teller(rtpu)
+        self._snapshots = SnapshotPublisher(rtpu)
         self._outbox: list[bytes] = []
         self._due = False
         self.end_time = END_TIME
@@ -86,7 +86,7 @@ class AgentLink:
 
     async def close(self, reason: str) -> None:
         """Notify the agent that the process ends, and close."""
-        self._inlets.close()
+        self._queues.close()
         if self._server is not None:
             self._server.close()
         if self._writer is not None:
@@ -124,7 +124,7 @@ class AgentLink:
         back = self._agent_pid != 0
         self._agent_pid = hello.agent_pid
         self._writer = writer
-        self._teller.forget()
+        self._snapshots.forget()
         self._outbox.clear()
         writer.write(rtpu_messages.frame(self._rtpu.info()))
         self._soon()
@@ -170,7 +170,7 @@ class AgentLink:
                     Severity(message.severity), message.code, message.text
                 )
             case rtpu_messages.Arrived():
-                self._inlets.put(message)
+                self._queues.put(message)
             case rtpu_messages.Shutdown():
                 self.end_time = message.timeout
                 self._finish("the agent was told to end")
@@ -201,7 +201,7 @@ class AgentLink:
         self._due = False
         out, self._outbox = self._outbox, []
         if self._writer is not None and not self._writer.is_closing():
-            news = self._teller.news()
+            news = self._snapshots.news()
             self._writer.write(
                 b"".join([rtpu_messages.framed(news) if news else b"", *out])
             )

@@ -81,7 +81,7 @@ class Known(Struct, tag="known", kw_only=True):
     """How often each event came: subsystem, task, code, count."""
 
 
-class Teller:
+class SnapshotPublisher:
     """Reports what has changed since the last time.
 
     Args:

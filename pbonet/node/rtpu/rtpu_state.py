@@ -26,7 +26,7 @@ from . import (
     status,
 )
 from .claims import Claims
-from .constant_owners import Givers
+from .constant_owners import ConstantOwners
 from .fallbacks import Fallbacks
 from .fork_client import Server, Spawner
 from .illegal_flag import Flags
@@ -35,7 +35,7 @@ from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
 from .task_signals import Signals
-from .timing_failure_events import Timekeeper
+from .timing_failure_events import TimingFailureEvents
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -96,18 +96,18 @@ class Rtpu:
         self._chores: set[asyncio.Task[None]] = set()
         self.turned_on = 0
         self.signals = Signals(events)
-        self._timekeeper = Timekeeper(events)
+        self._timing_failures = TimingFailureEvents(events)
         self.spawner = self._make_spawner(forks)
         self.core: rt.CoreTable
         self.dispatcher: rt.Dispatcher
         self.vigil: rt.Vigil
         self.fallbacks = Fallbacks(self)
         self.successors = Successors(self)
-        self.givers = Givers(self)
+        self.owned_constants = ConstantOwners(self)
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
-        self._awake: cpu_idle_states.Awake | None = None
+        self._awake: cpu_idle_states.IdleStateLock | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
         """Lets successors on other machines be called."""
@@ -149,7 +149,7 @@ class Rtpu:
         self.locks_memory = probe.lock_memory
         await self.spawner.start()
         if self.config.awake:
-            self._awake = cpu_idle_states.Awake()
+            self._awake = cpu_idle_states.IdleStateLock()
             self.limits += self._awake.limits
         self.core = rt.CoreTable(self.config.core, member=True)
         self.dispatcher = rt.Dispatcher(self.core, self.config.backend)
@@ -278,9 +278,9 @@ class Rtpu:
             maxfreq=max(entry.maxfreq for entry in known),
         )
 
-    def _wish(self, key: Key, task: Task, *, on: bool) -> ranking.Wish:
+    def _wish(self, key: Key, task: Task, *, on: bool) -> ranking.RankRequest:
         crit, priority = self.spawned.get(key, (None, 0))
-        return ranking.Wish(
+        return ranking.RankRequest(
             name="/".join(key),
             rmod=task.facts.rmod,
             freq=task.freq,
@@ -510,10 +510,10 @@ class Rtpu:
             await self._pause()
             self.core.reap()
             self.flags.evaluate()
-            self.givers.look()
+            self.owned_constants.look()
             self.fallbacks.look_again()
             self.signals.look(self.core, self.tasks.values())
-            self._timekeeper.look(
+            self._timing_failures.look(
                 self.core.status(),
                 [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
             )

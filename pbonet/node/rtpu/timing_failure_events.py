@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 
 
-class Timekeeper:
+class TimingFailureEvents:
     """Compares counts with those of the last check.
 
     Args:

@@ -11,7 +11,7 @@ from pbonet.ports import here
 if TYPE_CHECKING:
     from types import CodeType
 
-    from pbonet.outside import Told
+    from pbonet.outside import ModuleAnswers
 
     from .executor import Executor
     from .task_channel import SlotTime
@@ -23,7 +23,7 @@ _RECOVERIES = {
 }
 
 
-class Telling:
+class TimingFailureDelivery:
     """Handler that the native loop calls with the kind of failure.
 
     Args:
@@ -36,7 +36,11 @@ class Telling:
     """
 
     def __init__(
-        self, executor: Executor, told: Told, time: SlotTime, ours: set[CodeType]
+        self,
+        executor: Executor,
+        told: ModuleAnswers,
+        time: SlotTime,
+        ours: set[CodeType],
     ) -> None:
         self._executor = executor
         self._told = told

@@ -37,7 +37,7 @@ from pbonet.pbo import (
     find_param,
 )
 
-from .lifecycle_steps import Actions
+from .lifecycle_steps import LifecycleSteps
 from .step_failures import (
     RAISED,
     Raised,
@@ -90,7 +90,7 @@ class Executor:
         """Returns the method that runs now; set by the owner of a native loop."""
         self._spent = False
         self._outdated = False
-        self._actions = Actions(instance, copies, illegal)
+        self._actions = LifecycleSteps(instance, copies, illegal)
         self._do = self._actions.do
         self._wakeup = tuple(
             self._do[step] for step in RULES[State.ON, Event.WAKEUP].steps

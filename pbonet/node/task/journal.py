@@ -89,7 +89,7 @@ class Time(Protocol):
         ...
 
 
-class Whose(NamedTuple):
+class TaskIdentity(NamedTuple):
     """Identity of a task that has no process of its own."""
 
     domain: str
@@ -233,7 +233,7 @@ class Journal:
 
 
 def about(
-    spec: TaskSpec | Whose,
+    spec: TaskSpec | TaskIdentity,
     rmod: Rmod,
     info: ModuleInfo,
     library: Library,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .port_transfer import Copies
 
 
-class Actions:
+class LifecycleSteps:
     """Carries out the steps of one instance.
 
     Args:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from pbonet.node.rt import Failures
-    from pbonet.outside import Told
+    from pbonet.outside import ModuleAnswers
 
 
 class SlotWatch:
@@ -25,7 +25,7 @@ class SlotWatch:
         failures: The native half, which notifies the dispatcher.
     """
 
-    told: Told
+    told: ModuleAnswers
     """Records the values that the module gets from here."""
 
     def __init__(self, failures: Failures) -> None:

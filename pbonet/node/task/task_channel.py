@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pbonet.errors import WireError
     from pbonet.node.rt import Slot
-    from pbonet.outside import Told
+    from pbonet.outside import ModuleAnswers
 
     from .executor import Executor
     from .step_failures import Raised
@@ -289,7 +289,7 @@ class SlotTime:
         told: Records the values that the module gets and that no cycle's record holds.
     """
 
-    def __init__(self, slot: Slot, told: Told) -> None:
+    def __init__(self, slot: Slot, told: ModuleAnswers) -> None:
         self._slot = slot
         self._told = told
         self._base = slot.cycles
@@ -346,7 +346,7 @@ class Context(TaskContext):
 
     on_off: Callable[[], None] | None = None
     slot: Slot
-    told: Told
+    told: ModuleAnswers
 
     @property
     def stamp_ns(self) -> int:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pbonet.svar import Table
 
 
-class Alarm:
+class TaskFlagCauses:
     """Causes that a task has raised, by its module or because its inputs are stale.
 
     All are withdrawn when the task is no longer ON, and when its process ends.

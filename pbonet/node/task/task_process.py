@@ -25,20 +25,20 @@ from pbonet.log import Did
 from pbonet.node import rt
 from pbonet.node.ring import Ring
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
-from pbonet.outside import Tape, Told, use
+from pbonet.outside import ModuleAnswers, Tape, use
 from pbonet.pbo import State, bind, decode_params, text_of
 from pbonet.svar import Table
 from pbonet.xm import live_on
 
 from . import journal, task_channel
-from .deliver_timing_failure import Telling
+from .deliver_timing_failure import TimingFailureDelivery
 from .executor import Executor
 from .parameters_in_task import get_params, set_param
 from .slot_timing import SlotWatch
 from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused
 from .successor_calls import Found, Successors
 from .task_channel import Context, SlotTime, Voice
-from .task_flag_causes import Alarm
+from .task_flag_causes import TaskFlagCauses
 from .task_ports import ages, check_ports, local_table
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ class Host:
         self.ring = self.record(told)
         self.tape = self.slot.tape = Tape()
         use(self.tape)
-        told_of = Told()
+        told_of = ModuleAnswers()
         self.time = SlotTime(self.slot, told_of)
         self.journal = journal.Journal(
             self.local, self.ring, told, self.time, self.tape
@@ -201,8 +201,10 @@ class Host:
         self.executor = Executor(instance, self.journal, illegal=illegal)
         self.executor.cycling = self._method
         ours = {Host._cycle.__code__, Host._sync.__code__}
-        self.telling = Telling(self.executor, told_of, self.time, ours)
-        self.alarm = Alarm(self.table, f"{spec.rtpu}/{spec.task}", self.context)
+        self.telling = TimingFailureDelivery(self.executor, told_of, self.time, ours)
+        self.flag_causes = TaskFlagCauses(
+            self.table, f"{spec.rtpu}/{spec.task}", self.context
+        )
         with self.journal.doing(Did("spawn")), self.local.replacing(spec.replaces):
             self.executor.spawn()
 
@@ -343,7 +345,7 @@ class Host:
     def _aged(self, stale: bool) -> None:  # noqa: FBT001 - called by the native loop
         """Report that inputs of a critical task became stale, or are fresh again."""
         name = self.local.blamed[0]
-        self.alarm.aged(f"the input {name} of {self.spec.task} is stale" * stale)
+        self.flag_causes.aged(f"the input {name} of {self.spec.task} is stale" * stale)
 
     def _sync(self) -> None:
         """Wait as the module's `sync` does; a message that arrives ends the wait."""
@@ -533,7 +535,7 @@ class Host:
         else:
             heard = self.slot.disarm(calls)
         self.successors.close()
-        self.alarm.end()
+        self.flag_causes.end()
         return heard
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:

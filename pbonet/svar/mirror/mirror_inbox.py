@@ -37,7 +37,7 @@ class Counts:
         self.refused = 0
 
 
-class Theirs:
+class RemoteGroup:
     """One group of another machine, and its copy here."""
 
     def __init__(self, group: Group) -> None:
@@ -77,7 +77,7 @@ class Machine:
         self._table = table
         self.run, self.host = run, host
         self.state = -1
-        self.groups: dict[int, Theirs] = {}
+        self.groups: dict[int, RemoteGroup] = {}
         self.causes: list[tuple[str, str]] = []
         self.counts = Counts()
         self.heard_ns = now_ns()
@@ -136,31 +136,31 @@ class Machine:
         return [v for t in self.groups.values() if t.group.live for v in t.group.vars]
 
     def _restate(self, full: Full) -> None:
-        groups: dict[int, Theirs] = {}
+        groups: dict[int, RemoteGroup] = {}
         for group in full.groups:
             known = self.groups.pop(group.uid, None)
             if known is not None and known.group.vars == group.vars:
                 known.group = group
                 groups[group.uid] = known
             else:
-                groups[group.uid] = Theirs(group)
+                groups[group.uid] = RemoteGroup(group)
                 if known is not None:
                     known.drop()
         self.drop()  # groups that no longer exist there
         self.groups, self.causes = groups, full.causes
 
-    def _count(self, theirs: Theirs, news: News) -> None:
+    def _count(self, theirs: RemoteGroup, news: News) -> None:
         if theirs.news is not None and not self.kept(theirs):
             self.counts.gaps += max((news.seq - theirs.news.seq & _NUMBERS) - 1, 0) * (
                 _newer(news, theirs.news)
             )
 
     @staticmethod
-    def kept(theirs: Theirs) -> bool:
+    def kept(theirs: RemoteGroup) -> bool:
         """Return whether an operator set the group, and not a task."""
         return not theirs.group.task
 
-    def _claim(self, theirs: Theirs) -> None:
+    def _claim(self, theirs: RemoteGroup) -> None:
         """Write a group to the table, owned here if it is owned there."""
         if not theirs.shown or theirs.news is None:
             return
@@ -178,13 +178,13 @@ class Machine:
             self.counts.refused += 1
             theirs.drop()
 
-    def _make(self, theirs: Theirs) -> LocalTable:
+    def _make(self, theirs: RemoteGroup) -> LocalTable:
         name = f"{theirs.group.task}{MARK}{self.host}"
         names = [self._table.variables[v].name for v in theirs.shown]
         text = name.encode()[:LONGEST_NAME].decode(errors="ignore")
         return self._table.local(text, os.getpid(), outvar=names)
 
-    def _commit(self, theirs: Theirs) -> None:
+    def _commit(self, theirs: RemoteGroup) -> None:
         news = theirs.news
         if news is None or not theirs.shown:
             return
@@ -202,7 +202,7 @@ class Machine:
         self.counts.commits += not flags
         self.counts.refused += bool(flags)
 
-    def _fill(self, local: LocalTable, theirs: Theirs) -> None:
+    def _fill(self, local: LocalTable, theirs: RemoteGroup) -> None:
         """Copy the shown variables of the newest commit into the local table."""
         news = theirs.news
         if news is None:
@@ -224,4 +224,4 @@ def _newer(one: News, other: News) -> bool:
     return one.seq != other.seq and one.seq - other.seq & _NUMBERS < _NUMBERS >> 1
 
 
-__all__ = ["Counts", "Machine", "Theirs"]
+__all__ = ["Counts", "Machine", "RemoteGroup"]

@@ -33,7 +33,7 @@ MARK = "@"
 """Separates task and host in the names of remote writers, ``TASK@HOST``."""
 
 
-class Own:
+class OwnGroup:
     """One group of this machine."""
 
     def __init__(self, table: Table, uid: int, task: str, variables: list[int]) -> None:
@@ -123,7 +123,7 @@ class Outbox:
         self._keep = keep
         self.generation = -1
         """Generation of the table at the last check."""
-        self.groups: dict[int, Own] = {}
+        self.groups: dict[int, OwnGroup] = {}
         self._kept: int | None = None
         """A variable in the keeper's register, and the last commit there."""
         self._kept_seq = -1
@@ -238,11 +238,11 @@ class Outbox:
             for own in self.groups.values()
         ]
 
-    def _known(self, uid: int, task: str, variables: list[int]) -> Own:
+    def _known(self, uid: int, task: str, variables: list[int]) -> OwnGroup:
         known = self.groups.get(uid)
         if known is not None and known.variables == variables:
             return known
-        return Own(self._table, uid, task, variables)
+        return OwnGroup(self._table, uid, task, variables)
 
     def _is_own(self, seen: tuple[int, bool, int, int, int, int, str]) -> bool:
         register, _, time_ns, _, _, _, task = seen

@@ -230,8 +230,8 @@ cdef class Semaphore(Shared):
                           binary=binary)
         found, here = names.find(name)
         if not here:
-            from pbonet.xm.ipc import remote_resources as far
-            return far.FarSemaphore.create_there(found, initial, highest, binary)
+            from pbonet.xm.ipc import remote_resources
+            return remote_resources.RemoteSemaphore.create_there(found, initial, highest, binary)
         path = found.path("sem")
         fd, fresh = files.FILES.make(path, sizeof(xm_sem))
         cdef Semaphore self = Semaphore.__new__(Semaphore)
@@ -253,8 +253,8 @@ cdef class Semaphore(Shared):
             return _heard(Semaphore.attach, name)
         found, here = names.find(name)
         if not here:
-            from pbonet.xm.ipc import remote_resources as far
-            return far.FarSemaphore.attach_there(found)
+            from pbonet.xm.ipc import remote_resources
+            return remote_resources.RemoteSemaphore.attach_there(found)
         fd, size = files.open_file(found, "sem")
         cdef Semaphore self = Semaphore.__new__(Semaphore)
         self.name = str(found)

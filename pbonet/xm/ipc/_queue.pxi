@@ -16,8 +16,10 @@ cdef class Queue(Shared):
                           block=block)
         found, here = names.find(name)
         if not here:
-            from pbonet.xm.ipc import remote_resources as far
-            return far.FarQueue.create_there(found, Policy(policy), messages, n, block)
+            from pbonet.xm.ipc import remote_resources
+            return remote_resources.RemoteQueue.create_there(
+                found, Policy(policy), messages, n, block
+            )
         cdef xm_queue plan
         memset(&plan, 0, sizeof(plan))
         plan.policy = Policy(policy)
@@ -43,8 +45,8 @@ cdef class Queue(Shared):
             return _heard(Queue.attach, name)
         found, here = names.find(name)
         if not here:
-            from pbonet.xm.ipc import remote_resources as far
-            return far.FarQueue.attach_there(found)
+            from pbonet.xm.ipc import remote_resources
+            return remote_resources.RemoteQueue.attach_there(found)
         fd, size = files.open_file(found, "queue")
         cdef Queue self = Queue.__new__(Queue)
         self.name = str(found)

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 def opened(
     make: Callable[..., Semaphore | Queue], name: str | Name, settings: dict[str, Any]
-) -> HeardSemaphore | HeardQueue:
+) -> RecordedSemaphore | RecordedQueue:
     """Return the object that `make` opens, wrapped to record its answers."""
-    kind = HeardQueue if make in {Queue.create, Queue.attach} else HeardSemaphore
+    kind = RecordedQueue if make in {Queue.create, Queue.attach} else RecordedSemaphore
     return kind(make, name, settings)
 
 
@@ -84,7 +84,7 @@ class _Heard:
         self._hear("destroy", default=None)
 
 
-class HeardSemaphore(_Heard, Semaphore):
+class RecordedSemaphore(_Heard, Semaphore):
     """A semaphore whose answers are recorded."""
 
     _WHAT = "semaphore"
@@ -124,7 +124,7 @@ class HeardSemaphore(_Heard, Semaphore):
         return bool(self._hear("v", default=True))
 
 
-class HeardQueue(Receiving, _Heard, Queue):
+class RecordedQueue(Receiving, _Heard, Queue):
     """A message queue whose answers are recorded."""
 
     _WHAT = "queue"

@@ -66,7 +66,7 @@ class Carrier(Protocol):
         """Close; agents drop what they hold for this process."""
 
 
-class Post:
+class RemoteChannel:
     """Sends a task's requests to its RTPU's agent, which passes them on.
 
     Every thread has its own connection, and the process one more, without requests:
@@ -179,7 +179,9 @@ def carrier() -> Carrier:
 def _make() -> Carrier:
     home = names.home()
     if home.subsystem:
-        return Post(str(run_folder.Places(home.domain, home.rtpu).post), home.rtpu)
+        return RemoteChannel(
+            str(run_folder.Places(home.domain, home.rtpu).post), home.rtpu
+        )
     return client(home.domain)
 
 

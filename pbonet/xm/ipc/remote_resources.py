@@ -43,7 +43,7 @@ SPARE = 2.0
 """Seconds in which an agent answers, in addition to its wait."""
 
 
-class Far:
+class RemoteResource:
     """A resource to which an agent is attached on behalf of this process.
 
     Args:
@@ -169,7 +169,7 @@ def _priority(priority: int | None) -> int:
 class _There:
     """Base of all resources of other machines."""
 
-    def __init__(self, far: Far) -> None:
+    def __init__(self, far: RemoteResource) -> None:
         self._far = far
 
     def __repr__(self) -> str:
@@ -190,19 +190,19 @@ class _There:
         self._far.detach(destroy=True)
 
 
-class FarSemaphore(_There, Semaphore):
+class RemoteSemaphore(_There, Semaphore):
     """A semaphore of another machine."""
 
     @classmethod
     def create_there(cls, name: Name, initial: int, maximum: int, binary: bool) -> Self:  # noqa: FBT001
         """Make one on another machine; the settings have been checked."""
         create = {"initial": initial, "maximum": maximum, "binary": bool(binary)}
-        return cls(Far(name, "sem", create))
+        return cls(RemoteResource(name, "sem", create))
 
     @classmethod
     def attach_there(cls, name: Name) -> Self:
         """Attach to one on another machine."""
-        return cls(Far(name, "sem", None))
+        return cls(RemoteResource(name, "sem", None))
 
     @property
     def maximum(self) -> int:
@@ -248,12 +248,12 @@ class FarSemaphore(_There, Semaphore):
         )
 
 
-class FarQueue(Receiving, _There, Queue):
+class RemoteQueue(Receiving, _There, Queue):
     """A message queue of another machine."""
 
     _MOST = r.LONGEST
 
-    def __init__(self, far: Far) -> None:
+    def __init__(self, far: RemoteResource) -> None:
         super().__init__(far)
         self._last = 0
 
@@ -268,12 +268,12 @@ class FarQueue(Receiving, _There, Queue):
             "blocks": blocks,
             "block": block,
         }
-        return cls(Far(name, "queue", create))
+        return cls(RemoteResource(name, "queue", create))
 
     @classmethod
     def attach_there(cls, name: Name) -> Self:
         """Attach to one on another machine."""
-        return cls(Far(name, "queue", None))
+        return cls(RemoteResource(name, "queue", None))
 
     @property
     def policy(self) -> Policy:

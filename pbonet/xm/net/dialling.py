@@ -51,7 +51,7 @@ class Dials(msgspec.Struct, kw_only=True):
 _DIALS: Final = msgspec.msgpack.Decoder(Dials)
 
 
-class Behind(NamedTuple):
+class DialledAgent(NamedTuple):
     """The agent found at an endpoint."""
 
     zid: str = ""
@@ -121,7 +121,7 @@ class Dialled:
 
     # -- which agent withdraws ---------------------------------------------------------
 
-    def _vain(self, found: Mapping[str, Behind]) -> set[str]:
+    def _vain(self, found: Mapping[str, DialledAgent]) -> set[str]:
         """Return the endpoints that must not be dialled."""
         back = _doubled(found)
         me = self._places.name, str(self.session.info.zid())
@@ -135,7 +135,9 @@ class Dialled:
                 back.add(endpoint)
         return back
 
-    def _open_question(self, found: Mapping[str, Behind], *, silent: bool) -> bool:
+    def _open_question(
+        self, found: Mapping[str, DialledAgent], *, silent: bool
+    ) -> bool:
         """Return whether an agent must be asked again.
 
         Args:
@@ -147,7 +149,7 @@ class Dialled:
             for endpoint, (zid, said) in found.items()
         )
 
-    def _dials_me(self, behind: Behind) -> bool:
+    def _dials_me(self, behind: DialledAgent) -> bool:
         said = behind.said
         return said is not None and any(is_mine(one, self._mine) for one in said.dials)
 
@@ -188,14 +190,14 @@ class Dialled:
             time.sleep(PAUSE)
             missing -= {str(zid) for zid in self.session.info.routers_zid()}
 
-    def _look(self, endpoints: Sequence[str]) -> dict[str, Behind]:
+    def _look(self, endpoints: Sequence[str]) -> dict[str, DialledAgent]:
         """Return the agent now found at each endpoint."""
         if not endpoints:
             return {}
         with ThreadPoolExecutor(len(endpoints)) as pool:
             return dict(zip(endpoints, pool.map(self._behind, endpoints), strict=True))
 
-    def _behind(self, endpoint: str) -> Behind:
+    def _behind(self, endpoint: str) -> DialledAgent:
         try:
             link = session.client(
                 self._places.domain,
@@ -205,14 +207,14 @@ class Dialled:
                 key_folder=self._key_folder,
             )
         except PbonetError:
-            return Behind()
+            return DialledAgent()
         try:
             return _ask(link, self._places.domain)
         finally:
             link.close()  # type: ignore[no-untyped-call]
 
 
-def _ask(link: zenoh.Session, domain: str) -> Behind:
+def _ask(link: zenoh.Session, domain: str) -> DialledAgent:
     """Return the agent that a client is connected to."""
     near = str(next(iter(link.info.routers_zid()), ""))
     replies = link.get(
@@ -227,11 +229,11 @@ def _ask(link: zenoh.Session, domain: str) -> Behind:
         with contextlib.suppress(*codec.MALFORMED):
             said = _DIALS.decode(reply.ok.payload.to_bytes())
             if said.zid == near:
-                return Behind(near, said)
-    return Behind(near)
+                return DialledAgent(near, said)
+    return DialledAgent(near)
 
 
-def _doubled(found: Mapping[str, Behind]) -> set[str]:
+def _doubled(found: Mapping[str, DialledAgent]) -> set[str]:
     """Return the endpoints whose agent is also dialled at an earlier endpoint."""
     seen: set[str] = set()
     double: set[str] = set()

@@ -301,7 +301,7 @@ class Flag(Request, tag="flag"):
 
     cause: str
     up: bool
-    unfed: list[str] = []
+    unwritten: list[str] = []
     """Variables without a writer: the entry is removed when all of them have one, and
     not raised if they already have."""
 

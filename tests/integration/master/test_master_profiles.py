@@ -35,7 +35,7 @@ def arm(two, puma):
     subsystem.warned = subsystem.heard.append
     subsystem.open()
     yield subsystem
-    if subsystem._crew is not None:
+    if subsystem._task_set is not None:
         subsystem.finish()
 
 
@@ -98,7 +98,7 @@ def test_after_a_second_on_the_extremes_bound_all_cycles(running):
 def test_the_command_shows_every_figure(running):
     desk = CommandSession(running)
     reply = desk.execute("profile")
-    assert {task["task"] for task in reply.data["tasks"]} == set(running.picture.names)
+    assert {task["task"] for task in reply.data["tasks"]} == set(running.model.names)
     assert {rtpu["rtpu"] for rtpu in reply.data["rtpus"]} == {"arm0", "arm1"}
 
     def counted():

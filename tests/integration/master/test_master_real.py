@@ -44,7 +44,7 @@ def arm(two, puma):
     subsystem.warned = subsystem.heard.append
     subsystem.open()
     yield subsystem
-    if subsystem._crew is not None:
+    if subsystem._task_set is not None:
         subsystem.finish()
 
 
@@ -166,7 +166,7 @@ def test_two_masters_for_an_exclusive_rtpu(arm, two, puma, tmp_path):
     with pytest.raises(SeveralError) as caught:
         Subsystem(puma, domain=two.domain).open()
     assert all(isinstance(error, ClaimError) for error in caught.value.errors)
-    assert arm.fleet.client.name in str(caught.value)
+    assert arm.clients.client.name in str(caught.value)
     leg = puma.read_text().replace("puma\n", "leg\n", 1)
     (tmp_path / "leg.sbs").write_text(leg)
     with pytest.raises(SeveralError, match="subsystem puma uses the RTPU"):
@@ -198,7 +198,7 @@ def test_tasks_outlive_a_killed_master_and_the_next_takes_them_up(two, puma):
         assert states(arm) == dict.fromkeys(FOUR, "ON")
         first = arm.status("puma_pidg")
         assert cycles(arm, "puma_pidg", 50).tid == first.tid
-        assert arm.picture.find("qrdiff").rmod.module == "diff"
+        assert arm.model.find("qrdiff").rmod.module == "diff"
         arm.control("grav_comp", "off")  # it steers them, too
         arm.control("grav_comp", "on")
 
@@ -213,17 +213,17 @@ def test_agent_that_hangs_keeps_nobody_from_the_other(arm, two, puma, hung):
     arm.control("jttrace", "on")
     two.processes[hung].send_signal(signal.SIGSTOP)
     try:
-        wait_for(lambda: arm.fleet.client.rtpus() == [other], f"loss of {hung}")
+        wait_for(lambda: arm.clients.client.rtpus() == [other], f"loss of {hung}")
         with pytest.raises(UnreachableError, match=f"{hung}: .* which is stopped"):
             arm.spawn("qrdiff", hung)
         with Subsystem(puma, domain=two.domain, watch=True) as watcher:
             assert {status.rtpu for status in watcher.status_all()} == {other}
         with pytest.raises(SeveralError, match=f"(?s)did not confirm.*{hung}"):
             arm.stop()
-        assert {member.rtpu for member in arm.picture} == {hung}
+        assert {member.rtpu for member in arm.model} == {hung}
     finally:
         two.processes[hung].send_signal(signal.SIGCONT)
-    wait_for(lambda: len(arm.fleet.client.rtpus()) == 2, f"return of {hung}")
+    wait_for(lambda: len(arm.clients.client.rtpus()) == 2, f"return of {hung}")
     assert {status.rtpu for status in arm.status_all()} == {hung}
 
 

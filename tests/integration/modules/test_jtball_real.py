@@ -125,7 +125,7 @@ def test_every_cycle_of_a_run_is_on_record(nodes: Nodes, job: Path) -> None:
     with Subsystem(job, domain=nodes.domain) as subsystem:
         subsystem.start()
         wait_for(lambda: subsystem.status("puma_pidg").cycle > 1500, "1500 cycles")
-        recording = subsystem.logbook.finish(subsystem.fleet)
+        recording = subsystem.recordings.finish(subsystem.clients)
     assert recording is not None
     assert recording.lost() == {}
     for task in recording.tasks:

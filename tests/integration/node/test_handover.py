@@ -115,7 +115,7 @@ def test_of_several_pairs_one_fails_and_the_others_are_done(arm, nodes, tmp_path
 
 def test_tasks_that_share_no_variable_are_not_exchanged(arm, nodes):
     items = [("a", "off"), ("b", "kill"), ("c", "off"), ("c", "on")]
-    answer = arm.fleet.call("arm0", m.Reconfig(items=items), m.Reconfigured)
+    answer = arm.clients.call("arm0", m.Reconfig(items=items), m.Reconfigured)
     assert answer.done == 4
     with Table.attach(f"{nodes.domain}.t") as table:
         assert table.info("Y0").owner is None

@@ -243,9 +243,9 @@ def test_who_comes_on_late_takes_nothing_from_who_came_back(
     arm.spawn("late", "arm1")
     arm.control("good", "on")
     successors = m.Successors(after={"late": ["good"]}, timeout=LIMIT)
-    calls = arm.fleet.call("arm1", successors, dict[str, list[m.Call]])
+    calls = arm.clients.call("arm1", successors, dict[str, list[m.Call]])
     off = m.Reconfig(items=[("good", "off")], handover={"good": ["Y0"]}, calls=calls)
-    assert arm.fleet.call("arm0", off, m.Reconfigured).done == 1
+    assert arm.clients.call("arm0", off, m.Reconfigured).done == 1
     come_back("good")  # a second order; the master of the first has gone
     arm.control("late", "kill")
     begun.unlink()
@@ -398,7 +398,7 @@ def test_two_lists_at_once_at_one_agent(arm, gate, write):
     arm.spawn("third", "arm0")
 
     def send(*items):
-        return arm.fleet.call("arm0", m.Reconfig(items=list(items)), m.Reconfigured)
+        return arm.clients.call("arm0", m.Reconfig(items=list(items)), m.Reconfigured)
 
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(send, ("old", "off"), ("good", "on"))
@@ -443,7 +443,7 @@ def test_an_heir_on_another_rtpu_is_told_of(arm, write, tmp_path):
     write("other", "counts", out="Y0")
     arm.control("good", "on")
     arm.swap("good", "other", rtpu="arm1")
-    assert arm.picture.find("other").rtpu == "arm1"
+    assert arm.model.find("other").rtpu == "arm1"
     assert (tmp_path / "good.txt").read_text().splitlines()[-1].endswith("off True")
     arm.swap("other", "good")
     arm.control("good", "off")

@@ -283,7 +283,7 @@ def test_the_arm_does_not_drop_and_nobody_misses_a_cycle(arm, nodes):
                 break
     assert not rounds[-1], f"cycles were lost in each round: {rounds}"
     assert {task: arm.status(task).on_ns for task in on} == on
-    recording = arm.logbook.finish(arm.fleet)
+    recording = arm.recordings.finish(arm.clients)
     before, during = errors(recording, *swing), errors(recording, *swapped)
     assert during < 1.5 * before + 0.005
 
@@ -294,7 +294,7 @@ def test_a_controller_that_forgets_lets_it_drop(arm):
         swing = undisturbed(arm, reference, lambda: cycles(arm, "robot", 400))
     arm.swap("a", "forgets")
     cycles(arm, "robot", 60)
-    recording = arm.logbook.finish(arm.fleet)
+    recording = arm.recordings.finish(arm.clients)
     first = min(recording.arrays("forgets")["release_ns"])
     before = errors(recording, *swing)
     assert errors(recording, first, np.inf) > 2.0 * before + 0.02
@@ -314,7 +314,7 @@ def test_the_writer_changes_within_a_cycle(arm, rtpu, tmp_path):
             after = arm.display(["T_REF"])[0]
             assert (before.writer, after.writer) == (old, new)
             cycles(arm, new, 3)
-    recording = arm.logbook.finish(arm.fleet)
+    recording = arm.recordings.finish(arm.clients)
     ends = [(t, "a") for t in recording.arrays("a")["start_ns"]]
     ends += [(t, "c") for t in recording.arrays("c")["start_ns"]]
     ends.sort()

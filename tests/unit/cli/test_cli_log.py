@@ -195,16 +195,16 @@ def test_a_task_without_a_cycle_is_no_different(call, tmp_path) -> None:
 
 
 def test_a_picture_is_drawn(call, tmp_path) -> None:
-    path, picture = tmp_path / "run.mcap", tmp_path / "a.svg"
+    path, model = tmp_path / "run.mcap", tmp_path / "a.svg"
     writer = LogWriter(path, run())
     number = writer.add_task(about("pid", PLAIN))
     for n in range(9):
         writer.add(number, record(np.full(6, 0.5 * n).tobytes(), release_ns=n))
     writer.close()
-    status, out, _ = call("log", "plot", path, "Y", "-o", picture)
-    assert (status, out.strip()) == (0, str(picture))
-    assert "<svg" in picture.read_text()
-    status, _, err = call("log", "plot", path, "Z", "-o", picture)
+    status, out, _ = call("log", "plot", path, "Y", "-o", model)
+    assert (status, out.strip()) == (0, str(model))
+    assert "<svg" in model.read_text()
+    status, _, err = call("log", "plot", path, "Z", "-o", model)
     assert status == 1
     assert "no task of the run wrote Z" in err
 

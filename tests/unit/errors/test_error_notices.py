@@ -12,7 +12,7 @@ import pytest
 
 from pbonet.errors import MethodError, Severity
 from pbonet.master.console import render
-from pbonet.master.subsystem.event_filter import Choice
+from pbonet.master.subsystem.event_filter import EventFilter
 from pbonet.node.rtpu.task_handle import crash_place
 from pbonet.node.task.task_channel import Voice
 from pbonet.node.wire import rtpu_messages
@@ -186,9 +186,9 @@ def test_a_line_of_code_that_is_known_is_shown():
 
 
 def test_events_are_chosen_by_the_module_s_number():
-    assert Choice.of({"code": "7"})(event())
-    assert Choice.of({"code": "METHOD"})(event())
-    assert not Choice.of({"code": "8"})(event())
+    assert EventFilter.of({"code": "7"})(event())
+    assert EventFilter.of({"code": "METHOD"})(event())
+    assert not EventFilter.of({"code": "8"})(event())
 
 
 def test_the_line_is_the_module_s_not_the_native_loop_s():

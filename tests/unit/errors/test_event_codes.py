@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.errors import DeviceError
-from pbonet.master.subsystem.event_filter import Choice
+from pbonet.master.subsystem.event_filter import EventFilter
 from pbonet.xm.net import event_codes
 
 ROOT = Path(__file__).parents[3]
@@ -61,7 +61,9 @@ def test_every_code_is_on_the_page_and_only_those():
 )
 def test_a_code_that_no_event_can_have_is_doubted(code, remedy):
     told = [SimpleNamespace(code="OTHER_NEWS")]
-    assert Choice(code=code).doubt(told) == f"no event has the code {code}; {remedy}"
+    assert (
+        EventFilter(code=code).doubt(told) == f"no event has the code {code}; {remedy}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,4 +71,4 @@ def test_a_code_that_no_event_can_have_is_doubted(code, remedy):
 )
 def test_one_that_an_event_has_or_may_have_is_not(code):
     """Also one that a node of another version has told, and a number of a module."""
-    assert Choice(code=code).doubt([SimpleNamespace(code="OTHER_NEWS")]) == ""
+    assert EventFilter(code=code).doubt([SimpleNamespace(code="OTHER_NEWS")]) == ""

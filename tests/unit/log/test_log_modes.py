@@ -10,7 +10,7 @@ import pytest
 from pbonet.config import parse_job
 from pbonet.errors import LogError, Severity
 from pbonet.log import Log, TaskAbout
-from pbonet.master.subsystem.recording_control import Logbook
+from pbonet.master.subsystem.recording_control import RecordingControl
 from pbonet.node.recorder.recorder_process import Recorder
 from pbonet.node.ring._ring import Ring
 from pbonet.node.wire import rtpu_messages
@@ -22,7 +22,7 @@ JOB = "JOB j\nDESC\nSBS a.sbs\nTASK a\nTASK b\n{}EOF\n"
 def book(told, *lines):
     """Return what a job with these RECORD lines is recorded like."""
     job = parse_job(JOB.format("".join(f"RECORD {line}\n" for line in lines)))
-    made = Logbook(told)
+    made = RecordingControl(told)
     made.of(job, SimpleNamespace(table=SimpleNamespace(variables=[])))
     return made.mode, made.last, made._tasks
 
@@ -45,7 +45,7 @@ def test_the_command_line_goes_before_the_job(told, lines, wanted) -> None:
 @pytest.mark.parametrize("told", ["last", "last x", "last -1", "last inf", "some"])
 def test_what_is_no_way_to_record(told) -> None:
     with pytest.raises(LogError, match="this is no way to record"):
-        Logbook(told)
+        RecordingControl(told)
 
 
 def happened(severity) -> bytes:

@@ -24,7 +24,7 @@ THESIS = [
 ]
 
 
-class Picture(dict):
+class TaskModel(dict):
     @property
     def names(self):
         return list(self.keys())
@@ -44,7 +44,7 @@ class Stub:
         self.watch = watch
         self.warned = print
         self.calls = []
-        self.picture = Picture(
+        self.model = TaskModel(
             pid=SimpleNamespace(
                 name="pid",
                 state=State.ON,
@@ -54,7 +54,7 @@ class Stub:
             ),
             traj=SimpleNamespace(name="traj", state=State.OFF, info=None),
         )
-        self.fleet = SimpleNamespace(names=["arm0", "arm1"])
+        self.clients = SimpleNamespace(names=["arm0", "arm1"])
         table = SimpleNamespace(
             variables=[SimpleNamespace(name=n) for n in ("Q_MEZ", "Q_REF", "T_REF")]
         )
@@ -323,7 +323,7 @@ def test_events_shows_as_many_as_wanted(session, stub):
 def test_task_that_is_gone_is_no_default(session, stub):
     session.execute("off pid")
     assert session.prompt == "SBS arm<pid> "
-    stub.control = lambda *_: (stub.picture.pop("pid"), SimpleNamespace(state="x"))[1]
+    stub.control = lambda *_: (stub.model.pop("pid"), SimpleNamespace(state="x"))[1]
     session.execute("kill")
     assert session.prompt == "SBS arm<> "
     with pytest.raises(UnknownTaskError, match="no task is named"):

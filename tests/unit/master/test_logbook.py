@@ -8,7 +8,7 @@ from nodekit import rmod, svar
 from pbonet.config.library import Library
 from pbonet.errors import ConfigError
 from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.subsystem.recording_control import Logbook
+from pbonet.master.subsystem.recording_control import RecordingControl
 from pbonet.xm.net import messages as m
 
 JOB = """
@@ -46,7 +46,7 @@ def asked(tmp_path):
     def one(record):
         path = tmp_path / "watch.job"
         path.write_text(JOB.format(record=record))
-        files, book, fleet = Files(path, Library([])), Logbook(), Fleet()
+        files, book, fleet = Files(path, Library([])), RecordingControl(), Fleet()
         book.of(files.job, files)
         book.begin(fleet, files, pytest.fail)
         (request,) = fleet.taken

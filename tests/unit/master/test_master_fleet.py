@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import NoneType
 
 from pbonet.config import parse_sbs
-from pbonet.master.subsystem.rtpu_clients import Fleet
+from pbonet.master.subsystem.rtpu_clients import RtpuClients
 from pbonet.xm.net import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
@@ -21,7 +21,7 @@ class Client:
 
 def test_one_request_for_all_is_signed_for_each():
     client = Client()
-    fleet = Fleet(client, parse_sbs(SBS, "t.sbs"))
+    fleet = RtpuClients(client, parse_sbs(SBS, "t.sbs"))
     fleet.epochs = {"arm0": 7, "arm1": 9}
     request = m.Sigmask(names=["WARNING"])
     fleet.each(lambda _: request, NoneType)

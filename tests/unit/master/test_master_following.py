@@ -8,7 +8,7 @@ import pytest
 
 from pbonet.errors import NoAnswerError, Severity, StateError
 from pbonet.master.console.follow_events import Follower
-from pbonet.master.subsystem.event_filter import Choice, since
+from pbonet.master.subsystem.event_filter import EventFilter, since
 from pbonet.node.wire.event_log import KEPT, EventLog
 from pbonet.xm.net import messages as m
 
@@ -46,7 +46,7 @@ def rtpu():
 
 
 def follower(rtpu, **wanted):
-    return Follower(SimpleNamespace(name="s", fleet=rtpu), Choice(**wanted))
+    return Follower(SimpleNamespace(name="s", clients=rtpu), EventFilter(**wanted))
 
 
 def texts(found):
@@ -125,9 +125,9 @@ def test_choice(rtpu):
     rtpu.tell("other task", severity=Severity.ERROR, subsystem="s", task="u")
     rtpu.tell("other subsystem", severity=Severity.ERROR, subsystem="z", task="t")
     assert texts(follow.take()) == ["warning"]
-    assert Choice.of({"severity": "Error"}).least is Severity.ERROR
+    assert EventFilter.of({"severity": "Error"}).least is Severity.ERROR
     with pytest.raises(StateError, match=r"no severity worse .*debug info warning"):
-        Choice.of({"severity": "worse"})
+        EventFilter.of({"severity": "worse"})
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_since_how_long_ago(word, seconds):
     number, after = since(word)
     assert number == 0
     assert now - seconds <= after <= time.time() - seconds
-    wanted = Choice.of({"since": word, "severity": "warning"})
+    wanted = EventFilter.of({"since": word, "severity": "warning"})
     kinds = {"n": 1, "time": 0, "code": "C", "rtpu": "r", "text": "t"}
     young = m.Event(**kinds, wall=now, severity=30)
     assert wanted(young)

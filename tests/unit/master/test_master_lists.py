@@ -7,7 +7,7 @@ from nodekit import rmod
 
 from pbonet.config import parse_rmod
 from pbonet.master.configuration.subsystem_files import RmodSource
-from pbonet.master.configuration.task_model import Member, Picture
+from pbonet.master.configuration.task_model import Member, TaskModel
 from pbonet.master.subsystem import signal_list_split
 from pbonet.pbo import State
 
@@ -27,8 +27,8 @@ TASKS = {
 
 
 @pytest.fixture
-def picture():
-    made = Picture()
+def model():
+    made = TaskModel()
     for name, (rtpu, outputs, state) in TASKS.items():
         text = rmod("counts", "Y0").replace("SVARALIAS Y=Y0\n", "")
         text = text.replace("OUTVAR Y", f"OUTVAR {outputs}")
@@ -63,16 +63,16 @@ STEPS = [
 
 
 @pytest.mark.parametrize(("words", "found", "why"), CASES)
-def test_who_is_called(picture, words, found, why):
+def test_who_is_called(model, words, found, why):
     items = [tuple(word.split(":")) for word in words.split()]
-    assert signal_list_split.across(picture, items) == found, why
+    assert signal_list_split.across(model, items) == found, why
 
 
 @pytest.mark.parametrize(("words", "found", "why"), STEPS)
-def test_what_is_sent_at_once(picture, words, found, why):
+def test_what_is_sent_at_once(model, words, found, why):
     items = [tuple(word.split(":")) for word in words.split()]
     steps = signal_list_split.steps(
-        picture, items, signal_list_split.across(picture, items)
+        model, items, signal_list_split.across(model, items)
     )
     said = [
         " ".join(

@@ -10,7 +10,7 @@ from nodekit import rmod
 from pbonet.config import parse_rmod
 from pbonet.errors import MethodError, ReconfigError, StateError, UnreachableError
 from pbonet.master.configuration.subsystem_files import RmodSource
-from pbonet.master.configuration.task_model import Member, Picture
+from pbonet.master.configuration.task_model import Member, TaskModel
 from pbonet.master.subsystem.send_signal_list import send
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m
@@ -88,8 +88,8 @@ def done(items):
 
 
 @pytest.fixture
-def picture():
-    made = Picture()
+def model():
+    made = TaskModel()
     for name, (rtpu, outputs, state, freq) in TASKS.items():
         text = rmod("counts", "Y0").replace("SVARALIAS Y=Y0\n", "")
         text = text.replace("OUTVAR Y", f"OUTVAR {outputs}")
@@ -98,19 +98,19 @@ def picture():
     return made
 
 
-def stuck(picture, fleet):
+def stuck(model, fleet):
     """Return the error of the list, and what heirs were told last."""
     with pytest.raises(ReconfigError) as caught:
-        send(picture, fleet, ITEMS, 1.0)
+        send(model, fleet, ITEMS, 1.0)
     (rtpu, request), (asked, _) = fleet.sent[-2:]
     assert (rtpu, asked) == ("arm2", "arm2")
     assert request.after == {"both": []}, "it stands by no longer"
     return caught.value
 
 
-def test_those_that_leave_together_are_told_at_once(picture):
+def test_those_that_leave_together_are_told_at_once(model):
     fleet = Fleet()
-    states = send(picture, fleet, ITEMS, 1.0)
+    states = send(model, fleet, ITEMS, 1.0)
     assert states == {"a": "OFF", "b": "OFF", "both": "ON"}
     heirs, together, (_, first), (_, second), (last, _) = fleet.sent
     assert (heirs[0], heirs[1].after) == ("arm2", {"both": ["a", "b"]})
@@ -120,25 +120,25 @@ def test_those_that_leave_together_are_told_at_once(picture):
     assert last == "arm2"
 
 
-def test_one_fails(picture):
+def test_one_fails(model):
     answer = m.Reconfigured(done=0, rest=[("b", "off")], error=FAILED)
-    error = stuck(picture, Fleet(arm1=[answer]))
+    error = stuck(model, Fleet(arm1=[answer]))
     assert str(error) == (
         "arm1/b: item 2 of 3, off b: off does not work; done: off a; not sent: on both"
     )
     assert error.rest == (("b", "off"), ("both", "on"))
 
 
-def test_the_first_one_fails_while_the_other_goes(picture):
+def test_the_first_one_fails_while_the_other_goes(model):
     answer = m.Reconfigured(done=0, rest=[("a", "off")], error=FAILED)
-    error = stuck(picture, Fleet(arm0=[answer]))
+    error = stuck(model, Fleet(arm0=[answer]))
     assert "item 2 of 3, off a" in str(error)
     assert "done: off b; not sent: on both" in str(error)
     assert error.rest == (("a", "off"), ("both", "on"))
 
 
-def test_one_is_not_heard_of(picture):
-    error = stuck(picture, Fleet(arm1=[GONE]))
+def test_one_is_not_heard_of(model):
+    error = stuck(model, Fleet(arm1=[GONE]))
     assert "item 2 of 3, off b: no agent answers" in str(error)
     assert (
         "done: off a; sent, and not known whether done: off b; not sent: on both"
@@ -146,39 +146,39 @@ def test_one_is_not_heard_of(picture):
     assert error.rest == (("b", "off"), ("both", "on"))
 
 
-def test_one_refuses(picture):
+def test_one_refuses(model):
     refused = StateError("another list is being carried out", where="arm1")
-    error = stuck(picture, Fleet(arm1=[refused]))
+    error = stuck(model, Fleet(arm1=[refused]))
     assert "item 2 of 3, off b: another list" in str(error)
     assert "done: off a; not sent: on both" in str(error)
 
 
-def called(picture, came):
+def called(model, came):
     """Return the error of a list in which an item fails after both has been called."""
     text = rmod("counts", "Y2").replace("SVARALIAS Y=Y2\n", "")
     source = RmodSource(parse_rmod(text, "bad.rmod"), text)
-    picture.add(Member(source=source, rtpu="arm1", freq=100.0, state=State.OFF))
+    model.add(Member(source=source, rtpu="arm1", freq=100.0, state=State.OFF))
     failed = MethodError("on does not work", where="bad").to_wire()
     answer = m.Reconfigured(done=0, rest=[("bad", "on")], error=failed)
     both = [m.Reconfigured(done=1, states={"b": "OFF"}), answer]
     items = [*ITEMS[:2], ("bad", "on"), ITEMS[2]]
     with pytest.raises(ReconfigError) as caught:
-        send(picture, Fleet(arm1=both, came=came), items, 1.0)
+        send(model, Fleet(arm1=both, came=came), items, 1.0)
     assert caught.value.what.startswith("item")
     return caught.value
 
 
-def test_a_successor_that_was_called_before_an_item_failed_is_done(picture):
-    error = called(picture, State.ON)
+def test_a_successor_that_was_called_before_an_item_failed_is_done(model):
+    error = called(model, State.ON)
     assert str(error) == (
         "arm1/bad: item 4 of 4, on bad: on does not work; done: off a, off b, on both"
     )
     assert (error.done, error.rest) == (3, (("bad", "on"),))
-    assert picture.find("both").state is State.ON
+    assert model.find("both").state is State.ON
 
 
-def test_a_successor_that_was_not_called_in_time_is_not_sent(picture):
-    error = called(picture, State.OFF)
+def test_a_successor_that_was_not_called_in_time_is_not_sent(model):
+    error = called(model, State.OFF)
     assert "item 3 of 4, on bad: on does not work; " in str(error)
     assert str(error).endswith("done: off a, off b; not sent: on both")
     assert error.rest == (("bad", "on"), ("both", "on"))
@@ -191,13 +191,13 @@ def test_a_successor_that_was_not_called_in_time_is_not_sent(picture):
         (None, "may have come on: its RTPU does not say"),
     ],
 )
-def test_what_became_of_a_successor_is_said(picture, came, remark):
-    assert str(called(picture, came)).endswith(f"not sent: on both ({remark})")
+def test_what_became_of_a_successor_is_said(model, came, remark):
+    assert str(called(model, came)).endswith(f"not sent: on both ({remark})")
 
 
-def test_an_item_that_stands_twice_in_a_list_was_done_once(picture):
+def test_an_item_that_stands_twice_in_a_list_was_done_once(model):
     answer = m.Reconfigured(done=2, rest=[("a", "off")], error=FAILED)
     items = [("a", "off"), ("a", "on"), ("a", "off")]
     with pytest.raises(ReconfigError) as caught:
-        send(picture, Fleet(arm0=[answer]), items, 1.0)
+        send(model, Fleet(arm0=[answer]), items, 1.0)
     assert (caught.value.done, caught.value.rest) == (2, (("a", "off"),))

@@ -6,8 +6,8 @@ import pytest
 
 from pbonet.analysis import legality
 from pbonet.errors import NoAnswerError
-from pbonet.master.subsystem.unwritten_inputs import UNFED, Unfed
-from pbonet.master.subsystem.warning_dedup import Standing
+from pbonet.master.subsystem.unwritten_inputs import UNFED, UnwrittenInputs
+from pbonet.master.subsystem.warning_dedup import WarningDedup
 
 
 class Keeper:
@@ -19,8 +19,8 @@ class Keeper:
         self.asked = []
         self.warnings = []
         self.silent = False
-        self._said = Standing()
-        self.unfed = Unfed(self.ask, self.say)
+        self._said = WarningDedup()
+        self.unfed = UnwrittenInputs(self.ask, self.say)
 
     def say(self, problems):
         self.warnings += self._said.say(problems)
@@ -30,8 +30,8 @@ class Keeper:
             raise NoAnswerError("the keeper does not answer")
         self.asked.append((flag.cause.removeprefix(UNFED), flag.up))
         self.standing.pop(flag.cause, None)
-        if flag.up and not self.written.issuperset(flag.unfed):
-            self.standing[flag.cause] = flag.unfed
+        if flag.up and not self.written.issuperset(flag.unwritten):
+            self.standing[flag.cause] = flag.unwritten
         return self.causes()
 
     def causes(self):

@@ -72,13 +72,13 @@ def test_tables_say_what_ran(demo: ModuleType, file: Path) -> None:
 def test_plot_and_summary_are_made_of_a_recording(
     demo: ModuleType, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    picture = tmp_path / "new" / "puma.png"
-    demo.main(["--from", str(file), "--plot", str(picture)])
-    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert picture.stat().st_size > 50_000
+    model = tmp_path / "new" / "puma.png"
+    demo.main(["--from", str(file), "--plot", str(model)])
+    assert model.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert model.stat().st_size > 50_000
     out = capsys.readouterr().out
     assert "puma_pidg     1500" in out
-    assert str(picture) in out
+    assert str(model) in out
 
 
 def test_recording_that_shows_nothing_is_told(demo: ModuleType, tmp_path: Path) -> None:

@@ -97,9 +97,9 @@ def test_the_reference_goes_on_without_a_step(runs: list[Any]) -> None:
 def test_demo_prints_both_runs_and_plots_them(
     demo: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    picture = tmp_path / "new" / "servoing.png"
-    demo.main(["--sim", "--plot", str(picture)])
-    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    model = tmp_path / "new" / "servoing.png"
+    demo.main(["--sim", "--plot", str(model)])
+    assert model.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     out = capsys.readouterr().out
     number = r" +\d+\.\d+"
     for title in ("without a swap", "with the swap"):

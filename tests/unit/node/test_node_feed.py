@@ -9,7 +9,7 @@ import pytest
 from watching import wait_for
 
 from pbonet.node.agent import recorder_pipe as feeding
-from pbonet.node.agent.recorder_pipe import Feed
+from pbonet.node.agent.recorder_pipe import RecorderPipe
 
 FRAME = bytes(50_000)
 
@@ -44,7 +44,7 @@ def settled() -> None:
 
 def test_more_than_a_pipe_takes_arrives_in_order(reader) -> None:
     unfit: list[int] = []
-    feed = Feed(unfit.append, lambda: None)
+    feed = RecorderPipe(unfit.append, lambda: None)
     feed.begin(reader.to)
     frames = [bytes([n]) * 50_000 for n in range(20)]
     for frame in frames:
@@ -59,7 +59,7 @@ def test_more_than_a_pipe_takes_arrives_in_order(reader) -> None:
 def test_what_finds_no_room_is_counted_and_told(reader, monkeypatch) -> None:
     monkeypatch.setattr(feeding, "MOST", 4 * len(FRAME))
     unfit: list[int] = []
-    feed = Feed(unfit.append, lambda: None)
+    feed = RecorderPipe(unfit.append, lambda: None)
     for _ in range(7):
         feed.put(FRAME)
     assert unfit == []
@@ -73,7 +73,7 @@ def test_what_finds_no_room_is_counted_and_told(reader, monkeypatch) -> None:
 
 
 def test_another_reader_is_told_what_the_first_did_not_take_whole(reader) -> None:
-    feed = Feed(lambda _: None, lambda: None)
+    feed = RecorderPipe(lambda _: None, lambda: None)
     first = Reader()
     feed.begin(first.to)
     for n in range(4):
@@ -94,7 +94,7 @@ def test_another_reader_is_told_what_the_first_did_not_take_whole(reader) -> Non
 def test_a_reader_that_takes_nothing_is_told_of(reader, monkeypatch) -> None:
     monkeypatch.setattr(feeding, "STUCK", 0.05)
     stuck = threading.Event()
-    feed = Feed(lambda _: None, stuck.set)
+    feed = RecorderPipe(lambda _: None, stuck.set)
     feed.begin(reader.to)
     for _ in range(3):
         feed.put(FRAME)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 
-from pbonet.node.mirror.packet_queue import Incoming
+from pbonet.node.mirror.packet_queue import PacketQueue
 
 
 def test_taken_in_order_and_rung_once():
     rings = []
-    incoming = Incoming(lambda: rings.append(1))
+    incoming = PacketQueue(lambda: rings.append(1))
     for n in range(3):
         incoming.heard("a", b"%d" % n)
     assert (len(rings), incoming.taken()) == (1, [b"0", b"1", b"2"])
@@ -19,7 +19,7 @@ def test_taken_in_order_and_rung_once():
 
 
 def test_the_oldest_go_and_are_counted_by_machine():
-    incoming = Incoming(lambda: None, room=3)
+    incoming = PacketQueue(lambda: None, room=3)
     for machine, n in (("a", 0), ("b", 1), ("a", 2), ("b", 3), ("b", 4)):
         incoming.heard(machine, b"%d" % n)
     assert incoming.taken() == [b"2", b"3", b"4"]
@@ -30,7 +30,7 @@ def test_several_threads_of_zenoh():
     """All that is heard is taken or counted, and the last ring comes behind it."""
     room, each = 8, 5000
     rung = threading.Event()
-    incoming = Incoming(rung.set, room)
+    incoming = PacketQueue(rung.set, room)
     taken = 0
 
     def hear(machine):

@@ -10,7 +10,7 @@ from pbonet.errors import ModuleLoadError, ProtocolError
 from pbonet.node.rtpu import module_inspection
 
 
-class Slow(module_inspection.Inspecting):
+class Slow(module_inspection.ModuleInspection):
     """Inspects when it is told to."""
 
     def __init__(self):

@@ -11,7 +11,7 @@ from watching import wait_for
 
 from pbonet import tbuf
 from pbonet.node.agent import shared_memory_status, zenoh_server
-from pbonet.node.agent.shared_memory_status import FEW, Overview
+from pbonet.node.agent.shared_memory_status import FEW, SharedMemoryStatus
 from pbonet.node.rt import _rt
 from pbonet.node.rtpu.rtpu_snapshot import Known
 from pbonet.node.wire.rtpu_messages import RtpuInfo
@@ -35,7 +35,7 @@ def error_of(data):
 def seen(shared_memory):
     """An overview of an RTPU process that has told nothing yet."""
     core = _rt.CoreTable(1)
-    found = Overview("d", "arm0", pytest.fail, lambda _: None)
+    found = SharedMemoryStatus("d", "arm0", pytest.fail, lambda _: None)
     found.informed(INFO)
     yield found
     found.let_go()
@@ -51,7 +51,7 @@ def home():
 
 def test_news_of_a_process_that_has_ended_are_not_waited_for(seen, monkeypatch):
     seen.let_go()
-    monkeypatch.setattr(Overview, "_more", lambda *_: pytest.fail("it waits"))
+    monkeypatch.setattr(SharedMemoryStatus, "_more", lambda *_: pytest.fail("it waits"))
     for request in (m.Status(), m.Profile()):
         assert "is being started again" in error_of(seen.answer(request))
 
@@ -59,13 +59,13 @@ def test_news_of_a_process_that_has_ended_are_not_waited_for(seen, monkeypatch):
 def test_whoever_waits_hears_that_the_process_has_ended(seen, monkeypatch):
     monkeypatch.setattr(shared_memory_status, "NEWS_TIME", 3600.0)
     waits = threading.Event()
-    more = Overview._more
+    more = SharedMemoryStatus._more
 
     def wait(self, told):
         waits.set()
         return more(self, told)
 
-    monkeypatch.setattr(Overview, "_more", wait)
+    monkeypatch.setattr(SharedMemoryStatus, "_more", wait)
     answers = []
     look = threading.Thread(
         target=lambda: answers.append(seen.answer(m.Status())), daemon=True
@@ -80,11 +80,13 @@ def test_whoever_waits_hears_that_the_process_has_ended(seen, monkeypatch):
 
 @pytest.mark.usefixtures("home")
 def test_zenohs_thread_neither_waits_nor_looks_at_many_links(seen, monkeypatch):
-    monkeypatch.setattr(Overview, "_more", lambda *_: pytest.fail("it waits"))
+    monkeypatch.setattr(SharedMemoryStatus, "_more", lambda *_: pytest.fail("it waits"))
     assert seen.at_once(m.Status()) is None, "nothing is known yet"
     seen.learn(Known(tasks=[]))
     links = [tbuf.Writer(f"x{n}", "f8") for n in range(FEW)]
-    monkeypatch.setattr(Overview, "_look", lambda _: pytest.fail("it looks again"))
+    monkeypatch.setattr(
+        SharedMemoryStatus, "_look", lambda _: pytest.fail("it looks again")
+    )
     assert parsed(seen.at_once(m.Status())).ok
     links.append(tbuf.Writer("more", "f8"))
     assert seen.at_once(m.Status()) is None

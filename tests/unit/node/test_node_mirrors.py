@@ -17,8 +17,8 @@ from pbonet.node.mirror import (
     remote_handover,
     table_carrier as mirrors_module,
 )
-from pbonet.node.mirror.mirrored_table import Carried
-from pbonet.node.mirror.table_carrier import Mirrors
+from pbonet.node.mirror.mirrored_table import MirroredTable
+from pbonet.node.mirror.table_carrier import TableCarrier
 from pbonet.node.rtpu.tables import table_name
 from pbonet.svar import Table
 from pbonet.svar.mirror import packets
@@ -57,7 +57,7 @@ def carrying(table):
     """Who carries the table, where no other machine is; and what it has told."""
     told = []
     network = Network()
-    mirrors = Mirrors(network, "d", lambda _: None, told.append)
+    mirrors = TableCarrier(network, "d", lambda _: None, told.append)
     mirrors.carry({table.name.removeprefix("d."): True})
     turn(mirrors)
     mirrors._carried["arm"].turn(0.0)
@@ -99,9 +99,9 @@ def test_who_ends_a_table_is_answered_behind_its_carrier(carrying):
 @pytest.mark.usefixtures("table")
 def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
     found = []
-    monkeypatch.setattr(Carried, "_take", lambda one, _: found.append(one.alone))
+    monkeypatch.setattr(MirroredTable, "_take", lambda one, _: found.append(one.alone))
     network = Network()
-    mirrors = Mirrors(network, "d", lambda _: None)
+    mirrors = TableCarrier(network, "d", lambda _: None)
     try:
         mirrors.carry({"arm": True})
         turn(mirrors)
@@ -214,14 +214,14 @@ def test_who_waits_for_other_machines_is_answered_when_the_agent_leaves(carrying
 def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_order):
     """The carrier's thread comes late; only who opens a table waits for it."""
     happened, threads = [], []
-    monkeypatch.setattr(Carried, "_take", lambda _, data: happened.append(data))
+    monkeypatch.setattr(MirroredTable, "_take", lambda _, data: happened.append(data))
 
     def done():
         threads.append(threading.current_thread().name)
         happened.append("done")
 
     network = Network()
-    mirrors = Mirrors(network, "d", lambda _: None)
+    mirrors = TableCarrier(network, "d", lambda _: None)
     try:
         mirrors.carry({"arm": True})
         mirrors.spread("arm", done, take=take)

@@ -5,7 +5,7 @@ from msgspec import structs
 
 from pbonet.config import parse_rmod
 from pbonet.config.model import RtpuEntry, Scheduler, TaskType
-from pbonet.node.rtpu.ranking import Ranked, Wish, rank
+from pbonet.node.rtpu.ranking import Ranked, RankRequest, rank
 
 RMOD = """
 MODULE counts
@@ -23,7 +23,9 @@ EOF
 def wish(name, freq, *, lines=(), **more):
     """Return a task; `freq` in Hz, `lines` go into its RMOD."""
     text = RMOD.format(lines="\n".join([f"FREQ {freq:g}", *lines]))
-    return Wish(name=name, rmod=parse_rmod(text, f"{name}.rmod"), freq=freq, **more)
+    return RankRequest(
+        name=name, rmod=parse_rmod(text, f"{name}.rmod"), freq=freq, **more
+    )
 
 
 def ranked(*wishes, **entry):

@@ -92,7 +92,7 @@ def watch(*links, linked=(ZID,)):
         routers_zid=lambda: list(said.linked), links=lambda: [one.said for one in links]
     )
     said = SimpleNamespace(info=info, linked=linked)
-    return link_watchdog.Relink(said), said
+    return link_watchdog.LinkWatchdog(said), said
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pbonet.node.agent import idempotency
 
 def test_a_request_is_carried_out_once_and_answered_each_time():
     told = []
-    known = idempotency.Repeats()
+    known = idempotency.RepeatedRequests()
     assert known.begin(("c", "1"), told.append)
     assert not known.begin(("c", "1"), told.append), "under way"
     assert known.begin(("d", "1"), told.append), "of another client"
@@ -17,7 +17,7 @@ def test_a_request_is_carried_out_once_and_answered_each_time():
 
 def test_what_is_kept_is_bounded(monkeypatch):
     monkeypatch.setattr(idempotency, "KEPT", 3 * (idempotency.OVERHEAD + 10))
-    known = idempotency.Repeats()
+    known = idempotency.RepeatedRequests()
     for n in range(5):
         assert known.begin(("c", str(n)), lambda _: None)
         known.end(("c", str(n)), bytes(10))
@@ -30,7 +30,7 @@ def test_what_is_kept_is_bounded(monkeypatch):
 def test_an_answer_that_is_too_long_to_keep_is_given_all_the_same(monkeypatch):
     monkeypatch.setattr(idempotency, "KEPT", 100)
     told = []
-    known = idempotency.Repeats()
+    known = idempotency.RepeatedRequests()
     assert known.begin(("c", "1"), told.append)
     known.end(("c", "1"), bytes(200))
     assert told == [bytes(200)]

@@ -4,7 +4,7 @@ from types import SimpleNamespace as Plain
 
 import pytest
 
-from pbonet.node.rtpu.timing_failure_events import Timekeeper
+from pbonet.node.rtpu.timing_failure_events import TimingFailureEvents
 from pbonet.node.wire.event_log import EventLog
 
 MS = 1_000_000
@@ -47,7 +47,7 @@ def test_a_cycle_that_does_not_end_is_told_with_its_time(
         cpu_max_ns=longest_ms * MS,
         maxc_ns=maxc_ms * MS,
     )
-    keeper = Timekeeper(events)
+    keeper = TimingFailureEvents(events)
     keeper.look(CORE, [(TASK, slot)])
     keeper.look(CORE, [(TASK, slot)])  # nothing new
     (event,) = events.since(0)

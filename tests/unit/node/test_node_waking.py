@@ -17,7 +17,7 @@ def test_asked_for_as_long_as_it_is_held(tmp_path, monkeypatch):
     device = tmp_path / "cpu_dma_latency"
     device.touch()
     monkeypatch.setattr(cpu_idle_states, "DEVICE", device)
-    awake = cpu_idle_states.Awake()
+    awake = cpu_idle_states.IdleStateLock()
     assert awake.limits == []
     assert device.read_bytes() == bytes(4)
     assert held(device)
@@ -27,6 +27,6 @@ def test_asked_for_as_long_as_it_is_held(tmp_path, monkeypatch):
 
 def test_who_may_not_says_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setattr(cpu_idle_states, "DEVICE", tmp_path / "none")
-    (text,) = cpu_idle_states.Awake().limits
+    (text,) = cpu_idle_states.IdleStateLock().limits
     assert "the processors sleep when they are idle" in text
     assert "No such file or directory; let the agent's user write it" in text

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
-from test_master_sending import ITEMS, Fleet, picture
+from test_master_sending import ITEMS, Fleet, model
 from test_node_reconfig import Rtpu, call, carry_out, rtpu, table
 
 from pbonet.errors import TaskDiedError
@@ -18,7 +18,7 @@ from pbonet.node.rtpu.successors import Successors
 from pbonet.node.rtpu.task_handle import Waiting
 from pbonet.pbo import State
 
-__all__ = ["picture", "rtpu", "table"]
+__all__ = ["model", "rtpu", "table"]
 TICKET = 77
 
 
@@ -131,10 +131,10 @@ class Apart(Fleet):
         return SimpleNamespace(machine=machine, host="robot")
 
 
-def test_a_master_has_heirs_on_other_machines_stand_by(picture):
+def test_a_master_has_heirs_on_other_machines_stand_by(model):
     fleet = Apart()
     items = [("a", "off"), ("both", "on")]
-    assert send(picture, fleet, items, 1.0) == {"a": "OFF", "both": "ON"}
+    assert send(model, fleet, items, 1.0) == {"a": "OFF", "both": "ON"}
     (first, heir), (second, off), (third, on) = fleet.sent
     assert (first, heir.after, heir.far) == ("arm2", {"both": ["a"]}, ["a"])
     assert (second, list(off.calls)) == ("arm0", ["a"])
@@ -144,10 +144,10 @@ def test_a_master_has_heirs_on_other_machines_stand_by(picture):
 @pytest.mark.parametrize(
     ("beside", "far"), [("none", ["a", "b"]), ("arm1", ["a"])], ids=["far", "mixed"]
 )
-def test_a_successor_of_tasks_on_two_machines_stands_by(picture, beside, far):
+def test_a_successor_of_tasks_on_two_machines_stands_by(model, beside, far):
     """Both leave at the same time; one may be on the successor's own machine."""
     fleet = Apart(beside)
-    send(picture, fleet, ITEMS, 1.0)
+    send(model, fleet, ITEMS, 1.0)
     (first, successors), together, (_, one), (_, other), (last, _) = fleet.sent
     assert (first, successors.after) == ("arm2", {"both": ["a", "b"]})
     assert successors.far == far

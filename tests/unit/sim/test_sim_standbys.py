@@ -223,7 +223,7 @@ def test_a_program_in_virtual_time_sees_the_same(folder):
         assert arm.display(["Y"])[0].writer == "second"
         same = m.Standby(task="second", original="second")
         with pytest.raises(StateError, match="cannot be its own fallback"):
-            arm.fleet.call("arm0", same, m.TaskStatus)
+            arm.clients.call("arm0", same, m.TaskStatus)
         arm.control("first", "clear")
         arm.swap("second", "first")
         assert arm.status("second").stands_by
@@ -309,7 +309,7 @@ def test_a_switch_that_is_not_made_leaves_no_fallback(folder):
     with Subsystem(folder / "k.job", libraries=[str(folder)], virtual=True) as arm:
         arm.start()
         arm.spawn("second")
-        second = arm.picture.find("second")
+        second = arm.model.find("second")
         arm.switch("j", dry_run=True)
         assert not second.fallback_of
         with pytest.raises(ConditionError):
@@ -403,14 +403,14 @@ def test_a_start_ends_a_fallback_that_its_job_replaces_or_has_as_a_task(
 def test_what_could_not_be_ended_is_told_and_done_the_next_time(jobs, monkeypatch):
     told = []
     jobs.warned = told.append
-    call = jobs.fleet.call
+    call = jobs.clients.call
 
     def mostly(rtpu, request, kind, **more):
         if isinstance(request, m.Standby):
             raise NoAnswerError("no answer")
         return call(rtpu, request, kind, **more)
 
-    monkeypatch.setattr(jobs.fleet, "call", mostly)
+    monkeypatch.setattr(jobs.clients, "call", mostly)
     jobs.switch("k")
     assert "second is still the fallback of first: no answer" in told[-1]
     monkeypatch.undo()
@@ -463,7 +463,7 @@ def test_nobody_stands_by_for_a_task_of_another_rtpu(folder):
         assert not arm.status("second").stands_by
         elsewhere = m.Standby(task="second", original="first")
         with pytest.raises(UnknownTaskError) as caught:
-            arm.fleet.call("arm1", elsewhere, m.TaskStatus)
+            arm.clients.call("arm1", elsewhere, m.TaskStatus)
         told = "arm1: subsystem s has no task first here"
         assert str(caught.value).startswith(told)
         arm.control("stranger", "on")

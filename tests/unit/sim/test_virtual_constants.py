@@ -36,7 +36,7 @@ def test_tools_are_changed_and_changed_back(held):
     assert torque(held) == [10.0]
     held.switch("drill")
     assert torque(held) == [30.0]
-    assert "grip" not in held.picture
+    assert "grip" not in held.model
     held.swap("drill", "grip")
     assert torque(held) == [10.0]
     held.swap("grip", "drill")
@@ -56,7 +56,7 @@ def test_a_tool_that_somebody_cannot_take_is_put_back(held):
         [2.0],
         [0.5],
     ]
-    assert held.picture.names == ["grip", "weigh", "hold"]
+    assert held.model.names == ["grip", "weigh", "hold"]
 
 
 def test_who_could_not_take_a_constant_in_does_so_before_it_comes_on(held):

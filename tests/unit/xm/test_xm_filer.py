@@ -32,13 +32,13 @@ def root(tmp_path):
 @pytest.fixture
 def ask(root):
     """Ask a filer something, as its office does."""
-    filer = server.Filer(str(root), "arm1")
+    fileserver = server.FileServer(str(root), "arm1")
 
     def do(request, client="c1"):
         request.client = client
-        return filer.operations[type(request)](request)
+        return fileserver.operations[type(request)](request)
 
-    do.filer = filer
+    do.fileserver = fileserver
     return do
 
 
@@ -185,8 +185,8 @@ def test_names_are_those_of_the_file_system(ask, root, name):
 
 def test_what_is_not_finished_leaves_the_old_file(ask, root):
     ask(f.FileWrite(path="logs/run.txt", part="a1", offset=0, data=b"x"))
-    ask.filer.lost("another")
-    ask.filer.lost("c1")
+    ask.fileserver.lost("another")
+    ask.fileserver.lost("c1")
     for late in (
         f.FileWrite(path="logs/run.txt", part="a1", offset=1, data=b"y"),
         f.FileFinish(path="logs/run.txt", part="a1", size=1, keep=True),
@@ -213,7 +213,7 @@ def test_one_client_does_not_write_into_anothers_file(ask):
         ask(f.FileFinish(path="new", part="a1", size=1, keep=True), "c2")
     with pytest.raises(XmExistsError):
         ask(f.FileWrite(path="new", part="a1", offset=0, data=b"y"), "c2")
-    ask.filer.lost("c1")
+    ask.fileserver.lost("c1")
 
 
 def test_a_replaced_file_is_noticed(ask, root):
@@ -233,7 +233,7 @@ def test_bounds(ask, monkeypatch):
         ask(f.FileWrite(path="b", part="../x", offset=0, data=b"x"))
     with pytest.raises(XmNameError, match="this cannot be done"):
         ask(f.FileChange(path="", what="rmdir"))
-    ask.filer.lost("c1")
+    ask.fileserver.lost("c1")
 
 
 def test_folders(ask, root):
@@ -247,9 +247,9 @@ def test_folders(ask, root):
 
 
 def test_an_agent_that_declares_none_says_how():
-    filer = server.Filer(None, "arm1")
+    fileserver = server.FileServer(None, "arm1")
     with pytest.raises(XmAccessError) as error:
-        filer.operations[f.FileStat](f.FileStat(path="x"))
+        fileserver.operations[f.FileStat](f.FileStat(path="x"))
     assert str(error.value) == (
         "arm1: this agent declares no files (expected files = FOLDER in its "
         "agent.toml, or --files FOLDER); start it so; whoever may steer can write "
@@ -259,7 +259,7 @@ def test_an_agent_that_declares_none_says_how():
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(NodeError, match="folder of files for others is not there"):
-        server.Filer(str(tmp_path / "none"), "arm1")
+        server.FileServer(str(tmp_path / "none"), "arm1")
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from pbonet.errors import (
     XmMissingError,
     XmNameError,
 )
-from pbonet.node.agent.file_server import Filer
+from pbonet.node.agent.file_server import FileServer
 from pbonet.xm.ipc import remote_channel
 from pbonet.xm.net import file_messages as f
 
@@ -29,8 +29,8 @@ class Desk:
     name = "desk"
 
     def __init__(self, root):
-        self.filer = Filer(str(root), "arm1")
-        self.filers = {"arm1": self.filer}
+        self.fileserver = FileServer(str(root), "arm1")
+        self.filers = {"arm1": self.fileserver}
         self.asked = []
         self.cut_after = 1 << 60
 
@@ -137,7 +137,7 @@ def test_a_cut_amid_a_file_leaves_the_old_one(fs, desk, root):
         file.write(bytes(f.CHUNK))
     desk.cut_after = 1 << 60
     file.close()
-    desk.filer.lost("desk")
+    desk.fileserver.lost("desk")
     assert [path.name for path in root.iterdir()] == ["kept"]
     assert (root / "kept").read_text() == "old"
 
@@ -192,7 +192,7 @@ def other(desk, tmp_path):
     """The folder of a second machine, arm2."""
     made = tmp_path / "other"
     made.mkdir()
-    desk.filers["arm2"] = Filer(str(made), "arm2")
+    desk.filers["arm2"] = FileServer(str(made), "arm2")
     return made
 
 
@@ -270,14 +270,14 @@ def test_a_copy_whose_source_is_cut_replaces_nothing(
     """Though its target is within reach; the same of any block that is left early."""
     (root / "new").write_bytes(bytes(3 * f.CHUNK))
     (other / "new").write_text("old")
-    read = desk.filer._read
+    read = desk.fileserver._read
 
     def once(request):
         if request.offset:
             raise UnreachableError("cut", remedy="heal")
         return read(request)
 
-    monkeypatch.setattr(desk.filer, "_read", once)
+    monkeypatch.setattr(desk.fileserver, "_read", once)
     with pytest.raises(UnreachableError):
         fs.cp_file("arm1/new", "arm2/new")
     with contextlib.suppress(KeyError), fs.open("arm2/new", "wb") as file:
