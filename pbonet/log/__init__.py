@@ -5,9 +5,9 @@
     log = Log("runs/2026-05-04T10-11-12-teleop")
     time, torque = log.series("T_GRAV")
 
-``writer`` and ``reader`` are the two ends of a file; ``schema`` says how cycles stand
-in it, ``fields`` how names of variables become names of fields; ``scan`` finds what is
-whole in a file that was cut.
+``writer`` and ``reader`` write and read a file; ``schema`` defines the messages of
+cycles, ``fields`` converts names of variables to names of fields; ``scan`` finds the
+complete records in a truncated file.
 """
 
 from pbonet.lazy import attach

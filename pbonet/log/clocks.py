@@ -1,8 +1,8 @@
-"""One time for logs of several machines, by what their agents measured.
+"""A common time for logs of several machines, from their agents' measurements.
 
 Each agent asks the others every second for their identity, and records the offsets of
-their clocks from its own, with the uncertainty. So times of one machine become times of
-the first file's machine, by the surest chain of measurements.
+their clocks from its own, with the uncertainty. So times of one machine are converted
+to times of the first file's machine, by the chain of measurements with the least error.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ MEASURED: Final = "measured"
 UNKNOWN: Final = "not measured"
 _SET_ANEW: Final = 1_000_000
 _WINDOW: Final = 10 * 10**9
-"""Nanoseconds for which one value counts, where clocks drift measurably."""
+"""Nanoseconds for which one offset is used if clocks drift measurably."""
 _MOST: Final = 500
-"""Values of one clock; a longer run has longer windows."""
+"""Maximum number of offsets of one clock; a longer run has longer windows."""
 
 
 class Apart(NamedTuple):
     """The offset between two clocks."""
 
     moves: Moves
-    """Offset from a time of the one to the other's."""
+    """Offset from times of the one clock to those of the other."""
     within_ns: int
     """The uncertainty of the offset."""
 
@@ -49,14 +49,14 @@ class Clock(NamedTuple):
     rtpu: str
     host: str
     how: str
-    """`SAME`, `MEASURED` or `UNKNOWN`; the wall clocks are believed then."""
+    """`SAME`, `MEASURED` or `UNKNOWN`; with the last, wall clocks are used."""
     moves: Moves
     """Offset from CLOCK_MONOTONIC of its machine to nanoseconds since 1970
     by the first file's clock."""
     own_ns: int
     """Offset that the file itself adds."""
     within_ns: int
-    """The uncertainty of the offset; 0 where it is not known."""
+    """The uncertainty of the offset; 0 if unknown."""
 
     @property
     def epoch_ns(self) -> int:
@@ -65,22 +65,22 @@ class Clock(NamedTuple):
 
     @property
     def shift_ns(self) -> int:
-        """The offset at the beginning for the times of its messages in the file."""
+        """The offset at the beginning for message times in the file."""
         return self.moves.add[0] - self.own_ns
 
     def shifts(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return what is added to times that messages have in the file."""
+        """Return the offsets for message times in the file, both in nanoseconds."""
         return self.moves.of(times - self.own_ns) - self.own_ns
 
     def shift(self, time_ns: int) -> int:
-        """Return what is added to one."""
+        """Return the offset for one message time."""
         return self.moves.one(time_ns - self.own_ns) - self.own_ns
 
     def moved(self, told: str | None) -> Moves:
-        """Return what is added to the instants of a task.
+        """Return the offsets for CLOCK_MONOTONIC times of a task.
 
         Args:
-            told: The offset in its channel, in a merged file.
+            told: The offset given in its channel, in a merged file.
         """
         if told is None:
             return self.moves
@@ -88,7 +88,7 @@ class Clock(NamedTuple):
         return Moves.parse(told).then(self.shift, bends)
 
     def __str__(self) -> str:
-        """Return it as a sentence."""
+        """Return a sentence about it."""
         whose = f"{self.rtpu} on {self.host or '?'}"
         if self.how == MEASURED:
             moved = f"{self.shift_ns * 1e-9:+.6f} s"
@@ -122,7 +122,7 @@ class Clock(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether users should be informed: it is another machine's, or was reset."""
+        """Whether users should be informed: another machine's clock, or one reset."""
         return self.how != SAME or abs(self.shift_ns) > _SET_ANEW
 
 
@@ -136,7 +136,7 @@ class _Seen(NamedTuple):
 
 
 def common(parts: Sequence[Part]) -> list[Clock]:
-    """Return what brings each file's times to those of the first."""
+    """Return the conversion of each file's times to those of the first."""
     if not parts:
         return []
     first = parts[0].about
@@ -162,7 +162,7 @@ def _clock(part: Part, first: Part, known: dict[str, Apart]) -> Clock:
 
 
 def _measured(parts: Sequence[Part]) -> dict[str, dict[str, Apart]]:
-    """Return by how much clocks are ahead of others: theirs by machine, by machine."""
+    """Return the offsets of clocks, by machine and by the other machine."""
     seen: dict[tuple[str, str], list[_Seen]] = {}
     for at, one in _messages(parts):
         for other in one["others"]:
@@ -178,7 +178,7 @@ def _measured(parts: Sequence[Part]) -> dict[str, dict[str, Apart]]:
 
 
 def _over_time(each: Sequence[_Seen]) -> Apart:
-    """Return one value for all times if all measurements allow it, else several."""
+    """Return one offset for all times if all measurements allow it, else several."""
     if _agree(each):
         value, within = _of_all(each)
         return Apart(Moves.always(value), within)
@@ -196,20 +196,20 @@ def _over_time(each: Sequence[_Seen]) -> Apart:
 
 
 def _agree(each: Sequence[_Seen]) -> bool:
-    """Return whether one value is within all measurements."""
+    """Return whether one offset is within the bounds of all measurements."""
     low = max(one.offset_ns - one.within_ns for one in each)
     return low <= min(one.offset_ns + one.within_ns for one in each)
 
 
 def _of_all(each: Sequence[_Seen]) -> tuple[int, int]:
-    """Return one value for some time, and its largest error."""
+    """Return one offset for several measurements, and its largest error."""
     low = min(one.offset_ns - one.within_ns for one in each)
     high = max(one.offset_ns + one.within_ns for one in each)
     return (low + high) // 2, (high - low + 1) // 2
 
 
 def _messages(parts: Sequence[Part]) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield what was measured, and when by the clock of whom."""
+    """Yield measurements, each with its time by the measuring machine's clock."""
     for part in parts:
         for key, channel in part.channels.items():
             if channel.encoding == "json" and TOPIC in channel.topic:
@@ -219,7 +219,7 @@ def _messages(parts: Sequence[Part]) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _chains(pairs: dict[str, dict[str, Apart]], first: str) -> dict[str, Apart]:
-    """Return what brings each machine's times to one's, by the surest chain."""
+    """Return each machine's offsets from one, by the chains with the least error."""
     found: dict[str, Apart] = {}
     waiting = [(0, first, Moves.always(0))]
     while waiting:

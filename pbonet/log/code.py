@@ -1,4 +1,4 @@
-"""The files whose code a module runs: its own, and what it imports beside it."""
+"""The files with a module's code: its own, and those it imports from its folder."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _OURS = ("pbonet.modules", "pbonet.io")
 
 
 def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
-    """Return the files that modules' code is in, their own first, with their hashes.
+    """Return the files with modules' code, their own first, with their hashes.
 
-    Files of its own folder and of pbonet's library and devices count, as far as
-    ``import`` lines at any place name them; installed packages do not.
+    Included are files of the module's folder and of pbonet's library and devices that
+    any ``import`` statement names; installed packages are not.
     """
     found: dict[Path, CodeFile] = {}
     waiting = [Path(path) for path in paths]

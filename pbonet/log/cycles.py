@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags")
-"""Columns of a cycle besides its values: instants of CLOCK_MONOTONIC, its number,
-CPU time, and the flags of its copies."""
+"""Columns of a cycle besides its values: times of CLOCK_MONOTONIC, its number, CPU
+time (all in nanoseconds), and the flags of its copies."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
 
@@ -47,7 +47,7 @@ class Cycles(ABC):
         """
 
     def missed(self) -> dict[str, int]:
-        """Return how many releases each task has missed, where they were counted."""
+        """Return how many releases each task has missed, if they were counted."""
         return {}
 
     def lost(self) -> dict[str, int]:

@@ -25,15 +25,15 @@ LOG_SCHEMA: Final = {
     },
 }
 _LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2))
-"""Severities of events, and the levels of a log that they are for a viewer."""
+"""Minimum severities of events, and the log levels that viewers show for them."""
 
 
 def log_message(event: dict[str, Any], time_ns: int, subsystem: str) -> dict[str, Any]:
-    """Return an event as `LOG_SCHEMA` has it.
+    """Return an event as a message of `LOG_SCHEMA`.
 
     Args:
         event: Its fields.
-        time_ns: When it was, since 1970.
+        time_ns: Its time, in nanoseconds since 1970.
         subsystem: The subsystem of the event.
     """
     severity = int(event["severity"])

@@ -22,27 +22,27 @@ if TYPE_CHECKING:
     Table = Mapping[str, NDArray[Any]]
 
 FORMS = (".csv", ".json", ".npz", ".parquet")
-"""How the names of files end that can be written."""
+"""Endings of the file names that can be written."""
 
 
 def write_csv(table: Table, file: TextIO) -> None:
-    """Write columns as CSV, numbers so that they read back the same."""
+    """Write columns as CSV; numbers read back exactly."""
     writer = csv.writer(file)
     writer.writerow(table)
     writer.writerows(zip(*(_texts(values) for values in table.values()), strict=True))
 
 
 def write_json(table: Table, file: TextIO) -> None:
-    """Write columns as one JSON object of lists; what is no number there is null."""
+    """Write columns as one JSON object of lists; NaN and infinity become null."""
     data = {name: _plain(values) for name, values in table.items()}
     file.write(msgspec.json.encode(data).decode() + "\n")
 
 
 def form_of(path: Path) -> str:
-    """Return how a file is written, by the end of its name.
+    """Return the file format, by the ending of the name.
 
     Raises:
-        LogError: There is no such form.
+        LogError: There is no such format.
     """
     form = path.suffix.lower()
     if form not in FORMS:
@@ -57,17 +57,17 @@ def form_of(path: Path) -> str:
 
 
 def write_file(table: Table, path: Path, form: str, log: Log, task: str) -> None:
-    """Write columns to a file; one that is there is replaced.
+    """Write columns to a file; an existing one is replaced.
 
     Args:
         table: The columns.
         path: The file.
         form: One of `FORMS`.
-        log: The run, for what is known about it.
+        log: The run, for the metadata.
         task: The task.
 
     Raises:
-        LogError: It cannot be written, or pyarrow is wanted and not there.
+        LogError: It cannot be written, or pyarrow is needed and not installed.
     """
     if form == ".parquet":
         write_parquet(table, path, log, task)
@@ -101,11 +101,11 @@ def write_parquet(table: Table, path: Path, log: Log, task: str) -> None:
     Args:
         table: The columns.
         path: The file.
-        log: The run, for what is known about it.
+        log: The run, for the metadata.
         task: The task.
 
     Raises:
-        LogError: It cannot be written, or pyarrow is not there.
+        LogError: It cannot be written, or pyarrow is not installed.
     """
     try:
         pa: Any = import_module("pyarrow")  # without types

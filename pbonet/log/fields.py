@@ -1,14 +1,14 @@
 """Names of variables as names of fields, and back.
 
-A field of a ``ros2msg`` schema is made of small letters, digits and single underscores,
-with a letter first and no underscore last; ``Q^_MEZ`` is none. So:
+A field of a ``ros2msg`` schema consists of lower-case letters, digits and single
+underscores, with a letter first and no underscore last; ``Q^_MEZ`` is not valid. So:
 
-* a capital letter becomes the small one, and a digit stays;
-* an underscore stays before a capital letter or a digit;
-* everything else becomes ``_xHH``, HH being the character's code in hexadecimal digits,
-  and at the very beginning ``xHH``;
-* so does what would read like that by accident: the underscore of ``A_X41``, and the X
-  of ``X41`` at the beginning.
+* a capital letter becomes lower case, and a digit is kept;
+* an underscore is kept before a capital letter or a digit;
+* any other character becomes ``_xHH``, HH being its code in hexadecimal digits, and
+  ``xHH`` at the beginning;
+* so does a character that would look like such a code: the underscore of ``A_X41``, and
+  the X of ``X41`` at the beginning.
 
 ``Q_MEZ`` is ``q_mez``, and ``Q^_MEZ`` is ``q_x5e_mez``.
 """
@@ -23,7 +23,7 @@ _CODE = re.compile(r"(?:^|_)x([0-9a-f]{2})")
 
 
 def field_name(variable: str) -> str:
-    """Return the field that stands for a variable."""
+    """Return the field name of a variable."""
     parts = [
         char.lower()
         if (_PLAIN if at else _FIRST).match(variable, at)
@@ -34,7 +34,7 @@ def field_name(variable: str) -> str:
 
 
 def variable_name(field: str) -> str:
-    """Return the variable that a field stands for."""
+    """Return the variable of a field name."""
     parts: list[str] = []
     at = 0
     for code in _CODE.finditer(field):

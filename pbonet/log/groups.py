@@ -1,4 +1,4 @@
-"""Values of variables as bytes, as a table has them: each in whole words."""
+"""Values of variables as bytes, in the format of a table: each in whole words."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def pack(variables: Iterable[Variable], array: Callable[[str], NDArray[Any]]) ->
     """Return the values of variables, one after the other.
 
     Args:
-        variables: Which, in the order of the table.
-        array: Gives the array of a variable by its name.
+        variables: The variables, in the order of the table.
+        array: Returns the array of a variable by its name.
     """
     parts: list[bytes] = []
     for variable in variables:
@@ -33,7 +33,7 @@ def unpack(
     data: bytes | memoryview,
     array: Callable[[str], NDArray[Any]],
 ) -> None:
-    """Put values back into the arrays they came from."""
+    """Copy values back to the arrays they came from."""
     at = 0
     for variable in variables:
         to = array(variable.name).view("u1")
@@ -42,5 +42,5 @@ def unpack(
 
 
 def size(variables: Iterable[Variable]) -> int:
-    """Return how many bytes the values take."""
+    """Return the size of the values in bytes."""
     return sum(var_bytes(variable) for variable in variables)

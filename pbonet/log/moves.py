@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 
 
 class Moves(NamedTuple):
-    """Nanoseconds to be added, at some times; between these in a straight line.
+    """Nanoseconds to be added at some times; linearly interpolated between them.
 
-    Before the first time and after the last one nothing changes.
+    Before the first time and after the last one the value is constant.
     """
 
     at: tuple[int, ...]
-    """Times of the clock that is moved, rising."""
+    """Times of the clock to be converted, ascending."""
     add: tuple[int, ...]
 
     @classmethod
     def always(cls, add: int) -> Moves:
-        """Return what adds the same at all times."""
+        """Return a conversion that adds the same at all times."""
         return cls((0,), (add,))
 
     @classmethod
     def through(cls, points: Iterable[tuple[int, int]]) -> Moves:
-        """Return what adds these, at these times; the first of each time counts."""
+        """Return a conversion through (time, offset) points; the first of each time."""
         known: dict[int, int] = {}
         for at, add in points:
             known.setdefault(at, add)
@@ -39,7 +39,7 @@ class Moves(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Moves:
-        """Return what `str` gave."""
+        """Parse the result of `str`."""
         found = msgspec.json.decode(text, type=int | list[tuple[int, int]])
         return cls.always(found) if isinstance(found, int) else cls.through(found)
 
@@ -51,11 +51,11 @@ class Moves(NamedTuple):
 
     @property
     def drifts(self) -> bool:
-        """Whether it is not the same at all times."""
+        """Whether the offset is not the same at all times."""
         return len(set(self.add)) > 1
 
     def of(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return what is added at some times."""
+        """Return the offsets at some times."""
         if not self.drifts:
             return np.full(times.shape, self.add[0], np.int64)
         begin, base = self.at[0], self.add[0]
@@ -67,27 +67,27 @@ class Moves(NamedTuple):
         return added
 
     def one(self, time_ns: int) -> int:
-        """Return what is added at a time."""
+        """Return the offset at a time."""
         if not self.drifts:
             return self.add[0]
         return int(self.of(np.array([time_ns], np.int64))[0])
 
     def then(self, more: Callable[[int], int], at: Iterable[int] = ()) -> Moves:
-        """Return this, combined with what is added to its results.
+        """Return this conversion followed by another one.
 
         Args:
-            more: What is added to a time that was moved by this.
-            at: Times, moved by this, at which that bends.
+            more: Returns the second offset for a time converted by this.
+            at: Times, converted by this, at which the second offset bends.
         """
         bends = {*self.at, *(one - self._before(one) for one in at)}
         points = [(one, self.one(one) + more(one + self.one(one))) for one in bends]
         return Moves.through(points)
 
     def _before(self, moved_ns: int) -> int:
-        """Return what was added where a time came out; clocks drift slowly."""
+        """Return the offset that led to a converted time; clocks drift slowly."""
         first = self.one(moved_ns - self.add[0])
         return self.one(moved_ns - first)
 
     def plus(self, add: int) -> Moves:
-        """Return what adds so much more."""
+        """Return a conversion that adds this much more."""
         return Moves(self.at, tuple(one + add for one in self.add))

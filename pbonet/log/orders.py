@@ -1,4 +1,4 @@
-"""The commands in a log: which of them are wanted, and how they read."""
+"""The commands in a log: filtering, and formatting as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 JsonObject = dict[str, Any]
 _LONGEST = 60
-"""Characters of one value in a line."""
+"""Maximum length of one value in a line, in characters."""
 
 
 def chosen(
@@ -22,12 +22,12 @@ def chosen(
     op: str | None = None,
     refused: bool = False,
 ) -> list[JsonObject]:
-    """Return the commands that are wanted.
+    """Return the commands that match.
 
     Args:
-        commands: As `Log.commands` gives them.
-        task: Those that name this task, and those that stop all tasks; None: any.
-        op: Those of this kind; None: any.
+        commands: As returned by `Log.commands`.
+        task: Only those that name this task, or stop all tasks; None: any.
+        op: Only those of this kind; None: any.
         refused: Only those that were not carried out.
     """
     return [
@@ -40,11 +40,11 @@ def chosen(
 
 
 def none_of(about: JsonObject, commands: Sequence[JsonObject]) -> str:
-    """Return why no command is shown.
+    """Return a sentence why no command is shown.
 
     Args:
         about: The run, as in `Log.about`.
-        commands: All that the log has.
+        commands: All commands of the log.
     """
     if commands:
         return f"none of the {len(commands)} commands is such a one"
@@ -67,7 +67,7 @@ def tasks_of(command: JsonObject) -> set[str]:
 
 
 def failure(command: JsonObject) -> str | None:
-    """Return why a command was not carried out, or not to its end; None: it was."""
+    """Return why a command was not carried out completely; None: it was."""
     error: object = command["error"]
     if command["ok"]:
         error = _fields(command["result"]).get("error")
@@ -78,7 +78,7 @@ def failure(command: JsonObject) -> str | None:
 
 
 def line(command: JsonObject) -> str:
-    """Return a command as one line: when, where, who, what, and what came of it."""
+    """Return a command as one line: when, where, client, command, and result."""
     clock = time.strftime("%H:%M:%S", time.localtime(command["wall"]))
     clock += f".{int(command['wall'] % 1 * 1000):03d}"
     took = (command["ended_ns"] - command["begun_ns"]) * 1e-6
@@ -87,7 +87,7 @@ def line(command: JsonObject) -> str:
         for name, value in _fields(command["asked"]).items()
         if value not in (None, "", [], {}, False)
     )
-    if isinstance(command["asked"], str):  # too long for a log
+    if isinstance(command["asked"], str):  # it was too long for a log
         asked = command["asked"]
     what = f"{command['op']} {asked}".rstrip()
     head = f"{clock} {command['rtpu']} {command['client']} {what}".replace("  ", " ")
@@ -100,7 +100,7 @@ def line(command: JsonObject) -> str:
 
 
 def _fields(value: object) -> JsonObject:
-    """Return an object's fields; none of what is another thing, or was too long."""
+    """Return an object's fields; none if it is another type, or was too long."""
     return cast("JsonObject", value) if isinstance(value, dict) else {}
 
 

@@ -1,7 +1,7 @@
-"""One file of a run: where its messages stand, and those of some channels at a time.
+"""One file of a run: its channels, and the messages of selected channels.
 
 A finished file has an index at its end, so that opening it reads neither cycles nor
-events. In a file that was cut, each chunk is read.
+events. In a truncated file, each chunk is read.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ _NONE: Final = Schema("", "", b"")
 
 
 class Source(NamedTuple):
-    """One of the files that a file was made of."""
+    """One of the files that were merged into a file."""
 
     about: RunAbout
     attached: dict[str, str]
-    """Names that its attachments have now, by its own; others kept theirs."""
+    """Current names of its attachments, by original name; if missing, unchanged."""
 
 
 class Channel(NamedTuple):
@@ -62,13 +62,13 @@ class Channel(NamedTuple):
 
 
 class _Chunk:
-    """Messages that were packed together.
+    """A group of messages, compressed together.
 
     Args:
-        at: Where the content of its record begins.
-        size: Of that.
+        at: Offset of the content of its record.
+        size: Size of the content.
         first_ns: The least time of a message.
-        last_ns: The greatest.
+        last_ns: The greatest time of a message.
     """
 
     __slots__ = ("at", "base", "first_ns", "index", "last_ns", "own", "size")
@@ -77,11 +77,11 @@ class _Chunk:
         self.at, self.size = at, size
         self.first_ns, self.last_ns = first_ns, last_ns
         self.base = 0
-        """The place of its first byte among those of all chunks, unpacked."""
+        """Offset of its first byte among the uncompressed chunks of the file."""
         self.index: dict[int, int] = {}
-        """Where the file lists the messages of a channel, by channel."""
+        """Offset of the file's list of a channel's messages, by channel."""
         self.own: dict[int, list[int]] = {}
-        """Where those messages stand that the file does not list, by channel."""
+        """Offsets in the chunk of messages that the file does not list, by channel."""
 
 
 class Part:
@@ -91,14 +91,14 @@ class Part:
         path: The file.
 
     Raises:
-        LogError: It is none, or of a newer version.
+        LogError: It is not a log, or of a newer version.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.channels: dict[int, Channel] = {}
         self.count = 0
-        """Messages."""
+        """Number of messages."""
         self.metadata: dict[str, dict[str, str]] = {}
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[_Chunk] = []
@@ -115,7 +115,7 @@ class Part:
             else:
                 self._take_scan(file, scan.scan(file, str(path)))
         self.sources = list(_sources(self.metadata, path))
-        """The files that it was made of; of one that was not merged, itself."""
+        """The files that were merged into it; if it was not merged, itself."""
         self.about = self.sources[0].about if METADATA in self.metadata else None
 
     # -- opening -----------------------------------------------------------------------
@@ -137,11 +137,11 @@ class Part:
                 where, length = _WHERE.unpack_from(content)
                 self._tell(_read(file, where + scan.HEAD, length - scan.HEAD))
         for chunk in self._chunks:
-            if not chunk.index:  # another writer's
+            if not chunk.index:  # from another program
                 self._learn(file, chunk)
 
     def _add_indexed(self, content: memoryview, base: int) -> int:
-        """Note a chunk; return its size when unpacked."""
+        """Add a chunk; return its uncompressed size."""
         first, last, where, length, size = _CHUNK_INDEX.unpack_from(content)
         at = _CHUNK_INDEX.size
         chunk = _Chunk(where + scan.HEAD, length - scan.HEAD, first, last)
@@ -164,7 +164,7 @@ class Part:
             elif opcode == scan.MESSAGE_INDEX and self._chunks:
                 (channel,) = struct.unpack("<H", _read(file, at, 2))
                 self._chunks[-1].index[channel] = at - scan.HEAD
-            elif opcode in {scan.SCHEMA, scan.CHANNEL}:  # of no message, perhaps
+            elif opcode in {scan.SCHEMA, scan.CHANNEL}:  # perhaps without messages
                 self._define(opcode, memoryview(_read(file, at, size)))
             elif opcode == scan.ATTACHMENT:
                 self._attachments.append((at, size))
@@ -174,7 +174,7 @@ class Part:
             self._learn(file, chunk)
 
     def _learn(self, file: BinaryIO, chunk: _Chunk) -> None:
-        """Find what the file does not list of a chunk: channels, messages."""
+        """Find the channels and messages of a chunk that the file does not list."""
         data = self._unpacked(file, chunk)
         if data is None:
             return
@@ -196,7 +196,7 @@ class Part:
                     self._define(opcode, content)
 
     def _define(self, opcode: int, content: memoryview) -> None:
-        """Note a schema or a channel."""
+        """Add a schema or a channel."""
         number = int.from_bytes(content[:2], "little")
         if opcode == scan.SCHEMA:
             (name, encoding), at = _texts(content, 2, 2)
@@ -215,16 +215,16 @@ class Part:
         (name,), at = _texts(data, 0, 1)
         self.metadata[name] = _map(data, at)
 
-    # -- what is in it -----------------------------------------------------------------
+    # -- content -----------------------------------------------------------------------
 
     @property
     def chunks(self) -> int:
-        """How many chunks it has."""
+        """Number of chunks."""
         return len(self._chunks)
 
     @property
     def damaged(self) -> int:
-        """Chunks that cannot be unpacked; those not yet read are checked now."""
+        """Number of chunks that cannot be decompressed; unread ones are checked now."""
         with scan.open_log(self.path) as file:
             for chunk in self._chunks:
                 if chunk.at not in self._sound:
@@ -233,7 +233,7 @@ class Part:
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """The least and the greatest time of a message; None: it has none."""
+        """The least and the greatest time of a message; None if there are none."""
         if not self._chunks:
             return None
         firsts = [chunk.first_ns for chunk in self._chunks]
@@ -241,13 +241,13 @@ class Part:
 
     @property
     def attached(self) -> dict[str, Attached]:
-        """The files that it carries, by name."""
+        """The attached files, by name."""
         with scan.open_log(self.path) as file:
             each = [_attachment(_read(file, *where)) for where in self._attachments]
         return {one.name: one for one in each}
 
     def load(self, keys: Iterable[int] | None = None) -> None:
-        """Read the messages of some channels, or all, in one go through the file."""
+        """Read the messages of some channels, or all, in one pass through the file."""
         every = self.channels if keys is None else keys
         wanted = [key for key in every if key not in self._rows]
         if not wanted:
@@ -269,14 +269,14 @@ class Part:
         return self._rows[key]
 
     def _unpacked(self, file: BinaryIO, chunk: _Chunk) -> memoryview | None:
-        """Return what is in a chunk; None when it is damaged."""
+        """Return the content of a chunk; None if it is damaged."""
         data = scan.unpacked(_read(file, chunk.at, chunk.size))
         self._sound[chunk.at] = data is not None
         return data
 
     @staticmethod
     def _places(file: BinaryIO, chunk: _Chunk, key: int) -> NDArray[np.int64]:
-        """Return where a channel's messages begin in a chunk, in order."""
+        """Return the offsets of a channel's messages in a chunk, ascending."""
         own = np.array(chunk.own.get(key, []), np.int64)
         if key not in chunk.index:
             return own
@@ -287,7 +287,7 @@ class Part:
 
 
 def _sources(metadata: dict[str, dict[str, str]], path: Path) -> Iterator[Source]:
-    """Yield a file's description of itself, and of the files it was made of.
+    """Yield a file's description of itself, or of the files that were merged.
 
     Raises:
         LogError: It was written by a newer pbonet.
@@ -302,7 +302,7 @@ def _sources(metadata: dict[str, dict[str, str]], path: Path) -> Iterator[Source
 
 
 def _run_about(values: dict[str, str], path: Path) -> RunAbout:
-    """Return which run a file is of.
+    """Return the run of a file.
 
     Raises:
         LogError: It was written by a newer pbonet.
@@ -325,7 +325,7 @@ def _read(file: Any, at: int, size: int) -> bytes:  # noqa: ANN401 - a file
 
 
 def _texts(data: memoryview, at: int, count: int) -> tuple[list[str], int]:
-    """Return so many texts with their lengths before them, and what follows."""
+    """Return texts with their lengths before them, and the offset after them."""
     texts: list[str] = []
     for _ in range(count):
         size = int.from_bytes(data[at : at + 4], "little")

@@ -1,4 +1,4 @@
-"""Reading a run: one log, or all logs in a run's folder, cut short or not."""
+"""Reading a run: one log, or all logs in a run's folder, complete or truncated."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ class Message(NamedTuple):
 
 
 class Life:
-    """One spawn of a task; its messages are read when they are asked for.
+    """One life of a task, from spawn to kill; its messages are read on demand.
 
     Args:
-        about: What it was.
+        about: Description of the task.
         part: The file in which it begins.
         keys: Its channels of cycles and of steps there.
-        moves: What is added to CLOCK_MONOTONIC of its machine to get nanoseconds since
-            1970, by the clock of all.
+        moves: Offset from CLOCK_MONOTONIC of its machine to nanoseconds since 1970 by
+            the first file's clock.
     """
 
     def __init__(
@@ -72,9 +72,9 @@ class Life:
         here = (part.about.machine, part.about.run) if part.about else ("", "")
         self.origin = Origin(told.get(MACHINE, here[0]), told.get(RUN, here[1]), moves)
         self.table = Table(*self.origin[:2], about.domain, about.subsystem)
-        """Where its commits are numbered."""
+        """The table in which its commits are numbered."""
         self.name = about.task
-        """Of the task in this log; `SUBSYSTEM/TASK` where two subsystems have one."""
+        """Name of the task in this log; `SUBSYSTEM/TASK` if two subsystems have one."""
 
     def go_on(self, part: Part, keys: tuple[int, ...]) -> None:
         """Add its messages from the next file."""
@@ -87,7 +87,7 @@ class Life:
 
     @property
     def steps(self) -> list[bytes]:
-        """Messages of what else it did."""
+        """Messages of all other steps."""
         return [
             one
             for part, keys in self._pieces
@@ -97,7 +97,7 @@ class Life:
 
     @cached_property
     def records(self) -> list[bytes]:
-        """All of them, in the order in which they were made."""
+        """All its messages, in the order in which they were recorded."""
         found: list[bytes] = []
         for part, keys in self._pieces:
             part.load(keys)
@@ -109,14 +109,14 @@ class Life:
 
 
 class Log(Cycles):
-    """A run that was recorded.
+    """A recorded run.
 
     Args:
         path: A log, or the folder of a run with all its logs.
 
     Raises:
-        LogError: There is none, one is damaged from the beginning, or of a newer
-            version.
+        LogError: There is none, one is damaged from the beginning or of a newer
+            version, or they belong to several runs.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -145,15 +145,15 @@ class Log(Cycles):
         return list(dict.fromkeys(life.name for life in self._lives))
 
     def name_of(self, subsystem: str, task: str) -> str:
-        """Return the name that a task of a subsystem has in this log."""
+        """Return the name of a subsystem's task in this log."""
         return self._names.get((subsystem, task), task)
 
     def all_lives(self) -> list[Life]:
-        """Return each spawn of every task."""
+        """Return each life of every task."""
         return list(self._lives)
 
     def lives(self, task: str) -> list[Life]:
-        """Return each spawn of a task, by file, in order.
+        """Return each life of a task, by file, in order.
 
         Raises:
             UnknownTaskError: The log has no such task.
@@ -169,12 +169,12 @@ class Log(Cycles):
         return found
 
     def _writer(self, name: str) -> str:
-        """Return which task has a variable that was taken for a task."""
+        """Return a hint if a variable's name was given instead of a task's."""
         found = [one for one in self.tasks if name in self.variables(one)]
         return f"{name} is a variable of {' and '.join(found)}" if found else ""
 
     def task_about(self, task: str) -> TaskAbout:
-        """Return what a task was when it was spawned last.
+        """Return the description of a task's last life.
 
         Raises:
             UnknownTaskError: The log has no such task.
@@ -193,8 +193,9 @@ class Log(Cycles):
     def arrays(self, task: str) -> dict[str, NDArray[Any]]:
         """Return the columns and variables of a task's cycles, by name.
 
-        Where a task was spawned again with other out-vars, its last ones count.
-        Instants are those of the first file's machine.
+        If a task was spawned again with other out-vars, only lives with its last ones
+        are included. Times (`COLUMNS`) are in nanoseconds of CLOCK_MONOTONIC of the
+        first file's machine; a variable has one row per cycle, in its unit.
 
         Raises:
             UnknownTaskError: The log has no such task.
@@ -218,7 +219,7 @@ class Log(Cycles):
         return self._arrays[task]
 
     def _in_time(self, life: Life) -> dict[str, NDArray[Any]]:
-        """Return what a task did, its instants by the first file's clock."""
+        """Return the arrays of a life, with times by the first file's clock."""
         arrays = life.schema.arrays(life.commits)
         for name in ("release_ns", "start_ns", "end_ns"):
             arrays[name] += life.moves.of(arrays[name]) - self.epoch_ns
@@ -226,7 +227,7 @@ class Log(Cycles):
 
     @property
     def epoch_ns(self) -> int:
-        """Offset from instants to nanoseconds since 1970."""
+        """Offset from the first machine's CLOCK_MONOTONIC to nanoseconds since 1970."""
         return self.clocks[0].epoch_ns
 
     @property
@@ -244,7 +245,7 @@ class Log(Cycles):
 
     @cached_property
     def attached(self) -> dict[str, Attached]:
-        """The files that the run carries, by name; others of one name get numbers."""
+        """The attached files, by name; different files of one name get numbers."""
         found: dict[str, Attached] = {}
         contents: dict[str, bytes] = {}
         for part in self.parts:
@@ -255,12 +256,12 @@ class Log(Cycles):
         return found
 
     def load(self) -> None:
-        """Read all messages in one go, where most of them are wanted."""
+        """Read all messages in one pass, if most of them are needed."""
         for part in self.parts:
             part.load()
 
     def messages(self, encoding: str, ending: str = "") -> Iterator[Message]:
-        """Yield the messages of an encoding by time; of topics that end so, if told.
+        """Yield the messages of an encoding by time, optionally by ending of the topic.
 
         Times are by the clock of the first file's machine.
         """
@@ -294,8 +295,8 @@ class Log(Cycles):
         """Return the commands to the subsystem, by the time of their answers.
 
         Each has ``rtpu``, ``op``, ``client``, ``asked``, ``ok``, ``error``,
-        ``warnings``, ``result``, ``begun_ns``, ``ended_ns``, and ``wall``: when it was
-        answered, in seconds since 1970.
+        ``warnings``, ``result``, ``begun_ns``, ``ended_ns``, and ``wall``: the time of
+        its answer in seconds since 1970.
         """
         return [
             {"rtpu": "", "wall": one.time_ns * 1e-9}
@@ -305,7 +306,7 @@ class Log(Cycles):
 
     @property
     def begin_time_ns(self) -> int:
-        """When the first commit of any task was made, in nanoseconds since 1970."""
+        """Time of the first commit of any task, in nanoseconds since 1970."""
         times = [
             end + one.moves.one(end)
             for one in self._lives
@@ -315,9 +316,9 @@ class Log(Cycles):
         return min(times, default=0)
 
     def missed(self) -> dict[str, int]:
-        """Return the releases that tasks have missed since they were spawned.
+        """Return the number of releases that tasks have missed since they were spawned.
 
-        So their RTPUs counted, once a second; no task of a simulation is among them.
+        Their RTPUs count them once a second; tasks of a simulation are not included.
         """
         before: dict[str, tuple[int, int]] = {}
         found: dict[str, int] = {}
@@ -330,7 +331,7 @@ class Log(Cycles):
                 task = self.name_of(subsystem, short)
                 cycles, count = counts["cycles"], counts["missed"]
                 last = before.get(task, (0, 0))
-                again = cycles < last[0] or count < last[1]  # it was spawned anew
+                again = cycles < last[0] or count < last[1]  # it was spawned again
                 found[task] = found.get(task, 0) + count - (0 if again else last[1])
                 before[task] = cycles, count
         return found
@@ -347,11 +348,11 @@ class Log(Cycles):
 
 
 def parts_of(paths: Sequence[Path]) -> list[Part]:
-    """Return the files that some paths stand for, in the order of their runs.
+    """Return the files of some paths, in the order of their runs.
 
     Raises:
-        LogError: There is none, one is no log or of a newer version, or nothing stands
-            in any of them.
+        LogError: There is none, one is not a log or of a newer version, or none of
+            them has any record.
     """
     each = [Part(path) for one in paths for path in files_of(one)]
     if not any(part.chunks or part.channels or part.metadata for part in each):
@@ -366,7 +367,7 @@ def parts_of(paths: Sequence[Path]) -> list[Part]:
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the logs that a path stands for: itself, or those in the folder.
+    """Return the logs of a path: the file itself, or those in the folder.
 
     Raises:
         LogError: There is none.
@@ -389,10 +390,10 @@ def last_run(folder: str | Path = "") -> Path:
     """Return the folder of the newest run.
 
     Args:
-        folder: Where runs are; PBONET_RUNS, else ``runs``, by default.
+        folder: The folder of runs; by default PBONET_RUNS, else ``runs``.
 
     Raises:
-        LogError: There is none.
+        LogError: There is no run.
     """
     folder = folder or os.environ.get("PBONET_RUNS") or "runs"
     runs = sorted(path.parent for path in Path(folder).glob("*/*.mcap"))
@@ -408,12 +409,12 @@ def last_run(folder: str | Path = "") -> Path:
 
 
 def log_name(file: str, part: int) -> str:
-    """Return the name of a recording's first file, second file, and so on."""
+    """Return the file name of a recording's first file, second file, and so on."""
     return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
 
 
 def _place_of(part: Part) -> tuple[bool, str, str, str, int, str]:
-    """Return where a file comes among others: by run, those of none at the end."""
+    """Return the sort key of a file: by run; other programs' files come last."""
     one = part.about
     if one is None:
         return True, "", "", "", 0, part.path.name
@@ -421,7 +422,7 @@ def _place_of(part: Part) -> tuple[bool, str, str, str, int, str]:
 
 
 def _name(lives: list[Life]) -> dict[tuple[str, str], str]:
-    """Tell tasks of one name apart by their subsystems; return the names of all."""
+    """Add subsystems to names of tasks that are not unique; return all names."""
     homes: dict[str, set[str]] = {}
     for life in lives:
         homes.setdefault(life.about.task, set()).add(life.about.subsystem)
@@ -432,7 +433,7 @@ def _name(lives: list[Life]) -> dict[tuple[str, str], str]:
 
 
 def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
-    """Return the tasks of all files, spawn by spawn."""
+    """Return the lives of the tasks of all files."""
     found: list[Life] = []
     before: list[tuple[Part, Life]] = []
     for part, clock in zip(parts, clocks, strict=True):
@@ -458,7 +459,7 @@ def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
 
 
 def goes_on(part: Part, last: Part) -> bool:
-    """Tell whether a file goes on where the one before it ended."""
+    """Return whether a file continues the one before it without a gap."""
     if part.about is None or last.about is None or not part.about.goes_on:
         return False
     one, before = part.about, last.about
@@ -469,7 +470,7 @@ def goes_on(part: Part, last: Part) -> bool:
 
 
 def _tasks(part: Part) -> Iterator[tuple[TaskAbout, tuple[int, ...]]]:
-    """Yield the tasks of one file, spawn by spawn, with their channels."""
+    """Yield the lives of the tasks of one file, with their channels."""
     steps = {
         int(one.metadata.get("of", 0)): key
         for key, one in part.channels.items()

@@ -17,33 +17,33 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FORMAT = 1
-"""The version of what pbonet writes into its logs."""
+"""The version of pbonet's log format."""
 METADATA = "pbonet"
-"""The name of the metadata record that says which run this is."""
+"""Name of the metadata record that describes the run."""
 CLOCKS = "pbonet clocks"
-"""That of the one that says, in a merged log, what times were brought together by."""
+"""Name of the metadata record of a merged log that describes the time conversions."""
 EPOCH = "epoch_ns"
-"""Of a task's channel in a merged log: what is added to its CLOCK_MONOTONIC, as
-`pbonet.log.moves.Moves` has it."""
+"""Metadata of a task's channel in a merged log: the offset from its CLOCK_MONOTONIC, in
+the format of `pbonet.log.moves.Moves`."""
 MACHINE = "machine"
-"""Of a task's channel in a log of several machines: that on which it ran."""
+"""Metadata of a task's channel in a log of several machines: its machine."""
 RUN = "run"
-"""Of a task's channel in a log of several runs: that in which it ran."""
+"""Metadata of a task's channel in a log of several runs: its run."""
 ATTACHED = "attached"
-"""In what a merged log says of one of its files: names of attachments, by that file's
-own, as JSON."""
+"""Metadata of each file of a merged log: current names of its attachments, by original
+name, as JSON."""
 
 
 class Step(IntEnum):
     """The subject of a record of a task's ring.
 
-    Behind cycles come the copies around the other methods, as the executor made them,
-    and what made it run them; all that is needed to run the module's code again.
+    Besides cycles these are the copies around the other methods, as made by the
+    executor, and its reasons to run them: all that is needed to replay the module.
     """
 
     CYCLE = 0
     CONSTS_IN = 1
-    """In-consts were copied in; the data are those."""
+    """In-consts were copied in; the data are their values."""
     ON_IN = 2
     """In-vars and out-vars were copied in, before `on`; the data are the in-vars, then
     the out-vars."""
@@ -52,47 +52,47 @@ class Step(IntEnum):
     CONSTS_OUT = 4
     """Out-consts were copied out."""
     CLAIM = 5
-    """Out-vars were committed and owned, behind `on`."""
+    """Out-vars were committed and owned, after `on`."""
     COMMIT = 6
-    """Out-vars were committed outside a cycle, behind `off`."""
+    """Out-vars were committed outside a cycle, after `off`."""
     DID = 7
     """A signal, a new parameter or the like, as JSON text (`Did`)."""
     HEARD = 8
     """Inputs of a method from outside the table, before the copy that follows
-    (`pbonet.outside`); cycles have it in their own records."""
+    (`pbonet.outside`); a cycle's own record contains its inputs."""
     SYNC = 9
     """Inputs of ``sync``, which was called then; recorded before its cycle."""
 
 
 class Did(Struct, omit_defaults=True):
-    """Events that made the executor run methods other than ``cycle``."""
+    """A reason why the executor ran methods other than ``cycle``."""
 
     what: str
     """``spawn``, a signal, ``set``, ``freq``, ``abort``, ``fault`` or ``refused``."""
     arg: str = ""
     handover: bool = False
-    """A successor took over the outputs."""
+    """Whether a successor took over the outputs."""
     cede: bool = False
-    """It did so in its own claim: they were given up to nobody else."""
+    """Whether it did so in its own claim, without an interval without an owner."""
     name: str = ""
-    """Of the parameter, for ``set``; of the method that failed, for ``fault``."""
+    """Name of the parameter, for ``set``; of the failed method, for ``fault``."""
     hz: float = 0.0
     calls: list[int] = []
-    """For ``abort``: how often each source outside was asked by then."""
+    """For ``abort``: how often each outside source had been asked by then."""
 
 
 class Origin(NamedTuple):
-    """Where a task of a log came from."""
+    """The origin of a task in a log."""
 
     machine: str
-    """By boot identity."""
+    """Its boot identity."""
     run: str
     moves: Moves
     """Offset from its CLOCK_MONOTONIC to nanoseconds since 1970."""
 
 
 class Table(NamedTuple):
-    """The table that a task's commits went to: they are numbered there."""
+    """The table that a task's commits went to; they are numbered in it."""
 
     machine: str
     run: str
@@ -101,7 +101,7 @@ class Table(NamedTuple):
 
 
 class CodeFile(Struct, frozen=True):
-    """A file whose code a module runs."""
+    """A file with code of a module."""
 
     path: str
     sha256: str
@@ -128,11 +128,11 @@ class TaskAbout(Struct, kw_only=True):
     code: list[CodeFile] = []
     """The module's own file first."""
     hidden: list[str] = []
-    """Its variables that are not recorded: no columns, and 0 in what is copied."""
+    """Its variables that are not recorded: no columns, and zeros in copies."""
     hears: bool = False
-    """Its inputs from outside the table are recorded."""
+    """Whether its inputs from outside the table are recorded."""
     timing: bool = False
-    """So is what its handler of timing failures was told, and answered."""
+    """Whether the calls of its handler of timing failures are recorded."""
 
     @property
     def topic(self) -> str:
@@ -141,7 +141,7 @@ class TaskAbout(Struct, kw_only=True):
 
 
 class RunAbout(Struct, kw_only=True):
-    """Which run a log is of."""
+    """The run to which a log belongs."""
 
     run: str
     job: str
@@ -150,29 +150,29 @@ class RunAbout(Struct, kw_only=True):
     rtpu: str
     host: str = ""
     machine: str = ""
-    """Boot identity: clocks of one machine may be compared."""
+    """Boot identity; times of one boot can be compared."""
     pbonet: str = ""
     python: str = ""
     numpy: str = ""
     kernel: str = ""
     config_hash: str = ""
-    """SHA-256 over what the log carried when it began: `.job`, `.sbs`, `.svar`, the
-    `.rmod` files of the job, `agent.toml`."""
+    """SHA-256 of the files attached at the start: `.job`, `.sbs`, `.svar`, the `.rmod`
+    files of the job, `agent.toml`."""
     begun: str = ""
-    """Date and time, for people to read."""
+    """Date and time, for display."""
     epoch_ns: int = 0
-    """Offset from CLOCK_MONOTONIC to the times of messages."""
+    """Offset from CLOCK_MONOTONIC to the times of messages, in nanoseconds."""
     part: int = 1
     """2, 3, ... after a recorder was lost or a file was full."""
     goes_on: bool = False
-    """Nothing is missing between the file before it and this one."""
+    """Whether nothing is missing between the previous file and this one."""
     seconds: float = 0.0
-    """Virtual time that passed, in a simulation; 0: the run was in real time."""
+    """Elapsed virtual time of a simulation; 0: the run was in real time."""
     format: int = FORMAT
 
 
 class Attached(Struct, frozen=True):
-    """A file that a log carries."""
+    """A file attached to a log."""
 
     name: str
     data: bytes
@@ -180,9 +180,9 @@ class Attached(Struct, frozen=True):
 
 
 def free_name(name: str, content: T, taken: Mapping[str, T]) -> str:
-    """Return the name for a file: ``a.rmod``, or ``a-2.rmod`` where it is another one.
+    """Return a free name for a file: ``a.rmod``, or ``a-2.rmod`` if that is taken.
 
-    A name that is in `taken` is of the same content.
+    A name in `taken` is returned if its content is the same.
     """
     stem, dot, suffix = name.rpartition(".")
     first, number = name, 1

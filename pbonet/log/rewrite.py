@@ -1,4 +1,4 @@
-"""Logs made of logs: one out of several, or a whole one out of one that was cut."""
+"""Logs made from logs: merging several, or recovering a truncated one."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ class Merged(NamedTuple):
 
 
 def merge(paths: Sequence[Path], out: Path) -> Merged:
-    """Write one log with what stands in several, ordered by time.
+    """Write one log with the content of several, ordered by time.
 
-    What was cut short or damaged is left out. Where channels of several files are the
-    same, the new file has one. Times of other machines become those of the first
-    file's, as far as their agents measured how far their clocks were apart.
+    Truncated or damaged parts are left out. Equal channels of several files become one.
+    Times of other machines are converted to the first file's, as far as their agents
+    measured the clocks' offsets.
 
     Args:
         paths: Logs, or folders of runs.
         out: The new file.
 
     Returns:
-        How many messages it has, and by which clocks.
+        The number of messages, and the conversions of times.
 
     Raises:
-        LogError: One of them is no log, or the new file stands or cannot be written.
+        LogError: One of them is not a log, or the new file exists or cannot be written.
     """
     parts = parts_of(paths)
     clocks = common(parts)
@@ -63,13 +63,13 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
 
 
 def recover(path: Path, out: Path) -> int:
-    """Write a whole log with what a log that was cut short still has.
+    """Write a complete log with what a truncated log still contains.
 
     Returns:
-        How many messages it has.
+        The number of messages.
 
     Raises:
-        LogError: It is no log, or the new file stands or cannot be written.
+        LogError: It is not a log, or the new file exists or cannot be written.
     """
     return merge([path], out).messages
 
@@ -102,12 +102,12 @@ def _metadata(
     clocks: Sequence[Clock],
     renamed: Sequence[dict[str, str]],
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the metadata records of all files, those of one name with numbers.
+    """Yield the metadata records of all files; equal names get numbers.
 
     Args:
         parts: The files.
-        clocks: By which their times were moved.
-        renamed: New names of each one's attachments.
+        clocks: The conversions of their times.
+        renamed: New names of each file's attachments.
     """
     number = 0
     for part, names in zip(parts, renamed, strict=True):
@@ -133,16 +133,16 @@ def _metadata(
 
 
 def _ours(name: str) -> bool:
-    """Tell whether a metadata record says which run a file is of."""
+    """Return whether a metadata record describes the run of a file."""
     first, _, rest = name.partition(" ")
     return first == METADATA and (not rest or rest.isdecimal())
 
 
 def _attach(parts: Sequence[Part], writer: Writer) -> list[dict[str, str]]:
-    """Attach what the files carry; others of one name get numbers behind it.
+    """Attach the files' attachments; different ones of one name get numbers.
 
     Returns:
-        For each file, the names that its attachments have now by those that they had.
+        For each file, the new names of its attachments by their old names.
     """
     taken: dict[str, bytes] = {}
     renamed: list[dict[str, str]] = []
@@ -163,7 +163,7 @@ def _channels(
     clocks: Sequence[Clock],
     writer: Any,  # noqa: ANN401 - the library's
 ) -> dict[tuple[int, int], int]:
-    """Make the channels; return their numbers by file and number there."""
+    """Add the channels; return their numbers by file and number in the file."""
     schemas: dict[Schema, int] = {}
     channels: dict[tuple[Any, ...], int] = {}
     numbers: dict[tuple[int, int], int] = {}
@@ -193,9 +193,9 @@ def _channels(
 def _identity(
     channel: Channel, metadata: dict[str, str], origin: int
 ) -> tuple[Any, ...]:
-    """Return what two channels share that may become one.
+    """Return what two channels must have in common to become one.
 
-    A task's may only in files of which each goes on where the one before it ended.
+    Channels of a task are merged only if each file continues the one before it.
     """
     if channel.encoding == "cdr":
         return (origin, channel.topic, *sorted(metadata.items()))
@@ -205,10 +205,10 @@ def _identity(
 def _messages(
     number: int, part: Part, clock: Clock
 ) -> Iterator[tuple[int, int, int, int, bytes]]:
-    """Yield time, file, place and channel of each message, by place in the file.
+    """Yield time, file, place, channel and data of each message, by place in the file.
 
-    Records of one task must stay in their order, though their times may repeat; so a
-    time never goes back.
+    Records of one task must stay in order, but clocks may be set back; so times are
+    kept from decreasing.
     """
     part.load()
     rows = [

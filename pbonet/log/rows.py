@@ -1,4 +1,4 @@
-"""The messages of one channel as numpy sees them: no object for each."""
+"""The messages of one channel in numpy arrays, without an object for each."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _TIME: Final = scan.HEAD + 6
-"""Where a message's time stands in its record."""
+"""Offset of the time in a message's record."""
 
 
 def gathered(
     data: bytes | memoryview, places: NDArray[np.int64], dtype: str
 ) -> NDArray[Any]:
-    """Return the numbers that stand at some places of a text."""
+    """Return the numbers at some offsets of a buffer."""
     kind = np.dtype(dtype)
     at = places[:, None] + np.arange(kind.itemsize)
     found: NDArray[Any] = np.frombuffer(data, np.uint8)[at].view(kind).reshape(-1)
@@ -30,10 +30,10 @@ class Rows(Sequence[bytes]):
     """Messages, in the order of the file.
 
     Args:
-        data: All of them, one behind the other.
-        sizes: Of each.
-        times: Nanoseconds since 1970, of each.
-        places: Where each stands among all messages of the file.
+        data: All messages, one after the other.
+        sizes: Size of each in bytes, shape ``(n,)``.
+        times: Time of each in nanoseconds since 1970, shape ``(n,)``.
+        places: Place of each among all messages of the file, shape ``(n,)``.
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class Rows(Sequence[bytes]):
 
     @classmethod
     def of(cls, chunk: memoryview, places: NDArray[np.int64], base: int) -> Rows:
-        """Return the messages that begin at these places of a chunk.
+        """Return the messages that begin at these offsets of a chunk.
 
         Args:
-            chunk: Unpacked.
-            places: In order.
-            base: Where it begins among the chunks of the file.
+            chunk: The uncompressed chunk.
+            places: Offsets in it, ascending.
+            base: Offset of the chunk among those of the file.
         """
         head = scan.HEAD + scan.MESSAGE_HEAD
         sizes = gathered(chunk, places + 1, "<u8").astype(np.int64)
@@ -74,7 +74,7 @@ class Rows(Sequence[bytes]):
 
     @classmethod
     def joined(cls, each: Sequence[Rows]) -> Rows:
-        """Return all messages of several parts of a file, which come in order."""
+        """Return the messages of several parts of a file, given in order."""
         none = np.zeros(0, np.int64)
         return cls(
             b"".join([one.data for one in each]),
@@ -84,7 +84,7 @@ class Rows(Sequence[bytes]):
         )
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of messages."""
         return len(self.sizes)
 
     @overload
@@ -99,13 +99,13 @@ class Rows(Sequence[bytes]):
         return self.data[begin : begin + self.sizes.item(index)]
 
     def all(self) -> list[bytes]:
-        """Return the messages, each as an object."""
+        """Return the messages as a list."""
         data, begins = self.data, self._starts.tolist()
         ends = (self._starts + self.sizes).tolist()
         return [data[a:b] for a, b in zip(begins, ends, strict=True)]
 
     def firsts(self, size: int) -> NDArray[np.uint8]:
-        """Return the first bytes of each message, one row a message."""
+        """Return the first bytes of each message, shape ``(n, size)``."""
         data = np.frombuffer(self.data, np.uint8)
         if len(self) and (self.sizes == self.sizes[0]).all():
             return data.reshape(len(self), -1)[:, :size]

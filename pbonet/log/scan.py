@@ -1,6 +1,6 @@
-"""Which records an MCAP file holds: by its summary, or one by one without it.
+"""The records of an MCAP file: from its summary, or one by one without it.
 
-A file that was cut anywhere, or is still being written, ends at its last whole record.
+A file that was truncated, or is still being written, ends at its last whole record.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LARGEST: Final = 1 << 31
 
 
 class Found(NamedTuple):
-    """A record outside of chunks: what it is, and where its content stands."""
+    """A record outside of chunks: its type, and offset and size of its content."""
 
     opcode: int
     at: int
@@ -43,19 +43,19 @@ class Content(NamedTuple):
 
     records: list[Found]
     end: int
-    """Bytes up to the end of the last whole record."""
+    """Offset of the end of the last whole record."""
     complete: bool
     """Whether the file was finished."""
 
 
 def summary(file: BinaryIO, where: str) -> memoryview | None:
-    """Return the records at the end of a finished file, which say where the rest is.
+    """Return the records at the end of a finished file, which index the rest.
 
     Returns:
-        None for a file that was cut, or has no such records.
+        None for a file that was truncated, or has no such records.
 
     Raises:
-        LogError: It is no MCAP file.
+        LogError: It is not an MCAP file.
     """
     size = _size(file, where)
     last = HEAD + _FOOTER.size + len(MAGIC)
@@ -77,7 +77,7 @@ def scan(file: BinaryIO, where: str) -> Content:
     """Return the whole records of a file.
 
     Raises:
-        LogError: It is no MCAP file.
+        LogError: It is not an MCAP file.
     """
     size = _size(file, where)
     at, found = len(MAGIC), list[Found]()
@@ -96,10 +96,10 @@ def scan(file: BinaryIO, where: str) -> Content:
 
 
 def _size(file: BinaryIO, where: str) -> int:
-    """Return the size of a file that begins as it should, as far as it goes.
+    """Return the size of a file that begins correctly, even if it is very short.
 
     Raises:
-        LogError: It is no MCAP file.
+        LogError: It is not an MCAP file.
     """
     size = file.seek(0, 2)
     file.seek(0)
@@ -120,7 +120,7 @@ def _ends_well(file: BinaryIO, size: int) -> bool:
 
 
 def unpacked(content: bytes) -> memoryview | None:
-    """Return the records in a chunk; None when it is damaged."""
+    """Return the records in a chunk; None if it is damaged."""
     import zstandard
 
     try:
@@ -153,12 +153,12 @@ def inside(chunk: memoryview) -> Iterator[Found]:
 
 
 def message(content: memoryview) -> int:
-    """Return the channel of a message."""
+    """Return the channel number of a message."""
     return int.from_bytes(content[:2], "little")
 
 
 def is_complete(path: Path) -> bool:
-    """Tell whether a log stands there that was finished."""
+    """Return whether there is a finished log at a path."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, 2)
@@ -171,7 +171,7 @@ def open_log(path: Path) -> BinaryIO:
     """Open a log for reading.
 
     Raises:
-        LogError: There is none.
+        LogError: It cannot be read.
     """
     try:
         return path.open("rb")

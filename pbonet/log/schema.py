@@ -1,10 +1,10 @@
-"""One message a cycle: ``ros2msg`` schemas, and CDR bytes put together by hand.
+"""One message per cycle: ``ros2msg`` schemas, and CDR bytes encoded by hand.
 
-A message begins with what is known of the cycle (`HEAD`, as a ring's record has it);
-then come the out-vars, then three byte sequences: the (register, number) pairs of the
-groups that were copied in, the in-vars where they do not follow from those, and what
-was heard from outside, which older logs lack.
-Foxglove, PlotJuggler and rerun read this without a plug-in.
+A message begins with the fields of `HEAD`, as in a ring's record; then come the
+out-vars, then three byte sequences: the (register, number) pairs of the groups that
+were copied in, the in-vars if they do not follow from those, and the inputs from
+outside, which older logs lack.
+Foxglove, PlotJuggler and rerun can read this without a plug-in.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ HEAD_DTYPE: Final = np.dtype([(name, kind) for name, kind, _ in HEAD])
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
 RECORD: Final = struct.Struct("<IIIIII")
-"""Size, pairs, bytes of out-vars, of inputs, of what was heard, and a spare."""
+"""Size, pairs, bytes of out-vars, of inputs, of inputs from outside, and a spare."""
 _HEAD_BYTES: Final = HEAD_DTYPE.itemsize
 _LENGTH: Final = struct.Struct("<I")
 _TIMES: Final = struct.Struct("<qqq")
@@ -64,7 +64,7 @@ def _bytes_of(variable: Variable) -> int:
 
 
 def _unit(variable: Variable) -> int:
-    """Return what CDR aligns an element to."""
+    """Return the alignment of an element in CDR."""
     return 1 if _is_struct(variable) else np.dtype(variable.dtype).itemsize
 
 
@@ -73,10 +73,10 @@ def _align(size: int, unit: int) -> int:
 
 
 class TaskSchema:
-    """How the cycles of one task stand in a log.
+    """The message format of one task's cycles.
 
     Args:
-        about: Whose they are.
+        about: The task.
     """
 
     def __init__(self, about: TaskAbout) -> None:
@@ -95,7 +95,7 @@ class TaskSchema:
         self._plain = plain and at == _HEAD_BYTES + self._group.bytes
         self._blanks = _blanks(about)
         self.prefix = len(CDR) + self._end
-        """Bytes of a message before its byte sequences."""
+        """Size of a message before its byte sequences."""
 
     @property
     def name(self) -> str:
@@ -114,7 +114,7 @@ class TaskSchema:
         return "\n".join([*lines, ""])
 
     def metadata(self) -> dict[str, str]:
-        """Return what the channel says beside its schema."""
+        """Return the metadata of the channel."""
         fields = {
             field_name(v.name): {
                 "variable": v.name,
@@ -174,7 +174,7 @@ class TaskSchema:
         return bytes(out)
 
     def _variables(self, data: memoryview) -> memoryview | bytes:
-        """Return the group as CDR has it."""
+        """Return the group in CDR encoding."""
         if self._plain:
             return data
         out = bytearray(self._end - _HEAD_BYTES)
@@ -184,9 +184,9 @@ class TaskSchema:
         return bytes(out)
 
     def group(self, message: bytes) -> bytes:
-        """Return the group of out-vars of a message, as it stands in a table.
+        """Return the group of out-vars of a message, in the format of a table.
 
-        Variables that are not recorded are 0 in it.
+        Variables that are not recorded are 0.
         """
         at = len(CDR) + _HEAD_BYTES
         if self._plain:
@@ -198,11 +198,11 @@ class TaskSchema:
         return bytes(out)
 
     def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
-        """Return the pairs, the inputs and what was heard of a message, as bytes."""
+        """Return pairs, inputs and inputs from outside of a message, as bytes."""
         return _sequences(message, self.prefix)
 
     def arrays(self, messages: Rows) -> dict[str, NDArray[Any]]:
-        """Return the columns of `HEAD` and the variables, one row a message."""
+        """Return the columns of `HEAD` and the variables, one row per message."""
         rows = messages.firsts(self.prefix)
         found = heads(rows)
         for variable, _, at in self._fields:
@@ -214,7 +214,7 @@ class TaskSchema:
 
 
 class StepSchema:
-    """How a task's other records stand in a log: the head and the data as bytes."""
+    """The format of a task's other records: the head, and the data as bytes."""
 
     NAME: Final = "pbonet/Step"
     PREFIX: Final = len(CDR) + _HEAD_BYTES
@@ -233,19 +233,19 @@ class StepSchema:
 
 
 def heads(rows: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    """Return the columns of `HEAD` out of messages of one length."""
+    """Return the columns of `HEAD` from the first bytes of messages."""
     part = np.ascontiguousarray(rows[:, len(CDR) : len(CDR) + _HEAD_BYTES])
     table = part.view(HEAD_DTYPE).reshape(-1)
     return {name: table[name].copy() for name, _, _ in HEAD}
 
 
 def head(message: bytes) -> Any:  # noqa: ANN401 - numpy.void
-    """Return the head of one message, by the names of `HEAD`."""
+    """Return the head of one message, with the fields of `HEAD`."""
     return np.frombuffer(message, HEAD_DTYPE, 1, len(CDR))[0]
 
 
 def record_size(text: memoryview, at: int) -> int:
-    """Return the size of the record that begins there."""
+    """Return the size of the record at an offset."""
     return int(_LENGTH.unpack_from(text, at)[0])
 
 
@@ -264,12 +264,12 @@ def _sequences(message: bytes, at: int) -> tuple[bytes, bytes, bytes]:
     inputs = middle + _LENGTH.size
     end = inputs + size
     last = end + -size % _LENGTH.size + _LENGTH.size
-    # An older log ends behind the inputs.
+    # An older log ends after the inputs.
     return message[pairs:middle], message[inputs:end], message[last:]
 
 
 def _blanks(about: TaskAbout) -> dict[int, list[tuple[int, int]]]:
-    """Return where variables that are not recorded stand in what is copied, by kind."""
+    """Return the places of variables that are not recorded, by kind of copy."""
     copied = {
         Step.CYCLE: about.invar,
         Step.VARS_IN: about.invar,
@@ -303,6 +303,6 @@ def _line(text: str) -> str:
 
 
 def _camel(text: str) -> str:
-    """Return a name as ROS wants the name of a type."""
+    """Return a name in the form of a ROS type name."""
     parts = "".join(c if c.isalnum() else " " for c in text).split()
     return "".join(part[:1].upper() + part[1:] for part in parts) or "X"

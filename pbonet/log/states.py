@@ -1,4 +1,4 @@
-"""The states of tasks over time, as the events of a log tell them."""
+"""The states of tasks over time, from the events of a log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ON: Final = "ON"
 
 
 class Stretch(NamedTuple):
-    """A time in which a task was in one state; nanoseconds since 1970."""
+    """An interval in which a task was in one state; nanoseconds since 1970."""
 
     state: str
     begin_ns: int
@@ -22,10 +22,10 @@ class Stretch(NamedTuple):
 
 
 def timelines(log: Log) -> dict[str, list[Stretch]]:
-    """Return the states of each task, one behind the other, by name.
+    """Return the consecutive states of each task, by name.
 
-    A task's first state is that behind its first event on record; its last one goes on
-    to the end of the log.
+    A task's first state is that after its first recorded event; its last one lasts to
+    the end of the log.
     """
     changes: dict[str, list[tuple[str, int]]] = {}
     homes: dict[str, tuple[str, str]] = {}
@@ -46,7 +46,7 @@ def timelines(log: Log) -> dict[str, list[Stretch]]:
 
 
 def _stretches(changes: list[tuple[str, int]], end_ns: int) -> list[Stretch]:
-    """Return what lies between the changes that are some."""
+    """Return the intervals between actual changes of state."""
     found: list[Stretch] = []
     for state, at in changes:
         if found and found[-1].state == state:

@@ -26,7 +26,7 @@ JsonObject = dict[str, Any]
 
 
 def info(log: Log) -> JsonObject:
-    """Return what a log holds: files, duration, and each task's figures."""
+    """Return the content of a log: files, duration, and each task's figures."""
     log.load()
     begin, end = log.span_ns
     lost, missed, states = log.lost(), log.missed(), timelines(log)
@@ -80,7 +80,7 @@ def info(log: Log) -> JsonObject:
 
 
 def _over_time(stretches: Sequence[Stretch], begin_ns: int) -> JsonObject:
-    """Return a task's states: seconds in each, and since when, of the run."""
+    """Return a task's states: seconds in each, and when each began in the run."""
     total: dict[str, float] = {}
     for one in stretches:
         spent = (one.end_ns - one.begin_ns) * 1e-9
@@ -92,14 +92,14 @@ def _over_time(stretches: Sequence[Stretch], begin_ns: int) -> JsonObject:
 def task_info(
     log: Log, task: str, counted: int | None, stretches: Sequence[Stretch]
 ) -> JsonObject:
-    """Return what a log holds of one task.
+    """Return the content of a log for one task.
 
     Args:
         log: The run.
         task: The task.
-        counted: Missed releases as its RTPU counted them; without, they are guessed
-            from the distances of its cycles.
-        stretches: Its states over time, where they are known.
+        counted: Missed releases as counted by its RTPU; None: they are estimated from
+            the intervals between its cycles.
+        stretches: Its states over time, if known.
     """
     about, arrays = log.task_about(task), log.arrays(task)
     releases = arrays["release_ns"]
@@ -124,11 +124,11 @@ def task_info(
 
 
 _BREAK = 1000
-"""A gap of more periods than this is taken for a time in which the task was OFF."""
+"""A longer gap, in periods, counts as time in which the task was OFF."""
 
 
 def _not_on(releases: NDArray[Any], stretches: Sequence[Stretch]) -> NDArray[np.bool_]:
-    """Tell of each distance of two releases whether the task was not ON in between."""
+    """Return for each interval of releases whether the task was not ON in between."""
     found = np.zeros(max(len(releases) - 1, 0), bool)
     for one in stretches:
         if one.state != ON:
@@ -137,7 +137,7 @@ def _not_on(releases: NDArray[Any], stretches: Sequence[Stretch]) -> NDArray[np.
 
 
 def info_text(data: JsonObject) -> str:
-    """Return what `info` gave as lines."""
+    """Return the result of `info` as text."""
     about = data["about"]
     lines = [
         f"run {about.get('run', '?')}, job {about.get('job', '?')}, subsystem "
@@ -170,7 +170,7 @@ def info_text(data: JsonObject) -> str:
 
 
 def _sources_text(sources: Sequence[JsonObject]) -> Iterator[str]:
-    """Yield what merged files were made of, each as a line."""
+    """Yield the sources of merged files, each as a line."""
     counts = Counter(one["file"] for one in sources)
     for one in sources:
         if counts[one["file"]] > 1:
@@ -184,11 +184,11 @@ def _sources_text(sources: Sequence[JsonObject]) -> Iterator[str]:
 
 
 _CHANGES = 8
-"""Changes of a task's state that `info_text` shows."""
+"""Maximum number of changes of a task's state in `info_text`."""
 
 
 def _states_text(tasks: JsonObject) -> list[str]:
-    """Return the tasks' states as lines: seconds in each, and since when."""
+    """Return the tasks' states as lines: seconds in each, and when each began."""
     known = {name: task for name, task in tasks.items() if task["states"]}
     if not known:
         return []
@@ -206,12 +206,12 @@ def _states_text(tasks: JsonObject) -> list[str]:
 
 
 def columns(log: Cycles, task: str, names: Sequence[str] = ()) -> JsonObject:
-    """Return values of a task by column: time, cycle, then each element.
+    """Return values of a task by column: time (s), cycle, then each element.
 
     Args:
         log: The run.
         task: The task.
-        names: Variables or columns such as ``cpu_ns``; none for all variables.
+        names: Variables or columns such as ``cpu_ns``; empty for all variables.
 
     Raises:
         LogError: The task has no such column.
@@ -242,12 +242,12 @@ def columns(log: Cycles, task: str, names: Sequence[str] = ()) -> JsonObject:
 def diff(one: Cycles, other: Cycles, tasks: Sequence[str] = ()) -> list[JsonObject]:
     """Compare two runs variable by variable, cycle by cycle.
 
-    Cycles are counted from each task's first one on record.
+    Cycles are counted from each task's first recorded one.
 
     Args:
         one: A run.
-        other: Another.
-        tasks: Which; none for all that both have.
+        other: Another run.
+        tasks: The tasks; empty for all tasks that both have.
     """
     both = [task for task in one.tasks if task in other.tasks]
     rows: list[JsonObject] = []
@@ -279,7 +279,7 @@ def _differ(a: NDArray[Any], b: NDArray[Any]) -> JsonObject:
 
 
 def diff_text(rows: Iterable[JsonObject]) -> str:
-    """Return what `diff` gave as lines."""
+    """Return the result of `diff` as text."""
     lines = [f"{'task':<16}{'variable':<16}{'cycles':>15}{'first':>9}{'largest':>13}"]
     for row in rows:
         cycles = "/".join(map(str, row["cycles"]))

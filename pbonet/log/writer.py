@@ -1,7 +1,7 @@
-"""Writing a log: one MCAP file, whole up to its last chunk wherever it is cut.
+"""Writing a log: one MCAP file, valid up to its last chunk wherever it is truncated.
 
-Whoever writes a file that cannot grow any more gets an `OSError`, and the file ends
-behind the last record that was written whole.
+If a file cannot grow any further, its writer gets an `OSError`, and the file ends after
+the last record that was written whole.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 CHUNK: Final = 256 << 10
-"""Bytes of messages in a chunk, before it is compressed."""
+"""Bytes of messages in a chunk, before compression."""
 
 
 class _Whole:
-    """A file that grows by whole writes or not at all, unbuffered.
+    """An unbuffered file that grows by whole writes or not at all.
 
     Args:
-        path: It must not exist.
+        path: The file, which must not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -53,7 +53,7 @@ class _Whole:
 
     def write(self, data: bytes) -> int:
         if self.failed:
-            return len(data)  # the library's buffer is emptied, the file is closed
+            return len(data)  # lets the library empty its buffer; the file is closed
         rest = memoryview(data)
         try:
             while rest:
@@ -69,7 +69,7 @@ class _Whole:
         return self._at
 
     def flush(self) -> None:
-        """Nothing is buffered."""
+        """Do nothing, because nothing is buffered."""
 
     def close(self) -> None:
         self._file.close()
@@ -92,9 +92,9 @@ class LogWriter:
     """Writes one log.
 
     Args:
-        path: The file; it must not exist.
-        about: Which run it is of.
-        attached: Files that it carries.
+        path: The file, which must not exist.
+        about: The run.
+        attached: Files to attach.
 
     Raises:
         LogError: It exists or cannot be made.
@@ -127,7 +127,7 @@ class LogWriter:
         self._step_schema = 0
         self._counts: dict[int, int] = {}
         self._names: dict[str, bytes] = {}
-        """Attachments: digests by name."""
+        """Digests of attachments by name."""
         self._writer.start(profile="", library=f"pbonet {about.pbonet}")
         self._tell()
         for file in attached:
@@ -138,7 +138,7 @@ class LogWriter:
         self._writer.add_metadata(METADATA, {k: str(v) for k, v in fields.items()})
 
     def lasted(self, seconds: float) -> None:
-        """Say how much virtual time has passed, if it is less than was said.
+        """Correct the elapsed virtual time, if it differs from the planned one.
 
         Raises:
             OSError: No room is left.
@@ -153,7 +153,7 @@ class LogWriter:
         return self._stream.tell()
 
     def attach(self, file: Attached) -> None:
-        """Attach a file; another one of that name gets a number behind its own.
+        """Attach a file; a different file of the same name gets a number.
 
         Raises:
             OSError: No room is left.
@@ -167,11 +167,11 @@ class LogWriter:
         self._writer.add_attachment(now, now, name, file.media_type, file.data)
 
     def add_task(self, about: TaskAbout, origin: Origin | None = None) -> int:
-        """Return a number for `add`, under which a task's records are written.
+        """Return a number for `add`, by which a task's records are written.
 
         Args:
             about: The task.
-            origin: Where it came from; None for the log's own machine, run and clock.
+            origin: Its origin; None for the log's own machine, run and clock.
         """
         schema = TaskSchema(about)
         metadata = schema.metadata()
@@ -199,7 +199,7 @@ class LogWriter:
         return number
 
     def add(self, task: int, records: bytes) -> int:
-        """Write what a ring gave; return how many records it was.
+        """Write records read from a ring; return how many there were.
 
         Raises:
             OSError: No room is left.
@@ -232,7 +232,7 @@ class LogWriter:
         self._put(channel, time_ns, msgspec.json.encode(data), time_ns)
 
     def add_command(self, command: dict[str, Any]) -> None:
-        """Write a command and its answer, at the time of that.
+        """Write a command and its answer, at the time of the answer.
 
         Raises:
             OSError: No room is left.
@@ -244,7 +244,7 @@ class LogWriter:
         self._put(channel, time_ns, data, time_ns)
 
     def add_status(self, now_ns: int, status: dict[str, Any]) -> None:
-        """Write numbers about the run, as they stand at an instant.
+        """Write counts about the run, at the given time.
 
         Raises:
             OSError: No room is left.
@@ -255,12 +255,12 @@ class LogWriter:
         self._put(channel, time_ns, msgspec.json.encode(status), time_ns)
 
     def add_clocks(self, now_ns: int, clocks: dict[str, Any]) -> None:
-        """Write how far clocks of other machines were apart from this one's.
+        """Write the offsets of other machines' clocks from this one's.
 
         Args:
-            now_ns: When.
-            clocks: ``machine``, and ``others`` with ``rtpu``, ``machine``, and by how
-                many nanoseconds each is ahead: ``offset_ns``, ``within_ns``.
+            now_ns: The time, CLOCK_MONOTONIC.
+            clocks: ``machine``, and ``others`` with ``rtpu``, ``machine``, and the
+                nanoseconds by which each is ahead: ``offset_ns``, ``within_ns``.
 
         Raises:
             OSError: No room is left.
@@ -296,7 +296,7 @@ class LogWriter:
         """Finish the file.
 
         Raises:
-            OSError: No room is left; what was written stays readable.
+            OSError: No room is left; what was written remains readable.
         """
         try:
             if not self._stream.failed:

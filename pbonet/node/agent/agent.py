@@ -1,9 +1,9 @@
 """The agent: the network side of an RTPU (Stewart 1994, section 4.5).
 
-It registers by a liveliness token, takes requests over zenoh and hands them to its RTPU
-process, which carries them out; it publishes what happens there. It holds no state of
-its own that matters: when it is killed, control continues for the declared grace, and
-an agent that starts within it takes over.
+It registers by a liveliness token, receives requests over zenoh, passes them to its
+RTPU process, which carries them out, and publishes events of that process. It holds no
+important state: if it is killed, control continues for the declared grace, and an agent
+that starts within it takes over.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 STOP_TIME = 2.0
-"""Seconds that turning everything OFF may take."""
+"""Seconds for turning all tasks OFF."""
 ANEW_TIME = 10.0
-"""Least seconds in which a restarted agent takes its RTPU process over."""
+"""Minimum seconds in which a restarted agent can take over its RTPU process."""
 TOKEN_TIME = 1.0
-"""Seconds for which the token of a predecessor that was killed may linger."""
+"""Seconds for which the token of a killed predecessor may remain."""
 LOCK_TIME = 0.3
-"""Seconds for which an RTPU process that ends may hold the name, to clean up."""
+"""Seconds for which an ending RTPU process may hold the name, to clean up."""
 LET_GO_TIME = 2.0
-"""Seconds in which tables are let go."""
+"""Seconds for closing tables."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -141,11 +141,11 @@ class Agent:
     # -- start and end -----------------------------------------------------------------
 
     def start(self) -> Self:
-        """Take the name, find or start the RTPU process, and answer requests.
+        """Lock the name, find or start the RTPU process, and serve requests.
 
         Raises:
             DuplicateNameError: Another agent of the domain has the name.
-            PbonetError: Something that is needed is not available.
+            PbonetError: Something necessary is not available.
         """
         survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
@@ -214,7 +214,7 @@ class Agent:
         )
 
     def _refuse_duplicate(self) -> None:
-        """Raise when an agent of that name is alive anywhere in the domain."""
+        """Raise if an agent of that name is alive anywhere in the domain."""
         if self._session is None:
             return
         key = key_expressions.rtpu(self.config.domain, self.name, "alive")
@@ -229,13 +229,13 @@ class Agent:
             time.sleep(0.05)
 
     def stop(self, timeout: float = STOP_TIME) -> bool:
-        """Turn everything OFF in order, end the RTPU process, and give the name back.
+        """Turn all tasks OFF in order, end the RTPU process, and release the name.
 
         Args:
-            timeout: Seconds for turning everything OFF.
+            timeout: Seconds for turning all tasks OFF.
 
         Returns:
-            Whether everything ended by itself.
+            Whether the RTPU process ended by itself.
         """
         link = self._begin_to_stop()
         try:
@@ -255,7 +255,7 @@ class Agent:
         self._leave()
 
     def _begin_to_stop(self) -> RtpuLink | None:
-        """Prevent further starts; return what there is to end."""
+        """Prevent restarts; return the RTPU process to end, if any."""
         with self._guard:
             self._stopping = True
             link, self._link = self._link, None
@@ -265,7 +265,7 @@ class Agent:
         return link
 
     def _met_twin(self, other: AgentInfo) -> None:
-        """Report another agent of this name, which a new link has made visible."""
+        """Report another agent of this name that a new link has made visible."""
         text = (
             f"another agent {other.name} runs on {other.host}, process {other.pid}; "
             "requests reach either: stop one of them"
@@ -279,7 +279,7 @@ class Agent:
         return None if ahead is None else -ahead
 
     def _note(self, note: msgspec.Struct) -> None:
-        """Let something be numbered as an event, if there is an RTPU process."""
+        """Report an event through the RTPU process, if there is one."""
         link = self._link
         if link is not None:
             with contextlib.suppress(NodeError):
@@ -319,7 +319,7 @@ class Agent:
         self._over.set()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the agent has ended or must end; return whether that is so."""
+        """Wait until the agent has ended or must end; return whether it has."""
         return self._over.wait(timeout)
 
     def heed_signals(self) -> None:
@@ -331,11 +331,11 @@ class Agent:
         self._over.set()
 
     def may_start_anew(self, again: Callable[[], AgentConfig] | None = None) -> bool:
-        """Return whether an agent configured as `again` returns could start."""
+        """Return whether an agent with the configuration of `again` could start."""
         try:
             config = self.config if again is None else again()
             restart_check.check(self.config, config, self._rtpu_config.core)
-        except Exception as error:  # noqa: BLE001 - whatever it is, this one continues
+        except Exception as error:  # noqa: BLE001 - after any error this agent continues
             why = error if isinstance(error, PbonetError) else repr(error)
             text = f"the agent does not start anew: {why}"
             log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
@@ -346,7 +346,7 @@ class Agent:
         return True
 
     def go_on(self) -> bool:
-        """Take `ask_to_end` back; return whether nothing else ends the agent."""
+        """Undo `ask_to_end`; return whether nothing else ends the agent."""
         self._over.clear()
         return not self.reason
 
@@ -356,15 +356,15 @@ class Agent:
     def __exit__(self, *exc: object) -> None:
         self.stop()
 
-    # -- what the server needs ---------------------------------------------------------
+    # -- for the server ----------------------------------------------------------------
 
     def forward(
         self, n: int, data: bytes, masters: list[tuple[str, str]] | None
     ) -> None:
-        """Hand a request to the RTPU process.
+        """Pass a request to the RTPU process.
 
         Raises:
-            NodeError: There is none just now.
+            NodeError: There is no RTPU process now.
         """
         link = self._link
         if link is None:
@@ -372,7 +372,7 @@ class Agent:
         link.send(rtpu_messages.Forward(n, data, masters))
 
     def info(self) -> AgentInfo:
-        """Return this agent's identity and what it can do."""
+        """Return this agent's identity and abilities."""
         info = self._link.info if self._link is not None else None
         if self._about is None or info is None:
             return self._describe()
@@ -389,7 +389,7 @@ class Agent:
         )
 
     def _describe(self) -> AgentInfo:
-        """Return what does not change about this agent while its session lasts."""
+        """Return the part of the identity that is constant during a session."""
         return AgentInfo(
             name=self.name,
             domain=self.config.domain,
@@ -410,14 +410,14 @@ class Agent:
         )
 
     def ways(self) -> LinkReport:
-        """Return the ways to the other agents, measured now."""
+        """Return the paths to the other agents, measured now."""
         ways = self._ways
         report = LinkReport(rtpu=self.name) if ways is None else ways.report()
         if self._mirrors is not None:
             report.tables = self._mirrors.report()
         return report
 
-    # -- what the RTPU process says ----------------------------------------------------
+    # -- messages of the RTPU process --------------------------------------------------
 
     def answered(self, n: int, data: bytes) -> None:
         """Pass an answer on to its client."""
@@ -431,41 +431,41 @@ class Agent:
             self._server.publish(data)
 
     def called(self, call: rtpu_messages.Called) -> None:
-        """Let successors on other machines be called."""
+        """Call successors on other machines."""
         if self._mirrors is not None:
             self._mirrors.call(call)
 
     def informed(self, info: rtpu_messages.RtpuInfo) -> None:
-        """Carry the tables that are open now, and record what is to be recorded."""
+        """Carry the tables that are now open, and update the recordings."""
         self._recorders.update(info.recordings, info.claims)
         self._overview.informed(info)
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)
 
     def learned(self, news: Known) -> None:
-        """Take what the RTPU process knows now."""
+        """Store the RTPU process's report of its state."""
         self._overview.learn(news)
 
     def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
-        """Call `done` when the other machines know it; see `TableCarrier.spread`."""
+        """Call `done` when other machines have the table; see `TableCarrier.spread`."""
         if subsystem and self._mirrors is not None:
             self._mirrors.spread(subsystem, done, **how)
         else:
             done()
 
     def broke(self, reason: str) -> None:
-        """Answer what waits: the answers may have got lost with the link."""
+        """Fail pending requests: their answers may have been lost with the link."""
         if self._server is not None:
             self._server.fail_pending(f"the link to the RTPU process broke: {reason}")
 
     def let_go(self) -> None:
-        """Carry no table any more, so that the next agent may make them again."""
+        """Stop carrying tables, so that the next agent may make them again."""
         self._overview.let_go()
         if self._mirrors is not None:
             self._mirrors.carry({}, wait=LET_GO_TIME)
 
     def lost(self, how: str, *, again: bool) -> None:
-        """Start the RTPU process again if it was killed; end if there is none to be."""
+        """Restart the RTPU process if it was killed; otherwise end."""
         self._recorders.update({})
         if self._server is not None:
             self._server.fail_pending(how)

@@ -1,4 +1,4 @@
-"""An agent's life as a process: its signals, its service manager, its restart."""
+"""An agent as a process: its signals, its service manager, its restart."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Life:
 
     Args:
         agent: The agent, before its start.
-        again: Returns the configuration for a restart; the same if left out.
+        again: Returns the configuration for a restart; by default the same one.
     """
 
     def __init__(
@@ -55,20 +55,20 @@ class Life:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, HEEDED)
 
     def leave_signals(self) -> None:
-        """Leave later signals, and an end that was requested, to the next agent.
+        """Leave later signals, and a requested end, to the next agent.
 
-        Threads of zenoh outlive their session and would take signals for this process.
+        Zenoh's threads outlive their session and would receive this process's signals.
         """
         signal.pthread_sigmask(signal.SIG_BLOCK, HEEDED)
         for which in ENDS:
             rt.leave_to_next(which)
-        if self._stays:  # what else a hangup asks for, the next does anyway
+        if self._stays:  # the next agent does whatever else a hangup asks for
             signal.signal(signal.SIGHUP, signal.SIG_IGN)
         if self._ends:
             signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
 
     def wait(self) -> bool:
-        """Wait for the end; return whether the agent is to restart."""
+        """Wait for the end; return whether the agent must restart."""
         while True:
             self.agent.wait()
             if self._ends or not self._anew:
@@ -103,10 +103,10 @@ def _has_terminal() -> bool:
 
 
 def announce(info: AgentInfo) -> None:
-    """Report on standard output that the RTPU takes commands, and what is reduced."""
+    """Print that the RTPU accepts commands, and which guarantees are reduced."""
     lines = [f"{info.name}: ready on core {info.core}, scheduling by {info.backend}"]
     lines += [f"{info.name}: {limit}" for limit in info.limits]
-    with contextlib.suppress(OSError):  # nobody reads it
+    with contextlib.suppress(OSError):  # standard output is closed
         sys.stdout.write("\n".join([*lines, ""]))
         sys.stdout.flush()
 
@@ -120,16 +120,16 @@ def main(
     """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
 
     On SIGHUP the program replaces itself, with the same arguments: it reads its
-    configuration and keys again, and takes over the RTPU process, which continues. What
-    would prevent that is checked before.
+    configuration and keys again, and takes over the RTPU process, which keeps running.
+    Anything that would prevent this is checked before.
 
     Args:
         config: The agent's configuration.
         backend: See `Agent`.
-        again: Returns the configuration for a restart; the same if left out.
+        again: Returns the configuration for a restart; by default the same one.
 
     Returns:
-        The exit status: 0, or 1 when it ended by itself or something had to be forced.
+        The exit status: 0, or 1 if it ended by itself or a process had to be killed.
     """
     agent = Agent(config, backend=backend)
     life = Life(agent, again)

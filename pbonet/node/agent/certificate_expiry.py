@@ -1,10 +1,10 @@
 """How long an agent's keys are valid, and whether other agents accept them.
 
-When a certificate expires, the links that it opened are closed on both sides, and no
-new ones come up, as if every cable had been pulled. The operators are warned for weeks
-before, and the cause is reported when it has happened. The same is done when two agents
-have keys of different authorities, as while those of a laboratory are replaced: zenoh
-does not report it, and the dialling side would only get no answer.
+When a certificate expires, the links that it opened are closed on both sides and no
+new ones can be opened, as if every cable had been pulled. Operators are warned for
+weeks before, and the cause is reported when it has happened. The same is done if two
+agents have keys of different authorities, for example while a laboratory replaces its
+keys: zenoh does not report it, and the dialling side would only get no answer.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ DAY = 86400.0
 LOOK = 600.0
 """Seconds between checks of the clock, because it may be set."""
 LINK_LOOK = 2.0
-"""Seconds between checks of links that should exist and do not."""
+"""Seconds between checks of links that should exist but do not."""
 _END = 1.0
-"""Seconds that the end waits for a check."""
+"""Seconds to wait for a check at the end."""
 
 
 class KeyTerm:
-    """The time of the keys that an agent's session was opened with.
+    """The validity of the keys with which an agent's session was opened.
 
     Args:
         folder: The key folder; None if there are no keys.
         name: The agent's name.
-        tell: Takes what is to be reported to masters.
-        unlinked: Returns the endpoints that are dialled and have no link.
+        tell: Called with reports for masters.
+        unlinked: Returns the dialled endpoints without a link.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class KeyTerm:
         self._folder, self._name, self._tell = folder, name, tell
         self._unlinked = unlinked
         self._refused: dict[str, str] = {}
-        """The reported reason why there is no link to an endpoint."""
+        """The reported reason why there is no link, by endpoint."""
         self._until = credentials.prove(folder) if folder is not None else None
         self._over = threading.Event()
         self._thread = threading.Thread(
@@ -68,12 +68,12 @@ class KeyTerm:
         return None if self._until is None else credentials.left(self._until)
 
     def start(self) -> None:
-        """Report it when it is time."""
+        """Start to report expiry."""
         if self._until is not None:
             self._thread.start()
 
     def stop(self) -> None:
-        """Stop reporting; a name that is being resolved is not waited for."""
+        """Stop reporting, without waiting for a name that is being resolved."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(_END)
@@ -91,7 +91,7 @@ class KeyTerm:
                 return
 
     def _look_at_links(self) -> None:
-        """Report where the keys of two agents prevent a link."""
+        """Report links that the keys of two agents prevent."""
         if self._folder is None:
             return
         unlinked = set(self._unlinked())

@@ -1,8 +1,8 @@
-"""Searches for a second agent of the same name whenever a link comes up.
+"""Searches for a second agent of the same name whenever a link is opened.
 
 Names are checked before an agent declares its own. Two agents that could not see each
-other then may meet later, when a link between their machines comes up: then it is too
-late to refuse one, for both control something. It is reported instead.
+other then may meet later, when a link between their machines is opened: it is then too
+late to refuse one, because both control tasks. It is reported instead.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 SETTLE_TIME = 0.5
-"""Seconds from the start of a link until all agents reached by it are known."""
+"""Seconds from the start of a link until all agents reached through it are known."""
 ANSWER_TIME = 2.0
 
 
@@ -58,7 +58,7 @@ class DuplicateAgents:
         )
 
     def start(self) -> None:
-        """Search now, and whenever a link comes up."""
+        """Search now, and whenever a link is opened."""
         self._listener = self._session.info.declare_transport_events_listener(
             self._on_link, history=True
         )

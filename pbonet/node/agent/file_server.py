@@ -1,8 +1,8 @@
-"""Files of this machine for others, confined to one folder (section 5.3.2).
+"""Files of this machine for other machines, confined to one folder (section 5.3.2).
 
-A path is resolved to its real target, which must be within the folder, and is then
-opened from the folder downwards without following any link, so that a link that is
-created meanwhile is refused too.
+A path is resolved to its real target, which must be within the folder. It is then
+opened from the folder downwards without following links, so that a link created
+meanwhile is refused, too.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ if TYPE_CHECKING:
     from typing import Any
 
 LONGEST = 1024
-"""Bytes of a path."""
+"""Maximum length of a path in bytes."""
 DEEPEST = 64
-"""Folders in a path."""
+"""Maximum number of folders in a path."""
 PARTS = 64
-"""Files that are being written at a time."""
+"""Maximum number of files being written at a time."""
 _PART = re.compile(r"[0-9a-f]{1,32}")
 _ACCESS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ELOOP, errno.ENXIO}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class FileServer:
-    """Reads and writes for clients on other machines.
+    """Reads and writes files for clients on other machines.
 
     Args:
-        root: The folder; None refuses everything.
+        root: The folder; None refuses all requests.
         rtpu: The RTPU's name.
 
     Raises:
@@ -61,7 +61,7 @@ class FileServer:
         self._root: Path | None = None
         self._guard = threading.Lock()
         self._parts: dict[tuple[str, str], str] = {}
-        """Paths of files that are being written, by client and part."""
+        """Paths of files being written, by client and part."""
         if root is not None:
             self._root = Path(root).resolve()
             if not self._root.is_dir():
@@ -85,23 +85,23 @@ class FileServer:
         }
 
     def lost(self, client: str) -> None:
-        """Remove what a client that is gone had begun to write."""
+        """Remove the unfinished files of a client that is gone."""
         with self._guard:
             theirs = [key for key in self._parts if key[0] == client]
         for key in theirs:
             self._drop(key)
 
-    # -- where a path leads ------------------------------------------------------------
+    # -- resolving paths ---------------------------------------------------------------
 
     def _where(self, path: str) -> str:
         return f"{self._rtpu}:{path[:100]}"
 
     def _real(self, path: str, *, parent: bool = False) -> tuple[Path, list[str]]:
-        """Return the root and the parts of where a path really leads below it.
+        """Return the root, and the parts of the real path below it.
 
         Args:
-            path: What was asked for.
-            parent: Follow its folder only: the last part may be new, or a link.
+            path: The requested path.
+            parent: Resolve only its folder: the last part may be new, or a link.
         """
         root = self._root
         if root is None:
@@ -139,7 +139,7 @@ class FileServer:
     def _folder(
         self, path: str, *, parent: bool = False
     ) -> Generator[tuple[int, str], None, None]:
-        """Open the folder that holds a path's last part; return it and that part."""
+        """Open the folder of a path's last part; yield it and that part."""
         root, parts = self._real(path, parent=parent)
         flags = os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
         fd = os.open(root, flags)
@@ -178,7 +178,7 @@ class FileServer:
             remedy="look at the file on its machine",
         )
 
-    # -- looking -----------------------------------------------------------------------
+    # -- reading -----------------------------------------------------------------------
 
     def _stat(self, request: f.FileStat) -> f.FileSeen:
         with self._folder(request.path) as (fd, name):
@@ -211,10 +211,10 @@ class FileServer:
                 one.encode()
                 entries.append(self._stat(f.FileStat(path=f"{request.path}/{one}")))
             except UnicodeEncodeError:
-                continue  # no name that can be sent
+                continue  # the name cannot be sent
             except XmError as error:
                 link = self._is_link(f"{request.path}/{one}")
-                if link or not isinstance(error, XmMissingError):  # or it has gone
+                if link or not isinstance(error, XmMissingError):  # else it has gone
                     entries.append(f.FileSeen(name=one, type="other", link=link))
         page = names[: f.PAGE]
         last = page[-1].encode(errors="replace").decode() if page else ""
@@ -247,7 +247,7 @@ class FileServer:
     # -- changing ----------------------------------------------------------------------
 
     def _beside(self, request: f.FileWrite | f.FileFinish) -> str:
-        """Return the name under which a file is written."""
+        """Return the temporary path of a file being written."""
         if not self._real(request.path, parent=True)[1]:
             raise XmNameError(
                 "the path names no file",
@@ -263,7 +263,7 @@ class FileServer:
                 remedy="run the same pbonet version on every machine",
             )
         folder, slash, name = request.path.rstrip("/").rpartition("/")
-        begin = name.encode()[:200].decode(errors="ignore")  # 255 bytes in all
+        begin = name.encode()[:200].decode(errors="ignore")  # names have 255 bytes
         return f"{folder}{slash}.{begin}.{request.part}.part"
 
     def _write(self, request: f.FileWrite) -> None:
@@ -367,7 +367,7 @@ class FileServer:
                 remedy="name what is in the folder, and where it is to be",
             )
         with self._folder(request.path, parent=True) as (fd, name):
-            os.stat(name, dir_fd=fd, follow_symlinks=False)  # reported by its own path
+            os.stat(name, dir_fd=fd, follow_symlinks=False)  # errors name the source
             with self._folder(request.to, parent=True) as (other, target):
                 os.rename(name, target, src_dir_fd=fd, dst_dir_fd=other)
 

@@ -1,4 +1,4 @@
-"""Repeated requests: carried out once, answered as often as they come."""
+"""Repeated requests: executed once, answered each time."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ if TYPE_CHECKING:
     Reply = Callable[[bytes], None]
 
 KEPT = 1 << 20
-"""Bytes of answers that are kept; the oldest go first."""
+"""Maximum bytes of stored answers; the oldest are dropped first."""
 OVERHEAD = 256
-"""Bytes that an answer counts in addition to its own."""
+"""Bytes that each answer counts in addition to its own."""
 REQUESTS = 4096
-"""Requests that are known to be recorded; the oldest go first."""
+"""Maximum number of requests known to be recorded; the oldest are dropped first."""
 
 
 class RepeatedRequests:
-    """Answers by client and the request's id.
+    """Stored answers by client and request id.
 
-    A request is repeated when a link was lost meanwhile, so the newest answers suffice.
+    A client repeats a request if a link was lost meanwhile, so the newest answers are
+    enough.
     """
 
     def __init__(self) -> None:
@@ -32,7 +33,7 @@ class RepeatedRequests:
         self._size = 0
 
     def begin(self, who: tuple[str, str], reply: Reply) -> bool:
-        """Tell whether a request is new; another one is answered now or with it."""
+        """Return whether a request is new; a repeated one gets the same answer."""
         with self._guard:
             waiting = self._under_way.get(who)
             if waiting is not None:
@@ -46,7 +47,7 @@ class RepeatedRequests:
         return False
 
     def end(self, who: tuple[str, str], data: bytes) -> None:
-        """Answer a request, as often as it came."""
+        """Answer a request and its repetitions."""
         with self._guard:
             waiting = self._under_way.pop(who, [])
             self._answers[who] = data
@@ -59,14 +60,14 @@ class RepeatedRequests:
 
 
 class RecordedRequests:
-    """The recorded requests: a repeated one is only answered again."""
+    """The recorded requests: a repeated one is not recorded again."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
         self._noted: OrderedDict[tuple[str, str], None] = OrderedDict()
 
     def first(self, client: str, request_id: str) -> bool:
-        """Return whether a request is to be recorded, and count it as recorded."""
+        """Return whether a request must be recorded, and mark it as recorded."""
         if not request_id:
             return True
         who = client, request_id

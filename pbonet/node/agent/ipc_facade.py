@@ -1,4 +1,4 @@
-"""An agent's part in express mail: its RTPU's server, and its tasks' requests."""
+"""An agent's part in express mail: its server, and the gateway of its tasks."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 class Mail:
-    """Both halves.
+    """The server of resources and the gateway for tasks.
 
     Args:
         session: The agent's session.
         places: The agent's files.
-        files: The folder of files for others, if it declares one.
+        files: The folder of files for other machines, if declared.
 
     Raises:
         NodeError: That folder does not exist.
@@ -36,14 +36,14 @@ class Mail:
         self._relay = TaskGateway(session, domain, name, places.post)
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
-        """Start a request, whose answer is sent when it is done; returns at once."""
+        """Start a request, which is answered when it is done; returns at once."""
         self._resources.take(request, reply)
 
     def end_waits(self) -> None:
-        """Let go of all resources, which can then be removed."""
+        """Release all resources, which can then be removed."""
         self._resources.stop()
 
     def stop(self) -> None:
-        """End for good."""
+        """End the server and the gateway."""
         self._resources.stop()
         self._relay.stop()

@@ -1,9 +1,9 @@
-"""Keys of the network whose messages become events of tasks (`events` of agent.toml).
+"""Network keys whose messages become events of tasks (`events` of agent.toml).
 
-The agent subscribes to a key and passes what comes to its RTPU process, which puts it
-into a queue of that RTPU (`network_queues`). So a server or synchronous task waits for
-a camera, an operator or a planner as it waits for a task beside it, without any network
-code in its process.
+The agent subscribes to a key and passes messages to its RTPU process, which puts them
+into a queue of that RTPU (`network_queues`). So a server or synchronous task can wait
+for a camera, an operator or a planner as for a local task, without any network code in
+its process.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     import zenoh
 
 WAITING = 256
-"""Messages that wait to be passed on; the oldest go first."""
+"""Maximum number of waiting messages; the oldest are dropped first."""
 
 
 class KeySubscriptions:
-    """Subscribes to keys and passes on what comes.
+    """Subscribes to keys and passes on their messages.
 
-    Callbacks of zenoh must return at once, so a thread passes the messages on.
+    Zenoh's callbacks must return at once, so a thread passes the messages on.
 
     Args:
         session: The agent's session.
         keys: Key expressions by queue.
-        hand_on: Takes a message for the RTPU process, or a note that it did not get one
-            that was too long for any queue.
+        hand_on: Called with a message for the RTPU process, or with a note about a
+            message that was too long for any queue.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class KeySubscriptions:
         return heard
 
     def _refuse(self, queue: str, size: int) -> None:
-        """Count a message that no queue takes; report the first."""
+        """Count a message that is too long for any queue; report the first one."""
         self._too_long[queue] += 1
         if self._too_long[queue] == 1:
             self._tell(

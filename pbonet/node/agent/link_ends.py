@@ -1,7 +1,7 @@
 """An agent's two ends of a link: one sends records, one receives them.
 
-Both use buffers as tasks do, each as the one reader or the one writer on its machine;
-so a task notices no difference, and nothing of it runs in a task's process.
+Both use buffers as tasks do, each as the only reader or writer on its machine; so a
+task notices no difference, and none of this runs in a task's process.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from pbonet.xm.ipc import Name
 
 LOOK_NS = 100_000_000
-"""How long a sender sleeps at most before it checks whether it should end."""
+"""Longest sleep of a sender between checks whether it must end."""
 CLOCKS_NS = 200_000_000
-"""How long a receiver relies on a measurement of the other machine's clock."""
+"""How long a receiver uses a measurement of the other machine's clock."""
 
 
 class Sender:
-    """Sends every new record of a link; where it is too late, the newest.
+    """Sends every new record of a link; if it falls behind, the newest one.
 
     Args:
         session: The agent's session.
         name: The link.
-        key: Where records go.
-        who: What the buffer notes, for messages.
+        key: The key on which records are sent.
+        who: Description of this user in the buffer, for error messages.
 
     Raises:
         XmError: The buffer has a reader, or cannot be used.
@@ -65,7 +65,7 @@ class Sender:
 
     @property
     def works(self) -> bool:
-        """Whether records are sent: not when the buffer was destroyed."""
+        """Whether records are sent; False after the buffer was destroyed."""
         return self._thread.is_alive()
 
     def stop(self) -> None:
@@ -88,16 +88,16 @@ class Sender:
 
 
 class Receiver:
-    """Puts the records of another machine into this one's buffer.
+    """Writes the records of another machine to this one's buffer.
 
     Args:
         session: The agent's session.
         name: The link.
-        key: Where records come from.
-        who: What the buffer notes, for messages.
+        key: The key on which records arrive.
+        who: Description of this user in the buffer, for error messages.
         offset: Returns nanoseconds from the other machine's clock to this one's; None
-            while they are not known.
-        misfit: Called once with an error if the records are not what the reader wants.
+            if unknown.
+        misfit: Called once with an error if the records do not fit the reader.
 
     Raises:
         XmError: The buffer has a writer, or cannot be used.
@@ -133,11 +133,11 @@ class Receiver:
         """Stop receiving, and release the buffer to another writer."""
         with contextlib.suppress(zenoh.ZError):
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
-        self._over = True  # a record may be on its way in
+        self._over = True  # a record may be about to arrive
         places.leave(self._end)
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """Take a record; runs in zenoh's own thread, for a few microseconds."""
+        """Write a record; runs in zenoh's own thread, for a few microseconds."""
         now = time.monotonic_ns()
         if self._over:
             return
@@ -153,13 +153,13 @@ class Receiver:
                 self._misfit(error)
 
     def _look(self, now: int) -> None:
-        """Find the offset of the clocks; raise this thread's level."""
+        """Update the offset of the clocks; raise this thread's priority."""
         self._again = now + CLOCKS_NS
         self._ahead = self._offset()
         process_setup.go_before_others()
 
     def _turn(self, message: bytes, now: int) -> None:
-        """Take a record that is described in other words, as of another byte order."""
+        """Write a record with another description, such as another byte order."""
         text, data = parts(message)[-2:]
         if text != self._text:
             theirs = layout.parse(text)

@@ -1,13 +1,13 @@
-"""Cuts links that are up but transfer no declarations, so that they are made again.
+"""Cuts links that are up but transfer no declarations, so that they are opened again.
 
-A router of zenoh sends a neighbour its declarations when that becomes a child in its
-tree of links. Trees are computed at most every 100 ms and compared with the last ones.
-So a neighbour whose link ends and is made again within that time receives none: it sees
-no token, and no request finds its way, as long as the link lasts. This happens where a
-router with several links was held up for a moment (decision 0194).
+A zenoh router sends a neighbour its declarations when the neighbour becomes a child in
+its tree of links. Trees are computed at most every 100 ms and compared with the last
+ones. So a neighbour whose link closes and reopens within that time receives none: it
+sees no token and no request can be routed to it, as long as the link lasts. This
+happens if a router with several links was delayed for a moment (decision 0194).
 
-zenoh offers no way to close one link. Shutting its socket down acts like a pulled
-cable: both routers notice at once, and the dialling side dials again.
+zenoh cannot close a single link. Shutting down its socket has the same effect as
+pulling a cable: both routers notice at once, and the dialling side dials again.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from pbonet.xm.net import AgentInfo
 
 LOOKS = 3
-"""After so many checks, a second apart, an unseen neighbour will not appear."""
+"""Number of checks, one second apart, after which an unseen neighbour is cut off."""
 PAUSE = 10
-"""Checks until the same link may be cut again."""
+"""Number of checks until the same link may be cut again."""
 MOST = 256
-"""Neighbours that are remembered; each start of an agent is another one."""
+"""Maximum number of remembered neighbours; each start of an agent counts as one."""
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -51,7 +51,7 @@ class LinkWatchdog:
     """An agent's knowledge of its neighbours.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
     """
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -59,17 +59,17 @@ class LinkWatchdog:
         self._known: dict[str, Known] = {}
         """By zenoh identity."""
         self._missed: dict[str, int] = {}
-        """Checks at which a neighbour was not seen; below 0 for a pause."""
+        """Number of checks in which a neighbour was not seen; negative: a pause."""
 
     def met(self, info: AgentInfo, *, here: bool) -> None:
-        """Note an agent that has answered."""
+        """Store the identity of an agent that has answered."""
         self._known.pop(info.zid, None)
         self._known[info.zid] = Known(info.name, info.pid, here)
         while len(self._known) > MOST:
             self._known.pop(next(iter(self._known)))
 
     def unseen(self, seen: Iterable[str]) -> dict[str, Known]:
-        """Return the neighbours that have a link and are not seen."""
+        """Return the neighbours that have a link but are not seen."""
         there = set(seen)
         linked = (str(zid) for zid in self._session.info.routers_zid())
         return {
@@ -91,7 +91,7 @@ class LinkWatchdog:
         missed = {
             zid: count + 1
             for zid, count in self._missed.items()
-            if zid in unseen or count < 0  # a pause runs on
+            if zid in unseen or count < 0  # pauses continue
         }
         self._missed = dict.fromkeys(unseen, 1) | missed
         again: list[str] = []
@@ -113,7 +113,7 @@ class LinkWatchdog:
 
 
 def _sockets() -> Iterator[socket.socket]:
-    """Yield the sockets of this process, one after the other, as copies."""
+    """Yield duplicates of this process's sockets, one at a time."""
     for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 - numbers, no paths
         with contextlib.suppress(OSError):
             copy = os.dup(int(name))
@@ -134,7 +134,7 @@ def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Known) -> bo
             return (_address(near), _address(far)) in ends
         size = _CREDENTIALS.size
         found = one.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-    except OSError:  # it listens, or is gone
+    except OSError:  # a listening socket, or already closed
         return False
     places = {end for pair in ends for end in pair}
     return (
@@ -147,13 +147,13 @@ def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Known) -> bo
 def _shut(one: socket.socket) -> bool:
     try:
         one.shutdown(socket.SHUT_RDWR)
-    except OSError:  # it has ended meanwhile
+    except OSError:  # already closed
         return False
     return True
 
 
 def resolved(endpoint: str) -> set[str]:
-    """Return the addresses that an endpoint over a network may have, as `plain`."""
+    """Return the possible addresses of a network endpoint, in the form of `plain`."""
     host, _, port = inside(endpoint).rpartition(":")
     try:
         found = socket.getaddrinfo(host.strip("[]"), int(port))
@@ -168,7 +168,7 @@ def inside(locator: str) -> str:
 
 
 def plain(locator: str) -> str:
-    """Return the address in a locator, spelled in one way; a path as it is."""
+    """Return the address of a locator in normal form; a path is returned unchanged."""
     address = inside(locator)
     if locator.startswith(access_control.LOCAL):
         return address

@@ -1,9 +1,9 @@
 """The paths to the other agents: round trips and clock offsets.
 
 Every second each agent asks every other agent of its domain for its identity. The
-shortest of the last round trips gives the best estimate of how much the other machine's
-clock is ahead: when both ways take the same time, the answer was made in the middle of
-it, and it cannot be wrong by more than half of the trip (Cristian 1989).
+shortest of the last round trips gives the best estimate of the other machine's clock
+offset: if both directions take equally long, the answer was made in the middle of the
+round trip; the error is at most half of it (Cristian 1989).
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ PERIOD = 1.0
 _END = "end"
 """Last part of the key on which an agent announces its orderly end."""
 KEPT = 8
-"""Round trips that the shortest is chosen from."""
+"""Number of round trips from which the shortest is chosen."""
 TRIES = 3
-"""Round trips that a report makes."""
+"""Number of round trips for a report."""
 ANSWER_TIME = 0.5
-"""Seconds for an answer; it is made at once."""
+"""Time-out of an answer in seconds; agents answer this request at once."""
 AGAIN = 10
-"""How often a report retries agents that are seen and cannot be asked."""
+"""How often a report retries agents that are seen but cannot be asked."""
 PAUSE = 0.1
-"""Seconds between such retries: links are being restored."""
+"""Seconds between such retries, while links are being restored."""
 LOST_TIME = 86400.0
 """Seconds for which an agent that is no longer seen is reported."""
 MOST_LOST = 64
-"""Agents that are remembered though they are seen no more."""
+"""Maximum number of agents that are remembered after they are no longer seen."""
 _UNASKED = "its agent is seen, and no request finds its way there"
 
 
@@ -66,19 +66,19 @@ class RoundTrip(NamedTuple):
 
 
 class Peer:
-    """Another agent, as the last round trips have shown it."""
+    """Another agent, with its last round trips."""
 
     def __init__(self) -> None:
         self.trips: deque[RoundTrip] = deque(maxlen=KEPT)
         self.best: RoundTrip | None = None
-        """The shortest trip; asked for with each record of a link."""
+        """The shortest trip; read for each record of a link."""
         self.info: m.AgentInfo | None = None
         self.error = ""
         self.near = False
-        """Whether there is a link of its own to it."""
+        """Whether there is a direct link to it."""
 
     def add(self, info: m.AgentInfo, begin_ns: int, end_ns: int) -> None:
-        """Take a round trip; those to another process or machine count no more."""
+        """Add a round trip; earlier ones to another machine are dropped."""
         if self.info is not None and self.info.machine != info.machine:
             self.trips.clear()
         self.info, self.error = info, ""
@@ -93,8 +93,8 @@ class PeerLatencies:
     Args:
         link: The agent's session.
         me: The agent's identity.
-        tell: Takes the clock offsets, every second.
-        note: Takes what is to be reported to masters.
+        tell: Called with the clock offsets, every second.
+        note: Called with reports for masters.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class PeerLatencies:
         self._note = note
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
-        """Agents that were seen, and when a search for them failed."""
+        """Agents that were seen, and when a search for them first failed."""
         self._ended: set[str] = set()
         """Agents that have announced their end."""
         self._watchdog = link_watchdog.LinkWatchdog(link)
@@ -122,7 +122,7 @@ class PeerLatencies:
         )
 
     def start(self) -> None:
-        """Ask every second."""
+        """Start to ask every second."""
         self._subscriber = self._session.declare_subscriber(
             key_expressions.all_rtpus(self._me().domain, _END),
             direct(self._heard_end),
@@ -130,7 +130,7 @@ class PeerLatencies:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop asking, and announce to the others that this is no loss."""
+        """Stop asking, and announce the orderly end to the others."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -140,7 +140,7 @@ class PeerLatencies:
             self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
 
     def unlinked(self, endpoints: Sequence[str]) -> list[str]:
-        """Return the endpoints over TLS that have no link."""
+        """Return the TLS endpoints without a link."""
         wanted = [one for one in endpoints if one.startswith("tls/")]
         with contextlib.suppress(zenoh.ZError):
             there = {
@@ -148,14 +148,14 @@ class PeerLatencies:
             }
             ports = Counter(_port(link_watchdog.plain(one)) for one in wanted)
             ports.subtract(_port(one) for one in there)
-            if any(count > 0 for count in ports.values()):  # else no name is resolved
+            if any(count > 0 for count in ports.values()):  # otherwise resolve no name
                 return [
                     o for o in wanted if there.isdisjoint(link_watchdog.resolved(o))
                 ]
         return []
 
     def lost(self) -> list[m.Lost]:
-        """Return the agents that were seen, and are seen no more."""
+        """Return the agents that were seen and are no longer seen."""
         if not self._lost:
             return []
         now = time.monotonic()
@@ -168,7 +168,7 @@ class PeerLatencies:
         ]
 
     def _heard_end(self, sample: zenoh.Sample) -> None:
-        """Note an agent that ends in order; runs in zenoh's own thread."""
+        """Record the orderly end of an agent; runs in zenoh's own thread."""
         name = key_expressions.rtpu_name(str(sample.key_expr))
         with self._guard:
             if name in self._peers:
@@ -179,7 +179,7 @@ class PeerLatencies:
         """Return by how many ns a machine's clock is ahead, if known.
 
         Args:
-            machine: As keys spell it.
+            machine: The machine, in the form used in keys.
         """
         with self._guard:
             trips = [
@@ -233,7 +233,7 @@ class PeerLatencies:
                 self._tell(rtpu_messages.Clocks(self._me().machine, others))
 
     def _relink_unseen(self) -> None:
-        """Let links be made again through which neighbours are not seen."""
+        """Reopen links through which neighbours are not seen."""
         with self._guard:
             peers = list(self._peers.items())
         for name in self._watchdog.look(_seen(peers)):
@@ -258,7 +258,7 @@ class PeerLatencies:
             ]
 
     def _look(self, me: str, wanted: Container[str] | None = None) -> None:
-        """Make one round trip to each agent that can be seen, or to those wanted."""
+        """Make one round trip to each agent that is seen, or to those in `wanted`."""
         domain, machine = self._me().domain, self._me().machine
         names = [n for n in session.rtpus(self._session, domain) if n != me]
         near = {str(zid) for zid in self._session.info.routers_zid()}
@@ -277,7 +277,7 @@ class PeerLatencies:
             with self._guard:
                 if isinstance(found, m.AgentInfo):
                     if peer.info is None or peer.info.zid != found.zid:
-                        self._ended.discard(name)  # it was started again
+                        self._ended.discard(name)  # it has restarted
                     peer.add(found, begin, end)
                     peer.near = found.zid in near
                     self._watchdog.met(found, here=found.machine == machine)
@@ -295,7 +295,7 @@ class PeerLatencies:
                 self._lost.pop(next(iter(self._lost)))
 
     def _ask(self, key: str) -> m.AgentInfo | str:
-        """Return the identity that answers on a key, or why none does."""
+        """Return the identity of the agent that answers on a key, or the reason."""
         replies = self._session.get(
             key, payload=self._codec.pack(m.Hello(id="way")), timeout=ANSWER_TIME
         )
@@ -313,12 +313,12 @@ class PeerLatencies:
 
 
 def _port(address: str) -> str:
-    """Return the port at the end of an address, as `watchdog.plain` spells it."""
+    """Return the port of an address in the form of `link_watchdog.plain`."""
     return address.rpartition(" ")[2]
 
 
 def _seen(peers: Iterable[tuple[str, Peer]]) -> list[str]:
-    """Return the names of those that can be asked, however late they answer."""
+    """Return the names of agents that can be asked, even if they answer late."""
     return [name for name, peer in peers if peer.error != _UNASKED]
 
 

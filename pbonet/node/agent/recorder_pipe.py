@@ -1,4 +1,4 @@
-"""Messages to a recorder: kept while its pipe is full, sent by a thread."""
+"""Messages to a recorder: buffered while its pipe is full, sent by a thread."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MOST: Final = 8 << 20
-"""Bytes that are kept; what comes beyond is counted. A pipe itself takes 64 KiB."""
+"""Maximum bytes in the buffer; frames beyond it are counted. The pipe holds 64 KiB."""
 STUCK: Final = 10.0
-"""Seconds for which a reader may take nothing while something waits for it."""
+"""Seconds without progress after which a reader counts as stuck."""
 
 
 class RecorderPipe:
     """Frames for a reader that may be slow, may end, and may be replaced.
 
     Args:
-        unfit: Called with how many frames found no room, once there is room again.
-        stuck: Called when the reader takes nothing any more.
+        unfit: Called with the number of dropped frames, when there is room again.
+        stuck: Called when the reader is stuck.
     """
 
     def __init__(self, unfit: Callable[[int], None], stuck: Callable[[], None]) -> None:
@@ -32,12 +32,12 @@ class RecorderPipe:
         self._bytes = 0
         self._dropped = 0
         self._reader = 0
-        """The number of the present reader: 1, 2, ..."""
+        """The number of the current reader: 1, 2, ..."""
         self._over = False
         self._changed = threading.Condition()
 
     def put(self, frame: bytes) -> None:
-        """Pass something on; never waits."""
+        """Add a frame; never waits."""
         with self._changed:
             if self._over:
                 return
@@ -49,10 +49,10 @@ class RecorderPipe:
             self._changed.notify_all()
 
     def begin(self, fd: int) -> None:
-        """Feed another reader, from the first frame on that none took whole.
+        """Send to a new reader, starting with the first frame not received whole.
 
         Args:
-            fd: A pipe to it, which is closed at the end.
+            fd: The write end of its pipe, which is closed at the end.
         """
         os.set_blocking(fd, False)
         with self._changed:
@@ -63,13 +63,13 @@ class RecorderPipe:
         ).start()
 
     def leave(self) -> None:
-        """Close the reader's pipe now; what is kept waits for another reader."""
+        """Close the reader's pipe now; the buffer is kept for another reader."""
         with self._changed:
             self._reader += 1
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Take nothing more; the pipe is closed when the reader has taken the rest."""
+        """Accept no more frames; the pipe is closed when the rest has been read."""
         with self._changed:
             self._over = True
             self._changed.notify_all()
@@ -84,7 +84,7 @@ class RecorderPipe:
             os.close(fd)
 
     def _next(self, reader: int) -> bytes | None:
-        """Wait for a frame; None: there is none to come for this reader."""
+        """Wait for a frame; None if this reader gets no more."""
         with self._changed:
             while self._reader == reader and not self._frames and not self._over:
                 self._changed.wait()
@@ -95,7 +95,7 @@ class RecorderPipe:
     def _took(self, frame: bytes, reader: int) -> None:
         with self._changed:
             if self._reader != reader:
-                return  # the next one is given it again
+                return  # the next reader gets it again
             self._frames.popleft()
             self._bytes -= len(frame)
             dropped, self._dropped = self._dropped, 0
@@ -103,7 +103,7 @@ class RecorderPipe:
             self._unfit(dropped)
 
     def _write(self, fd: int, frame: bytes) -> bool:
-        """Write a frame whole; False when the reader has ended or is stuck."""
+        """Write a whole frame; return False if the reader has ended or is stuck."""
         rest = memoryview(frame)
         waiting = select.poll()
         waiting.register(fd, select.POLLOUT)
@@ -116,5 +116,5 @@ class RecorderPipe:
             except BlockingIOError:
                 continue
             except OSError:
-                return False  # it has ended
+                return False  # the reader has ended
         return True

@@ -1,4 +1,4 @@
-"""The agent's recorders: one process for each subsystem that is to be recorded."""
+"""The agent's recorders: one process for each recorded subsystem."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     _Told = Callable[[], rtpu_messages.Commanded]
 
 END_TIME: Final = 10.0
-"""Seconds that a recorder may take to finish its log."""
+"""Seconds in which a recorder must finish its log."""
 RESTARTS: Final = 5
 BEFORE: Final = 32
-"""Commands that are kept of a subsystem until it is recorded."""
+"""Number of commands kept of a subsystem that is not recorded yet."""
 AGAIN_TIME: Final = 1.0
-"""Seconds between tries to start a recorder while the system has no process for it."""
+"""Seconds between attempts to start a recorder while the system has no resources."""
 WINDOW: Final = 60.0
 """A recorder that is lost more often than this many times in so many seconds is not
 started again."""
@@ -47,9 +47,9 @@ class _Child:
     """One recorder's process.
 
     Args:
-        wanted: What it records.
-        before: Commands that were answered before.
-        tell: Takes its messages.
+        wanted: The plan of the recording.
+        before: Commands answered earlier.
+        tell: Called with its messages.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class _Child:
     def _start(
         self, before: Iterable[rtpu_messages.Commanded]
     ) -> subprocess.Popen[bytes]:
-        """Start a process; what it is to do is in a file, its news go into a pipe.
+        """Start a process, with its plan in a memory file and two pipes.
 
         Raises:
-            OSError: The system gives no process, or no descriptors for it.
+            OSError: The system has no process or no descriptors for it.
         """
         recording = msgspec.structs.replace(self.wanted, before=list(before))
         with contextlib.ExitStack() as ours, contextlib.ExitStack() as its:
@@ -109,7 +109,7 @@ class _Child:
         return process
 
     def tell(self, message: rtpu_messages.ToRecorder) -> None:
-        """Pass something on; a recorder that takes nothing is restarted."""
+        """Send a message; a recorder that does not read is restarted."""
         self._feed.put(rtpu_messages.frame(message))
 
     def _kill(self) -> None:
@@ -121,7 +121,7 @@ class _Child:
         self._tell(rtpu_messages.Note(int(Severity.WARNING), "NOT_RECORDED", text))
 
     def end(self) -> None:
-        """Let the log be finished; `join` waits for that."""
+        """Let the recorder finish its log; `join` waits for that."""
         with self._guard:
             self._ending.set()
             self._feed.end()
@@ -150,7 +150,7 @@ class _Child:
                 self._tell(decoder.decode(said.read(size)))
 
     def _again(self, code: int) -> bool:
-        """Restart a recorder that was lost; return whether that was done."""
+        """Restart a recorder that was lost; return whether it was restarted."""
         with self._guard:
             if self._ending.is_set():
                 return False
@@ -168,7 +168,7 @@ class _Child:
         return False
 
     def _started_again(self) -> bool:
-        """Start another one as soon as the system allows; False if it is to end."""
+        """Start another one as soon as the system allows; False if it must end."""
         told = False
         while True:
             with self._guard:
@@ -191,11 +191,11 @@ class _Child:
 
 
 class Recorders:
-    """Keeps a recorder for each subsystem that is to be recorded.
+    """Runs a recorder for each recorded subsystem.
 
     Args:
         tell: Passes a note to the RTPU process.
-        config: The machine's settings for logs; each log contains them.
+        config: The machine's configuration; each log contains it.
     """
 
     def __init__(self, tell: Tell, config: AgentConfig) -> None:
@@ -218,11 +218,11 @@ class Recorders:
         wanted: Mapping[str, rtpu_messages.Recording],
         claims: Collection[str] = (),
     ) -> None:
-        """Start and end recorders, so that these are recorded and no others.
+        """Start and end recorders so that exactly these subsystems are recorded.
 
         Args:
-            wanted: What is to be recorded, by subsystem.
-            claims: Subsystems that hold a claim; of no others commands are kept.
+            wanted: Plans of the recordings, by subsystem.
+            claims: Subsystems that hold a claim; commands are kept only of these.
         """
         wanted = {
             name: msgspec.structs.replace(
@@ -245,7 +245,7 @@ class Recorders:
                 del self._before[subsystem]
 
     def _begin(self, subsystem: str, wanted: rtpu_messages.Recording) -> None:
-        """Start a recorder; if the system gives no process, the next update does."""
+        """Start a recorder; if that fails, the next update tries again."""
         before = [told() for told in self._before.get(subsystem, ())]
         try:
             self._children[subsystem] = _Child(wanted, before, self._said)
@@ -257,7 +257,7 @@ class Recorders:
             self._before.pop(subsystem, None)
 
     def fares(self, subsystem: str) -> rtpu_messages.Recorder | None:
-        """Return the state of a subsystem's recorder; None without one."""
+        """Return the state of a subsystem's recorder; None if there is none."""
         return self._fares.get(subsystem)
 
     def _said(self, message: rtpu_messages.FromRecorder) -> None:
@@ -267,7 +267,7 @@ class Recorders:
             self._tell(message)
 
     def tell(self, message: rtpu_messages.ToRecorder) -> None:
-        """Let something be recorded."""
+        """Send a message to all recorders."""
         with self._guard:
             children = list(self._children.values())
         for child in children:
@@ -290,10 +290,10 @@ class Recorders:
     def noted(
         self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
     ) -> bool:
-        """Keep a short command; returns False where it must be `commanded` instead.
+        """Keep a short command; return False if `commanded` must be called instead.
 
-        It takes almost no time: a command that is not recorded needs no record, unless
-        a recording begins.
+        This takes almost no time: the record of a command is made only if a recording
+        begins.
         """
         if not self._guard.acquire(blocking=False):
             return False
@@ -312,11 +312,11 @@ class Recorders:
             self._before.setdefault(subsystem, room).append(told)
 
     def stop(self, *, sweep: bool = True) -> None:
-        """Finish every log.
+        """Finish all logs.
 
         Args:
             sweep: Remove the rings that no recorder took; otherwise the RTPU process
-                continues, and they wait for the next agent's recorders.
+                continues, and they remain for the next agent's recorders.
         """
         self.update({})
         with self._guard:

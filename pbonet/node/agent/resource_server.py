@@ -1,12 +1,12 @@
 """The express mail server of an RTPU (Stewart 1994, sections 5.3 and 5.4).
 
 It acts for clients on other machines: it attaches to semaphores and queues of this
-machine in their place, and waits in the same lines as local tasks, with the client's
-priority. A client's liveliness token is its lease. When that goes, its waits end, what
-it had been sent and not acknowledged is given back, and what it held counts as held by
-a process that died.
+machine on their behalf, and waits in the same lines as local tasks, with the client's
+priority. A client's liveliness token is its lease. When the token disappears, the
+client's waits end, unacknowledged messages and units are returned, and a critical
+section that it held counts as held by a process that died.
 
-Waits have threads of their own, at most `WAITS`; nothing here is real-time.
+Waits run in threads of their own, at most `WAITS`; nothing here is real-time.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 WAITS = 64
-"""Clients that wait at a time."""
+"""Maximum number of clients that wait at a time."""
 OTHERS = 8
-"""Requests at a time that wait for nothing."""
+"""Maximum number of requests at a time that do not wait."""
 WAITING = 1000
-"""Requests that wait for a thread."""
+"""Maximum number of requests that wait for a thread."""
 HANDLES = 512
-"""Resources that clients are attached to, at a time."""
+"""Maximum number of resources attached for clients at a time."""
 BROKEN_OFF = 256
-"""Waits that were cancelled before they arrived, and are remembered."""
+"""Maximum number of remembered waits that were cancelled before they arrived."""
 TOKEN_TIME = 1.0
-"""Seconds in which the token of a client that attaches is seen."""
+"""Seconds to wait for the token of a client that attaches."""
 
 
 class Held:
-    """A resource that the agent is attached to in a client's place."""
+    """A resource to which the agent is attached for a client."""
 
     def __init__(self, client: str, thing: xm.Semaphore | xm.Queue) -> None:
         self.client, self.thing = client, thing
@@ -72,10 +72,10 @@ class Held:
         """Requests under way."""
         self.gone = False
         self.loose: dict[str, r.Took] = {}
-        """Messages that were taken and not acknowledged."""
+        """Items taken and not yet acknowledged, by the client's name for them."""
 
     def give_back(self, took: r.Took) -> None:
-        """Put back what a client did not get."""
+        """Return what a client did not receive."""
         if isinstance(self.thing, xm.Queue):
             self.thing.send(took.data, took.priority, full=xm.Full.DROP)
         else:
@@ -83,10 +83,10 @@ class Held:
 
 
 class ResourceServer:
-    """Carries out what clients ask of an RTPU's semaphores and queues.
+    """Carries out clients' requests about an RTPU's semaphores and queues.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         domain: Its domain.
         rtpu: Its name.
         filer: Reads and writes files.
@@ -102,7 +102,7 @@ class ResourceServer:
         self._clients: set[str] = set()
         self._held: dict[int, Held] = {}
         self._takes: dict[str, Held] = {}
-        """Waits under way."""
+        """Waits under way, by the client's name for them."""
         self._broken_off: dict[str, None] = {}
         self._count = 0
         self._queued = self._waits = 0
@@ -127,7 +127,7 @@ class ResourceServer:
         )
 
     def stop(self) -> None:
-        """End all waits and let go of everything."""
+        """End all waits and release all resources."""
         with self._change:
             if self._over:
                 return
@@ -142,7 +142,7 @@ class ResourceServer:
     # -- clients -----------------------------------------------------------------------
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        """Note a token; runs in zenoh's thread, which nothing may hold up."""
+        """Record a token; runs in zenoh's thread, which must not be blocked."""
         client = key_expressions.last(str(sample.key_expr))
         with self._change:
             if sample.kind == zenoh.SampleKind.PUT:
@@ -167,7 +167,7 @@ class ResourceServer:
         self._fileserver.lost(client)
 
     def _clean(self, held: Held) -> None:
-        """Release what a client that is gone had, once no request uses it."""
+        """Release a lost client's resource when no request uses it any longer."""
         with self._change:
             if held.busy or not held.gone:
                 return
@@ -186,7 +186,7 @@ class ResourceServer:
     # -- requests ----------------------------------------------------------------------
 
     def take(self, request: r.XmRequest, reply: Callable[[bytes], None]) -> None:
-        """Start a request, whose answer is sent when it is done; returns at once."""
+        """Start a request, which is answered when it is done; returns at once."""
         who = request.client, request.id
         once = not roles.only_looks(request)
         if once and not self._repeats.begin(who, reply):
@@ -226,7 +226,7 @@ class ResourceServer:
             answer = codec.failure(error, request.id)
         except (ValueError, TypeError, OverflowError) as error:
             answer = codec.failure(_unfit(self._rtpu, error), request.id)
-        except Exception as error:  # the server outlives any request
+        except Exception as error:  # the server survives any request
             log.exception("%s: a request could not be carried out", self._rtpu)
             answer = codec.failure(_unfit(self._rtpu, error), request.id)
         with self._change:
@@ -272,7 +272,7 @@ class ResourceServer:
         raise _lapsed(str(name))
 
     def _must_live(self, client: str) -> None:
-        """Wait a little for a client's token, which may be slower than its request."""
+        """Wait briefly for a client's token, which may be slower than its request."""
         end = time.monotonic() + TOKEN_TIME
         with self._change:
             while client not in self._clients:
@@ -441,7 +441,7 @@ def _other(held: Held) -> XmError:
 
 
 def _until(wait: float) -> int:
-    """Return when a wait of so many seconds ends, CLOCK_MONOTONIC nanoseconds."""
+    """Return the end of a wait in CLOCK_MONOTONIC nanoseconds."""
     return time.monotonic_ns() + round(min(wait, 1e9) * 1e9) if wait > 0 else 0
 
 

@@ -1,7 +1,7 @@
-"""Checks whether an agent may restart in place of the present one (SIGHUP).
+"""Checks whether an agent may restart in place of the current one (SIGHUP).
 
-Its RTPU process continues meanwhile, for some seconds. So everything that would prevent
-the next agent from taking it over is checked before this one lets go.
+Its RTPU process continues meanwhile, for some seconds. So everything that could prevent
+the next agent from taking it over is checked before this one ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _STAYS: Final = "put it back, or end the agent and start it again: its tasks turn OFF"
 _THE_PROCESS: Final = ("libraries", "runs", "awake")
-"""Settings that an RTPU process is started with, and keeps."""
+"""Settings with which an RTPU process is started, and which it keeps."""
 LATER: Final = (
     "%s: another value of %s reaches the RTPU process when it is started again"
 )
@@ -38,8 +38,8 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
         core: The core of its RTPU process.
 
     Raises:
-        PbonetError: It would be another RTPU, its keys are not valid, or something that
-            it names cannot be used.
+        PbonetError: It would be another RTPU, its keys are not valid, or something in
+            the configuration cannot be used.
     """
     for what, is_, to_be in (
         ("name", old.name, new.name),
@@ -64,12 +64,12 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
     FileServer(new.files, old.name or "")
     ours = {_address(endpoint)[1] for endpoint in old.listen}
     for endpoint in new.listen:
-        if _address(endpoint)[1] not in ours:  # such are given up before
+        if _address(endpoint)[1] not in ours:  # own ports are released before
             _try(endpoint)
 
 
 def kept(old: AgentConfig, new: AgentConfig) -> list[str]:
-    """Return which changes reach the RTPU process only when it is started again."""
+    """Return the changes that take effect only when the RTPU process restarts."""
     return [one for one in _THE_PROCESS if getattr(old, one) != getattr(new, one)]
 
 

@@ -1,7 +1,7 @@
-"""The agent's side of its RTPU process: finds, starts and uses it, learns of its end.
+"""The agent's link to its RTPU process: find or start it, use it, detect its end.
 
-An RTPU process that runs already, because its agent was killed or restarted, is taken
-over as it is; its tasks don't notice.
+An RTPU process that already runs, because its agent was killed or restarted, is taken
+over; its tasks do not notice.
 """
 
 from __future__ import annotations
@@ -37,44 +37,44 @@ log = logging.getLogger("pbonet.node")
 FromRtpu = rtpu_messages.FromRtpu | Known
 
 SEND_TIME = 2.0
-"""Seconds after which an RTPU process that takes nothing counts as lost."""
+"""Seconds after which an RTPU process that does not receive counts as lost."""
 AGAIN_TIME = 5.0
-"""Seconds in which an RTPU process that lives must take its agent back."""
+"""Seconds in which a live RTPU process must accept its agent again."""
 UNREAD = 5
 UNREAD_TIME = 60.0
-"""An agent that cannot read more messages than so many in so many seconds gives up."""
+"""An agent gives up after more than so many unreadable messages in so many seconds."""
 _LOOK = 0.05
 _LEAST_TRIES = 2
 LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)
-"""Error numbers for a shortage of the machine that may pass."""
+"""Error numbers for resources that the machine lacks, perhaps only temporarily."""
 
 
 class Listener(Protocol):
-    """Listener for messages of the RTPU process; called in the link's thread."""
+    """Receives the messages of the RTPU process; called in the link's thread."""
 
     def answered(self, n: int, data: bytes) -> None:
-        """Take the answer to forwarded request `n`."""
+        """Process the answer to forwarded request `n`."""
 
     def published(self, data: bytes) -> None:
-        """Take an event for the network."""
+        """Process an event for the network."""
 
     def called(self, call: rtpu_messages.Called) -> None:
-        """Take that successors on other machines are to be called."""
+        """Call successors on other machines."""
 
     def informed(self, info: rtpu_messages.RtpuInfo) -> None:
-        """Take the changed identity of the RTPU process."""
+        """Process the changed identity of the RTPU process."""
 
     def learned(self, news: Known) -> None:
-        """Take what the RTPU process knows now."""
+        """Process the RTPU process's report of its state."""
 
     def broke(self, reason: str) -> None:
-        """Take the news that the link broke and is restored; no process has ended."""
+        """Handle a broken link that was restored; no process has ended."""
 
     def let_go(self) -> None:
-        """Let go of its tables: what it has left is about to be removed."""
+        """Close its tables, because its remains are about to be removed."""
 
     def lost(self, how: str, *, again: bool) -> None:
-        """Take the news that there is no RTPU process any more; `again`: start one."""
+        """Handle the end of the RTPU process; `again`: start a new one."""
 
 
 class RtpuLink:
@@ -82,8 +82,8 @@ class RtpuLink:
 
     Args:
         places: Its files.
-        config: The settings to start it with, unless it runs.
-        listener: Takes its messages.
+        config: The settings for starting it, unless it runs already.
+        listener: Receives its messages.
     """
 
     def __init__(
@@ -99,14 +99,14 @@ class RtpuLink:
         self._sock: socket.socket | None = None
         self._write_lock = threading.Lock()
         self._rest = memoryview(b"")
-        """Of a frame that was begun; nothing else may be sent before it."""
+        """Unsent part of a frame; nothing else may be sent before it."""
         self._thread: threading.Thread | None = None
         self._closing = False
         self._short = False
-        """A shortage of the machine has been reported."""
+        """Whether a lack of resources has been reported."""
         self._unread: list[float] = []
         self._misread = ""
-        """The fault of the last message that could not be read."""
+        """The error of the last unreadable message."""
         self._decoder: msgspec.msgpack.Decoder[FromRtpu] = msgspec.msgpack.Decoder(
             FromRtpu
         )
@@ -114,7 +114,7 @@ class RtpuLink:
         self.info: rtpu_messages.RtpuInfo | None = None
 
     def open(self) -> rtpu_messages.RtpuInfo:
-        """Take over the RTPU process that runs, or start one.
+        """Take over the running RTPU process, or start one.
 
         Raises:
             NodeError: It cannot be started, or is of another version or core.
@@ -149,7 +149,7 @@ class RtpuLink:
         """Send a message.
 
         Raises:
-            NodeError: The RTPU process has ended, or takes nothing.
+            NodeError: The RTPU process has ended, or does not receive.
         """
         data = memoryview(rtpu_messages.frame(message))
         with self._write_lock:
@@ -170,7 +170,7 @@ class RtpuLink:
             ).start()
 
     def _finish(self, sock: socket.socket) -> None:
-        """Send the rest of a frame that was begun, however long that takes."""
+        """Send the rest of an unfinished frame, however long that takes."""
         while True:
             time.sleep(_LOOK)
             with self._write_lock, contextlib.suppress(OSError):
@@ -186,7 +186,7 @@ class RtpuLink:
         )
 
     def shut_down(self, timeout: float) -> bool:
-        """Let everything be turned OFF in order; return whether it ended by itself."""
+        """Let all tasks be turned OFF in order; return whether it ended by itself."""
         self._closing = True
         with contextlib.suppress(NodeError):
             self.send(rtpu_messages.Shutdown(timeout))
@@ -198,12 +198,12 @@ class RtpuLink:
         return by_itself
 
     def close(self) -> None:
-        """Let go of the RTPU process, which continues for its grace."""
+        """Close the link; the RTPU process continues for its grace."""
         self._closing = True
         sock = self._sock
         if sock is not None:
             with contextlib.suppress(OSError):
-                sock.shutdown(socket.SHUT_RDWR)  # the thread that reads closes it
+                sock.shutdown(socket.SHUT_RDWR)  # the reading thread closes it
             if self._thread is None:
                 sock.close()
         thread = self._thread
@@ -211,14 +211,14 @@ class RtpuLink:
             thread.join()
 
     def leave(self, grace: float) -> None:
-        """Let go of it, for an agent that comes within the grace or so many seconds."""
+        """Close the link for the next agent, which must come within the grace."""
         longer = max(grace, self._config.grace)
         with contextlib.suppress(NodeError):
             self.send(rtpu_messages.Attach(os.getpid(), pbonet.__version__, longer))
         self.close()
 
     def _clean_up(self) -> None:
-        """Remove what the process left; nothing, if it ended in order."""
+        """Remove what the process left; nothing if it ended in order."""
         if self.info is not None:
             self._reap()
             cleanup.clean_after(self._places)
@@ -231,10 +231,10 @@ class RtpuLink:
         return None
 
     def _connect(self) -> socket.socket | None:
-        """Return a socket to it; None when it takes none.
+        """Return a socket connected to it; None if it does not accept.
 
         Raises:
-            OSError: The machine has no socket left.
+            OSError: The machine has no sockets left.
         """
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -251,7 +251,7 @@ class RtpuLink:
         """Attach as its agent.
 
         Raises:
-            NodeError: It has another one, or is of another version or core.
+            NodeError: It has another agent, or is of another version or core.
             OSError: It does not answer.
         """
         hello = rtpu_messages.Attach(
@@ -287,7 +287,7 @@ class RtpuLink:
         return info
 
     def _live(self, sock: socket.socket) -> None:
-        """Read from the RTPU process until it ends; a broken link is made again."""
+        """Read from the RTPU process until it ends; reconnect a broken link."""
         while True:
             reason, orderly = self._read(sock)
             with self._write_lock:
@@ -309,7 +309,7 @@ class RtpuLink:
             self._listener.lost(how, again=not (orderly or self._unreadable))
 
     def _read(self, sock: socket.socket) -> tuple[str, bool]:
-        """Pass on what comes; return why nothing comes any more, and if in order."""
+        """Pass messages on; return why they end, and whether it ended in order."""
         while True:
             try:
                 data = rtpu_messages.receive_frame(sock)
@@ -324,10 +324,10 @@ class RtpuLink:
                 self._hand_over(message)
 
     def _decode(self, data: bytes) -> FromRtpu:
-        """Return the RTPU process's next message.
+        """Decode a message of the RTPU process.
 
         Raises:
-            ProtocolError: It cannot be read; counted.
+            ProtocolError: It cannot be decoded; counted.
         """
         try:
             return self._decoder.decode(data)
@@ -348,15 +348,15 @@ class RtpuLink:
 
     @property
     def _unreadable(self) -> bool:
-        """Whether attaching again is no help."""
+        """Whether attaching again would not help."""
         return len(self._unread) > UNREAD
 
     def _again(self, reason: str) -> socket.socket | None:
-        """Attach again if the process lives on; return the socket.
+        """Attach again if the process is still alive; return the socket.
 
-        On a machine that stood still meanwhile it is tried more than once, too. What
-        the machine lacks for it, such as descriptors, is no fault of the process, and
-        waited for.
+        There are at least two attempts, even if the whole machine stalled meanwhile. A
+        lack of resources such as descriptors is not a fault of the process, and is
+        waited out.
         """
         deadline = time.monotonic() + AGAIN_TIME
         tries = 0
@@ -387,7 +387,7 @@ class RtpuLink:
         return None
 
     def _taken_back(self, sock: socket.socket) -> rtpu_messages.RtpuInfo | None:
-        """Attach as its agent again; None: it has not noticed yet, or it ends."""
+        """Attach as its agent again; None if it is not ready yet, or ends."""
         try:
             sock.settimeout(AGAIN_TIME)
             info = self._attach(sock)
@@ -398,7 +398,7 @@ class RtpuLink:
         return info
 
     def _lacks(self, error: OSError) -> None:
-        """Report once what the machine lacks, and leave it a little time."""
+        """Report once which resource is missing, and wait a moment."""
         if not self._short:
             self._short = True
             log.error(
@@ -411,7 +411,7 @@ class RtpuLink:
         time.sleep(_LOOK)
 
     def _use(self, sock: socket.socket) -> bool:
-        """Send there from now on, unless the link is being closed."""
+        """Use this socket from now on, unless the link is being closed."""
         with self._write_lock:
             self._sock = sock
         if self._closing:  # by a thread that saw no socket to shut down
@@ -421,7 +421,7 @@ class RtpuLink:
         return not self._closing
 
     def _ended(self, timeout: float, *, kill: bool = False) -> bool:
-        """Return whether the process ended in time; with `kill`, end it if not."""
+        """Return whether the process ended in time; with `kill`, kill it if not."""
         if self.info is None:
             return True
         try:
@@ -462,7 +462,7 @@ class RtpuLink:
                 break
             except OSError as error:
                 if self._closing or error.errno not in LACKS:
-                    break  # a fault of the files is found at the restart
+                    break  # faults of the files are found at the restart
                 self._lacks(error)
         if orderly:
             return reason
@@ -475,7 +475,7 @@ class RtpuLink:
 
 
 def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
-    """Send until nothing is taken any more; return what is left."""
+    """Send as much as is accepted; return the rest."""
     with contextlib.suppress(BlockingIOError):
         while data:
             data = data[sock.send(data, flags) :]
@@ -484,7 +484,7 @@ def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
 
 @contextlib.contextmanager
 def _contained() -> Generator[None]:
-    """Call a listener in this block; the link survives what it raises."""
+    """Call a listener in this block; its exceptions are logged."""
     try:
         yield
     except Exception:

@@ -1,8 +1,8 @@
 """An agent's view of its RTPU: from shared memory, without waking any process.
 
-The core's table and the state variable tables are read there; the little that only the
-RTPU process knows, it has sent before (`rtpu_snapshot`). So status, profiles and values
-of variables are given, and variables set as an operator does, by the agent alone
+The core table and the state variable tables are read there; the little that only the
+RTPU process knows, it has sent before (`rtpu_snapshot`). So the agent alone reports
+status, profiles and values of variables, and sets variables for an operator
 (Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
 """
 
@@ -43,10 +43,10 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 FEW = 8
-"""So many tasks and links, or variables, are looked at in less time than a thread is
-woken."""
+"""Maximum number of tasks and links, or of variables, that are read in less time than
+waking a thread takes."""
 NEWS_TIME = 2.0
-"""Seconds in which the RTPU process reports a task that it has just begun or ended."""
+"""Seconds in which the RTPU process reports a task that it has created or ended."""
 
 Handled = m.Status | m.Profile | m.Display | m.Write
 HANDLED = (m.Status, m.Profile, m.Display, m.Write)
@@ -54,7 +54,7 @@ HANDLED = (m.Status, m.Profile, m.Display, m.Write)
 
 
 class Seen(NamedTuple):
-    """A task, and the core table's entries about it at one time."""
+    """A task, and its entries in the core table at one time."""
 
     task: KnownTask
     slot: SlotStatus
@@ -67,7 +67,7 @@ class SharedMemoryStatus:
     Args:
         domain: The agent's domain.
         rtpu: The RTPU's name.
-        note: Takes the report of a fault of pbonet itself.
+        note: Called with the report of a fault inside pbonet.
         recorder: Returns the state of a subsystem's recorder.
     """
 
@@ -98,10 +98,10 @@ class SharedMemoryStatus:
             m.Write: self._write,
         }
 
-    # -- what the RTPU process says ----------------------------------------------------
+    # -- reports of the RTPU process ---------------------------------------------------
 
     def informed(self, info: RtpuInfo) -> None:
-        """Open the core table of the RTPU process, and the tables that it has open."""
+        """Open the core table, and the tables that the RTPU process has open."""
         if self._core is None:
             self._core = rt.CoreTable(info.core, member=False)
         for subsystem in self._tables.keys() - info.tables.keys():
@@ -111,7 +111,7 @@ class SharedMemoryStatus:
                 self._attach(subsystem, keep=keep)
 
     def learn(self, news: Known) -> None:
-        """Take what has changed."""
+        """Store the changed parts of the state."""
         with self._news:
             for name in news.__struct_fields__:
                 if (part := getattr(news, name)) is not None:
@@ -120,10 +120,10 @@ class SharedMemoryStatus:
             self._news.notify_all()
 
     def let_go(self) -> None:
-        """Let go of everything: the RTPU process has ended."""
+        """Close all tables, because the RTPU process has ended."""
         for subsystem in list(self._tables):
             self._let_go(subsystem)
-        with self._news:  # wake the waiters: there will be no news
+        with self._news:  # wake the waiters: there will be no more reports
             core, self._core, self._known = self._core, None, Known()
             self._told += 1
             self._news.notify_all()
@@ -147,20 +147,20 @@ class SharedMemoryStatus:
     # -- requests ----------------------------------------------------------------------
 
     def answer(self, request: Handled) -> bytes:
-        """Return the packed answer to a request of those in `HANDLED`."""
+        """Return the packed answer to a request of a type in `HANDLED`."""
         return self._answer(request, partial(self._do[type(request)], request))
 
     def _answer(self, request: Handled, do: Callable[[], object]) -> bytes:
         try:
             result = do()
             return self._answers.good(request, result, [])
-        except Exception as error:  # noqa: BLE001 - the server outlives any request
+        except Exception as error:  # noqa: BLE001 - the server survives any request
             return self._answers.bad(request, error)
 
     def at_once(self, request: object) -> bytes | None:
-        """Return the packed answer to a request that takes little.
+        """Return the packed answer to a request that takes little time.
 
-        None to any other, and where it must wait for another process.
+        None for other requests, and if the answer must wait for another process.
         """
         if isinstance(request, m.Display):
             few = request.names is not None and 0 < len(request.names) <= FEW
@@ -179,11 +179,11 @@ class SharedMemoryStatus:
         return self._answer(request, partial(self._status, request, found, links))
 
     def write_at_once(self, request: m.Write) -> bytes | None:
-        """Set a variable, and return the packed answer; None: the table is locked."""
+        """Set a variable and return the packed answer; None if the table is locked."""
         try:
             done = self._set(request, wait=False)
             return None if done is None else self._answers.good(request, done, [])
-        except Exception as error:  # noqa: BLE001 - the server outlives any request
+        except Exception as error:  # noqa: BLE001 - the server survives any request
             return self._answers.bad(request, error)
 
     def _status(
@@ -208,7 +208,7 @@ class SharedMemoryStatus:
         )
 
     def with_status(self, claim: m.Claim, answer: bytes, agent: m.AgentInfo) -> bytes:
-        """Return the answer to a claim; one that was granted has the status, too."""
+        """Return the answer to a claim; if it was granted, with the status."""
         packs = codec.Codec()
         given = packs.answer(answer)
         status = packs.answer(self.answer(m.Status(subsystem=claim.subsystem)))
@@ -219,7 +219,7 @@ class SharedMemoryStatus:
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
         while True:
             found, core = self._of(request, self._look()), self._open()
-            with contextlib.suppress(NodeError):  # one has ended: the next read waits
+            with contextlib.suppress(NodeError):  # a task has ended: read again
                 return [
                     status.task_profile(
                         self._shown(one), one.slot, core.histograms(one.task.slot)
@@ -242,13 +242,13 @@ class SharedMemoryStatus:
             table, request.name, request.values, keep=keep, wait=wait
         )
 
-    # -- what is seen ------------------------------------------------------------------
+    # -- reading -----------------------------------------------------------------------
 
     def _look(self) -> list[Seen]:
-        """Return all tasks with the core table's entries about them.
+        """Return all tasks with their entries in the core table.
 
-        A slot that has another task than is known was given away this moment: the RTPU
-        process is about to report it, and is waited for a little.
+        A slot with an unexpected task was reused just now: the RTPU process is about to
+        report it, and its report is waited for briefly.
 
         Raises:
             NodeError: The RTPU process has ended.
@@ -264,7 +264,7 @@ class SharedMemoryStatus:
                 return found
 
     def _more(self, told: int) -> bool:
-        """Wait until more has been reported; return whether it came in time."""
+        """Wait for a new report; return whether it came in time."""
         with self._news:
             return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
 
@@ -275,7 +275,7 @@ class SharedMemoryStatus:
         for task in tasks:
             try:
                 slot, signals = core.snapshot(task.slot), core.signals(task.slot)
-            except NodeError:  # it has been given back
+            except NodeError:  # the slot has been freed
                 continue
             if (slot.rtpu, slot.task) == (owner, f"{task.subsystem}/{task.task}"):
                 found.append(Seen(task, slot, signals))
@@ -286,10 +286,10 @@ class SharedMemoryStatus:
         request: m.Status | m.Profile,
         seen: list[Seen],
     ) -> list[Seen]:
-        """Return the tasks that are asked for.
+        """Return the requested tasks.
 
         Raises:
-            UnknownTaskError: There is none of that name, nor was one.
+            UnknownTaskError: There is no task of that name, and was none.
         """
         whose, name = request.subsystem, request.task
         own = [one for one in seen if whose in {"", one.task.subsystem}]
@@ -304,7 +304,7 @@ class SharedMemoryStatus:
         return []
 
     def _died(self, request: m.Status | m.Profile) -> list[m.TaskStatus]:
-        """Return the last status of the tasks asked for that have died."""
+        """Return the last status of the requested tasks that have died."""
         return [
             tomb
             for whose, tomb in self._known.tombs or []
@@ -315,7 +315,7 @@ class SharedMemoryStatus:
         return status.task_status(self._rtpu, *seen)
 
     def _causes(self, subsystem: str) -> list[str]:
-        """Return why the illegal-configuration flag is up."""
+        """Return the causes for which the illegal-configuration flag is up."""
         whose = [subsystem] if subsystem else list(self._tables)
         return [
             f"{cause.cause} ({cause.raiser})"
@@ -341,7 +341,7 @@ class SharedMemoryStatus:
 
 
 def restarting(rtpu: str) -> NodeError:
-    """Return the error for an RTPU whose process is being started again."""
+    """Return the error for an RTPU whose process is being restarted."""
     return NodeError(
         "the RTPU process has ended and is being started again",
         where=rtpu,

@@ -1,4 +1,4 @@
-"""The end of an agent, which a signal may bring."""
+"""The event that ends an agent; a signal may set it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import time
 
 
 class Ending:
-    """An event that handlers of signals may set, even during its `wait`.
+    """An event that signal handlers may set, even during its `wait`.
 
     The kernel may deliver a signal to a thread of zenoh, and then nothing interrupts
-    the main thread. So a signal also writes into a pipe, see `heed_signals`: the
-    waiting thread wakes up, and Python runs the handler.
+    the main thread. So a signal also writes to a pipe, see `heed_signals`: the waiting
+    thread wakes up, and Python runs the handler.
     """
 
     def __init__(self) -> None:
@@ -22,18 +22,18 @@ class Ending:
         self._come = False
 
     def __del__(self) -> None:
-        """Close the pipe: the event can no longer be set."""
+        """Close the pipe; the event can no longer be set."""
         os.close(self._hears)
         os.close(self._rings)
 
     def heed_signals(self) -> None:
-        """Let every signal of this process wake it; to be called by the main thread."""
+        """Let every signal of this process wake `wait`; for the main thread."""
         signal.set_wakeup_fd(self._rings, warn_on_full_buffer=False)
 
     def set(self) -> None:
         """Set the event."""
         self._come = True
-        with contextlib.suppress(BlockingIOError):  # the pipe is full already
+        with contextlib.suppress(BlockingIOError):  # the pipe is already full
             os.write(self._rings, b"!")
 
     def clear(self) -> None:
@@ -45,9 +45,9 @@ class Ending:
         return self._come
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is set, for so many seconds at most; return whether it is.
+        """Wait until it is set, for at most `timeout` seconds; return whether it is.
 
-        For one thread: a second one would not be woken.
+        For one thread only: a second one would not be woken.
         """
         end = None if timeout is None else time.monotonic() + timeout
         while not self._come:

@@ -1,4 +1,4 @@
-"""How an RTPU process is started: by exec, on a core, and what it wrote if it fails."""
+"""Starts an RTPU process: by exec, on a core, with its output in case of failure."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from pbonet.xm.net import run_folder
 
 START_TIME = 30.0
-"""Seconds that an RTPU process may take to come up on a busy machine."""
+"""Seconds in which an RTPU process must start, even on a busy machine."""
 LOG_TAIL = 4000
 
 
 def start(
     places: run_folder.Places, config: rtpu_messages.RtpuConfig
 ) -> subprocess.Popen[bytes]:
-    """Start an RTPU process and return it when it takes agents.
+    """Start an RTPU process and return it when it accepts agents.
 
     Raises:
-        PbonetError: What prevented the start.
+        PbonetError: The start failed.
         OSError: The system cannot create a process.
     """
     read, write = os.pipe()
@@ -62,10 +62,10 @@ def start(
 def _wait_until_ready(
     places: run_folder.Places, process: subprocess.Popen[bytes], read: int
 ) -> None:
-    """Wait for the one message with the result of the start.
+    """Wait for the message with the result of the start.
 
     Raises:
-        PbonetError: What prevented the start.
+        PbonetError: The start failed.
     """
     deadline = time.monotonic() + START_TIME
     data = b""
@@ -93,30 +93,30 @@ def _wait_until_ready(
 
 
 def log_tail(places: run_folder.Places) -> str:
-    """Return the end of what the RTPU process wrote."""
+    """Return the end of the RTPU process's output."""
     with contextlib.suppress(OSError):
         return places.log.read_text(errors="replace")[-LOG_TAIL:].strip()
     return ""
 
 
 def readable(fd: int, seconds: float) -> bool:
-    """Return whether there is something to read in time; `select` has no large fds."""
+    """Return whether `fd` can be read in time; `select` is limited to small fds."""
     waiting = select.poll()
     waiting.register(fd, select.POLLIN)
     return bool(waiting.poll(seconds * 1000))
 
 
 def used_cores(folder: Path) -> Sequence[int]:
-    """Return the cores that RTPU processes of this machine use, with repetitions."""
+    """Return the cores used by RTPU processes of this machine, with repetitions."""
     states = (cleanup.read(path) for path in folder.glob("*/*.state"))
     return [state.core for state in states if state is not None and state.alive]
 
 
 def choose_core(places: run_folder.Places) -> int:
-    """Return the core for an RTPU that names none: a free one, the last ones first.
+    """Return the core for an RTPU without a configured one: a free one, highest first.
 
-    The first core is left to everything else, unless it is the only one. An RTPU whose
-    process still runs, for an agent that comes and takes it over, stays where it is.
+    The first core is left to other programs, unless it is the only one. An RTPU whose
+    process still runs, and can be taken over, keeps its core.
     """
     mine = cleanup.read(places.state)
     if mine is not None and mine.alive:

@@ -1,8 +1,8 @@
 """Links between subsystems on different machines (Stewart 1994, section 5.6).
 
 An agent serves the links of its domain that exist on its machine. Users of a link need
-not register: locks on the buffer's file show which are there, and are released when one
-is killed. `link_rules` decides what is to be done; it is done here.
+not register: locks on the buffer's file show which users exist, and are released when
+one is killed. `link_rules` decides what to do, and this file does it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ServedLink:
 
     @property
     def gone(self) -> bool:
-        """Whether the buffer was destroyed, or its file taken away."""
+        """Whether the buffer was destroyed, or its file removed."""
         return self.buffer.destroyed or not os.fstat(self.buffer.fileno).st_nlink
 
 
@@ -70,8 +70,8 @@ class Links:
         domain: Its domain.
         name: Its name.
         offset: Returns nanoseconds from the clock of an agent's machine to this one's;
-            None while they are not known.
-        tell: Takes what is to be reported to masters.
+            None if unknown.
+        tell: Called with reports for masters.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Links:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop serving links; files that are not used are removed."""
+        """Stop serving links; unused files are removed."""
         self._over = True
         self._news.set()
         self._thread.join()
@@ -115,10 +115,10 @@ class Links:
             self._drop(text)
         places.sweep(self._domain)
 
-    # -- what others show --------------------------------------------------------------
+    # -- declarations of other agents --------------------------------------------------
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        """Note a token that came or went; runs in zenoh's own thread."""
+        """Record that a token appeared or disappeared; runs in zenoh's own thread."""
         parts = key_expressions.link_parts(str(sample.key_expr))
         if parts is None:
             return
@@ -141,14 +141,14 @@ class Links:
             found = self._there.get(text, RemoteUsers())
             return RemoteUsers(set(found.sinks), set(found.sources))
 
-    # -- what is done ------------------------------------------------------------------
+    # -- actions -----------------------------------------------------------------------
 
     def _work(self) -> None:
         while not self._over:
             self._news.clear()
             try:
                 self._look()
-            except OSError:  # such as a folder of shared memory that is taken away
+            except OSError:  # for example if the shared memory folder is removed
                 log.exception("%s: links cannot be looked after", self._name)
             self._news.wait(LOOK)
 
@@ -160,7 +160,7 @@ class Links:
         for text, care in list(self._cares.items()):
             try:
                 self._tend(text, care, stands=text in standing)
-            except Exception:  # the others must be served too
+            except Exception:  # the other links must still be served
                 log.exception("%s: link %s cannot be looked after", self._name, text)
 
     def _tend(self, text: str, care: ServedLink, *, stands: bool) -> None:
@@ -194,7 +194,7 @@ class Links:
         places.leave(care.buffer)
 
     def _change(self, care: ServedLink, wanted: LinkDuty) -> None:
-        """Change to another duty; what cannot be done now is tried again."""
+        """Change to another duty; what fails now is tried again later."""
         if care.receiver is not None and care.duty.take != wanted.take:
             care.receiver.stop()
             care.receiver = None
@@ -248,7 +248,7 @@ class Links:
         for key in shown - set(care.tokens):
             care.tokens[key] = self._session.liveliness().declare_token(key)
 
-    # -- what is told ------------------------------------------------------------------
+    # -- reports -----------------------------------------------------------------------
 
     def _report(self, care: ServedLink, wanted: LinkDuty) -> None:
         if wanted.take or wanted.serve:

@@ -7,17 +7,17 @@ import os
 import socket
 
 VARIABLE = "NOTIFY_SOCKET"
-"""Names the manager's socket; absent when there is no manager."""
+"""Variable with the manager's socket; not set if there is no manager."""
 
 
 def tell(state: str) -> bool:
     """Report `state` to the service manager, if there is one.
 
-    The protocol is one datagram to a Unix socket, a name that begins with `@` being one
-    of the abstract name space (sd_notify(3)).
+    The protocol is one datagram to a Unix socket; a name that begins with `@` is in the
+    abstract namespace (sd_notify(3)).
 
     Args:
-        state: Such as ``READY=1`` or ``STOPPING=1``.
+        state: For example ``READY=1`` or ``STOPPING=1``.
 
     Returns:
         Whether it was sent.
@@ -27,7 +27,7 @@ def tell(state: str) -> bool:
         return False
     address = f"\0{name[1:]}" if name.startswith("@") else name
     with (
-        contextlib.suppress(OSError),  # an agent is useful without its manager
+        contextlib.suppress(OSError),  # the agent also works without its manager
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock,
     ):
         sock.sendto(state.encode(), address)

@@ -1,7 +1,8 @@
 """Passes requests of the agent's tasks to other machines; see `remote_channel`.
 
-Tasks connect by a Unix socket. For each process the agent declares a liveliness token
-while a connection of it is open, so that what acts for it elsewhere ends with it.
+Tasks connect through a Unix socket. For each process the agent declares a liveliness
+token while it has an open connection, so that other agents drop what they hold for it
+when it ends.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 CONNECTIONS = 64
-"""Threads of tasks that use other machines' resources, at a time."""
+"""Maximum number of connections of tasks at a time, one for each of their threads."""
 LARGEST = 2 << 20
-"""Bytes of a letter at most."""
+"""Maximum size of a request in bytes."""
 
 
 class _Wire:
@@ -50,7 +51,7 @@ class _Wire:
         self._guard = threading.Lock()
 
     def send(self, data: bytes) -> None:
-        """Send an answer; drop it when it is no longer wanted."""
+        """Send an answer; drop it if it is no longer wanted."""
         with self._guard, contextlib.suppress(OSError):
             self.link.send_bytes(data)
 
@@ -63,7 +64,7 @@ class _Wire:
 
 
 class TaskGateway:
-    """Takes letters of tasks and passes them on.
+    """Receives requests of tasks and passes them on.
 
     Args:
         session: The agent's session.
@@ -92,10 +93,10 @@ class TaskGateway:
         self._thread.start()
 
     def stop(self) -> None:
-        """Take no letters any more."""
+        """Stop accepting requests."""
         self._over = True
         with contextlib.suppress(OSError), sockets.Client(str(self._path), "AF_UNIX"):
-            pass  # wakes the one that accepts
+            pass  # wakes the accepting thread
         self._thread.join()
         self._listener.close()
         with self._guard:
@@ -120,7 +121,7 @@ class TaskGateway:
             ).start()
 
     def _read(self, wire: _Wire) -> None:
-        """Take the letters of one connection until it is closed."""
+        """Receive the requests of one connection until it is closed."""
         client = ""
         try:
             while not self._over:
@@ -129,7 +130,7 @@ class TaskGateway:
                 if letter.wait or letter.rtpu:  # else it only announces its presence
                     self._pool.submit(self._carry, wire, letter)
         except (OSError, EOFError):
-            pass  # it has ended
+            pass  # it was closed
         except (*codec.MALFORMED, PbonetError, RuntimeError) as error:
             log.warning(
                 "%s: a task's letter is not taken: %s", self._client.name, error
@@ -139,7 +140,7 @@ class TaskGateway:
             wire.link.close()
 
     def _welcome(self, client: str, wire: _Wire) -> str:
-        """Show a client's token with its first connection; return the client."""
+        """Declare a client's token with its first connection; return the client."""
         with self._guard:
             if client not in self._tokens:
                 token = self._client.announce(
@@ -158,11 +159,11 @@ class TaskGateway:
             if token is None or wires:
                 return
             del self._tokens[client]
-        with contextlib.suppress(Exception):  # the session may be closed already
+        with contextlib.suppress(Exception):  # the session may already be closed
             token.undeclare()
 
     def _carry(self, wire: _Wire, letter: Letter) -> None:
-        """Pass a letter on, and send back what comes."""
+        """Pass a request on, and send the answer back."""
         try:
             data = self._passed_on(letter)
         except PbonetError as error:

@@ -1,4 +1,4 @@
-"""Values of a table's variables, as they are shown to people, and set by them."""
+"""Values of a table's variables, for display, and setting them for operators."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
     """Return values of variables with their provenance, without owning any.
 
-    All values are those of one instant; where that is not proven, they are marked so.
+    All values are from one instant; if that is not proven, they are marked.
 
     Raises:
         UnknownVariableError: The table has no variable of that name.
@@ -37,7 +37,7 @@ def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
             return [_value(table, name, whole=False) for name in wanted]
         whole = not flags & Flags.COPY_TORN
         values = [_of_cut(table, local, name, whole=whole) for name in wanted]
-    table.must_be_whole()  # else zeros were read for values
+    table.must_be_whole()  # otherwise the values may be zeros
     return values
 
 
@@ -46,13 +46,13 @@ def write(
 ) -> VarValue | None:
     """Set a variable that no task writes; return its state afterwards.
 
-    Without `wait` nothing is done, and None returned, if the table is locked just now.
+    Without `wait`, if the table is locked now, nothing is done and None is returned.
 
     Args:
         table: The table.
         name: The variable.
         values: All its elements.
-        keep: Whether this RTPU keeps the table, and so may.
+        keep: Whether this RTPU is the keeper, which alone may set variables.
         wait: Whether to wait for the table's lock.
 
     Raises:
@@ -71,13 +71,13 @@ def write(
 
 
 def _value(table: Table, name: str, *, whole: bool) -> VarValue:
-    """Return a variable by itself, from one read."""
+    """Return a single variable, from one read."""
     value, info = table.see(name)
     return _shown(table, name, value, info, stale=info.stale, whole=whole)
 
 
 def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
-    """Return a variable as it stood in a copy of several."""
+    """Return a variable from a consistent copy of several."""
     info, stale = table.info(name), local.stale(name)
     return _shown(table, name, local.array(name), info, stale=stale, whole=whole)
 

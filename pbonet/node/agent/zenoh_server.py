@@ -1,9 +1,9 @@
-"""An agent's part in zenoh: takes requests, gives answers, publishes events.
+"""An agent's network interface: receives requests, sends answers, publishes events.
 
-A request is passed on at once and its query kept; the answer is given whenever it
-comes, so a slow `init` blocks no other request. What cannot be understood is answered
-with an error, never with silence. Requests that only read have a key of their own, so
-that access control can tell readers from clients that may command (see
+A request is passed on at once and its query is kept; the answer is sent when it is
+ready, so a slow `init` blocks no other request. A message that cannot be decoded is
+answered with an error. Requests that only read have a key of their own, so that access
+control can distinguish readers from clients that may command (see
 `pbonet.xm.net.roles`).
 """
 
@@ -48,9 +48,9 @@ log = logging.getLogger("pbonet.node")
 
 AT_ONCE = re.compile(rb"hello|status|display|write")
 SHORT = 1024
-"""Bytes of a request that is answered at once, at the most."""
+"""Maximum bytes of a request that is answered at once."""
 PENDING = 2000
-"""Requests that wait for their answers; more are refused."""
+"""Maximum number of requests that wait for their answers; more are refused."""
 LOOKS = 4
 """Threads for requests that read much, or wait for the RTPU process."""
 
@@ -65,8 +65,8 @@ CHANGES = (
     m.Flag,
     m.Stop,
 )
-"""Requests after which a table may be another one: answered when the other machines of
-the subsystem know, so that what is asked next may be asked of any of them."""
+"""Requests that may change a table: answered when the subsystem's other machines have
+the change, so that the next request may go to any of them."""
 
 
 class Node(Protocol):
@@ -78,10 +78,10 @@ class Node(Protocol):
         """Pass a request on; its answer comes through `Server.answer`."""
 
     def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
-        """Call `done` when the other machines know the subsystem's table.
+        """Call `done` when the other machines have the subsystem's table.
 
-        With `take`, this machine has taken their states as well; with `value`, only
-        a value was set.
+        With `take`, this machine has also processed their states; with `value`, only a
+        value was set.
         """
 
     def info(self) -> AgentInfo:
@@ -94,7 +94,7 @@ class Node(Protocol):
 
 
 _Work: TypeAlias = "Callable[[], None]"
-"""The next job of the server's thread."""
+"""A job for the server's thread."""
 
 
 class _Waiting(NamedTuple):
@@ -109,7 +109,7 @@ class Mail(Protocol):
     """Handler of requests about semaphores and queues."""
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
-        """Start a request, whose answer is sent when it is done; returns at once."""
+        """Start a request, which is answered when it is done; returns at once."""
 
 
 class Book(Protocol):
@@ -118,12 +118,12 @@ class Book(Protocol):
     def commanded(
         self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
     ) -> None:
-        """Record a command: its packed answer, when it came and was answered."""
+        """Record a command with its packed answer and its times (ns)."""
 
     def noted(
         self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
     ) -> bool:
-        """Keep a short one that is not recorded; return whether that was done now."""
+        """Keep a short command that is not recorded; return whether it was kept."""
         ...
 
 
@@ -134,9 +134,9 @@ class Server:
         session: The agent's session.
         domain: The agent's domain.
         name: The RTPU's name.
-        node: Carries requests out.
-        mail: Carries out those about semaphores and queues.
-        overview: Carries out those that need no RTPU process.
+        node: Carries out requests.
+        mail: Carries out requests about semaphores and queues.
+        overview: Carries out requests that need no RTPU process.
         book: Records requests that change something.
     """
 
@@ -169,7 +169,7 @@ class Server:
         self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
         self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._behind = 0
-        """Requests among what has arrived; a write must not overtake them."""
+        """Number of requests in the queue; a write must not overtake them."""
         self._queryables: list[zenoh.Queryable[None]] = []
         self._publisher: zenoh.Publisher | None = None
         self._thread = threading.Thread(
@@ -177,7 +177,7 @@ class Server:
         )
 
     def start(self) -> None:
-        """Declare the queryables and the publisher, and answer."""
+        """Declare the queryables and the publisher, and start to answer."""
         self._publisher = self._session.declare_publisher(self._event_key)
         self._queryables = [
             self._session.declare_queryable(
@@ -203,7 +203,7 @@ class Server:
         self._looks.shutdown(wait=True)
 
     def answer(self, n: int, data: bytes) -> None:
-        """Give the answer to forwarded request `n`."""
+        """Send the answer to forwarded request `n`."""
         with self._guard:
             one = self._pending.pop(n, None)
         if one is None:
@@ -215,12 +215,12 @@ class Server:
             self._spread(one.query, one.request, data)
 
     def _claimed(self, query: zenoh.Query, request: m.Claim, data: bytes) -> None:
-        """Answer a claim with the status, which may have to be waited for."""
+        """Answer a claim with the status, which may take some time."""
         whole = self._overview.with_status(request, data, self._node.info())
         self._spread(query, request, whole)
 
     def _spread(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
-        """Send an answer, once other machines know a table that may have changed."""
+        """Send an answer when other machines have a table that may have changed."""
         self._node.spread(
             request.subsystem if isinstance(request, CHANGES) else "",
             partial(self._reply, query, data),
@@ -228,20 +228,20 @@ class Server:
         )
 
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
-        """Record a command once, however often it came."""
+        """Record a command once, even if it was repeated."""
         if roles.only_looks(request):
             return
         if self._noted.first(request.client, request.id):
             self._book.commanded(request, answer, begun_ns, time.monotonic_ns())
 
     def publish(self, data: bytes) -> None:
-        """Publish a packed event; it is dropped rather than waited for."""
+        """Publish a packed event; it is dropped if zenoh cannot send it now."""
         if self._publisher is not None:
             with contextlib.suppress(zenoh.ZError):
                 self._publisher.put(data)  # pyright: ignore[reportUnknownMemberType]
 
     def fail_pending(self, reason: str) -> None:
-        """Answer everything that waits with an error."""
+        """Answer all waiting requests with an error."""
         with self._guard:
             waiting = list(self._pending.values())
             self._pending.clear()
@@ -255,7 +255,7 @@ class Server:
             self._reply(query, data)
 
     def _arrive(self, query: zenoh.Query) -> None:
-        """Take a query from zenoh's own thread, which nothing may hold up.
+        """Receive a query in zenoh's own thread, which must not be blocked.
 
         Only the agent's identity and the state of a few tasks or variables can be
         returned at once, and one variable be set; another thread does the rest.
@@ -268,7 +268,7 @@ class Server:
         self._put(partial(self._take, query))
 
     def _put(self, work: _Work) -> None:
-        """Let the rest of a request be done after those that came before it."""
+        """Queue the rest of a request after those that came before it."""
         with self._guard:
             self._behind += 1
         self._arrived.put(partial(self._done, work))
@@ -281,7 +281,7 @@ class Server:
                 self._behind -= 1
 
     def _at_once(self, query: zenoh.Query, request: AnyMessage) -> bool:
-        """Answer a request, or see to it that it will be; else return False."""
+        """Answer a request, or start it; return False if this is not possible."""
         if isinstance(request, m.Hello):
             self._introduce(query, request)
             return True
@@ -305,7 +305,7 @@ class Server:
         while (work := self._arrived.get()) is not None:
             try:
                 work()
-            except Exception:  # the server outlives any request
+            except Exception:  # the server survives any request
                 log.exception("a request could not be taken")
 
     def _take(self, query: zenoh.Query) -> None:
@@ -350,7 +350,7 @@ class Server:
             self._forward(query, request, data, None)
 
     def _handle(self, query: zenoh.Query, request: Handled) -> None:
-        """Let a request be done in this process; once, if it changes something."""
+        """Carry out a request in this process; only once if it changes something."""
         if isinstance(request, m.Write):
             self._once(query, request, short=False)
         else:
@@ -359,7 +359,7 @@ class Server:
             )
 
     def _once(self, query: zenoh.Query, request: m.Write, *, short: bool) -> None:
-        """Let a request be carried out, unless it was before; a short one at once."""
+        """Carry out a request unless it is a repetition; a short one at once."""
         do = self._overview.write_at_once if short else self._overview.answer
         who = request.client, request.id or secrets.token_hex(8)
         if self._repeats.begin(who, partial(self._reply, query)):
@@ -390,7 +390,7 @@ class Server:
         self._node.spread(request.subsystem, end, value=True)
         said = request, data, begun_ns, time.monotonic_ns()
         if not (short and self._book.noted(*said)):
-            # zenoh's thread has no time for it
+            # zenoh's thread has no time for this
             self._arrived.put(partial(self._book.commanded, *said))
 
     def _measure(self) -> None:
@@ -405,7 +405,7 @@ class Server:
             self._reply(query, self._codec.pack(answer))
 
     def _claim(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
-        """Forward a claim with the list of the masters that live."""
+        """Forward a claim with the list of live masters."""
         masters: list[tuple[str, str]] | None
         try:
             tokens = session.alive(
@@ -433,7 +433,7 @@ class Server:
             self.answer(n, self._codec.pack(codec.failure(error, request.id)))
 
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
-        """Answer on our own key, and let go of the query: a kept one times out."""
+        """Answer on our own key, and close the query: an open one times out."""
         asked = query.key_expr
         own = str(asked)
         if own not in self._keys:  # it has wildcards
