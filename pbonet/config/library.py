@@ -29,13 +29,13 @@ from pbonet.errors import (
     did_you_mean,
 )
 
-from . import Section, bundled, parse_rmod
 from .combining import part_info, published
 from .reader import load
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from .bundle import Section
     from .model import Rmod
 
 BUILT_IN = "pbonet.modules"
@@ -130,6 +130,7 @@ class Library:
             ConfigFileError: It, or a part, cannot be read.
             ConfigError: It says something that cannot be.
         """
+        from . import Section, bundled, parse_rmod
 
         def part(name: str) -> Section:
             beside = Path(path).parent / f"{name}.rmod"

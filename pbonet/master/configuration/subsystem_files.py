@@ -15,15 +15,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.config import (
-    Section,
-    bundled,
-    load,
-    parse_rmod,
-    parse_sbs,
-    parse_svar,
-    read_job,
-)
+from pbonet import config
+from pbonet.config import load, parse_sbs, parse_svar, read_job
 from pbonet.errors import (
     ConfigError,
     ConfigFileError,
@@ -33,12 +26,12 @@ from pbonet.errors import (
 )
 from pbonet.xm.net import NAME, check_name
 
-from .saved_profiles import Store
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from pbonet.config import JobFile, Library, Rmod, SbsFile, SvarFile
+
+    from .saved_profiles import Store
 
 
 class RmodSource(Struct, frozen=True):
@@ -72,12 +65,17 @@ class Files:
         svar = path.parent / self.sbs.svarfile
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
-        self.profiles = Store(path, self.table)
-        """Saved profiles of its tasks."""
         self._folders: list[Path] = []
         self._look_in(path.parent)
         if self.job is not None:
             self._look_in(Path(self.job.file).parent)
+
+    @cached_property
+    def profiles(self) -> Store:
+        """Saved profiles of its tasks."""
+        from .saved_profiles import Store
+
+        return Store(self.path, self.table)
 
     def read_job(self, path: str | Path | None = None) -> JobFile:
         """Return a job of this subsystem; its RMODs are looked for beside it first.
@@ -118,17 +116,17 @@ class Files:
         """
         name = check_name("a task", name.removesuffix(".rmod"))
         path = self._find(name)
-        text = bundled(load(path), self.part)
-        return RmodSource(parse_rmod(text, str(path)), text)
+        text = config.bundled(load(path), self.part)
+        return RmodSource(config.parse_rmod(text, str(path)), text)
 
-    def part(self, name: str) -> Section:
+    def part(self, name: str) -> config.Section:
         """Return the file of a part of a combination.
 
         Raises:
             ConfigFileError: There is none of that name.
         """
         path = self._find(name)
-        return Section(load(path), str(path))
+        return config.Section(load(path), str(path))
 
     def is_own(self, path: Path) -> bool:
         """Tell whether a file stands beside the subsystem's own, not in a library."""

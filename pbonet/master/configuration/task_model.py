@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.legality import Task
-from pbonet.config import Place
+from pbonet.analysis import legality
 from pbonet.errors import UnknownTaskError, did_you_mean
 from pbonet.pbo import State
-
-from .saved_profiles import Saved, with_times
-from .subsystem_files import RmodSource
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pbonet.config import Rmod
+    from pbonet.config import Place, Rmod
     from pbonet.pbo import ModuleInfo
+
+    from .saved_profiles import Saved
+    from .subsystem_files import RmodSource
 
 
 class Member(Struct, kw_only=True):
@@ -55,9 +54,11 @@ class Member(Struct, kw_only=True):
         return self.state is State.ON
 
     @property
-    def task(self) -> Task:
+    def task(self) -> legality.Task:
         """The task as verification looks at it."""
-        task = Task(
+        from .saved_profiles import with_times
+
+        task = legality.Task(
             rmod=self.rmod,
             info=self.info,
             rtpu=self.rtpu,

@@ -138,7 +138,7 @@ class CommandSession(SessionState):
                 run = command.run
                 data = run(self, given) if run else self._pass_on(command, given)
         finally:
-            if self.default not in self.subsystem.model:
+            if self.default and self.default not in self.subsystem.model:
                 self.default = ""  # it was killed, or never there
         return Reply(command=command.name, data=data, warnings=warnings)
 

@@ -22,23 +22,14 @@ from msgspec import structs
 from pbonet.analysis import legality
 from pbonet.config import Library
 from pbonet.errors import NoAnswerError, NodeError, PbonetError, StateError
-from pbonet.master.configuration import (
-    Files,
-    RealClock,
-    environment,
-    must_be_answerable,
-    must_be_stopped,
-)
+from pbonet.master import configuration
+from pbonet.master.configuration import Files, RealClock, environment
 from pbonet.xm.net import messages as m, rpc, session
 
 from . import (
-    assembly,
     constants,
-    event_filter,
-    profiling,
     remote_modules,
     status_fields,
-    switching,
     task_signal_inbox,
 )
 from .argument_text import (
@@ -53,8 +44,6 @@ from .argument_text import (
     task_of,
 )
 from .change_transaction import ChangeTransaction
-from .condition_gate import ConditionGate, in_time
-from .event_filter import EventFilter
 from .recording_control import book
 from .rtpu_clients import RtpuClients, client_name
 from .status_fields import columns
@@ -301,6 +290,8 @@ class Subsystem:
         """
         self.stopped.set()
         try:
+            from . import assembly
+
             return assembly.end(self.task_set, self.name)
         finally:
             self.detach()
@@ -567,6 +558,8 @@ class Subsystem:
             PbonetError: A new task could not be spawned; nothing else was done.
         """
         with self._changing(claimed=not dry_run) as task_set:
+            from . import switching
+
             plan = switching.plan_swap(task_set, old, new, rtpu)
             self.stopped.clear()
             return switching.carry_out(
@@ -604,6 +597,8 @@ class Subsystem:
                 which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
+        from . import switching
+        from .condition_gate import ConditionGate, in_time
 
         def attempt() -> Transition:
             with self._changing(claimed=not dry_run) as task_set:
@@ -637,6 +632,8 @@ class Subsystem:
             ConditionError: One does not hold, and says what was seen; nothing was done.
             PbonetError: A step failed; it was rolled back.
         """
+        from . import assembly
+        from .condition_gate import in_time
 
         def attempt() -> list[m.TaskStatus]:
             with self._changing() as task_set:
@@ -672,7 +669,9 @@ class Subsystem:
         if job is None and self.files.job is None:
             return None
         wanted = self.files.read_job(job)
-        must_be_answerable(wanted, self.files.table.variables)
+        configuration.must_be_answerable(wanted, self.files.table.variables)
+        from . import assembly
+
         return assembly.change(self.task_set, wanted)
 
     def stop(self) -> m.Stopped:
@@ -687,7 +686,7 @@ class Subsystem:
         self.stopped.set()
         stopped, errors = self.task_set.stop()
         self.inbox.clear()
-        must_be_stopped(stopped, errors)
+        configuration.must_be_stopped(stopped, errors)
         if self.clients.claimed:
             self.task_set.settle()
         return stopped
@@ -797,6 +796,8 @@ class Subsystem:
         Raises:
             UnknownTaskError: There is no such task.
         """
+        from . import profiling
+
         return profiling.ask(self.task_set, names_of(task))
 
     def profile_save(self, task: str | Sequence[str] = ()) -> list[tuple[Saved, Path]]:
@@ -807,6 +808,8 @@ class Subsystem:
             StateError: One that is named has run too few cycles.
             ConfigFileError: A file cannot be written.
         """
+        from . import profiling
+
         return profiling.save(self.task_set, names_of(task))
 
     def display(
@@ -973,7 +976,9 @@ class Subsystem:
             StateError: There is no such severity, or `since` says not since when.
         """
         given = {"task": task, "code": code, "severity": severity, "since": since}
-        wanted, first = EventFilter.of(given), event_filter.since(since)[0]
+        from . import event_filter
+
+        wanted, first = event_filter.EventFilter.of(given), event_filter.since(since)[0]
         request = m.Events
         results, errors = self.clients.each(
             lambda _: request(since=first), list[m.Event]

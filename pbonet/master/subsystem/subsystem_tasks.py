@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from functools import cache, partial
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
-from pbonet.analysis import legality
-from pbonet.analysis.schedule import PLANNED
-from pbonet.config import info_of, parse_rmod
+from pbonet import config
+from pbonet.analysis import legality, schedule
 from pbonet.errors import (
     NoAnswerError,
     PbonetError,
@@ -22,7 +21,7 @@ from pbonet.errors import (
     UnreachableError,
 )
 from pbonet.lazy import logger
-from pbonet.master.configuration import Member, RmodSource, TaskModel, already
+from pbonet.master import configuration
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m, rpc
 
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pbonet.config import Rmod
-    from pbonet.master.configuration import Files
+    from pbonet.master.configuration import Files, Member, RmodSource, TaskModel
     from pbonet.pbo import ModuleInfo
 
     from .recording_control import RecordingControl
@@ -56,9 +55,6 @@ SIGNALS = {
     "reinit": None,
 }
 """Signals to a task, and the state that each leads to; None: as before."""
-
-_BY_OTHERS: Final = {legality.Code.NO_WRITER, legality.Code.NO_CONSTANT}
-"""Problems that tasks on other RTPUs may solve."""
 
 T = TypeVar("T")
 
@@ -87,7 +83,9 @@ class SubsystemTasks:
         self.warned = warned
         self.recordings = recordings
         self._inbox = inbox
-        self.model = TaskModel()
+        self._model = configuration.TaskModel()
+        self._unread: dict[str, m.TaskStatus] = {}
+        """Of tasks that are not in the model yet, for their files are not read."""
         self._info = cache(partial(remote_modules.on, clients, files.library))
         self._standing = WarningDedup()
         self._producers: Mapping[str, tuple[str, ...]] = {}  # as last read
@@ -101,6 +99,14 @@ class SubsystemTasks:
         self._priorities: dict[str, int] = {}  # as the RTPUs have them
 
     # -- the picture ------------------------------------------------------------------
+
+    @property
+    def model(self) -> TaskModel:
+        """The tasks as last seen; files of new ones are read when it is asked for."""
+        for task, status in list(self._unread.items()):
+            self._update(status)
+            self._unread.pop(task, None)
+        return self._model
 
     def take(self, *, take_over: bool, partly: bool, task: str = "") -> None:
         """Claim the RTPUs, open the table, and take in the tasks that stand there.
@@ -150,7 +156,9 @@ class SubsystemTasks:
             for task in claimed.tasks:
                 source = self._source(task, claimed.rmods.get(task))
                 freq = source.record.freq or 0.0
-                self.model.add(Member(source=source, rtpu=rtpu, freq=freq))
+                self.model.add(
+                    configuration.Member(source=source, rtpu=rtpu, freq=freq)
+                )
             self._modules |= claimed.modules
             if claimed.status is not None:
                 self._fresh[rtpu] = claimed.status
@@ -222,7 +230,7 @@ class SubsystemTasks:
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
-        known, dead = set(self.model.names), self._inbox.dead()
+        known, dead = {*self._model.names, *self._unread}, self._inbox.dead()
         wanted = self.clients.names if rtpus is None else rtpus
         results = {name: self._fresh[name] for name in wanted if name in self._fresh}
         self._fresh.clear()
@@ -241,10 +249,10 @@ class SubsystemTasks:
             self.note(status)
         names = {status.task for status in there}
         self._inbox.bury({t for t, rtpu in dead.items() if rtpu in results} - names)
-        for member in self.model:
-            gone = member.rtpu in results and member.name not in names
-            if gone and member.name in known:  # else it was spawned meanwhile
-                self.model.remove(member.name)
+        for name in known - names:  # others were spawned meanwhile
+            member = self.model.get(name)
+            if member is not None and member.rtpu in results:
+                self.model.remove(name)
         if self.clients.sbs.keeper in results:
             self._unwritten.seen(cause for rtpu in statuses for cause in rtpu.illegal)
         return statuses
@@ -253,18 +261,27 @@ class SubsystemTasks:
         """Take a task's status into the picture, and its signals."""
         self._inbox.note(status)
         self._priorities[status.task] = status.priority
-        member = self.model.get(status.task)
+        if status.task in self._model:
+            self._update(status)
+        else:
+            self._unread[status.task] = status
+
+    def _update(self, status: m.TaskStatus) -> None:
+        """Take a task's status into the model."""
+        member = self._model.get(status.task)
         if member is None:
             try:
                 source = self._source(status.rmod, None)
             except PbonetError as error:  # spawned from elsewhere; it is only watched
                 logger("pbonet.master").debug("task %s: %s", status.task, error)
                 return
-            member = Member(source=source, rtpu=status.rtpu, freq=status.ref_f)
-            self.model.add(member)
+            member = configuration.Member(
+                source=source, rtpu=status.rtpu, freq=status.ref_f
+            )
+            self._model.add(member)
         member.rtpu, member.freq = status.rtpu, status.ref_f
         member.fallback_of = status.fallback_of or member.fallback_of
-        self.model.move(status.task, State(status.state))
+        self._model.move(status.task, State(status.state))
 
     def locate(self, task: str) -> str:
         """Return the RTPU of a task, asking the agents when it is not known.
@@ -281,7 +298,8 @@ class SubsystemTasks:
     def _source(self, task: str, text: str | None) -> RmodSource:
         """Return the RMOD of a task: as it was spawned, else as its file says."""
         if text:
-            return RmodSource(parse_rmod(text, f"{task}.rmod"), text)
+            record = config.parse_rmod(text, f"{task}.rmod")
+            return configuration.RmodSource(record, text)
         return self.files.rmod(task)
 
     # -- judging ----------------------------------------------------------------------
@@ -292,7 +310,7 @@ class SubsystemTasks:
         Raises:
             ModuleLoadError: The library has no such module, or it does not load.
         """
-        return info_of(rmod, partial(self._info, rtpu))
+        return config.info_of(rmod, partial(self._info, rtpu))
 
     def plan(self, source: RmodSource, rtpu: str | None, freq: float | None) -> Member:
         """Return the task that an RMOD would become.
@@ -303,7 +321,7 @@ class SubsystemTasks:
         """
         where = rtpu or source.record.rtpu or self.clients.names[0]
         self.clients.entry(where)
-        member = Member(
+        member = configuration.Member(
             source=source, rtpu=where, freq=freq or source.record.freq or 0.0
         )
         self._describe(member)
@@ -332,7 +350,7 @@ class SubsystemTasks:
         """
         old = self.model.get(member.name)
         if old is not None:
-            raise already(old)
+            raise configuration.already(old)
 
     def judge(self, change: legality.Change) -> None:
         """Refuse a change that would be illegal; tell what is new of it else.
@@ -384,7 +402,8 @@ class SubsystemTasks:
         found = legality.judge(now, change).problems if change else legality.check(now)
         if self._whole:
             return found
-        return [one for one in found if one.code not in _BY_OTHERS]
+        by_others = {legality.Code.NO_WRITER, legality.Code.NO_CONSTANT}
+        return [one for one in found if one.code not in by_others]
 
     def report(
         self, change: legality.Change | None = None
@@ -406,7 +425,7 @@ class SubsystemTasks:
             on=frozenset(member.name for member in self.model if member.is_on),
             rtpus=self.files.sbs.rtpus,
             producers=self._producers,
-            limit=PLANNED,
+            limit=schedule.PLANNED,
         )
 
     def with_infos(self, members: Iterable[Member]) -> None:
