@@ -31,8 +31,8 @@ def test_its_link_is_closed_and_nothing_is_answered_any_more(
         anna = Client(link, nodes.domain, "anna")
         assert anna.call("arm0", m.Hello(), m.AgentInfo).name == "arm0"
         wait_for(lambda: not list(link.info.links()), "the end of its link")
-        with pytest.raises(UnreachableError, match="the certificate has run out"):
+        with pytest.raises(UnreachableError, match="the certificate has expired"):
             anna.call("arm0", m.Stop(), m.Stopped)
         assert session.rtpus(link, nodes.domain) == []
-    with pytest.raises(ConfigFileError, match="the certificate has run out"):
+    with pytest.raises(ConfigFileError, match="the certificate has expired"):
         session.client(nodes.domain, connect=[where], key_folder=keys)

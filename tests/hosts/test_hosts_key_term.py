@@ -144,7 +144,7 @@ def test_keys_that_are_no_good_are_not_taken(lab, keys):
     keys.agent("a", lab.keys["a"], days=-0.01)
     process.send_signal(signal.SIGHUP)
     (text,) = wait_for(lambda: told(lab, "arm0", "NOT_ANEW"), "the refusal")
-    assert "the certificate has run out" in text
+    assert "the certificate has expired" in text
     assert lab.info("arm0").zid == before
     for name, data in kept.items():
         (lab.keys["a"] / name).write_bytes(data)

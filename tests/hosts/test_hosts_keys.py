@@ -102,7 +102,7 @@ def comes(cell):
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ("lab old", "the certificate has run out"),
+        ("lab old", "the certificate has expired"),
         ("lab observer", "these keys are for another role (expected agent, got obser"),
     ],
 )

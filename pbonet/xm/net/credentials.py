@@ -163,7 +163,7 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
             one.recv(1)  # a certificate is refused after the handshake
     except ssl.SSLCertVerificationError as error:
         how = {
-            _RUN_OUT: "has run out",
+            _RUN_OUT: "has expired",
             _NOT_YET: "is not valid yet (look at the clocks of both machines)",
         }
         other = "is not of the authority of these keys"
@@ -205,11 +205,11 @@ def _refused(folder: Path, error: ssl.SSLCertVerificationError) -> ConfigFileErr
     """Return the error for a certificate that its authority rejects."""
     what, remedy = {
         _RUN_OUT: (
-            "the certificate has run out",
+            "the certificate has expired",
             "`pbonet keys agent|master|observer NAME` makes another",
         ),
         _NOT_YET: (
-            "the certificate is not good yet",
+            "the certificate is not valid yet",
             "set the clock of this machine, or of the one that made it",
         ),
     }.get(

@@ -426,7 +426,7 @@ def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:
 
 def _no_access(rtpu: str) -> AccessError:
     return AccessError(
-        "the agent is there, and what you ask was dropped on the way",
+        "the agent is there, but your request was dropped on the way",
         where=rtpu,
         expected="the keys of a master",
         remedy="name them with --keys; an observer's are good for status, display, "

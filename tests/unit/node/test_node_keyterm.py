@@ -139,7 +139,7 @@ def test_keys_that_go_together_are_not_doubted(lab):
     assert refused == "it refuses the certificate of these keys"
     with listening(old) as port:
         found = credentials.doubted(mine, "127.0.0.1", port, LIMIT)
-    assert found == "its certificate has run out"
+    assert found == "its certificate has expired"
     assert credentials.doubted(mine, "127.0.0.1", port, LIMIT) == "", "nobody is there"
 
 
@@ -161,7 +161,7 @@ def test_times_are_said_as_people_do(seconds, said):
     [
         (100.5, "PASS your keys in {} are good for 100 days"),
         (5.2, "WARN your keys in {} are good for 5 days; make others with "),
-        (-0.01, "FAIL {}/cert.pem: the certificate has run out; `pbonet keys "),
+        (-0.01, "FAIL {}/cert.pem: the certificate has expired; `pbonet keys "),
     ],
 )
 def test_doctor_looks_at_ones_own_keys(lab, monkeypatch, days, line):

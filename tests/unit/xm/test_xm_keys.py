@@ -95,7 +95,7 @@ def test_good_keys_are_proved(lab, role):
 def test_a_certificate_that_has_run_out_is_told(lab):
     folder = pki.issue(lab, Role.MASTER, "anna", days=-0.01)
     assert refusal(folder) == (
-        f"{folder}/cert.pem: the certificate has run out (got certificate has expired);"
+        f"{folder}/cert.pem: the certificate has expired (got certificate has expired);"
         " `pbonet keys agent|master|observer NAME` makes another"
     )
     assert pki.read(folder).days < 0  # and is still shown
@@ -104,7 +104,7 @@ def test_a_certificate_that_has_run_out_is_told(lab):
 def test_a_certificate_of_tomorrow_is_told(lab, monkeypatch):
     monkeypatch.setattr(pki, "_EARLY", dt.timedelta(hours=-1))
     folder = pki.issue(lab, Role.MASTER, "anna")
-    assert "not good yet" in refusal(folder)
+    assert "not valid yet" in refusal(folder)
     assert "set the clock" in refusal(folder)
 
 

@@ -47,6 +47,6 @@ def test_who_has_keys_that_ran_out_is_told_so(tmp_path, monkeypatch, run_dir):  
     keys = pki.issue(tmp_path / "lab", Role.MASTER, "anna", days=-0.01)
     monkeypatch.setenv(credentials.VARIABLE, str(keys))
     text = str(unreachable_reason.unreachable("arm0", "d", []))
-    assert f"your keys: {keys}/cert.pem: the certificate has run out" in text
+    assert f"your keys: {keys}/cert.pem: the certificate has expired" in text
     assert "pbonet agent" not in text
     assert "start it with" in str(unreachable_reason.unreachable("arm0", "d", ["arm1"]))
