@@ -43,7 +43,7 @@ SCHEDULERS: Final = ("MUF", "RM", "EDF")
 EXPECTED: Final = {
     "MUF": "only tau4 misses: tau1, tau2 and tau3 are the critical set",
     "RM": "tau1 and tau2 keep their deadlines, tau3 and tau4 miss",
-    "EDF": "others than tau4 miss; which ones, nobody can say before",
+    "EDF": "tasks other than tau4 miss; which ones cannot be predicted",
 }
 HYPERPERIOD_NS: Final = 60 * UNIT_NS
 WORK, REST = 4, 2

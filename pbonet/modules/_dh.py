@@ -108,20 +108,20 @@ def difference(wanted: Matrix, pose: Matrix) -> Vector:
 
 
 def gap(wanted: Matrix, pose: Matrix) -> tuple[float, float]:
-    """Return how far two poses are apart: m, and rad."""
+    """Return the distance between two poses: m, and rad."""
     step = wanted[:, 3] - pose[:, 3]
     cosine = 0.5 * (float(np.trace(wanted[:, :3].T @ pose[:, :3])) - 1.0)
     return sqrt(float(step @ step)), acos(min(1.0, max(-1.0, cosine)))
 
 
 def is_rotation(matrix: Matrix) -> bool:
-    """Tell whether a matrix turns and does nothing else, to a millionth."""
+    """Return whether a matrix is a rotation, to 1e-6."""
     close = np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6  # noqa: PLR2004
     return bool(close and np.linalg.det(matrix) > 0.0)
 
 
 def scale(length: float) -> Vector:
-    """Return what makes six rows (m, rad) comparable: `length` (m) counts as 1 rad."""
+    """Return factors that make six rows (m, rad) comparable: `length` (m) is 1 rad."""
     return np.array([1.0 / length] * 3 + [1.0] * 3)
 
 

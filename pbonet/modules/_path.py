@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pbonet import Matrix, Vector
 
 _CLOSED = 1e-3
-"""How near the last pose must be to the first for a path to repeat: m, and rad."""
+"""Largest distance from last to first pose for a path to repeat: m, and rad."""
 
 
 class PosePath:
@@ -89,7 +89,7 @@ class PosePath:
 
 
 def _rows(values: Sequence[float], n: int, name: str) -> Matrix:
-    """Return n rows of three out of the values of parameter `name`."""
+    """Return the values of parameter `name` as n rows of three."""
     if len(values) != 3 * n:
         raise ParameterError(
             f"parameter {name} has the wrong number of values",
@@ -101,7 +101,7 @@ def _rows(values: Sequence[float], n: int, name: str) -> Matrix:
 
 
 def _pose(values: Vector) -> Matrix:
-    """Return the pose of x y z roll pitch yaw."""
+    """Return the pose for x y z roll pitch yaw."""
     pose = np.empty((3, 4))
     (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:]), np.sin(values[3:])
     pose[:, 0] = cy * cp, sy * cp, -sp

@@ -27,20 +27,20 @@ if TYPE_CHECKING:
 TURN = 2.0 * pi
 _TWISTS = np.array([pi / 2, 0.0, -pi / 2, pi / 2, -pi / 2, 0.0])
 _ALIGNED = 1e-9
-"""Sine of the wrist's bend below which joints 4 and 6 turn about one axis."""
+"""Sine of joint 5 below which joints 4 and 6 turn about one axis."""
 
 
 class Solution(NamedTuple):
     """The result of inverse kinematics."""
 
     q: Vector | None
-    """Joint angles, rad; None where there are none."""
+    """Joint angles, rad; None if there is no solution."""
     why: str = ""
-    """Why there are none."""
+    """The reason why there is no solution."""
 
 
 class PumaArm:
-    """Which joint angles take the last frame to a pose.
+    """Inverse kinematics: the joint angles for a pose of the last frame.
 
     Args:
         dh: Rows of theta (rad), d (m), a (m), alpha (rad), as the arm publishes them.
@@ -63,7 +63,7 @@ class PumaArm:
 
     @property
     def reach(self) -> float:
-        """How far the wrist's point comes from the shoulder's axes, m."""
+        """Reach of the wrist point from the shoulder's axes, m."""
         return hypot(abs(self._a2) + self._forearm, self._shift)
 
     def solve(self, pose: Matrix, near: Vector) -> Solution:
@@ -110,7 +110,7 @@ class PumaArm:
         }
 
     def _wrist(self, pose: Matrix) -> Vector:
-        """Return the point in which the wrist's axes meet, from the shoulder, m."""
+        """Return the wrist's centre relative to the shoulder, m."""
         point: Vector = pose[:, 3] - self._d6 * pose[:, 2]
         point[2] -= self._d1
         return point
@@ -136,7 +136,7 @@ class PumaArm:
     def _wrists(
         self, pose: Matrix, arm: tuple[float, float, float], near: Vector
     ) -> Iterator[tuple[float, float, float]]:
-        """Yield joints 4 to 6, offsets included, of both ways to bend the wrist."""
+        """Yield joints 4 to 6, offsets included, for both wrist configurations."""
         posture = np.zeros(6)
         posture[:3] = arm
         forearm = self._geometry.frames(posture - self._offset)[3, :3, :3]
@@ -152,7 +152,7 @@ class PumaArm:
             yield q4, atan2(-x[2], y[2]), atan2(-z[0], -z[1])
 
     def _within(self, q: Vector, near: Vector) -> Vector | None:
-        """Return q with whole turns added that bring it nearest, within the limits."""
+        """Return q plus the full turns that bring it closest, within the limits."""
         q = q - TURN * np.round((q - near) / TURN)
         q += TURN * (q < self._lower) - TURN * (q > self._upper)
         fits = np.all((q >= self._lower) & (q <= self._upper))

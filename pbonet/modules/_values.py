@@ -1,4 +1,4 @@
-"""Values of which a module has one per element, and files may give one for all."""
+"""Parameters with one value per element, for which files may give a single value."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PerElement = tuple[float, ...]
 
 
 def spread(values: Sequence[float], n: int, name: str) -> Vector:
-    """Return `n` values: those given, or n times the only one given.
+    """Return `n` values: those given, or a single one n times.
 
     Args:
         values: One value, or n of them.

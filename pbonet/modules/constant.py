@@ -1,4 +1,4 @@
-"""A value that an operator sets."""
+"""A constant value that an operator sets."""
 
 from typing import Annotated as A
 
@@ -8,7 +8,7 @@ from ._values import PerElement, spread
 
 
 class Setting(Params):
-    """The value, one for each element or one for all, and how fast it is reached."""
+    """The value, one for each element or one for all, and its slew rate."""
 
     value: A[PerElement, param("none", "the value, in the unit of Y")]
     slew: A[float, param("none", "largest change a second; 0 jumps", ge=0)] = 0.0

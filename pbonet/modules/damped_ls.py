@@ -20,15 +20,15 @@ from ._dh import difference, is_rotation, scale
 
 
 class Damping(Params):
-    """How the pose is followed, and what is given up near a singularity."""
+    """Gains, damping near a singularity, and speed limits."""
 
-    gain: A[float, param("1/s", "how briskly the pose is followed", gt=0)] = 4.0
+    gain: A[float, param("1/s", "gain of the pose error", gt=0)] = 4.0
     sigma: A[
-        float, param("none", "singular value from which on nothing is damped", gt=0)
+        float, param("none", "singular value above which there is no damping", gt=0)
     ] = 0.2
     damping: A[float, param("none", "damping at the singularity", gt=0)] = 0.2
-    linear: A[float, param("m/s", "fastest the hand is asked to move", gt=0)] = 0.5
-    angular: A[float, param("rad/s", "fastest the hand is asked to turn", gt=0)] = 1.5
+    linear: A[float, param("m/s", "largest commanded linear speed", gt=0)] = 0.5
+    angular: A[float, param("rad/s", "largest commanded angular speed", gt=0)] = 1.5
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
 
 
@@ -82,7 +82,7 @@ class DampedLS(PortBasedObject[Damping]):
             self.qd[:] = 0.0
 
     def _solve(self, wish: Vector) -> Vector:
-        """Return the joint velocities, rad/s, for one of the hand, [6]."""
+        """Return the joint velocities (rad/s) for a hand velocity, [6]."""
         u, s, v = np.linalg.svd(
             self._scale[:, None] * self.jacobian, full_matrices=False
         )

@@ -1,4 +1,4 @@
-"""Differentiation over time of anything (Stewart 1994, Figure 3.12)."""
+"""Time derivative of any signal (Stewart 1994, Figure 3.12)."""
 
 from math import exp
 from typing import Annotated as A
@@ -17,7 +17,7 @@ from pbonet import (
 
 
 class Smoothing(Params):
-    """How much of the noise, and of the steps of a slower producer, is taken out."""
+    """Smoothing of noise and of the steps of a slower producer."""
 
     tau: A[float, param("s", "time constant of each of two lags", ge=0)] = 0.0
 
@@ -32,8 +32,8 @@ class Diff(PortBasedObject[Smoothing]):
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
-    z: A[Vector, InVar("Z", "ndof", "any", "what is differentiated")]
-    z_dot: A[Vector, OutVar("Z^", "ndof", "any", "its derivative over time")]
+    z: A[Vector, InVar("Z", "ndof", "any", "the input")]
+    z_dot: A[Vector, OutVar("Z^", "ndof", "any", "its time derivative")]
 
     def init(self) -> None:
         self._before = np.zeros_like(self.z)

@@ -19,7 +19,7 @@ from ._dh import Geometry, scale
 
 
 class Scale(Params):
-    """How positions and angles compare where one number sums them up."""
+    """Weight of positions relative to angles in a single measure."""
 
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
 

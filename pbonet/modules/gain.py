@@ -16,7 +16,7 @@ from ._values import PerElement, spread
 
 
 class Line(Params):
-    """The straight line, one for each element or one for all."""
+    """Slope and offset, one for each element or one for all."""
 
     gain: A[PerElement, param("none", "factor, in units of Y per unit of Z")]
     bias: A[PerElement, param("none", "offset, in the unit of Y")] = (0.0,)
@@ -26,7 +26,7 @@ class Gain(PortBasedObject[Line]):
     """y = gain * z + bias."""
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
-    z: A[Vector, InVar("Z", "ndof", "any", "what is scaled")]
+    z: A[Vector, InVar("Z", "ndof", "any", "the input")]
     y: A[Vector, OutVar("Y", "ndof", "any", "the scaled value")]
 
     def init(self) -> None:

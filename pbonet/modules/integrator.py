@@ -19,7 +19,7 @@ from ._values import PerElement, spread
 
 
 class Range(Params):
-    """Where the integral stops."""
+    """Limits of the integral."""
 
     lower: A[PerElement, param("none", "smallest value, in the unit of Z")]
     upper: A[PerElement, param("none", "largest value, in the unit of Z")]
@@ -34,8 +34,8 @@ class Integrator(PortBasedObject[Range]):
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
-    z_dot: A[Vector, InVar("Z^", "ndof", "any", "what is integrated")]
-    z: A[Vector, OutVar("Z", "ndof", "any", "its integral over time")]
+    z_dot: A[Vector, InVar("Z^", "ndof", "any", "the input")]
+    z: A[Vector, OutVar("Z", "ndof", "any", "its time integral")]
 
     def init(self) -> None:
         self._take_limits()

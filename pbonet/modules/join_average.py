@@ -14,7 +14,7 @@ from pbonet import (
 
 
 class Weights(Params):
-    """How much each input counts."""
+    """Weights of the inputs."""
 
     weights: A[
         tuple[float, float], param("none", "weights of Z1 and Z2", ge=0, total=1)
@@ -29,8 +29,8 @@ class JoinAverage(PortBasedObject[Weights]):
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
-    z1: A[Vector, InVar("Z1", "ndof", "any", "what one producer says")]
-    z2: A[Vector, InVar("Z2", "ndof", "any", "what the other producer says")]
+    z1: A[Vector, InVar("Z1", "ndof", "any", "value of the first producer")]
+    z2: A[Vector, InVar("Z2", "ndof", "any", "value of the second producer")]
     z: A[Vector, OutVar("Z", "ndof", "any", "their weighted average")]
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only

@@ -17,9 +17,9 @@ class JoinFirst(PortBasedObject[Params]):
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
-    z1: A[Vector, InVar("Z1", "ndof", "any", "what the better producer says")]
-    z2: A[Vector, InVar("Z2", "ndof", "any", "what the other producer says")]
-    z: A[Vector, OutVar("Z", "ndof", "any", "the first of both that is valid")]
+    z1: A[Vector, InVar("Z1", "ndof", "any", "value of the preferred producer")]
+    z2: A[Vector, InVar("Z2", "ndof", "any", "value of the second producer")]
+    z: A[Vector, OutVar("Z", "ndof", "any", "the first valid value of the two")]
 
     def on(self) -> None:
         self._taken = "z1"

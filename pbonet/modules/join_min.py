@@ -15,8 +15,8 @@ class JoinMin(PortBasedObject[Params]):
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
-    z1: A[Vector, InVar("Z1", "ndof", "any", "what one producer says")]
-    z2: A[Vector, InVar("Z2", "ndof", "any", "what the other producer says")]
+    z1: A[Vector, InVar("Z1", "ndof", "any", "value of the first producer")]
+    z2: A[Vector, InVar("Z2", "ndof", "any", "value of the second producer")]
     z: A[Vector, OutVar("Z", "ndof", "any", "the smaller of each pair of elements")]
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only

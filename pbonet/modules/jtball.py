@@ -1,4 +1,4 @@
-"""A six-axis ball that moves joints: how far it is pushed says how fast they go."""
+"""Joint rate control with a six-axis ball: deflection sets speed."""
 
 from typing import Annotated as A
 
@@ -12,14 +12,14 @@ from ._values import PerElement, spread
 
 
 class Steering(Params):
-    """Which ball steers which joint, how fast, and how far."""
+    """Assignment of axes to joints, speeds and limits."""
 
-    speed: A[PerElement, param("rad/s", "of each joint at full push", ge=0)]
+    speed: A[PerElement, param("rad/s", "speed of each joint at full push", ge=0)]
     lower: A[PerElement, param("rad", "smallest reference of each joint")]
     upper: A[PerElement, param("rad", "largest reference of each joint")]
     device: A[str, param("none", "device file of the ball's serial line")] = ""
-    trace: A[str, param("none", "name of a recorded trace, played instead")] = ""
-    repeat: A[bool, param("none", "whether the trace begins anew at its end")] = False
+    trace: A[str, param("none", "name of a recorded trace to play instead")] = ""
+    repeat: A[bool, param("none", "whether the trace repeats at its end")] = False
     axes: A[
         tuple[int, ...],
         param(
@@ -29,8 +29,8 @@ class Steering(Params):
             le=6,
         ),
     ] = (1, 2, 3, 4, 5, 6)
-    full: A[float, param("counts", "deflection that is full push", gt=0)] = 400.0
-    dead: A[float, param("counts", "deflection that is still rest", ge=0)] = 15.0
+    full: A[float, param("counts", "deflection at full push", gt=0)] = 400.0
+    dead: A[float, param("counts", "largest deflection at rest", ge=0)] = 15.0
     enable: A[
         int, param("none", "button that must be held, 1 to 9; 0 for none", ge=0, le=9)
     ] = 0
@@ -68,7 +68,7 @@ class JtBall(PortBasedObject[Steering]):
         push = self._poll()[self._axis]
         size = np.minimum(np.abs(push), self.params.full) - self.params.dead
         step = np.sign(push) * np.maximum(size, 0.0) * self._gain * dt
-        # a reference that begins beyond a limit may come back, but not go further
+        # a reference that starts beyond a limit may return, but not go further
         low = np.minimum(self._lower, self.q_ref)
         high = np.maximum(self._upper, self.q_ref)
         (self.q_ref + step).clip(low, high, out=self.q_ref)

@@ -19,18 +19,18 @@ from ._puma_arm import PumaArm
 from ._values import PerElement, spread
 
 AGAIN = 1.5
-"""A singularity is told anew when it was left this much farther than NEAR."""
+"""A new warning needs a distance of NEAR times this from the singularity."""
 
 
 class Posture(Params):
-    """Within what limits solutions are looked for, and how they are taken up."""
+    """Limits for solutions, and the transition to them."""
 
     lower: A[PerElement, param("rad", "smallest angle of each joint")]
     upper: A[PerElement, param("rad", "largest angle of each joint")]
     near: A[
-        float, param("none", "a singularity nearer than this is told", ge=0, lt=1)
+        float, param("none", "warn when a singularity is closer than this", ge=0, lt=1)
     ] = 0.1
-    fade: A[float, param("s", "until Q_REF has moved to the solution", gt=0)] = 0.5
+    fade: A[float, param("s", "time until Q_REF has reached the solution", gt=0)] = 0.5
 
 
 class PumaInvKin(PortBasedObject[Posture]):
@@ -80,19 +80,19 @@ class PumaInvKin(PortBasedObject[Posture]):
         self._watch()
 
     def _left(self) -> float:
-        """Return how much of the offset from the solution is left."""
+        """Return the remaining share of the offset from the solution."""
         x = min(self._time / self.params.fade, 1.0)
         return 1.0 - x * x * (3.0 - 2.0 * x)
 
     def _hold(self, kind: str, text: str) -> None:
-        """Leave Q_REF where it is, and say why once."""
+        """Leave Q_REF unchanged, and report the reason once."""
         self._holds = True
         if kind != self._told:
             self._told = kind
             self.task.warn(f"{text}; Q_REF stays where it is")
 
     def _watch(self) -> None:
-        """Say once that a singularity is near, and which."""
+        """Report a nearby singularity once."""
         near = self.params.near
         for name, distance in self._arm.singular(self._solution).items():
             if distance < near and name not in self._close:

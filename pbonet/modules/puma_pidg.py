@@ -34,9 +34,9 @@ class Gains(Params):
     kd: A[PerElement, param("N*m*s/rad", "damping", ge=0)]
     ki: A[PerElement, param("N*m/(rad*s)", "integral gain", ge=0)] = (0.0,)
     wind: A[PerElement, param("N*m", "largest integral torque", ge=0)] = (20.0,)
-    speed: A[PerElement, param("rad/s", "fastest the reference moves", gt=0)] = (1.5,)
-    follow: A[float, param("1/s", "how briskly Q_REF is followed", gt=0)] = 10.0
-    slow: A[float, param("rad/s^2", "how hard the arm stops in `stable`", gt=0)] = 4.0
+    speed: A[PerElement, param("rad/s", "largest reference speed", gt=0)] = (1.5,)
+    follow: A[float, param("1/s", "gain with which Q_REF is followed", gt=0)] = 10.0
+    slow: A[float, param("rad/s^2", "deceleration of the arm in `stable`", gt=0)] = 4.0
 
 
 class PumaPidg(PortBasedObject[Gains]):
@@ -78,7 +78,7 @@ class PumaPidg(PortBasedObject[Gains]):
         self._servo(dt, self.t_grav)
 
     def stable(self, dt: float) -> None:
-        """Slow down and stand, with the arm's own gravity model; trust no input."""
+        """Slow down and stop, with the arm's own gravity model and no inputs."""
         self._sense(dt)
         step = self.params.slow * dt
         self._v -= self._v.clip(-step, step)
@@ -90,7 +90,7 @@ class PumaPidg(PortBasedObject[Gains]):
             self.qd[:] = 0.0
 
     def _sense(self, dt: float) -> None:
-        """Read the arm; take it up again if its drives have given up on us."""
+        """Read the arm; start it again if its drives have braked."""
         self._arm.advance(dt)
         self.q[:] = self._arm.q
         self.qd[:] = self._arm.qd
@@ -111,7 +111,7 @@ class PumaPidg(PortBasedObject[Gains]):
         self._arm.command(torque)  # which the drives limit to what the arm may bear
 
     def _start(self) -> None:
-        """Release the brakes and hold the arm where, and moving as, it is."""
+        """Release the brakes and hold the arm at its position and velocity."""
         self._r = self._arm.q.copy()
         self._v = self._arm.qd.copy()
         self._integral = np.zeros(N)

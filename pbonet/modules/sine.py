@@ -1,4 +1,4 @@
-"""A trajectory generator: sine waves about where the output stood."""
+"""A trajectory generator: sine waves about the previous output."""
 
 from typing import Annotated as A
 
@@ -14,10 +14,10 @@ TURN = 2.0 * np.pi
 class Wave(Params):
     """The waves, one for each element or one for all."""
 
-    amplitude: A[PerElement, param("none", "half the swing, in the unit of Y")]
-    freq: A[PerElement, param("Hz", "swings a second", ge=0)]
-    phase: A[PerElement, param("rad", "where in its swing each begins")] = (0.0,)
-    fade: A[float, param("s", "until the full amplitude is reached", gt=0)] = 1.0
+    amplitude: A[PerElement, param("none", "amplitude, in the unit of Y")]
+    freq: A[PerElement, param("Hz", "cycles per second", ge=0)]
+    phase: A[PerElement, param("rad", "initial phase")] = (0.0,)
+    fade: A[float, param("s", "time until the full amplitude is reached", gt=0)] = 1.0
 
 
 class Sine(PortBasedObject[Wave]):
@@ -29,7 +29,7 @@ class Sine(PortBasedObject[Wave]):
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Y")]
     y: A[Vector, OutVar("Y", "ndof", "any", "the trajectory")]
-    y_dot: A[Vector, OutVar("Y^", "ndof", "any", "its derivative over time")]
+    y_dot: A[Vector, OutVar("Y^", "ndof", "any", "its time derivative")]
 
     def init(self) -> None:
         self._take_wave()

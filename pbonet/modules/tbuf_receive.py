@@ -1,4 +1,4 @@
-"""Receives a variable of another subsystem, wherever that runs."""
+"""Receive a variable of another subsystem, on any machine."""
 
 from typing import Annotated as A
 
@@ -6,19 +6,19 @@ from pbonet import OutVar, Params, PortBasedObject, Vector, param, tbuf
 from pbonet.io import devices_allowed
 
 NEVER = 1
-"""Nanoseconds: what was never received is as old as the machine."""
+"""Age of a value that was never received, nanoseconds."""
 
 
 class Incoming(Params):
-    """Which link it is, and what is too old."""
+    """The link, and the largest age."""
 
-    link: A[str, param("none", "its name, SUBSYSTEM:NAME of the sender")]
-    maxage: A[float, param("s", "what is older is told; 0 never", ge=0)] = 0.0
-    fail: A[bool, param("none", "whether what is too old is an error")] = False
+    link: A[str, param("none", "name of the link, SUBSYSTEM:NAME of the sender")]
+    maxage: A[float, param("s", "warn when the value is older; 0: never", ge=0)] = 0.0
+    fail: A[bool, param("none", "whether a value that is too old is an error")] = False
 
 
 class TbufReceive(PortBasedObject[Incoming]):
-    """z = what was sent last, stamped with the time at which it was written.
+    """z = the value received last, stamped with the time at which it was written.
 
     So the age of the variable in the table is that of what it holds, and readers see it
     stale by its own MAXAGE, however the link was lost. Until something has come, z
@@ -26,7 +26,7 @@ class TbufReceive(PortBasedObject[Incoming]):
     the next record ends it. In a simulation nothing is received.
     """
 
-    z: A[Vector, OutVar("Z", "n", "any", "what was received")]
+    z: A[Vector, OutVar("Z", "n", "any", "the received value")]
 
     def init(self) -> None:
         self._link = None

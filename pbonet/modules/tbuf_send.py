@@ -1,4 +1,4 @@
-"""Sends a variable to another subsystem, wherever that runs."""
+"""Send a variable to another subsystem, on any machine."""
 
 from typing import Annotated as A
 
@@ -7,9 +7,9 @@ from pbonet.io import devices_allowed
 
 
 class Outgoing(Params):
-    """Which link it is."""
+    """The link."""
 
-    link: A[str, param("none", "its name; others call it SUBSYSTEM:NAME")]
+    link: A[str, param("none", "name of the link; other subsystems use SUBSYSTEM:NAME")]
 
 
 class TbufSend(PortBasedObject[Outgoing]):
@@ -19,7 +19,7 @@ class TbufSend(PortBasedObject[Outgoing]):
     a receiver, nor for a network. In a simulation nothing is sent.
     """
 
-    z: A[Vector, InVar("Z", "n", "any", "what is sent")]
+    z: A[Vector, InVar("Z", "n", "any", "the value to send")]
 
     def init(self) -> None:
         self._link = None

@@ -1,4 +1,4 @@
-"""A stub of a vision subsystem: says where its target is, seldom and late."""
+"""A stand-in for a vision subsystem: reports its target rarely and late."""
 
 from typing import Annotated as A
 
@@ -14,8 +14,8 @@ class Sight(Params):
     time: A[PerElement, param("s", "when each pose is reached, 0 first", ge=0)]
     position: A[PerElement, param("m", "x y z of each pose")]
     angles: A[PerElement, param("rad", "roll pitch yaw of each pose")]
-    delay: A[float, param("s", "from what is seen to what is said", ge=0)] = 0.0
-    repeat: A[bool, param("none", "whether the path begins anew at its end")] = False
+    delay: A[float, param("s", "delay from measurement to output", ge=0)] = 0.0
+    repeat: A[bool, param("none", "whether the path repeats at its end")] = False
 
 
 class VisualTarget(PortBasedObject[Sight]):
