@@ -216,7 +216,7 @@ def test_what_the_master_has_raised_goes_down_by_itself(start, nodes, tmp_path):
     wait_for(begun.exists, "that the fallback is engaged")
     wait_states(arm, first="ERROR", second="OFF", hold="ON", third="OFF")
     arm.control("third", "kill")  # whatever makes the master look
-    unfed = "equation 2: nobody writes Y0 for hold (master)"
+    unfed = "equation 2: no task writes Y0 for hold (master)"
     assert unfed in causes(arm)
     arm.detach()
     go_on.touch()
@@ -266,7 +266,7 @@ def test_a_standby_that_fails_too_is_in_error_with_the_flag_up(start):
     os.kill(arm.status("first").tid, signal.SIGKILL)
     (text,) = told(arm)
     assert "state ERROR" in text
-    assert "nobody writes its variables" in text
+    assert "no task writes its variables" in text
     assert states(arm)["second"] == "ERROR"
     wait_for(lambda: "first has died (arm0/first)" in causes(arm), "the flag")
     assert "first has died (arm0/first)" in events(arm, "ILLEGAL")

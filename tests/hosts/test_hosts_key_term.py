@@ -112,7 +112,7 @@ def runs_out(cell, whose):
     """Wait until an agent's keys have run out, as it had said they would."""
     lab = cell.lab
     assert "the keys run out in " in told(lab, whose)[0]
-    wait_for(lambda: "host-a is out of sight" in cell.illegal("arm1"), "flag")
+    wait_for(lambda: "host-a is unreachable" in cell.illegal("arm1"), "flag")
     over = wait_for(lambda: told(lab, whose)[1:], "what is wrong")[0]
     assert "the keys have run out: no other machine can be reached" in over
     assert f"start anew with `kill -HUP {lab.info(whose).pid}`" in over

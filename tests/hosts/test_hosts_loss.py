@@ -107,7 +107,7 @@ def test_a_cable_is_pulled_and_plugged_in_again(cell, lan, how):
     for rtpu in RTPUS:
         wait_stable(cell, rtpu)
     for rtpu, host, lost in (("arm1", "host-a", "Y2 Z0"), ("arm0", "host-b", "Z2")):
-        cause = f"host {host} is out of sight; nobody writes {lost}"
+        cause = f"host {host} is unreachable; no task writes {lost}"
         wait_for(lambda r=rtpu, c=cause: c in cell.illegal(r), "the agent's own cause")
     lan.heal("a", "b")
     wait_healed(cell)
@@ -117,7 +117,7 @@ def test_a_cable_is_pulled_and_plugged_in_again(cell, lan, how):
 def test_a_split_in_which_both_sides_write(cell, lan, lab):
     """Neither is believed when they meet; the master turns one off, and all is well."""
     lan.cut("a", "b")
-    wait_for(lambda: "out of sight" in cell.illegal("arm1"), "the flag")
+    wait_for(lambda: "is unreachable" in cell.illegal("arm1"), "the flag")
     cell.spawn("arm1", "two", "counts", out="Z0")
     cell.on("arm1", "two")
     wait_for(lambda: "Z0" not in cell.illegal("arm1"), "a writer on this side")
@@ -133,7 +133,7 @@ def test_a_split_in_which_both_sides_write(cell, lan, lab):
 
 
 def test_a_slow_cable_is_no_loss(cell, lan, lab):
-    """News come late and are as old as they are; nobody is out of sight."""
+    """News come late and are as old as they are; no machine is unreachable."""
     lan.slow("a", "b", 0.04)
     try:
         wait_for(lambda: trip(lab) > 0.07, "round trips that take their time")
@@ -145,7 +145,7 @@ def test_a_slow_cable_is_no_loss(cell, lan, lab):
         for rtpu in RTPUS:
             wait_steady(cell, rtpu)
             wait_for(
-                lambda r=rtpu: "out of sight" not in cell.illegal(r),
+                lambda r=rtpu: "is unreachable" not in cell.illegal(r),
                 "who was lost in a standstill to be seen",
             )
     finally:

@@ -183,7 +183,7 @@ def test_swap_again_does_what_is_left(arm, world, agents):
         "arm1/x: item 2 of 4, on trace2: on raised; "
         "done: off jttrace; not sent: off qrdiff, on qrdiff2"
     )
-    assert agents["arm0"].flags != []  # nobody writes Q_REF now
+    assert agents["arm0"].flags != []  # no task writes Q_REF now
     agents["arm1"].fail.clear()
     world.log.clear()
     done = arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])

@@ -55,7 +55,7 @@ INIT 2
 
 NAME X
 TYPE double
-DESC an input that nobody writes
+DESC an input that no task writes
 UNITS none
 NELEM 2
 INIT 1 2

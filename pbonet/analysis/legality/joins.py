@@ -72,7 +72,7 @@ def check_ages(configuration: Configuration) -> Iterator[Problem]:
             code=Code.NO_MAXAGE,
             severity=Severity.WARN,
             what=f"{variable} has no MAXAGE, so {task.name} takes it for valid even "
-            "when nobody writes it any more, and never falls back for that",
+            "when no task writes it any more, and never falls back for that",
             where=task.place("INVAR"),
             remedy=f"write MAXAGE and seconds under NAME {variable} in the .svar file",
             tasks=(task.name,),

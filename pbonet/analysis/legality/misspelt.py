@@ -1,7 +1,7 @@
 """Ports that an RMOD spells otherwise than its module: one cause, reported once.
 
 What follows from it is not told: that the right name is not listed, that the table does
-not have the wrong one, that nobody writes what others read.
+not have the wrong one, that no task writes what others read.
 """
 
 from __future__ import annotations

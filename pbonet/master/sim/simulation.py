@@ -70,7 +70,7 @@ class Simulation(VirtualRtpus):
         self.events: list[str] = []
         self._model = TaskModel()
         self._steady = False
-        """Whether inputs that nobody writes raise the flag: not while a job begins or
+        """Whether inputs that no task writes raise the flag: not while a job begins or
         ends."""
         self._unwritten: set[str] = set()
         super().__init__(files, {"job": self.job.name, "file": self.job.file})
@@ -362,7 +362,7 @@ class Simulation(VirtualRtpus):
     # -- what happens ------------------------------------------------------------------
 
     def _judge_inputs(self) -> None:
-        """Raise the flag for inputs that nobody writes: equation 2 of 3.3.1."""
+        """Raise the flag for inputs that no task writes: equation 2 of 3.3.1."""
         if not self._steady:
             return
         self.states()
@@ -370,7 +370,7 @@ class Simulation(VirtualRtpus):
         fell = [one for one in self._model if one.state is State.ERROR]
         written = {name for one in [*on, *fell] for name in one.task.outputs}
         now = {
-            f"{one.name} reads {name}, which nobody writes"
+            f"{one.name} reads {name}, which no task writes"
             for one in on
             for name in one.task.inputs
             if name not in written

@@ -10,7 +10,7 @@ from pbonet.xm.net import messages as m
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-UNFED = "equation 2: nobody writes "
+UNFED = "equation 2: no task writes "
 """How the cause begins under which the flag is up."""
 _CAUSE = 100
 """Characters of a cause that the flag has room for."""

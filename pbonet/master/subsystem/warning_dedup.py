@@ -31,7 +31,7 @@ class WarningDedup:
         return [*self.new(problems), *refused(problems)]
 
     def new_unfed(self, problems: Iterable[legality.Problem]) -> list[legality.Problem]:
-        """Return the same of inputs that nobody writes."""
+        """Return the same of inputs that no task writes."""
         return self.new(unwritten(problems))
 
     def say(self, problems: Iterable[legality.Problem]) -> list[str]:
@@ -51,5 +51,5 @@ def refused(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
 
 
 def unwritten(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
-    """Return those that are about inputs which nobody writes (equation 2)."""
+    """Return those that are about inputs which no task writes (equation 2)."""
     return [one for one in problems if one.code is legality.Code.NO_WRITER]

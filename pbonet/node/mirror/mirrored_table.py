@@ -41,7 +41,7 @@ ALONE = 0.2
 BEAT = 0.5
 """Seconds after which everything is sent again, in case a packet was dropped."""
 SILENT = 1.6
-"""Seconds of silence after which a machine is out of sight."""
+"""Seconds of silence after which a machine is unreachable."""
 FLAG = 0.02
 """Seconds between checks of the causes of the flag."""
 ANSWER_TIME = 0.5

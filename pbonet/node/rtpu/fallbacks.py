@@ -385,7 +385,7 @@ class Fallbacks:
             pair,
             f"{pair.original} {why}: its fallback {task.name} was released by the "
             f"dispatcher; state {task.state}, time {pair.engaged} of {LIMIT}"
-            + ("" if good else f"; nobody writes its variables: {notice.text}")
+            + ("" if good else f"; no task writes its variables: {notice.text}")
             + (f"; {task.name} will not stand by again" * (pair.engaged >= LIMIT)),
         )
 

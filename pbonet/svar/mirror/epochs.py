@@ -4,7 +4,7 @@ Each claim of a variable has an *epoch*: one more than that of the newest claim 
 have ended when it was made. A task that takes over in order therefore has a higher
 epoch than its predecessor, and all machines agree on the order, whatever order the data
 arrives in. Two tasks that claim while their machines do not see each other have the
-same epoch, or the task that was out of sight has the lower one and is still alive: its
+same epoch, or the task that was unreachable has the lower one and is still alive: its
 own machine detects that and reports it, and neither claim counts anywhere until one of
 them has ended.
 
@@ -73,7 +73,7 @@ class Epochs:
             self.ended[variable] = max(self.ended.get(variable, 0), before)
 
     def forget(self, machine: str) -> None:
-        """Forget a machine that is out of sight: its tasks may live and write."""
+        """Forget a machine that is unreachable: its tasks may live and write."""
         self.others.pop(machine, None)
         self.told.pop(machine, None)
 

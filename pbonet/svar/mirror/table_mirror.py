@@ -148,7 +148,7 @@ class Mirror:
             self.lose(machine)
 
     def lose(self, machine: str) -> None:
-        """Drop a machine that is out of sight."""
+        """Drop a machine that is unreachable."""
         other = self.others.get(machine)
         if other is None:
             return
@@ -220,7 +220,7 @@ class Mirror:
         for host, owned in self._lost.values():
             free = [names[v].name for v in owned if self._is_free(v)]
             if free:
-                text = f"host {host} is out of sight; nobody writes {' '.join(free)}"
+                text = f"host {host} is unreachable; no task writes {' '.join(free)}"
                 wanted[text[:120], RAISER, self.host] = None
         return wanted
 

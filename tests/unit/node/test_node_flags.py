@@ -149,7 +149,7 @@ def test_what_a_fallback_does_not_write_is_missed_no_more(table):
     heir = table.local("hold", 1, outvar=["X"])
     heir.claim()
     made.evaluate()
-    assert len(table.illegal) == 1, "nobody writes Y"
+    assert len(table.illegal) == 1, "no task writes Y"
     made.narrow("arm", "servo", ["X", "Z"])
     made.evaluate()
     assert not table.illegal

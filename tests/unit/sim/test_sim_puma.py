@@ -114,7 +114,7 @@ def test_robot_interface_holds_the_arm_when_gravity_compensation_fails() -> None
     assert not simulation.table.illegal
     simulation.signal("grav_comp", "off")
     causes = [one.cause for one in simulation.table.illegal]
-    assert causes == ["puma_pidg reads T_GRAV, which nobody writes"]
+    assert causes == ["puma_pidg reads T_GRAV, which no task writes"]
     simulation.advance(2.0)
     stood = simulation.table.read("Q_MEZ")
     simulation.advance(2.0)

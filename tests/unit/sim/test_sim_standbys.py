@@ -177,7 +177,7 @@ def test_one_that_fails_too_leaves_the_flag_up_and_others_their_turns(folder):
     assert simulation.display(["Z"])[0].values == [-1.0]
     assert len(releases(simulation, "sink")) >= 9
     assert "state ERROR" in simulation.events[-1]
-    assert "nobody writes its variables: second.on: " in simulation.events[-1]
+    assert "no task writes its variables: second.on: " in simulation.events[-1]
     simulation.stop()
 
 
@@ -268,7 +268,7 @@ def test_one_that_writes_less_lets_the_flag_down_all_the_same(folder):
         assert arm.display(["Z"])[0].values[0] > 0.0, "cycle, and not stable"
         arm.off("second")
         assert arm.rtpu_status()[0].illegal == [
-            "equation 2: nobody writes Y for sink (master)"
+            "equation 2: no task writes Y for sink (master)"
         ]
 
 

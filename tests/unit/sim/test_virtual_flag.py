@@ -48,7 +48,7 @@ RMOD = (
     "LOCAL\n{local}\nEOF\n"
 )
 SVAR = "NAME {}\nTYPE double\nDESC d\nUNITS none\nNELEM 1\n\n"
-UNFED = "equation 2: nobody writes {} for {} (master)"
+UNFED = "equation 2: no task writes {} for {} (master)"
 
 
 @pytest.fixture

@@ -290,7 +290,7 @@ def test_a_machine_out_of_sight(sides):
     assert b.table.info("Q").owner is None
     assert b.table.read("Q").tolist() == [3, 3, 3]
     (cause,) = b.table.illegal
-    assert cause.cause == "host host-a is out of sight; nobody writes Q"
+    assert cause.cause == "host host-a is unreachable; no task writes Q"
     on(b, "standby", "Q", value=4.0)
     b.mirror.tell()
     assert not b.table.illegal
