@@ -37,6 +37,6 @@ def be_patient(monkeypatch) -> None:
     monkeypatch.setattr(session, "OPEN_MS", LEASE_MS)
     for function in (
         *(rpc.Client.call, rpc.Client.call_all, session.client),
-        *(rtpu_clients.Fleet.call, rtpu_clients.Fleet.each),
+        *(rtpu_clients.RtpuClients.call, rtpu_clients.RtpuClients.each),
     ):
         monkeypatch.setitem(function.__kwdefaults__, "timeout", LIMIT)

@@ -173,7 +173,7 @@ class _There:
         self._far = far
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__.removeprefix('Far')} {self.name}>"
+        return f"<{type(self).__name__.removeprefix('Remote')} {self.name}>"
 
     @property
     def name(self) -> str:
