@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -36,23 +37,34 @@ _pbonet() {
     found=("${(@f)$(pbonet --complete zsh "${(@)words[2,CURRENT]}" 2>/dev/null)}")
     if [[ -n "${found[1]}" ]]; then _describe pbonet found; else _files; fi
 }
-compdef _pbonet pbonet
+if [[ "${funcstack[1]}" == _pbonet ]]; then
+    _pbonet "$@"  # zsh has loaded this file to complete a line
+else
+    (( ${+functions[compdef]} )) || { autoload -Uz compinit && compinit; }
+    compdef _pbonet pbonet
+fi
 """,
     "fish": """\
-complete -c pbonet -n 'test (count (commandline -opc)) -lt 2' -f
-complete -c pbonet -a '(
-    pbonet --complete fish (commandline -opc)[2..] (commandline -ct)
+complete -c pbonet -f -a '(
+    set -l found (pbonet --complete fish (commandline -opc)[2..] (commandline -ct))
+    if set -q found[1]
+        printf "%s\\n" $found
+    else
+        __fish_complete_path (commandline -ct)
+    end
 )'
 """,
 }
 _FORMS: Final = {"bash": "{0}", "zsh": "{0}:{1}", "fish": "{0}\t{1}"}
-_TASK: Final = re.compile(r"^[ \t]*TASK[ \t]+([\w-]+)", re.MULTILINE)
 _LIBRARY: Final = Path(__file__).parents[1] / "modules"
+_HELP: Final = ("--help", "Show this help.")
 
 
 def lines(shell: str, words: Sequence[str]) -> Iterator[str]:
     """Yield what the shell is to offer for the last of `words`, one a line."""
     form = _FORMS[shell]
+    if shell == "bash":  # which makes a word of each =
+        words = [word for word in words if word != "="] + [""] * (words[-1:] == ["="])
     *before, last = words or [""]
     for word, about in offers(before, last):
         if word.startswith(last):
@@ -61,9 +73,10 @@ def lines(shell: str, words: Sequence[str]) -> Iterator[str]:
 
 
 def offers(before: list[str], last: str) -> Iterator[Offer]:
-    """Yield what may stand behind the words `before`."""
+    """Yield the words that may follow the words `before` in place of `last`."""
     if not before:
         yield from ((name, verbs.summary(name)) for name in verbs.NAMES)
+        yield from [_HELP, ("--version", "Show the version.")] * last.startswith("-")
         return
     try:
         found, rest = verbs.find(before)
@@ -71,60 +84,77 @@ def offers(before: list[str], last: str) -> Iterator[Offer]:
         return
     if not isinstance(found, Verb):
         yield from ((name, one.summary) for name, one in found.verbs.items())
+        yield from [_HELP] * last.startswith("-")
         return
-    awaited, places = _place(found, rest)
-    if awaited is not None:
-        yield from _words(awaited, rest)
-        return
-    if places and not last.startswith("-"):
-        yield from _words(places[0], rest)
-        return
-    for one in found.options:
-        yield from ((name, one.help) for name in one.all_names)
+    awaited, places, file = _place(found, rest)
+    name, equals, value = last.partition("=")
+    if equals and awaited is None:
+        for one in found.options:
+            if name in one.all_names:
+                yield from ((f"{name}={w}", to) for w, to in _words(one, file, value))
+    elif awaited is not None:
+        yield from _words(awaited, file, last)
+    elif places and not last.startswith("-"):
+        yield from _words(places[0], file, last)
+    else:
+        yield from ((name, one.help) for one in found.options for name in one.all_names)
+        yield _HELP
 
 
-def _place(verb: Verb, words: list[str]) -> tuple[Parameter | None, list[Parameter]]:
-    """Return the option whose value comes next, and the arguments still to come."""
+def _place(
+    verb: Verb, words: list[str]
+) -> tuple[Parameter | None, list[Parameter], Path]:
+    """Return the option whose value comes next, the arguments to come, and the file."""
     options = {name: one for one in verb.options for name in one.all_names}
     places = verb.arguments
     awaited: Parameter | None = None
+    file = ""
     for word in words:
         if awaited is not None:
             awaited = None
         elif word.startswith("-"):
             one = options.get(word)
             awaited = one if one and not one.is_switch else None
-        elif places and not places[0].many:
-            places = places[1:]
-    return awaited, places
+        else:
+            file = file or word
+            places = places if not places or places[0].many else places[1:]
+    return awaited, places, Path(file)
 
 
-def _words(one: Parameter, before: list[str]) -> Iterator[Offer]:
+def _words(one: Parameter, file: Path, last: str) -> Iterator[Offer]:
     """Yield the words that a parameter may be, as far as they are known here."""
     yield from ((word, "") for word in one.choices)
-    find = _FINDERS.get(one.stands_for)
-    if find is not None:
-        file = next((word for word in before if not word.startswith("-")), "")
-        yield from sorted(dict(find(Path(file))).items())
+    kind = one.stands_for or one.metavar.lower()
+    before, comma, _ = last.rpartition(",")
+    for word, about in sorted(dict(_found(kind, file.parent)).items()):
+        yield f"{before}{comma}{word}", about
 
 
-def _jobs(file: Path) -> Iterator[Offer]:
-    yield from ((path.stem, str(path)) for path in file.parent.glob("*.job"))
+def _found(kind: str, folder: Path) -> Iterator[Offer]:
+    """Yield the words of a kind: without agents, from the files in a folder."""
+    if kind == "job":
+        yield from ((path.stem, str(path)) for path in folder.glob("*.job"))
+    elif kind == "rmod":
+        for place in (_LIBRARY, folder):
+            yield from ((path.stem, str(path)) for path in place.glob("*.rmod"))
+    elif kind == "field":
+        from pbonet.master.subsystem import status_fields
+
+        yield from ((field.name, field.doc) for field in status_fields.FIELDS)
+    elif kind in _KEYWORDS:
+        keyword, ending = _KEYWORDS[kind]
+        line = re.compile(rf"^[ \t]*{keyword}[ \t]+(\S+)", re.MULTILINE)
+        for path in folder.glob(f"*.{ending}"):
+            text = path.read_text(encoding="utf-8", errors="replace")
+            yield from ((name, str(path)) for name in line.findall(text))
 
 
-def _rmods(file: Path) -> Iterator[Offer]:
-    for folder in (_LIBRARY, file.parent):
-        yield from ((path.stem, str(path)) for path in folder.glob("*.rmod"))
-
-
-def _tasks(file: Path) -> Iterator[Offer]:
-    """Yield the tasks of all jobs beside a subsystem's file."""
-    for path in file.parent.glob("*.job"):
-        yield from ((name, str(path)) for name in _TASK.findall(path.read_text()))
-
-
-_FINDERS: Final = {"task": _tasks, "rmod": _rmods, "job": _jobs}
-"""Where the words of a kind are found: without agents, in files."""
+_KEYWORDS: Final = {
+    "task": ("TASK", "job"),
+    "rtpu": ("RTPU", "sbs"),
+    "variable": ("NAME", "svar"),
+}
+"""The word with which a line begins that names a thing, and the ending of its file."""
 
 
 def install(shell: str) -> list[Path]:
@@ -134,11 +164,13 @@ def install(shell: str) -> list[Path]:
         config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
         script, start, line = config / "fish" / "completions" / "pbonet.fish", None, ""
     elif shell == "zsh":
-        script, start = home / ".zfunc" / "_pbonet", home / ".zshrc"
-        line = f"fpath+=({script.parent}); autoload -Uz compinit; compinit"
+        script = home / ".zfunc" / "_pbonet"
+        start = Path(os.environ.get("ZDOTDIR") or home) / ".zshrc"
+        folder = shlex.quote(str(script.parent))
+        line = f"fpath+=({folder}); autoload -Uz compinit; compinit"
     else:
         script, start = home / ".bash_completions" / "pbonet.sh", home / ".bashrc"
-        line = f"source {script}"
+        line = f"source {shlex.quote(str(script))}"
     script.parent.mkdir(parents=True, exist_ok=True)
     script.write_text(SCRIPTS[shell])
     if start is None:

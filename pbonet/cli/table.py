@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 _FILE = "arm.sbs"
 """The subsystem of examples."""
-_WORD = {Kind.TASK, Kind.RMOD, Kind.JOB}
-"""Kinds of which the shell can know the words."""
 
 
 def verb(name: str) -> Verb:
@@ -100,7 +98,7 @@ def _parameter(arg: Arg) -> Parameter:
         many=arg.many,
         need=arg.need or arg.last,
         default=False if switch else None,
-        stands_for=arg.kind if arg.kind in _WORD else "",
+        stands_for=arg.kind,
     )
 
 
