@@ -7,6 +7,7 @@ the standard library only.
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,6 @@ import sysconfig
 from pathlib import Path
 
 OLDEST = (3, 11)
-COMPILERS = ("cc", "gcc", "clang")
 
 
 def missing() -> list[str]:
@@ -27,11 +27,21 @@ def missing() -> list[str]:
         )
     if not has_venv():
         lacks.append("the venv module is incomplete; apt-get install python3-venv")
+    return lacks + lacks_to_compile()
+
+
+def lacks_to_compile() -> list[str]:
+    """Return one sentence for each thing that the native parts lack to be built."""
+    lacks: list[str] = []
     if not has_headers():
         lacks.append("Python's C headers are missing; apt-get install python3-dev")
-    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    named = os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
+    compiler = shutil.which(named.split()[0])
     if compiler is None:
-        lacks.append("no C compiler was found; apt-get install gcc libc6-dev")
+        lacks.append(
+            f"the C compiler {named.split()[0]} was not found; name another one with "
+            "CC, or apt-get install gcc libc6-dev"
+        )
     elif not compiles(compiler):
         lacks.append("the C library's headers are missing; apt-get install libc6-dev")
     return lacks

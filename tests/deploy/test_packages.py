@@ -40,12 +40,19 @@ def build(what: str, source: Path, to: Path) -> Path:
     return made
 
 
+def unpacked(sdist: Path, folder: Path) -> Path:
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    (source,) = folder.iterdir()
+    return source
+
+
 @pytest.fixture(scope="module")
 def sdist(tmp_path_factory):
     """An sdist of the files that git knows."""
     source = tmp_path_factory.mktemp("source")
     for name in tracked():
-        if name.startswith("pbonet/") or "/" not in name:
+        if name.startswith(("pbonet/", "scripts/")) or "/" not in name:
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, source / name)
     return build("sdist", source, tmp_path_factory.mktemp("sdist") / "dist")
@@ -54,10 +61,7 @@ def sdist(tmp_path_factory):
 @pytest.fixture(scope="module")
 def wheel(sdist, tmp_path_factory):
     """A wheel that was built from the sdist alone."""
-    folder = tmp_path_factory.mktemp("unpacked")
-    with tarfile.open(sdist) as archive:
-        archive.extractall(folder, filter="data")
-    (source,) = folder.iterdir()
+    source = unpacked(sdist, tmp_path_factory.mktemp("unpacked"))
     return build("wheel", source, tmp_path_factory.mktemp("wheel") / "dist")
 
 
@@ -117,3 +121,23 @@ def test_what_is_installed_works_by_itself(installed, tmp_path, words, said):
     )
     assert done.returncode == 0, done.stderr
     assert said in done.stdout
+
+
+def test_without_a_compiler_one_sentence_says_what_to_install(sdist, tmp_path):
+    source = unpacked(sdist, tmp_path)
+    for what in ("wheel", "editable"):
+        done = subprocess.run(
+            [sys.executable, "-c", BUILD.format(what), str(tmp_path)],
+            cwd=source,
+            env={**os.environ, "CC": "/nonexistent/cc"},
+            check=False,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 1
+        assert done.stderr.splitlines()[-1] == (
+            "pbonet: the C compiler /nonexistent/cc was not found; name another one "
+            "with CC, or apt-get install gcc libc6-dev"
+        )
+        assert "copying" not in done.stdout
+        assert "Traceback" not in done.stderr

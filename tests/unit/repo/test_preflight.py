@@ -61,8 +61,9 @@ def test_missing_compiler_is_named(preflight, monkeypatch, capsys, tmp_path):
 def test_compiler_without_headers_is_found(monkeypatch, preflight, capsys, tmp_path):
     monkeypatch.undo()
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
-    (tmp_path / "cc").write_text(FAKE)
-    (tmp_path / "cc").chmod(0o700)
+    monkeypatch.setenv("CC", "mycc -pthread")
+    (tmp_path / "mycc").write_text(FAKE)
+    (tmp_path / "mycc").chmod(0o700)
     preflight.main()
     assert "apt-get install libc6-dev" in capsys.readouterr().err
 
