@@ -5,22 +5,21 @@ from __future__ import annotations
 from typing import Annotated as A
 
 from . import options
-from .parser import Argument, Option
+from .parser import Option
+from .table import arguments, show
 
 
 def command(
     *,
     file: options.File,
-    variable: A[
-        list[str] | None,
-        Argument("Names; * and ? match any text; all if left out."),
-    ] = None,
-    task: A[str | None, Option("Only variables of this task's ports.", "TASK")] = None,
-    writer: A[str | None, Option("Only those this task writes now.", "TASK")] = None,
+    given: A[dict[str, object], arguments("display")],
     watch: A[bool, Option("Repeat until Ctrl-C, over the last values.")] = False,
     csv: A[bool, Option("Repeat until Ctrl-C, one row of numbers each time.")] = False,
-    every: A[float, Option("Seconds between two times.", least=0.01)] = 0.5,
-    count: A[int | None, Option("How many times, at most.", least=1)] = None,
+    every: A[
+        float | None,
+        Option("Repeat with so many seconds between; 0.5 if left out.", least=0.01),
+    ] = None,
+    count: A[int | None, Option("Repeat so many times at most.", least=1)] = None,
     place: options.Watching,
     json_: options.Json = False,
 ) -> None:
@@ -37,12 +36,9 @@ def command(
     """
     from pbonet.master.console import oneshot, watch_values
 
-    from .table import show
-
-    given = {"variable": variable, "task": task, "writer": writer}
-    if not (watch or csv):
+    if not (watch or csv or every or count):
         reply = oneshot.run(file, "display", given, place)
         show(reply.command, reply.data, reply.warnings, as_data=json_)
         return
     form = "csv" if csv else "json" if json_ else "text"
-    watch_values.display(file, given, place, form=form, every=every, count=count)
+    watch_values.display(file, given, place, form=form, every=every or 0.5, count=count)

@@ -57,7 +57,7 @@ def family(one: verbs.Family) -> str:
 
 def verb(one: Verb) -> str:
     """Return the help of a verb."""
-    lines = [usage(one), ""]
+    lines = [f"usage: {one.usage}", ""]
     for paragraph in one.help.split("\n\n"):
         lines += [*_wrapped(paragraph.replace("\n", " ")), ""]
     if one.arguments:
@@ -70,17 +70,6 @@ def verb(one: Verb) -> str:
     for command, purpose in one.examples:
         lines += [f"  {command}", *_wrapped(purpose, "      ")]
     return "\n".join(lines)
-
-
-def usage(one: Verb) -> str:
-    """Return how a verb is called, in one line."""
-    words = [f"usage: pbonet {one.name}"]
-    for part in one.arguments:
-        word = part.metavar + " ..." * part.many
-        words.append(word if part.need else f"[{word}]")
-    needed = [part for part in one.options if part.need]
-    words += [f"{part.names[0]} {part.metavar}" for part in needed]
-    return " ".join([*words, "[options]"])
 
 
 def _names(part: Parameter) -> str:

@@ -8,6 +8,7 @@ them, or one of them or None.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from pathlib import Path
@@ -110,6 +111,8 @@ class Parameter(NamedTuple):
             found = self.kind(word)
         except ValueError:
             raise self._wrong(word, _KINDS[self.kind]) from None
+        if isinstance(found, float) and not math.isfinite(found):
+            raise self._wrong(word, "a finite number")
         if self.least is not None and not found >= self.least:
             raise self._wrong(word, f"at least {self.least:g}")
         if self.most is not None and not found <= self.most:
@@ -155,6 +158,16 @@ class Verb(NamedTuple):
     def options(self) -> list[Parameter]:
         """Options, given by name."""
         return [one for one in (*self.parameters, *self.shared) if one.names]
+
+    @property
+    def usage(self) -> str:
+        """How it is called, in one line."""
+        words = [f"pbonet {self.name}"]
+        for one in self.arguments:
+            word = one.metavar + " ..." * one.many
+            words.append(word if one.need else f"[{word}]")
+        words += [f"{o.names[0]} {o.metavar}" for o in self.options if o.need]
+        return " ".join([*words, "[options]"])
 
     def call(self, given: dict[str, object]) -> int:
         """Carry it out with values by name, and return the exit status."""

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Annotated as A
 
 from . import options
-from .parser import Argument, Option
+from .parser import Option
+from .table import arguments, show
 
 
 def command(
     *,
     file: options.File,
-    task: A[list[str] | None, Argument("Which tasks; all if left out.")] = None,
+    given: A[dict[str, object], arguments("profile")],
     plot: A[
         Path | None, Option("Draw the execution profiles into a .png, .svg or .pdf.")
     ] = None,
@@ -33,15 +34,13 @@ def command(
     """
     from pbonet.master.console import oneshot
 
-    from .table import show
-
     name = "profile save" if save else "profile"
-    reply = oneshot.run(file, name, {"task": task or []}, place)
+    reply = oneshot.run(file, name, given, place)
     if plot is not None:
         from pbonet.master.console import profile_plot
 
         shown = reply
         if save:
-            shown = oneshot.run(file, "profile", {"task": task or []}, place)
+            shown = oneshot.run(file, "profile", given, place)
         profile_plot.draw(plot, shown.data["tasks"])
     show(reply.command, reply.data, reply.warnings, as_data=json_)

@@ -36,10 +36,8 @@ def _verb(words: list[str]) -> int:
     try:
         given = parse(found, rest)
     except UsageError as error:
-        from . import help as help_
-
         raise UsageError(
-            f"{error}\n{help_.usage(found)}\n'pbonet {found.name} --help' explains it"
+            f"{error}\nusage: {found.usage}\n'pbonet {found.name} --help' explains it"
         ) from None
     as_data, debug = bool(given.get("json_")), bool(given["debug"])
     try:

@@ -30,7 +30,11 @@ def command(
     code: A[bool, Option("Run the modules' code too.")] = False,
     show: A[
         float,
-        Option("Length of the chart; 0 is four of the longest periods.", "SECONDS"),
+        Option(
+            "Length of the chart; 0 is four of the longest periods.",
+            "SECONDS",
+            least=0.0,
+        ),
     ] = 0.0,
     svg: A[
         Path | None,

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 from pbonet.master.console import Arg, Command, Kind, find
 
 from . import options
-from .parser import Parameter, Verb, parameter
+from .parser import Compound, Parameter, Verb, parameter
 
 if TYPE_CHECKING:
     from pbonet.master.configuration import Place
 
 _FILE = "arm.sbs"
 """The subsystem of examples."""
+_TYPES = {Kind.FLAG: bool, Kind.NUMBER: float, Kind.COUNT: int}
+"""Types of words that the command line checks; the others are the command's matter."""
 
 
 def verb(name: str) -> Verb:
@@ -30,9 +32,16 @@ def verb(name: str) -> Verb:
         json_: bool,
         **given: object,
     ) -> None:
+        from pbonet.errors import StateError
         from pbonet.master.console import oneshot
 
-        reply = oneshot.run(file, command.name, given, place)
+        try:
+            reply = oneshot.run(file, command.name, given, place)
+        except StateError as error:
+            if error.expected == command.usage:  # that of the prompt
+                error.expected = made.usage
+                error.remedy = f"'pbonet {name} --help' explains it"
+            raise
         show(reply.command, reply.data, reply.warnings, as_data=json_)
 
     place = options.TO_CHANGE if command.changes else options.TO_WATCH
@@ -44,12 +53,19 @@ def verb(name: str) -> Verb:
             kind=Path,
             need=True,
         ),
-        *map(_parameter, command.args),
+        *arguments(name).parts,
         *place.parts,
         parameter("json_", options.Json, default=False),
     ]
     examples = tuple((example(command, line), use) for line, use in command.examples)
-    return Verb(name, command.help, examples, tuple(parameters), run, {"place": place})
+    compounds = {"place": place}
+    made = Verb(name, command.help, examples, tuple(parameters), run, compounds)
+    return made
+
+
+def arguments(name: str) -> Compound:
+    """Return a command's arguments, for a verb that takes more than these."""
+    return Compound(tuple(map(_parameter, find(name).args)), dict)
 
 
 def example(command: Command, line: str) -> str:
@@ -88,16 +104,17 @@ def show(
 
 def _parameter(arg: Arg) -> Parameter:
     """Return one argument of the table, whose words the command converts."""
-    switch = arg.kind is Kind.FLAG
+    kind = arg.name if arg.kind is Kind.WORD else arg.kind
     return Parameter(
         arg.name,
         f"{arg.doc[:1].upper()}{arg.doc[1:]}.",
-        arg.kind.upper() if arg.option else arg.name.upper(),
+        kind.upper() if arg.option else arg.name.upper(),
         (_option(arg),) if arg.option else (),
-        kind=bool if switch else str,
+        kind=_TYPES.get(arg.kind, str),
         many=arg.many,
         need=arg.need or arg.last,
-        default=False if switch else None,
+        default=False if arg.kind is Kind.FLAG else None,
+        least=0 if arg.kind is Kind.COUNT else None,
         stands_for=arg.kind,
     )
 

@@ -88,7 +88,8 @@ def find(words: list[str]) -> tuple[Verb | Family, list[str]]:
         return found, words[1:]
     name = words[1]
     if name not in found.verbs:
-        raise _unknown(f"pbonet {words[0]} has no verb {name}", name, found.verbs)
+        text = f"pbonet {words[0]} has no verb {name}"
+        raise _unknown(text, name, found.verbs, f"pbonet {words[0]}")
     return found.verbs[name], words[2:]
 
 
@@ -98,9 +99,11 @@ def summary(name: str) -> str:
     return found.summary if isinstance(found, Verb) else found.help
 
 
-def _unknown(text: str, name: str, known: Iterable[str]) -> UsageError:
+def _unknown(
+    text: str, name: str, known: Iterable[str], program: str = "pbonet"
+) -> UsageError:
     from pbonet.errors import did_you_mean
 
     meant = did_you_mean(name, known)
-    meant = meant or "see 'pbonet --help'"
+    meant = meant or f"see '{program} --help'"
     return UsageError(f"{text}; {meant}")

@@ -203,7 +203,12 @@ COMMANDS: Final = (
         "display",
         "Show the values of shared variables, with unit, age and writer.",
         (
-            Arg("variable", Kind.VARIABLE, "names; * and ? match any text", Use.ANY),
+            Arg(
+                "variable",
+                Kind.VARIABLE,
+                "names, * and ? match any text; all if left out",
+                Use.ANY,
+            ),
             Arg("task", Kind.TASK, "only variables of this task's ports", Use.NAMED),
             Arg("writer", Kind.TASK, "only variables it writes now", Use.NAMED),
         ),
@@ -214,10 +219,20 @@ COMMANDS: Final = (
         "Show the latest events of tasks and RTPUs.",
         (
             Arg("last", Kind.COUNT, "how many of the newest", Use.MAYBE),
-            Arg("since", Kind.WORD, "first number, or how long ago: 5m", Use.NAMED),
+            Arg(
+                "since",
+                Kind.WORD,
+                "from this number on, or from so long ago: 30s, 5m, 2h",
+                Use.NAMED,
+            ),
             Arg("task", Kind.TASK, "only events of this task", Use.NAMED),
             Arg("code", Kind.WORD, "only this kind, such as WARNING", Use.NAMED),
-            Arg("severity", Kind.WORD, "this one and worse: debug to fatal", Use.NAMED),
+            Arg(
+                "severity",
+                Kind.WORD,
+                "this and worse: debug, info, warning, error or fatal",
+                Use.NAMED,
+            ),
         ),
         run=command_handlers.events,
     ),

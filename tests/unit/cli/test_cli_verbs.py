@@ -184,6 +184,11 @@ def test_wrong_usage_is_status_two(call):
         (("agent", "--core", "1.5"), "--core", "an integer"),
         (("new", "module", "a", "--freq", "-7"), "--freq", "at least 0.001"),
         (("events", "a.sbs", "many"), "LAST", "an integer"),
+        (("freq", "a.sbs", "jttrace", "50kHz"), "HZ", "a number"),
+        (("write", "a.sbs", "Q_REF", "1", "-2.5", "3m"), "VALUE", "a number"),
+        (("simulate", "a.job", "--seconds", "inf"), "--seconds", "a finite number"),
+        (("simulate", "a.job", "--show", "nan"), "--show", "a finite number"),
+        (("simulate", "a.job", "--show", "-3"), "--show", "at least 0"),
     ],
 )
 def test_an_option_that_is_no_number_or_out_of_range_is_told_with_its_word(
@@ -201,6 +206,7 @@ def test_an_option_that_is_no_number_or_out_of_range_is_told_with_its_word(
     [
         (("stats",), "there is no verb stats; did you mean status?"),
         (("log", "inf"), "pbonet log has no verb inf; did you mean info?"),
+        (("new", "q"), "pbonet new has no verb q; see 'pbonet new --help'"),
         (("on", "a.sbs", "--domian", "x"), "there is no option --domian; did you mean"),
         (("get",), "FILE is missing: The subsystem's .sbs file"),
         (("get", "a.sbs", "a", "b", "c"), "one word too many: c"),
@@ -242,16 +248,13 @@ def test_a_host_that_is_not_found_is_told_in_words_of_pbonet(call):
     )
 
 
-def test_a_word_that_is_no_number_is_told_as_at_the_prompt(call):
-    sbs = PUMA / "puma.sbs"
-    assert call("freq", sbs, "jttrace", "50kHz") == (
+def test_a_word_that_a_command_does_not_take_is_reported_with_the_verbs_usage(call):
+    assert call("start", PUMA / "puma.sbs", "--wait", "5min") == (
         1,
         "",
-        "pbonet: freq: HZ is no number: 50kHz (expected freq [TASK] [HZ]); 'help freq' "
-        "explains it\n",
+        "pbonet: start: WAIT is no number: 5min (expected pbonet start FILE [JOB] "
+        "[options]); 'pbonet start --help' explains it\n",
     )
-    err = call("write", sbs, "Q_REF", "1", "-2.5", "3m")[2]
-    assert "VALUE is no number: 3m" in err
 
 
 def test_interrupt_is_status_130(call, monkeypatch):
@@ -447,7 +450,7 @@ def test_negative_numbers_are_values(monkeypatch, call):
     monkeypatch.setattr("pbonet.master.console.oneshot.run", run)
     status, _, err = call("write", "a.sbs", "T_REF", "-1.5", "2", "--domain", "lab")
     assert status == 1
-    assert given == {"variable": "T_REF", "value": ["-1.5", "2"]}
+    assert given == {"variable": "T_REF", "value": [-1.5, 2.0]}
     assert "got lab" in err
 
 
