@@ -30,10 +30,10 @@ from a task to the master without losing anything.
     │   ├── XmAccessError (PermissionError)
     │   ├── XmLayoutError                  another version or other settings
     │   ├── XmDamagedError                 not such an object, or overwritten
-    │   ├── XmDestroyedError               somebody destroyed it
+    │   ├── XmDestroyedError               it was destroyed
     │   ├── XmFullError (OSError)          no room in shared memory, or in the line
     │   ├── XmQueueFullError               no room in the queue
-    │   ├── XmTakenError                   the link has its one writer, or reader
+    │   ├── XmTakenError                   the link already has a writer, or reader
     │   ├── XmLapsedError                  another machine's, and the way to it was lost
     │   └── XmTooLongError (ValueError)    longer than the queue or the buffer
     ├── ModuleLoadError (ImportError)      module code is missing or does not load

@@ -225,7 +225,7 @@ def _check_events(config: AgentConfig, text: str, file: str) -> None:
             raise fault(
                 f"{quote(queue)} is no name of a queue",
                 place,
-                expected="letters, digits, and _ - . behind the first, at most 64",
+                expected="letters, digits, and _ - . after the first, at most 64",
                 got=quote(queue),
                 remedy='write for example parts = "cell/camera/part"',
             )

@@ -94,17 +94,17 @@ class Clock(NamedTuple):
             moved = f"{self.shift_ns * 1e-9:+.6f} s"
             if self.moves.drifts:
                 last = (self.moves.add[-1] - self.own_ns) * 1e-9
-                moved += f" at first and by {last:+.6f} s at last"
+                moved += f" at the beginning and {last:+.6f} s at the end"
             return (
-                f"{whose}: its times are moved by {moved}, as was measured within "
+                f"{whose}: its times are shifted by {moved}, measured within "
                 f"{self.within_ns * 1e-6:.3f} ms"
             )
         if self.how == UNKNOWN:
             return (
-                f"{whose}: nobody measured its clock; its times are by its own wall "
-                "clock, and their order among others is not sure"
+                f"{whose}: its clock was not measured; its times are by its own wall "
+                "clock, and their order relative to others is uncertain"
             )
-        return f"{whose}: the clock of all, moved by {self.shift_ns * 1e-9:+.6f} s"
+        return f"{whose}: the common clock, shifted by {self.shift_ns * 1e-9:+.6f} s"
 
     def plain(self) -> dict[str, Any]:
         """Return it as data."""

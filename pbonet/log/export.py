@@ -51,7 +51,7 @@ def form_of(path: Path) -> str:
             where=str(path),
             expected=f"a name that ends in {', '.join(FORMS[:-1])} or {FORMS[-1]}",
             got=form or "no ending",
-            remedy=did_you_mean(form, FORMS) or f"say {path.stem or 'values'}.csv",
+            remedy=did_you_mean(form, FORMS) or f"use {path.stem or 'values'}.csv",
         )
     return form
 
@@ -112,7 +112,7 @@ def write_parquet(table: Table, path: Path, log: Log, task: str) -> None:
         parquet: Any = import_module("pyarrow.parquet")
     except ImportError:
         raise LogError(
-            "there is nothing to write Parquet with",
+            "Parquet files cannot be written without pyarrow",
             expected="pyarrow",
             remedy='pip install "pbonet[parquet]", or choose a name that ends in .npz',
         ) from None

@@ -47,11 +47,11 @@ def none_of(about: JsonObject, commands: Sequence[JsonObject]) -> str:
         commands: All commands of the log.
     """
     if commands:
-        return f"none of the {len(commands)} commands is such a one"
+        return f"none of the {len(commands)} commands matches"
     if about.get("seconds"):
         return (
-            "nobody sent a command: this run was simulated, and a simulation is "
-            "steered by its job alone; `log events` shows what happened"
+            "no commands were sent: this run was simulated, and a simulation is "
+            "controlled by its job alone; `log events` shows what happened"
         )
     return "the log has no commands; `log events` shows what happened"
 

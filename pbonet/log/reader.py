@@ -357,11 +357,11 @@ def parts_of(paths: Sequence[Path]) -> list[Part]:
     each = [Part(path) for one in paths for path in files_of(one)]
     if not any(part.chunks or part.channels or part.metadata for part in each):
         raise LogError(
-            "nothing stands in the log: it was cut before its first record was whole",
+            "the log is empty: it was truncated before its first complete record",
             where=" ".join(map(str, paths)),
-            expected="a log that was written for half a second, or was finished",
+            expected="a log that was written for half a second or more, or finished",
             got=", ".join(f"{part.size} bytes" for part in each),
-            remedy="name another one; nothing of this one can be recovered",
+            remedy="name another one; nothing in this one can be recovered",
         )
     return sorted(each, key=_place_of)
 

@@ -105,7 +105,7 @@ def _size(file: BinaryIO, where: str) -> int:
     file.seek(0)
     if not MAGIC.startswith(file.read(len(MAGIC))):
         raise LogError(
-            "this is no log",
+            "this is not a log",
             where=where,
             expected="an MCAP file",
             got=f"{size} bytes of something else",

@@ -34,8 +34,8 @@ HEAD: Final[tuple[tuple[str, str, str], ...]] = (
     ("cycle", "uint64", "cycles since the task was spawned, this one included"),
     ("release_ns", "int64", "release, CLOCK_MONOTONIC"),
     ("start_ns", "int64", "first line of the method"),
-    ("end_ns", "int64", "behind the commit"),
-    ("dt_ns", "int64", "time step that the method was told"),
+    ("end_ns", "int64", "after the commit"),
+    ("dt_ns", "int64", "time step passed to the method"),
     ("cpu_ns", "uint64", "CPU time"),
     ("register", "uint64", "register of the commit"),
     ("number", "uint64", "number of the commit in that register"),
@@ -109,8 +109,8 @@ class TaskSchema:
             told = f"{v.name} [{v.units}] {_line(v.desc)}"
             lines.append(f"{_ros_type(v)} {field_name(v.name)}  # {told}")
         lines += ["uint8[] consumed  # pairs of register and number, as uint64"]
-        lines += ["uint8[] inputs  # in-vars as they stand in a group of the table"]
-        lines += ["uint8[] heard  # what it heard from outside; see pbonet.outside"]
+        lines += ["uint8[] inputs  # in-vars in the format of the table"]
+        lines += ["uint8[] heard  # inputs from outside; see pbonet.outside"]
         return "\n".join([*lines, ""])
 
     def metadata(self) -> dict[str, str]:

@@ -39,7 +39,7 @@ cdef class Tape:
     def __init__(self, room=ROOM):
         self.t.bytes = <unsigned char *>calloc(1, room)
         if self.t.bytes is NULL:
-            raise MemoryError("no room for what a module hears")
+            raise MemoryError("no memory for a module's inputs from outside")
         self.t.room = room
         self.sources = []
 
@@ -50,7 +50,7 @@ cdef class Tape:
         cdef uint64_t room = min(self.t.room + tape_size(size), <uint64_t>MOST)
         cdef void *more = realloc(self.t.bytes, room)
         if more is NULL:
-            raise MemoryError("no room for what a module hears")
+            raise MemoryError("no memory for a module's inputs from outside")
         self.t.bytes = <unsigned char *>more
         if room > self.t.room:
             memset(self.t.bytes + self.t.room, 0, room - self.t.room)

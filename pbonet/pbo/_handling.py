@@ -159,7 +159,7 @@ def checked(answer: object) -> Handling:
     if isinstance(answer, Handling):
         return answer
     raise MethodError(
-        "a handler of errors gave an answer that it cannot give",
+        "an error handler returned an invalid answer",
         expected=f"None or {' or '.join(f'Handling.{one.name}' for one in Handling)}",
         got=repr(answer),
     )

@@ -72,7 +72,7 @@ class Files:
         finally:
             fresh.unlink(missing_ok=True)
         raise self.exists(
-            f"a {self.what} of this name stands already and is in use",
+            f"a {self.what} of this name already exists and is in use",
             where=str(path),
             remedy="attach to it, end what uses it, or choose another name",
         )

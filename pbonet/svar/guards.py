@@ -167,7 +167,7 @@ def _check_range(where: str, variable: Variable, values: NDArray[Any]) -> None:
         raise SvarError(
             f"{variable.name} takes finite values only",
             where=where,
-            remedy="say FINITE no in the .svar file if NaN is meant",
+            remedy="write FINITE no in the .svar file if NaN is intended",
         )
     if variable.limit is not Limit.NONE and variable.min and variable.max:
         low, high = limits_of(variable)
@@ -177,5 +177,5 @@ def _check_range(where: str, variable: Variable, values: NDArray[Any]) -> None:
                 where=where,
                 expected=f"{low.tolist()} to {high.tolist()} {variable.units}",
                 got=f"{values.tolist()}",
-                remedy="give one within them, or change them in the .svar file",
+                remedy="give a value within them, or change them in the .svar file",
             )

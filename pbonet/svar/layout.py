@@ -68,7 +68,7 @@ def values_of(
             if dtype.kind == "V"
             else f"at most {variable.nelem} values",
             got=f"{len(values)} values",
-            remedy="mend it, or NELEM and TYPE, in the .svar file",
+            remedy="correct it, or NELEM and TYPE, in the .svar file",
         )
     lossy = "a value that the type cannot hold exactly"
     try:
@@ -81,7 +81,7 @@ def values_of(
             f"{where} of {variable.name} does not fit",
             expected=f"values of type {variable.type}",
             got=lossy,
-            remedy="mend it, or NELEM and TYPE, in the .svar file",
+            remedy="correct it, or NELEM and TYPE, in the .svar file",
         )
     return filled
 
@@ -103,7 +103,7 @@ def check_variables(variables: Sequence[Variable]) -> None:
             )
         if variable.name in seen:
             raise SvarLayoutError(
-                f"the variable {variable.name} is there twice",
+                f"the variable {variable.name} is defined twice",
                 remedy="rename one of them in the .svar file",
             )
         if variable.nelem < 1:
@@ -111,7 +111,7 @@ def check_variables(variables: Sequence[Variable]) -> None:
                 f"the variable {variable.name} has no elements",
                 expected="NELEM of at least 1",
                 got=f"{variable.nelem}",
-                remedy="mend NELEM in the .svar file",
+                remedy="correct NELEM in the .svar file",
             )
         seen.add(variable.name)
 

@@ -75,10 +75,10 @@ class LocalTable(shm.Closeable, NativeTable):
             )
         if process_start(pid) == 0:
             raise SvarOwnerError(
-                f"there is no process {pid} that could write",
+                f"there is no process {pid}",
                 where=f"{table}/{task}",
                 expected="the process of the task",
-                remedy="give the number of a process that runs, such as os.getpid()",
+                remedy="give the id of a running process, such as os.getpid()",
             )
         groups = (
             layout.group_of(variables, outvar),
@@ -347,7 +347,7 @@ class LocalTable(shm.Closeable, NativeTable):
                     f"{variable.name}",
                 )
             raise SvarOwnerError(
-                f"{self._task} cannot write {variable.name}, another task does",
+                f"{self._task} cannot write {variable.name}: another task does",
                 where=self._table,
                 expected="one task that writes a variable",
                 got=f"owner {owner}",
@@ -361,7 +361,7 @@ class LocalTable(shm.Closeable, NativeTable):
             raise table_files.stuck(self._table)
         if code == FULL:
             raise SvarFullError(
-                f"no register is left for {self._task}",
+                f"no register is free for {self._task}",
                 where=self._table,
                 expected="room for four times each group of the task, and for a fresh "
                 "one when it is turned on again",

@@ -238,7 +238,7 @@ class Table(shm.Closeable):
         if code == RIVAL:
             owner = self.info(number).owner
             raise SvarOwnerError(
-                f"{variable.name} cannot be set, a task writes it",
+                f"{variable.name} cannot be set: a task writes it",
                 where=self.name,
                 expected="a variable that no task owns",
                 got=f"owner {owner}",
@@ -354,7 +354,7 @@ class Table(shm.Closeable):
                 gone.add(register.uid)
         if held and not gone:
             raise SvarOwnerError(
-                f"the claims of {held[0].task} stand, its process runs",
+                f"the claims of {held[0].task} remain, because its process runs",
                 where=self.name,
                 expected=f"process {held[0].pid} to have ended",
                 remedy="turn the task off, or end the process first",
@@ -379,7 +379,7 @@ class Table(shm.Closeable):
             raise SvarError(
                 "the causes of the flag change faster than they can be read",
                 where=self.name,
-                remedy="look for a module that raises and clears without end",
+                remedy="find the module that raises and clears continuously",
             )
         first = {fields[:3]: Cause(*fields) for fields in reversed(found)}
         return [first[key] for key in dict.fromkeys(fields[:3] for fields in found)]
@@ -406,10 +406,10 @@ class Table(shm.Closeable):
         )
         if self._open().raise_illegal(*words) == FULL:
             raise SvarFullError(
-                f"too many causes stand, this one was not added: {cause}",
+                f"there are too many causes; this one was not added: {cause}",
                 where=self.name,
                 expected=f"at most {CAUSES_EACH} of a process and {CAUSES} in all",
-                remedy="the flag is up all the same; clear others and raise it again",
+                remedy="the flag is up anyway; clear other causes and raise it again",
             )
 
     def clear_illegal(self, raiser: str, cause: str = "", machine: str = "") -> int:
@@ -425,7 +425,7 @@ class Table(shm.Closeable):
         )
         if (code := self._open().clear_illegal(*words)) == ALIVE:
             raise SvarOwnerError(
-                f"what {raiser} raised is not cleared, its process lives",
+                f"the causes of {raiser} are not cleared, because its process is alive",
                 where=self.name,
                 expected="the process that raised it, or its end",
                 remedy=f"let {raiser} clear it, or end it first",
@@ -472,7 +472,7 @@ class Table(shm.Closeable):
             where=self.name,
             expected=f"0 to {len(self._variables) - 1}",
             got=f"{which}",
-            remedy="index(NAME) tells the index of a variable",
+            remedy="index(NAME) returns the index of a variable",
         )
 
     def _look(

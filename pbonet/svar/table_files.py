@@ -46,7 +46,7 @@ def map_whole(path: Path, fd: int, size: int) -> Arena:
             "the table's file cannot be mapped into memory",
             where=str(path),
             expected=f"{size} bytes of address space that may be locked",
-            remedy="look at `ulimit -v` and `ulimit -l`",
+            remedy="check `ulimit -v` and `ulimit -l`",
         ) from None
     except BaseException:
         os.close(fd)
@@ -62,7 +62,7 @@ def path_of(name: str) -> Path:
     if not _NAME.fullmatch(name):
         raise SvarError(
             f"{name!r} cannot be the name of a table",
-            expected="letters, digits, and _ . + - behind the first, at most 100",
+            expected="letters, digits, and _ . + - after the first, at most 100",
             remedy="rename the subsystem",
         )
     return shm.path_of(f"{name}.svar")
@@ -99,7 +99,7 @@ def must_be_whole(path: Path, fd: int, size: int) -> None:
             where=str(path),
             expected=f"{size} bytes",
             got=f"{left} bytes",
-            remedy="its tasks die of it: stop the subsystem, which removes the file, "
+            remedy="its tasks will die: stop the subsystem, which removes the file, "
             "and start it again; find out who writes to shared memory files",
         )
 
@@ -108,14 +108,14 @@ def _missing(path: Path) -> SvarMissingError:
     return SvarMissingError(
         "there is no such table",
         where=str(path),
-        remedy="start the subsystem that makes it; `pbonet run` does so",
+        remedy="start the subsystem that makes it, for example with `pbonet run`",
     )
 
 
 def other_layout(where: str, wanted: str, got: str) -> SvarLayoutError:
     """Return the error for a table that has another layout."""
     return SvarLayoutError(
-        "a table of this name stands with another layout",
+        "a table of this name exists with another layout",
         where=where,
         expected=f"layout {wanted}",
         got=f"layout {got}",
@@ -173,7 +173,7 @@ def damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
     """Return the error for a file that is not a sound table."""
     what = {
         Verdict.NO_TABLE: "the file is not a state variable table",
-        Verdict.CUT_SHORT: "the table's file is cut short",
+        Verdict.CUT_SHORT: "the table's file is truncated",
         Verdict.MOVING_PART: "the table's directory was overwritten",
     }.get(verdict, "the table's file was overwritten, its checksum is wrong")
     return SvarDamagedError(

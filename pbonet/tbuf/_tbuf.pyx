@@ -40,9 +40,9 @@ cdef _refuse_message(int code, tb_head *head, Py_ssize_t got):
                             expected=f"version {TB_MESSAGE_VERSION}",
                             got=f"version {head.version}", remedy=same)
     if code == TB_NO_TIME:
-        raise ProtocolError("the record's time cannot be", got=f"age {head.age_ns} ns",
+        raise ProtocolError("the record's time is impossible", got=f"age {head.age_ns} ns",
                             remedy=same)
-    raise ProtocolError("this is no record of a link", got=f"{got} bytes", remedy=same)
+    raise ProtocolError("this is not a record of a link", got=f"{got} bytes", remedy=same)
 
 
 def parts(bytes message) -> tuple:
@@ -117,9 +117,9 @@ cdef class Buffer:
                                 remedy="processors of different byte order are linked "
                                 "through agents, not through one memory")
         if verdict:
-            raise XmDamagedError("the file is damaged, or no buffer", where=self.path,
+            raise XmDamagedError("the file is damaged, or is not a buffer", where=self.path,
                                  got=f"{self.bytes} bytes",
-                                 remedy="stop who uses it and remove it")
+                                 remedy="stop the processes that use it, and remove it")
 
     @property
     def text(self) -> bytes:
@@ -180,7 +180,7 @@ cdef class End(Buffer):
         if self.b is NULL or self.copy is NULL:
             raise XmError("the link is closed", where=self.path)
         if self.b.destroyed:
-            raise XmDestroyedError("somebody destroyed the link", where=self.path,
+            raise XmDestroyedError("the link was destroyed", where=self.path,
                                    remedy="open it again")
         return self.b
 

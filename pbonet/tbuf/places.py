@@ -64,11 +64,11 @@ def name_to_write(text: str) -> Name:
         return name
     owners = " or ".join(filter(None, (home.subsystem, home.rtpu)))
     raise XmNameError(
-        "a link is named after who writes it",
+        "a link is named after its writer",
         where=str(name),
         expected=f"{owners}:{name.resource}",
         got=str(name),
-        remedy=f"call it {name.resource}, or let {name.rtpu} write it",
+        remedy=f"name it {name.resource}, or let {name.rtpu} write it",
     )
 
 
@@ -149,7 +149,7 @@ def _take(name: Name, end: Buffer, role: int) -> None:
         if time.monotonic() >= deadline:
             what = _ROLES[role]
             raise XmTakenError(
-                f"the link has its one {what} already",
+                f"the link already has a {what}",
                 where=str(name),
                 got=end.who(role),
                 remedy=f"end that one first, or give this {what} a link of its own",

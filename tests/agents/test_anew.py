@@ -19,7 +19,7 @@ from pbonet.xm.net import file_messages as f, messages as m
 
 NO_GOOD = {
     "nmae = 'arm0'\n": "agent.toml:1:1: unknown key 'nmae'",
-    "name = 'arm1'\n": "an RTPU that goes on keeps its name (expected name arm0, got ",
+    "name = 'arm1'\n": "an RTPU that keeps running keeps its name (expected name arm0",
 }
 """Configurations, and what is said of each."""
 
@@ -101,7 +101,7 @@ def test_what_comes_while_it_starts_anew_is_heeded(program, tmp_path):
     with said.open("w") as file:
         process = program.start(stderr=file)
     process.send_signal(signal.SIGHUP)
-    wait_for(lambda: "starts anew" in said.read_text(), "its leaving")
+    wait_for(lambda: "restarts" in said.read_text(), "its leaving")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)
     assert process.wait(60.0) == 0

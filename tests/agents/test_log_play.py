@@ -136,7 +136,7 @@ def test_what_cannot_be_played_is_refused(line, nodes, log) -> None:
     spawn_and_turn_on(line)
     code, _, err = run(nodes, log)
     assert code == 1
-    assert "replay:a cannot write Y0, another task does" in err
+    assert "replay:a cannot write Y0: another task does" in err
     assert "got owner a" in err
     assert "turn a off first" in err
     line.off("a")

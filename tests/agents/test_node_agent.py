@@ -130,14 +130,14 @@ def test_namesakes_that_meet_later_say_so(nodes, monkeypatch):
 
 @pytest.mark.parametrize("name", ["", "a/b", "a*", "-a", "x" * 32, "a b"])
 def test_names_that_cannot_be_keys_are_refused(nodes, name):
-    with pytest.raises(NodeError, match="no name for an RTPU"):
+    with pytest.raises(NodeError, match="not a valid name for an RTPU"):
         Agent(nodes.config(name))
 
 
 def test_listening_beyond_the_machine_needs_insecure(nodes):
     with pytest.raises(NodeError, match="beyond this machine is not protected"):
         Agent(nodes.config("arm0", listen=("tcp/0.0.0.0:0",)))
-    with pytest.raises(NodeError, match="this is no endpoint"):
+    with pytest.raises(NodeError, match="this is not an endpoint"):
         Agent(nodes.config("arm0", listen=("carrier-pigeon/1",)))
     Agent(nodes.config("arm0", listen=("tcp/0.0.0.0:0",), insecure=True))
 

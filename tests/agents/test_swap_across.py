@@ -191,7 +191,7 @@ def test_an_heir_that_is_killed_between_two_calls(arm):
     died = "b has died (arm1/b)"
     wait_for(lambda: "TASK_DIED" in {event.code for event in arm.events()}, "its end")
     refused = turn_off(arm, "a", calls).error
-    assert refused["what"] == "b cannot take over: it does not stand by"
+    assert refused["what"] == "b cannot take over: it is no longer a standby"
     told = [(event.code, event.text) for event in arm.events() if died in event.text]
     assert told[0] == ("ILLEGAL", died)
     wait_for(lambda: died not in causes(arm), "that a is seen to write all of it")
@@ -204,7 +204,7 @@ def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
     arm.clients.call("arm1", m.Successors(after={"b": []}), dict[str, list[m.Call]])
     stand_by(arm, "b", "a")
     answer = turn_off(arm, "a", calls)
-    assert answer.error["what"] == "b cannot take over: it does not stand by"
+    assert answer.error["what"] == "b cannot take over: it is no longer a standby"
     assert (answer.done, answer.rest) == (0, [("a", "off")])
     assert states(arm) == {"a": "ON", "b": "OFF", "c": "OFF", "d": "OFF"}
 
@@ -224,7 +224,7 @@ def test_an_heir_stands_by_for_a_limited_time(arm):
         slot = one.slot, one.life, one.ticket, one.caller
         wait_for(lambda: not core.expects(*slot), "the end of standing by")
     refused = turn_off(arm, "a", calls).error
-    assert refused["what"] == "b cannot take over: it does not stand by"
+    assert refused["what"] == "b cannot take over: it is no longer a standby"
     assert arm.control("b", "reinit").state == "OFF"
     assert arm.swap("a", "b").states == {"a": "OFF", "b": "ON"}
 

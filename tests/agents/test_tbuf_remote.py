@@ -143,7 +143,7 @@ def test_other_records_are_told_and_not_taken(pair):
     reader = pair.b.reader("vision0:x", "(4,)f8")
     (text,) = set(wait_for(lambda: pair.events(pair.b, "LINK_MISFIT"), "the refusal"))
     assert text == (
-        "records of link vision0:x are not taken: vision0:x: the two ends of the link "
+        "records of link vision0:x are refused: vision0:x: the two ends of the link "
         "have different records (expected ('<f8', (4,)), got ('<f8', (3,))); give "
         "writer and reader the same fields and sizes"
     )
@@ -190,7 +190,7 @@ def test_the_one_reader_and_the_one_writer_count_everywhere(pair):
     reader = pair.b.reader("vision0:x")
     flows(reader)
     error = refused(pair.a, 'tbuf.Reader("vision0:x", "f8")')
-    assert "the link has its one reader already (got agent vision0 for arm0)" in error
+    assert "the link already has a reader (got agent vision0 for arm0)" in error
     code = 'xm.live_on("vision0", domain=settings["domain"]); tbuf.Writer("x", "f8")'
     error = refused(pair.b, code)
-    assert "the link has its one writer already (got agent arm0 from vision0)" in error
+    assert "the link already has a writer (got agent arm0 from vision0)" in error

@@ -78,7 +78,7 @@ def test_the_same_call_here_and_there(hands):
     there.begin("sem.p()") if there.do("sem.p() and sem.p() and sem.p()") else None
     here.wait("sem.waiting", "1")
     here.do("sem.destroy()")
-    with pytest.raises(RefusedError, match="somebody destroyed it"):
+    with pytest.raises(RefusedError, match="it was destroyed"):
         there.end()
 
 
@@ -151,9 +151,7 @@ def test_a_cut_cable(cell, hands):
         hand.wait("xm.alive('vision0')", "True")
     here.do("turn.v()")
     assert other.do("turn.p(now() + 60 * s)") == "<Taken.TAKEN: 1>", "attached anew"
-    with pytest.raises(
-        RefusedError, match="does not know this client any more"
-    ) as caught:
+    with pytest.raises(RefusedError, match="no longer knows this client") as caught:
         there.do("grip.v()")
     assert caught.value.kind == "XmLapsedError", "nobody believes to hold it still"
     assert here.do("grip.value") == "0", "who holds it now keeps it"
@@ -209,7 +207,7 @@ def test_receivers_and_senders_wait_across_machines(hands):
     )
     with pytest.raises(RefusedError, match="longer than the queue"):
         there.do("q.send(bytes(20_000))")
-    with pytest.raises(RefusedError, match="too long for the way") as caught:
+    with pytest.raises(RefusedError, match="too long to be sent") as caught:
         there.do("q.send(bytes(1 << 20))")
     assert caught.value.kind == "XmTooLongError"
     here.do("q.destroy()")

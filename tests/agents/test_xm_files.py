@@ -66,7 +66,7 @@ def test_as_a_local_file(cell, hand):
     with pytest.raises(RefusedError) as caught:
         hand.do("fs.open('vision0/none')")
     assert caught.value.kind == "XmMissingError"
-    with pytest.raises(RefusedError, match="read or written, whole"):
+    with pytest.raises(RefusedError, match="read or written as a whole"):
         hand.do("fs.open('vision0/a/big', 'ab')")
     with pytest.raises(RefusedError, match="this agent declares no files"):
         hand.do("fs.ls('arm0')")

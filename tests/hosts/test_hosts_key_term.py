@@ -111,11 +111,11 @@ def begin(lab, keys, short):
 def runs_out(cell, whose):
     """Wait until an agent's keys have run out, as it had said they would."""
     lab = cell.lab
-    assert "the keys run out in " in told(lab, whose)[0]
+    assert "the keys expire in " in told(lab, whose)[0]
     wait_for(lambda: "host-a is unreachable" in cell.illegal("arm1"), "flag")
     over = wait_for(lambda: told(lab, whose)[1:], "what is wrong")[0]
-    assert "the keys have run out: no other machine can be reached" in over
-    assert f"start anew with `kill -HUP {lab.info(whose).pid}`" in over
+    assert "the keys have expired: no other machine can be reached" in over
+    assert f"restart the agent with `kill -HUP {lab.info(whose).pid}`" in over
     for host, own in (("a", "arm0"), ("b", "arm1")):
         wait_for(lambda h=host, n=own: lab.seen(h) == [n], f"{own} alone on {host}")
 
@@ -167,7 +167,7 @@ def test_another_authority_in_place_of_the_old(lab, keys):
     lab.agents["arm0"][1].send_signal(signal.SIGHUP)
     wait_for(lambda: is_another(lab, before), "another session")
     (text,) = wait_for(lambda: told(lab, "arm1", "KEYS_REFUSED"), "what is wrong")
-    where, why = lab.endpoint("a", "b"), "is not of the authority of these keys"
+    where, why = lab.endpoint("a", "b"), "was not signed by the authority of these keys"
     assert text.startswith(f"no link to {where}: its certificate {why}; ")
     assert f"kill -HUP {lab.info('arm1').pid}" in text
     assert lab.seen("a") == ["arm0"]

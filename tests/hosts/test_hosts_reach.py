@@ -58,7 +58,7 @@ def test_a_cut_and_its_healing(lab, lan):
         once.call("arm2", m.Hello(), m.AgentInfo)
     text = str(caught.value)
     assert "arm1 of host-b has not seen arm2 of host-c for " in text
-    assert "look at the network between host-b and host-c" in text
+    assert "check the network between host-b and host-c" in text
     assert "pbonet agent --name" not in text
     lost = "WARN arm2 of host-c has not seen arm1 of host-b for "
     (line,) = [one for one in doctor(lab, "c") if one.startswith(lost)]

@@ -235,7 +235,7 @@ def test_repeated_order_is_not_carried_out_twice(caller, agents):
         (msgspec.msgpack.encode({"v": 1, "line": "x" * 2000}), "of 2000 characters"),
         (
             msgspec.msgpack.encode({"v": 1, "command": "on", "client": "*"}),
-            "this is no name for a client",
+            "this is not a valid name for a client",
         ),
         (b"", "the message is not understood"),
     ],
@@ -272,7 +272,7 @@ def test_stop_does_not_wait_for_the_command_before_it(caller, agents):
 def test_port_is_one_masters(arm):
     with pytest.raises(DuplicateNameError, match="the port chimera is taken"):
         Port(arm, "chimera").open()
-    with pytest.raises(NodeError, match="no name for a port"):
+    with pytest.raises(NodeError, match="not a valid name for a port"):
         Port(arm, "a/b")
 
 

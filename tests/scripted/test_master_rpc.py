@@ -82,9 +82,9 @@ def test_agent_that_gives_no_sign_of_life_is_found_out(client, agents, timeout):
     with pytest.raises(NoAnswerError) as caught:
         client.call("arm1", m.Status(), m.RtpuStatus, timeout=timeout)
     assert str(caught.value) == (
-        "arm1: the agent is there and gives no sign of life (expected one within "
+        "arm1: the agent is registered but does not respond (expected an answer within "
         "1.1 s); see its output; if it hangs, end it with 'kill -9' and start it "
-        "again: its tasks go on meanwhile, for its grace"
+        "again: its tasks continue meanwhile, for its grace"
     )
 
 
@@ -93,10 +93,10 @@ def test_silent_agent_is_not_asked_again_at_once_but_for_a_stop(
 ):
     monkeypatch.setattr(rpc, "_SILENCE_TIME", 3600.0)
     agents["arm1"].silent = True
-    with pytest.raises(NoAnswerError, match="no sign of life"):
+    with pytest.raises(NoAnswerError, match="does not respond"):
         client.call("arm1", m.Status(), m.RtpuStatus)
     asked = len(agents["arm1"].kept)
-    with pytest.raises(NoAnswerError, match="no sign of life"):
+    with pytest.raises(NoAnswerError, match="does not respond"):
         client.call("arm1", m.Status(), m.RtpuStatus)
     assert len(agents["arm1"].kept) == asked
     agents["arm1"].silent = False
@@ -170,7 +170,7 @@ def test_refusal_without_a_place_gets_the_name_of_the_rtpu(client, agents):
 
 
 def test_result_of_another_type_is_a_protocol_error(client):
-    with pytest.raises(ProtocolError, match="not what the operation gives"):
+    with pytest.raises(ProtocolError, match="not of the operation's type"):
         client.call("arm0", m.Hello(), m.Claimed)
 
 

@@ -191,7 +191,7 @@ def test_task_is_not_spawned_twice(robot):
 
 @pytest.mark.parametrize("name", ["../x", "a*b", "x" * 5000, "a\0b", ""])
 def test_rmod_of_a_name_that_no_task_can_have_is_refused(arm, name):
-    with pytest.raises(NodeError, match="this is no name for a task"):
+    with pytest.raises(NodeError, match="this is not a valid name for a task"):
         arm.spawn(name)
 
 

@@ -366,7 +366,7 @@ def _decode(data: bytes) -> Order:
         )
     if order.client and not _CLIENT.fullmatch(order.client):
         raise ProtocolError(
-            "this is no name for a client",
+            "this is not a valid name for a client",
             expected="1 to 64 letters, digits, '_', '-' and '.'",
             got=repr(order.client[:40]),
             remedy="choose another name",

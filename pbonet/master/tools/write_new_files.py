@@ -167,7 +167,7 @@ def _plain(name: str, ending: str) -> str:
     plain = name.removesuffix(ending)
     if not plain or plain.startswith(".") or "/" in plain:
         raise ConfigError(
-            "this is no name for a file",
+            "this is not a valid name for a file",
             expected=f"such as arm, for arm{ending}",
             got=f"'{name}'",
             remedy="name the folder by --folder",

@@ -87,7 +87,7 @@ class Agent:
         if config.name is None:
             raise NodeError(
                 "an agent needs a name",
-                remedy='say --name NAME, or name = "NAME" in agent.toml',
+                remedy='use --name NAME, or name = "NAME" in agent.toml',
             )
         self.config = config
         self.places = run_folder.Places(config.domain, config.name)
@@ -250,7 +250,7 @@ class Agent:
         if link is not None:
             link.leave(ANEW_TIME)
         if self._server is not None:
-            self._server.fail_pending("the agent starts anew; what was begun goes on")
+            self._server.fail_pending("the agent restarts; requests under way continue")
         self._recorders.stop(sweep=False)
         self._leave()
 
@@ -337,7 +337,7 @@ class Agent:
             restart_check.check(self.config, config, self._rtpu_config.core)
         except Exception as error:  # noqa: BLE001 - after any error this agent continues
             why = error if isinstance(error, PbonetError) else repr(error)
-            text = f"the agent does not start anew: {why}"
+            text = f"the agent does not restart: {why}"
             log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
             self._note(rtpu_messages.Note(int(Severity.ERROR), "NOT_ANEW", text))
             return False

@@ -140,7 +140,7 @@ def main(
     announce(agent.info())
     systemd_notify.tell("READY=1")
     if life.wait():
-        log.warning("%s: starts anew", agent.name)
+        log.warning("%s: restarts", agent.name)
         agent.abandon()
         life.leave_signals()
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - itself

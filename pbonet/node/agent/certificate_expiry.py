@@ -108,24 +108,24 @@ class KeyTerm:
 
     def _say_refused(self, endpoint: str, why: str) -> None:
         text = (
-            f"no link to {endpoint}: {why}; if the keys of one of the two are old, put "
-            f"others of one authority there, here into {self._folder}, and have that "
-            f"agent start anew, this one with `kill -HUP {os.getpid()}`"
+            f"no link to {endpoint}: {why}; if one of the two agents has old keys, "
+            f"replace them by keys of the common authority (here in {self._folder}), "
+            f"and restart that agent (this one with `kill -HUP {os.getpid()}`)"
         )
         log.warning("%s: %s", self._name, text)
         self._tell(rtpu_messages.Note(int(Severity.ERROR), "KEYS_REFUSED", text))
 
     def _say(self, left: float) -> None:
         remedy = (
-            f"make others with `pbonet keys agent`, put them into {self._folder}, and "
-            f"have the agent start anew with `kill -HUP {os.getpid()}`; its tasks go on"
+            f"make new ones with `pbonet keys agent`, put them into {self._folder}, "
+            f"and restart the agent with `kill -HUP {os.getpid()}`; its tasks continue"
         )
         if left > 0:
             severity = Severity.WARNING
-            text = f"the keys run out in {credentials.days(left)}; {remedy}"
+            text = f"the keys expire in {credentials.days(left)}; {remedy}"
         else:
             severity = Severity.ERROR
-            text = "the keys have run out: no other machine can be reached any more; "
+            text = "the keys have expired: no other machine can be reached; "
             text += remedy
         log.warning("%s: %s", self._name, text)
         self._tell(rtpu_messages.Note(int(severity), "KEYS_RUN_OUT", text))

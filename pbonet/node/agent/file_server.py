@@ -66,7 +66,7 @@ class FileServer:
             self._root = Path(root).resolve()
             if not self._root.is_dir():
                 raise NodeError(
-                    "the folder of files for others is not there",
+                    "the folder of files for other machines does not exist",
                     where=str(root),
                     remedy="make it, or name another one (files in agent.toml)",
                 )
@@ -109,7 +109,7 @@ class FileServer:
                 "this agent declares no files",
                 where=self._rtpu,
                 expected="files = FOLDER in its agent.toml, or --files FOLDER",
-                remedy="start it so; whoever may steer can write there then",
+                remedy="start it with one of these; every master can then write to it",
             )
         parts = [part for part in path.split("/") if part not in {"", "."}]
         if (
@@ -119,11 +119,11 @@ class FileServer:
             or len(path.encode(errors="surrogatepass")) > LONGEST
         ):
             raise XmNameError(
-                "this is no path of a file here",
+                "this is not a valid path",
                 where=self._where(path),
                 expected=f"at most {DEEPEST} names without .., {LONGEST} bytes in all",
                 got=repr(path[:100]),
-                remedy="name it from the agent's folder on",
+                remedy="give the path relative to the agent's folder",
             )
         kept = parts[-1:] if parent else []
         real = Path(os.path.realpath(root.joinpath(*parts[: len(parts) - len(kept)])))
@@ -175,7 +175,7 @@ class FileServer:
             "the file cannot be used",
             where=self._where(path),
             got=reason,
-            remedy="look at the file on its machine",
+            remedy="check the file on its machine",
         )
 
     # -- reading -----------------------------------------------------------------------
@@ -228,7 +228,7 @@ class FileServer:
                 found = os.fstat(here)
                 if not stat.S_ISREG(found.st_mode):
                     raise XmAccessError(
-                        "this is no regular file",
+                        "this is not a regular file",
                         where=self._where(request.path),
                         got=stat.filemode(found.st_mode),
                         remedy="read files, list folders",
@@ -256,7 +256,7 @@ class FileServer:
             )
         if not _PART.fullmatch(request.part):
             raise XmNameError(
-                "this is no name of a part",
+                "this is not a valid name of a part",
                 where=self._where(request.path),
                 expected="up to 32 hexadecimal digits",
                 got=repr(request.part[:40]),
@@ -275,7 +275,7 @@ class FileServer:
                     "too many files are being written",
                     where=self._rtpu,
                     expected=f"at most {PARTS}",
-                    remedy="close those that are whole",
+                    remedy="close those that are complete",
                 )
             if not known and request.offset:
                 raise _dropped(self._where(request.path))
@@ -346,11 +346,11 @@ class FileServer:
         }
         if request.what not in do or not request.path.strip("/."):
             raise XmNameError(
-                "this cannot be done",
+                "this change is not possible",
                 where=self._where(request.path),
                 expected=f"{', '.join(do)}, below the agent's folder",
                 got=request.what[:20],
-                remedy="name what is in the folder",
+                remedy="give a path in the folder",
             )
         with self._folder(request.path, parent=request.what != "touch") as (fd, name):
             do[request.what](name, dir_fd=fd)
@@ -359,12 +359,12 @@ class FileServer:
         path, to = (self._real(p, parent=True)[1] for p in (request.path, request.to))
         if not path or not to or (to != path and to[: len(path)] == path):
             raise XmNameError(
-                "this cannot be moved there",
+                "this move is not possible",
                 where=self._where(request.path),
                 expected="two paths below the agent's folder, the second not in the "
                 "first",
                 got=repr(request.to[:100]),
-                remedy="name what is in the folder, and where it is to be",
+                remedy="give two paths in the folder",
             )
         with self._folder(request.path, parent=True) as (fd, name):
             os.stat(name, dir_fd=fd, follow_symlinks=False)  # errors name the source
@@ -396,8 +396,8 @@ def _write_all(fd: int, data: bytes, offset: int) -> None:
 
 def _dropped(where: str) -> XmLapsedError:
     return XmLapsedError(
-        "what was written of the file was dropped",
+        "the incomplete file was discarded",
         where=where,
-        got="a link that was lost meanwhile, or an agent that was started again",
-        remedy="write it again; a file that stood there is unchanged",
+        got="a link that was lost meanwhile, or an agent that was restarted",
+        remedy="write it again; an existing file is unchanged",
     )

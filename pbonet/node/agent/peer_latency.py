@@ -55,7 +55,7 @@ LOST_TIME = 86400.0
 """Seconds for which an agent that is no longer seen is reported."""
 MOST_LOST = 64
 """Maximum number of agents that are remembered after they are no longer seen."""
-_UNASKED = "its agent is seen, and no request finds its way there"
+_UNASKED = "its agent is seen, but requests do not reach it"
 
 
 class RoundTrip(NamedTuple):
@@ -237,7 +237,7 @@ class PeerLatencies:
         with self._guard:
             peers = list(self._peers.items())
         for name in self._watchdog.look(_seen(peers)):
-            text = f"the link to agent {name} stood and told nothing; it is made anew"
+            text = f"the link to agent {name} transferred nothing; it is opened again"
             log.warning("%s: %s", self._me().name, text)
             if self._note is not None:
                 self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_ANEW", text))

@@ -158,7 +158,7 @@ class _Child:
         now = time.monotonic()
         self._lost = [t for t in self._lost if now - t < WINDOW] + [now]
         again = len(self._lost) <= RESTARTS
-        what = "another one goes on" if again else "nothing is recorded any more"
+        what = "another one continues" if again else "recording has stopped"
         self._died(f"ended: {describe_end(code)}; {what}")
         self._tell(rtpu_messages.Recorder(subsystem=self.wanted.subsystem))
         if again and self._started_again():
@@ -181,7 +181,7 @@ class _Child:
                 else:
                     return True
             if not told:
-                self._died(f"could not be started again: {refused}; it is tried on")
+                self._died(f"could not be started again: {refused}; it is tried again")
             told = True
             self._ending.wait(AGAIN_TIME)
 
@@ -251,7 +251,7 @@ class Recorders:
             self._children[subsystem] = _Child(wanted, before, self._said)
         except OSError as error:
             text = f"the recorder of {subsystem} could not be started: {error}"
-            text += "; nothing is recorded: ask for it again"
+            text += "; nothing is recorded: request it again"
             self._tell(rtpu_messages.Note(int(Severity.ERROR), "RECORDER_DIED", text))
         else:
             self._before.pop(subsystem, None)

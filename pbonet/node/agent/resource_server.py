@@ -206,7 +206,7 @@ class ResourceServer:
                 raise NodeError("the agent ends", where=self._rtpu, remedy="ask again")
             if self._queued >= WAITING or (wait and self._waits >= WAITS):
                 raise XmFullError(
-                    "too many from other machines wait here",
+                    "too many clients on other machines wait",
                     where=self._rtpu,
                     expected=f"at most {WAITS} that wait for something",
                     remedy="wait with a time limit, or receive more often",
@@ -255,10 +255,10 @@ class ResourceServer:
         with self._change:
             if len(self._held) >= HANDLES:
                 raise XmFullError(
-                    "too much is used from other machines",
+                    "too many resources are used from other machines",
                     where=self._rtpu,
                     expected=f"at most {HANDLES} attached",
-                    remedy="close what is not needed any more",
+                    remedy="close those that are no longer needed",
                 )
         thing = _open(kind, name, request.create)
         settings = {key: int(getattr(thing, key)) for key in _SETTINGS[request.kind]}
@@ -447,10 +447,10 @@ def _until(wait: float) -> int:
 
 def _lapsed(where: str) -> XmLapsedError:
     return XmLapsedError(
-        "the agent does not know this client any more",
+        "the agent no longer knows this client",
         where=where,
-        got="a link that was lost meanwhile, or an agent that was started again",
-        remedy="attach again; who holds a semaphore is not known any more",
+        got="a link that was lost meanwhile, or an agent that was restarted",
+        remedy="attach again; semaphores that it held are released",
     )
 
 
@@ -459,9 +459,9 @@ def _unfit(where: str, error: Exception) -> XmError:
         "this cannot be carried out",
         where=where,
         got=f"{type(error).__name__}: {error}",
-        remedy="see docs/xm.md for what may be asked",
+        remedy="see docs/xm.md for valid requests",
     )
 
 
 def _given_up(where: str) -> XmError:
-    return XmError("the wait was given up", where=where, remedy="wait again")
+    return XmError("the wait was cancelled", where=where, remedy="wait again")

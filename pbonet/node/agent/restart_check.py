@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 _STAYS: Final = "put it back, or end the agent and start it again: its tasks turn OFF"
 _THE_PROCESS: Final = ("libraries", "runs", "awake")
 """Settings with which an RTPU process is started, and which it keeps."""
-LATER: Final = (
-    "%s: another value of %s reaches the RTPU process when it is started again"
-)
+LATER: Final = "%s: a change of %s takes effect when the RTPU process is restarted"
 """The report of a change that `kept` has found."""
 
 
@@ -48,7 +46,7 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
     ):
         if is_ != to_be:
             raise NodeError(
-                f"an RTPU that goes on keeps its {what}",
+                f"an RTPU that keeps running keeps its {what}",
                 where=old.name or "",
                 expected=f"{what} {is_}",
                 got=f"{to_be}",
@@ -96,5 +94,5 @@ def _try(endpoint: str) -> None:
             "the endpoint cannot be listened on",
             where=endpoint,
             got=getattr(error, "strerror", "") or str(error),
-            remedy="name an address of this machine, and a port that is free",
+            remedy="name an address of this machine, and a free port",
         ) from None

@@ -268,7 +268,7 @@ class RtpuLink:
         info = self._decode(data)
         if not isinstance(info, rtpu_messages.RtpuInfo):
             raise ProtocolError(
-                "the RTPU process does not say who it is",
+                "the RTPU process did not identify itself",
                 remedy="end it, and start the agent again",
             )
         for what, got, wanted in (
@@ -278,7 +278,7 @@ class RtpuLink:
             if got != wanted:
                 sock.close()
                 raise NodeError(
-                    f"the RTPU process that runs is of another {what}",
+                    f"the running RTPU process has another {what}",
                     where=f"{self._config.name}, process {info.pid}",
                     expected=f"{what} {wanted}",
                     got=f"{what} {got}",
@@ -302,7 +302,7 @@ class RtpuLink:
         with _contained():
             self._listener.let_go()
         if self._unreadable:
-            how = f"the RTPU process is not understood: {self._misread}"
+            how = f"the RTPU process cannot be understood: {self._misread}"
         else:
             how = f"the RTPU process ended: {self._end(reason, orderly=orderly)}"
         with _contained():
@@ -340,8 +340,8 @@ class RtpuLink:
                 where=f"{self._config.name}{pid}",
                 got=str(error),
                 remedy="both must be of one installation: within its grace an agent of "
-                "the RTPU process's own takes it over; behind that it has turned its "
-                "tasks OFF, and any may be started",
+                "the RTPU process's installation can take it over; after that its "
+                "tasks are OFF, and any agent can be started",
             )
             self._misread = str(refused)
             raise refused from None
@@ -402,8 +402,8 @@ class RtpuLink:
         if not self._short:
             self._short = True
             log.error(
-                "%s: the link to the RTPU process cannot be made anew: %s; it is tried "
-                "again: end what takes so much, or raise the limit of what is lacking "
+                "%s: the link to the RTPU process cannot be opened again: %s; this is "
+                "retried: free the resource, or raise its limit "
                 "(LimitNOFILE of a service, or ulimit -n)",
                 self._config.name,
                 error,
@@ -488,4 +488,4 @@ def _contained() -> Generator[None]:
     try:
         yield
     except Exception:
-        log.exception("what the RTPU process said could not be taken")
+        log.exception("a message of the RTPU process could not be processed")

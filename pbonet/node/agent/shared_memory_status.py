@@ -134,7 +134,7 @@ class SharedMemoryStatus:
         try:
             table = Table.attach(table_name(self._domain, subsystem))
         except SvarError as error:
-            log.warning("the table of %s cannot be seen: %s", subsystem, error)
+            log.warning("the table of %s cannot be attached: %s", subsystem, error)
         else:
             self._tables[subsystem] = table, keep
 

@@ -149,7 +149,7 @@ class Links:
             try:
                 self._look()
             except OSError:  # for example if the shared memory folder is removed
-                log.exception("%s: links cannot be looked after", self._name)
+                log.exception("%s: links cannot be served", self._name)
             self._news.wait(LOOK)
 
     def _look(self) -> None:
@@ -161,7 +161,7 @@ class Links:
             try:
                 self._tend(text, care, stands=text in standing)
             except Exception:  # the other links must still be served
-                log.exception("%s: link %s cannot be looked after", self._name, text)
+                log.exception("%s: link %s cannot be served", self._name, text)
 
     def _tend(self, text: str, care: ServedLink, *, stands: bool) -> None:
         """Serve one link."""
@@ -186,7 +186,7 @@ class Links:
             self._later.pop(text, None)
         except XmError as error:
             self._later[text] = time.monotonic() + YIELD
-            log.debug("%s: link %s is not looked after: %s", self._name, text, error)
+            log.debug("%s: link %s is not served: %s", self._name, text, error)
 
     def _drop(self, text: str) -> None:
         care = self._cares.pop(text)
@@ -259,7 +259,7 @@ class Links:
             self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_DOWN", text))
 
     def _misfit(self, name: names.Name, error: Exception) -> None:
-        text = f"records of link {name} are not taken: {error}"
+        text = f"records of link {name} are refused: {error}"
         self._note(rtpu_messages.Note(int(Severity.ERROR), "LINK_MISFIT", text))
 
     def _note(self, note: rtpu_messages.Note) -> None:

@@ -132,9 +132,7 @@ class TaskGateway:
         except (OSError, EOFError):
             pass  # it was closed
         except (*codec.MALFORMED, PbonetError, RuntimeError) as error:
-            log.warning(
-                "%s: a task's letter is not taken: %s", self._client.name, error
-            )
+            log.warning("%s: a task's request is refused: %s", self._client.name, error)
         finally:
             self._farewell(client, wire)
             wire.link.close()
@@ -177,10 +175,10 @@ class TaskGateway:
         request = self._codec.request(letter.data)
         if not isinstance(request, XmRequest):
             raise ProtocolError(
-                "tasks ask other machines for their resources only",
+                "tasks may only use resources of other machines",
                 expected="a request about a semaphore, a queue, or a file",
                 got=type(request).__name__.lower(),
-                remedy="steer with a master",
+                remedy="send commands with a master",
             )
         request.client = letter.client
         if not letter.wait:

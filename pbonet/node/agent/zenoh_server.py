@@ -247,8 +247,8 @@ class Server:
             self._pending.clear()
         for query, request, begun_ns in waiting:
             error = NodeError(
-                f"the request was not carried out to its end: {reason}",
-                remedy="'status' shows what was done; then give it again",
+                f"the request was not completed: {reason}",
+                remedy="'status' shows what was done; then repeat it",
             )
             data = self._codec.pack(codec.failure(error, request.id))
             self._tell(request, data, begun_ns)
@@ -306,7 +306,7 @@ class Server:
             try:
                 work()
             except Exception:  # the server survives any request
-                log.exception("a request could not be taken")
+                log.exception("a request could not be processed")
 
     def _take(self, query: zenoh.Query) -> None:
         try:
@@ -338,7 +338,7 @@ class Server:
                 raise ProtocolError(
                     "too many requests wait for their answers",
                     expected=f"at most {PENDING}",
-                    remedy="wait for answers before asking more",
+                    remedy="wait for answers before sending more requests",
                 )
         except PbonetError as error:
             failed = codec.failure(error, codec.request_id(data))

@@ -277,7 +277,7 @@ class MirroredTable:
                     int(Severity.WARNING),
                     "TABLE_BEHIND",
                     f"{lost - self._lost} packets for the table of {self.subsystem} "
-                    "came faster than they could be taken",
+                    "were lost: they came faster than they could be processed",
                 )
             )
             self._lost, self._told_ns = lost, now

@@ -240,7 +240,7 @@ class LogFiles:
             self._say(
                 Severity.ERROR,
                 "LOG_FULL",
-                f"{where} cannot grow: {why}; tasks go on, their records are lost "
+                f"{where} cannot grow: {why}; tasks continue, their records are lost "
                 f"until a new file can be made",
             )
 
@@ -267,6 +267,6 @@ class LogFiles:
             with contextlib.suppress(OSError):
                 path.parent.rmdir()  # if it is empty now
         if gone:
-            text = f"{len(gone)} logs were removed, the oldest ones, for all may take "
-            text += f"{self._wanted.limits.runs_mb:g} MB: {gone[0]}"
+            text = f"{len(gone)} of the oldest logs were removed, because all together "
+            text += f"may take {self._wanted.limits.runs_mb:g} MB: {gone[0]}"
             self._say(Severity.INFO, "LOG_REMOVED", text)

@@ -116,7 +116,7 @@ cdef class Ring:
                     and self.r.capacity + self.r.about == self.view.shape[0] - sizeof(ring))
         if not good:
             self.close()
-            raise NodeError("the file is no ring, or of another version", where=self.path)
+            raise NodeError("the file is not a ring, or is of another version", where=self.path)
         return self
 
     cdef ring *open(self) except NULL:
@@ -175,7 +175,7 @@ cdef class Ring:
         try:
             fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise NodeError("somebody else drains this ring", where=self.path) from None
+            raise NodeError("another process drains this ring", where=self.path) from None
         self.consumer = True
 
     def close(self) -> None:

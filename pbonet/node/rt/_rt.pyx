@@ -88,7 +88,7 @@ cdef class Slot:
         cdef int why, served = 0, last = 0
         cdef bint periodic = rt_kind_of(self.live()) == RT_PERIODIC
         if periodic == (sync is not None):
-            raise ValueError("tasks timed from outside, and only they, need `sync`")
+            raise ValueError("`sync` is required for tasks that are not periodic, and only for them")
         self.failures.handler = failing
         self.aged = aged
         if rt_mode_of(self.task.slot) == RT_OFF:
@@ -370,7 +370,7 @@ cdef class Slot:
     def vow(self) -> None:
         cdef int error = rt_vow(self.live())
         if error:
-            raise RealTimeError("the task's life cannot be watched",
+            raise RealTimeError("the task's process cannot be watched",
                                 got=os.strerror(error))
         self.vowed = True
 
@@ -378,7 +378,7 @@ cdef class Slot:
         self.live()
         cdef int error = rt_command_level(&self.task)
         if error:
-            raise RealTimeError("the level of commands is refused",
+            raise RealTimeError("the priority for commands is refused",
                                 expected=f"SCHED_FIFO {RT_COMMAND_LEVEL}",
                                 got=os.strerror(error))
 

@@ -100,7 +100,7 @@ cdef class Failures:
             self.error = TaskError(
                 "timing_failure() did not return", got=f"a failure of kind {KINDS[kind]}",
                 expected=f"an answer within {HANDLER_BOUND_NS / 1e9:g} s",
-                remedy="let it decide only; work belongs into cycle()")
+                remedy="let it only decide; work belongs in cycle()")
         except BaseException as error:
             self.error = error
         finally:

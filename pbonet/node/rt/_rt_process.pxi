@@ -7,7 +7,7 @@ def probe():
 def orphan_guard(int signal, int parent=0) -> int:
     cdef int fd = rt_guard_orphan(signal, parent)
     if fd < 0:
-        raise RealTimeError("the watch over the parent cannot be set up",
+        raise RealTimeError("the parent process cannot be watched",
                             got=os.strerror(-fd))
     return fd
 

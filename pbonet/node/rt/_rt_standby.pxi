@@ -16,7 +16,7 @@ cdef class Vigil:
         self.pid = os.getpid()
         cdef int error = rt_start_vigil(self.vigil, &beside.loop)
         if error:
-            raise RealTimeError("the watch over tasks cannot be started",
+            raise RealTimeError("the thread that watches tasks cannot be started",
                                 where=f"core {self.table.core}", got=os.strerror(error))
         self.table.busy += 1
 

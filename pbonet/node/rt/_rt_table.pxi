@@ -6,7 +6,7 @@ cdef _refuse(int error, str path):
         raise NodeError("the core has no table", where=path,
                         remedy="start an agent for this core first")
     if error == RT_FOREIGN:
-        raise RealTimeError("the core table belongs to somebody else", where=path,
+        raise RealTimeError("the core table belongs to another user", where=path,
                             expected="a file of this user with mode 0600",
                             remedy="find out who made it and remove it")
     if error == RT_BAD_VERSION:

@@ -262,9 +262,9 @@ class Spawner:
         if message.error:
             answer.set_exception(
                 NodeError(
-                    "the system gives no process",
+                    "the system cannot create a process",
                     got=message.error,
-                    remedy="look at 'ulimit -u' and at the free memory",
+                    remedy="check 'ulimit -u' and the free memory",
                 )
             )
         else:

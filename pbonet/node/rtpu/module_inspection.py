@@ -54,7 +54,7 @@ class ModuleInspection:
                 raise ProtocolError(
                     "too many modules are asked for",
                     expected=f"at most {WAITING} at a time",
-                    remedy="wait for answers before asking more",
+                    remedy="wait for answers before sending more requests",
                 )
             task = self._waiting[name] = asyncio.create_task(self._next(name))
         return await asyncio.shield(task)

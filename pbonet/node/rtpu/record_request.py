@@ -83,7 +83,7 @@ def _check(request: Record) -> None:
     for name in (request.run, request.file):
         if not _NAME.fullmatch(name):
             raise LogError(
-                "this is no name for a run or a log",
+                "this is not a valid name for a run or a log",
                 expected="at most 121 letters, digits, '_-+.', no '.' first",
                 got=repr(name[:60]),
                 remedy="choose another name",

@@ -267,7 +267,7 @@ def remove_unused(path: Path) -> bool:
 
 def _other_layout(name: str, wanted: str, got: str) -> SvarLayoutError:
     return SvarLayoutError(
-        "a table of this name stands with another layout",
+        "a table of this name exists with another layout",
         where=name,
         expected=f"layout {wanted}",
         got=f"layout {got}",

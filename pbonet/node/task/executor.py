@@ -174,7 +174,7 @@ class Executor:
             self._call(Event.SET, Step.SET, key, getattr(params, key))
         except MethodError as error:
             self.instance.params = before
-            add_remedy(error, f"the old value of {key} stands")
+            add_remedy(error, f"the old value of {key} remains")
             raise
         return getattr(params, key)
 
@@ -276,7 +276,7 @@ class Executor:
         task, cls = self.task, type(self.instance)
         if self.state is not State.ON:
             raise StateError(
-                "a timing failure is one of a task that is ON",
+                "only a task that is ON has timing failures",
                 where=task.name,
                 got=f"state {self.state}",
                 remedy="turn it on first",
@@ -378,7 +378,7 @@ class Executor:
                 return
             failure = left
         if self.state is State.NOT_CREATED and found.failure is not Failure.KILL:
-            add_remedy(failure, "the task has ended all the same")
+            add_remedy(failure, "the task has ended anyway")
         raise failure from failed.cause
 
     def _put_right(
@@ -399,7 +399,7 @@ class Executor:
             except RAISED as second:
                 before, error = failure, contained(second)
                 failure = self._described(error, self._actions.method)
-                add_remedy(failure, f"before that was put right: {before}")
+                add_remedy(failure, f"before that was corrected: {before}")
         if answer is Answer.CONTINUE:
             try:
                 self._steps(found, found.resume)

@@ -54,9 +54,9 @@ def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
         near.close()
         far.close()
         raise NodeError(
-            "the system gives no process",
+            "the system cannot create a process",
             got=error.strerror or str(error),
-            remedy="look at 'ulimit -u' and at the free memory",
+            remedy="check 'ulimit -u' and the free memory",
         ) from None
     if pid:
         far.close()
@@ -209,7 +209,7 @@ def receive_with_fds(sock: socket.socket) -> tuple[bytes, list[int]]:
         raise NodeError(
             "a request to fork came without its files",
             got=f"{len(fds)}",
-            remedy="report it, please: a fault within pbonet",
+            remedy="please report it: this is a fault inside pbonet",
         )
     return data, list(fds)
 

@@ -30,7 +30,7 @@ Raised = Exception | TaskFailure
 
 
 REFUSED = {
-    8: "no whole set of inputs was had",
+    8: "no consistent set of inputs could be copied",
     16: "an output is not a finite number",
     32: "an output is outside its limits",
     64: "the outputs belong to another task",
@@ -89,9 +89,9 @@ def refused(flags: int, blamed: Blamed) -> SvarError:
     keeps = "the table keeps its last values"
     if bit not in ABOUT_ELEMENT or not blamed.variable:
         return SvarError(text, remedy=keeps)
-    advice = "look in the module for what makes it so"
+    advice = "find the cause in the module"
     if bit == OUTSIDE:
-        advice = "bound it in the module, or say LIMIT clip in the .svar file"
+        advice = "bound it in the module, or set LIMIT clip in the .svar file"
     return SvarError(
         f"{text}: {blamed.variable}[{blamed.element}]",
         expected=blamed.expected if bit == OUTSIDE else "",
@@ -127,10 +127,10 @@ def recovery(answer: object) -> Recovery:
     if isinstance(answer, Recovery):
         return answer
     raise MethodError(
-        "timing_failure gave an answer that it cannot give",
+        "timing_failure returned an invalid answer",
         expected=f"None or {' or '.join(f'Recovery.{one.name}' for one in Recovery)}",
         got=repr(answer),
-        remedy="mend what it returns; no return at all means CONTINUE",
+        remedy="correct what it returns; no return at all means CONTINUE",
     )
 
 
@@ -140,10 +140,10 @@ def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
     words = ["None" if one is None else f"Answer.{one}" for one in allowed]
     got = f"Answer.{answer}" if isinstance(answer, Answer) else repr(answer)
     return MethodError(
-        f"{step} gave an answer that it cannot give",
+        f"{step} returned an invalid answer",
         expected=" or ".join(words),
         got=got,
-        remedy="mend what it returns",
+        remedy="correct what it returns",
     )
 
 

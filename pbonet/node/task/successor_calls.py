@@ -44,9 +44,9 @@ class Successors:
             slot = call.slot, call.life, call.ticket, call.caller
             if table is None or not table.expects(*slot):
                 raise StateError(
-                    f"{call.successor} cannot take over: it does not stand by",
+                    f"{call.successor} cannot take over: it is no longer a standby",
                     expected="a successor that waits for the end of this task",
-                    remedy="give the swap again",
+                    remedy="repeat the swap",
                 )
             found.append((table, *slot))
         return found

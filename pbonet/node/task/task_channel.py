@@ -228,13 +228,13 @@ def _too_long(data: bytes) -> PbonetError:
         "the task's answer is too long",
         expected=f"at most {rtpu_messages.LARGEST_PACKET} bytes",
         got=f"{len(data)} bytes",
-        remedy="let its parameters and its errors' texts be shorter",
+        remedy="shorten its parameters and the texts of its errors",
     )
 
 
 def _untold(error: BaseException) -> PbonetError:
     return PbonetError(
-        "the task's answer cannot be told",
+        "the task's answer cannot be sent",
         expected="numbers, texts, or lists of them",
         got=str(error),
         remedy="let the module's `get` return these",

@@ -502,7 +502,7 @@ class Host:
             rtpu_messages.Notice(
                 severity=int(Severity.INFO),
                 code="ENGAGED",
-                text=f"in the place of {' and '.join(after)}",
+                text=f"in place of {' and '.join(after)}",
                 state=State.ON,
             )
         )

@@ -56,7 +56,7 @@ class Answers:
                 "no room is left in shared memory",
                 where=self._rtpu,
                 got=str(error),
-                remedy="make room in /dev/shm, or give the machine more of it",
+                remedy="free space in /dev/shm, or enlarge it",
             )
         op = type(request).__name__
         text = f"{op} failed inside pbonet: {type(error).__name__}: {error}"

@@ -44,4 +44,4 @@ def of_numpy(value: object) -> object:
         plain: object = methodcaller("tolist")(value)
         if not isinstance(plain, np.generic | complex):
             return plain
-    raise TypeError(f"a {type(value).__name__} cannot be told")
+    raise TypeError(f"a {type(value).__name__} cannot be sent")

@@ -99,9 +99,9 @@ cdef class Shared:
                                 got=f"version {(<xm_object *>self.at).version}",
                                 remedy="run the same version in every process")
         if verdict:
-            raise XmDamagedError("the file is damaged, or nothing of this kind",
+            raise XmDamagedError("the file is damaged, or of another kind",
                                  where=self.path, got=f"{self.bytes} bytes",
-                                 remedy="stop who uses it and remove it")
+                                 remedy="stop the processes that use it, and remove it")
 
     cdef int enter(self) except -1:
         raise NotImplementedError  # abstract: each kind of object has its own
@@ -114,7 +114,7 @@ cdef class Shared:
         if self.at is NULL:
             raise XmError("it is closed", where=self.name)
         if xm_destroyed(<xm_object *>self.at):
-            raise XmDestroyedError("somebody destroyed it", where=self.name,
+            raise XmDestroyedError("it was destroyed", where=self.name,
                                    remedy="create it again, or attach to the new one")
         if self.forks != _forks:
             self.enter()
@@ -132,11 +132,11 @@ cdef class Shared:
             raise XmError("its lock was not free for 2 s", where=self.name,
                           remedy="look for a stopped process (state T) that uses it")
         if code == XM_CROWDED:
-            raise XmFullError("too many use it, or wait for it", where=self.name,
+            raise XmFullError("too many processes use it, or threads wait for it", where=self.name,
                               expected=f"at most {XM_MEMBERS} processes and {XM_SLOTS} "
                               "waiting threads")
         raise XmDamagedError("it was overwritten", where=self.path,
-                             remedy="stop who uses it and remove it")
+                             remedy="stop the processes that use it, and remove it")
 
     cdef void look_around(self) noexcept nogil:
         pass
@@ -158,7 +158,7 @@ cdef class Shared:
                 return code == 0
             PyErr_CheckSignals()
             if still is not None and not still():
-                raise XmError("the wait was given up", where=self.name,
+                raise XmError("the wait was cancelled", where=self.name,
                               remedy="wait again")
 
     @property
@@ -169,7 +169,7 @@ cdef class Shared:
         if self.at is NULL:
             return
         if self.waits:
-            raise XmError("a thread waits in it", where=self.name,
+            raise XmError("a thread waits for it", where=self.name,
                           remedy="let it end first, or destroy it")
         if self.forks == _forks and not xm_destroyed(<xm_object *>self.at):
             self.leave()

@@ -122,7 +122,7 @@ cdef class Queue(Shared):
                 raise XmQueueFullError("the queue is full", where=self.name,
                                        expected=f"room for {view.len} bytes",
                                        got=f"{len(self)} messages in it",
-                                       remedy="receive more often, make it larger, or say "
+                                       remedy="receive more often, make it larger, or choose "
                                        "what to drop (full=)")
             if code == XM_TOO_LONG:
                 raise XmTooLongError("the message is longer than the queue", where=self.name,

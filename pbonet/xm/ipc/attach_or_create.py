@@ -135,10 +135,10 @@ def _checked(found: T, wanted: dict[str, object]) -> T:
             got = getattr(found, key)
             found.close()
             raise XmLayoutError(
-                "it stands with another setting",
+                "it exists with another setting",
                 where=found.name,
                 expected=f"{key} {value}",
                 got=f"{key} {got}",
-                remedy="ask for the same everywhere, or destroy it first",
+                remedy="use the same settings everywhere, or destroy it first",
             )
     return found

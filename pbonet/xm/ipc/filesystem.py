@@ -287,7 +287,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
             return
         if self.isdir(target):
             raise XmExistsError(
-                "a folder stands where this is to go",
+                "there is a folder at the new path",
                 where=f"pbonet://{target}",
                 remedy="remove it first, or choose another name",
             )
@@ -345,15 +345,15 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
     ) -> None:
         if mode not in {"rb", "wb", "xb"}:
             raise XmAccessError(
-                "a file of another machine is read or written, whole",
+                "a file on another machine is read or written as a whole",
                 where=path,
                 expected="mode rb, wb or xb",
                 got=mode,
-                remedy="read it, and write it anew; or write another file beside it",
+                remedy="read it and write it again, or write another file",
             )
         if mode == "xb" and fs.exists(path):  # the agent checks again at the end
             raise XmExistsError(
-                "something stands there",
+                "there is already a file at this path",
                 where=f"pbonet://{path}",
                 remedy="choose another name, or mode wb to replace it",
             )
@@ -362,7 +362,7 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
         super().__init__(fs, path, mode, block_size, autocommit, **options)
         if mode == "rb" and self.details["type"] != "file":
             raise XmAccessError(
-                "this is no regular file",
+                "this is not a regular file",
                 where=path,
                 got=self.details["type"],
                 remedy="read files, list folders",
@@ -441,7 +441,7 @@ def _split(path: str) -> tuple[str, str]:
             "the path names no RTPU",
             expected="pbonet://RTPU/PATH",
             got=repr(path[:100]),
-            remedy="list pbonet:// for those that are there",
+            remedy="list pbonet:// for the RTPUs that can be reached",
         )
     return rtpu, below
 

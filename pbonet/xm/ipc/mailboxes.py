@@ -98,7 +98,7 @@ class Mailbox(shm.Closeable):
             self._queue.close()
             self._place.close()
             raise XmTakenError(
-                "the mailbox has its one handler already",
+                "the mailbox already has a handler",
                 where=self.name,
                 got=f"process {holder}",
                 remedy="end that one first, or choose another name",
@@ -270,7 +270,7 @@ def interrupt_here(box: Name, value: int) -> None:
             "the mailbox is full",
             where=_shown(box),
             got=f"{depth} interrupts that were not handled yet",
-            remedy="handle them more often, or install it with more depth",
+            remedy="handle them more often, or install it with a larger depth",
         )
 
 

@@ -134,9 +134,9 @@ def parse_at(text: str, place: str) -> Name:
     rtpu = rtpu if colon else place
     if not _RESOURCE.fullmatch(resource) or not run_folder.NAME.fullmatch(rtpu):
         raise XmNameError(
-            "this is no name of a resource",
+            "this is not a valid resource name",
             expected="RTPU:RESOURCE, or RESOURCE alone for the task's own RTPU, of "
-            "letters, digits, and _ - . behind the first",
+            "letters, digits, and _ - . after the first",
             got=repr(text[:100]),
             remedy="rename it",
         )

@@ -205,14 +205,14 @@ def client(
         raise XmError(
             "a forked process cannot use the network",
             got="a parent that had used it",
-            remedy="start the process anew: multiprocessing's 'spawn', or subprocess",
+            remedy="start it with multiprocessing's method 'spawn', or with subprocess",
         )
     endpoints = list(connect) or os.environ.get(CONNECT, "").split()
     try:
         opened = session.client(domain, connect=endpoints, key_folder=key_folder)
     except UnreachableError as error:
         if not endpoints:
-            error.remedy += f"; a program says so in {CONNECT}"
+            error.remedy += f"; a program sets {CONNECT} instead"
         raise
     made = Client(opened, domain, f"p{os.getpid()}-{secrets.token_hex(4)}")
     token = made.announce(key_expressions.customer(domain, made.name))

@@ -229,7 +229,7 @@ class RemoteSemaphore(_There, Semaphore):
         until_ns: int | None = None,
         *,
         priority: int | None = None,
-        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for who waits here
+        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for local waits
     ) -> Taken:
         rank = _priority(priority)
 
@@ -322,7 +322,7 @@ class RemoteQueue(Receiving, _There, Queue):
         full: Full = Full.REFUSE,
         until_ns: int | None = 0,
         wait_priority: int | None = None,
-        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for who waits here
+        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for local waits
     ) -> bool:
         payload, rank = bytes(data), _priority(wait_priority)
         self._check_length(len(payload))
@@ -343,7 +343,7 @@ class RemoteQueue(Receiving, _There, Queue):
     def _check_length(self, length: int) -> None:
         if length > r.LONGEST:
             raise XmTooLongError(
-                "the message is too long for the way to another machine",
+                "the message is too long to be sent to another machine",
                 where=self.name,
                 expected=f"at most {r.LONGEST} bytes",
                 got=f"{length} bytes",
@@ -356,7 +356,7 @@ class RemoteQueue(Receiving, _There, Queue):
         *,
         priority: int | None = None,
         most: int = r.LONGEST,
-        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for who waits here
+        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for local waits
     ) -> tuple[bytes, int] | None:
         rank = _priority(priority)
 
@@ -374,7 +374,7 @@ class RemoteQueue(Receiving, _There, Queue):
         until_ns: int | None = None,
         *,
         priority: int | None = None,
-        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for who waits here
+        still: Callable[[], bool] | None = None,  # noqa: ARG002 - for local waits
     ) -> bool:
         rank = _priority(priority)
 

@@ -137,7 +137,7 @@ class Segment(shm.Closeable):
         whole = self._bytes()
         if struct.unpack_from("I", whole, _DESTROYED)[0]:
             raise XmDestroyedError(
-                "somebody destroyed the segment",
+                "the segment was destroyed",
                 where=self.name,
                 remedy="create it again, or attach to the new one",
             )
@@ -213,7 +213,7 @@ class Segment(shm.Closeable):
             "too many processes are attached",
             where=self.name,
             expected=f"at most {MEMBERS}",
-            remedy="close it in processes that are done with it",
+            remedy="close it in processes that no longer need it",
         )
 
     def _is_taken(self, member: int) -> bool:
@@ -240,8 +240,8 @@ def _lock(kind: int, member: int, count: int = 1) -> bytes:
 
 def _damaged(path: Path, size: int) -> XmDamagedError:
     return XmDamagedError(
-        "the file is damaged, or no segment",
+        "the file is damaged, or is not a segment",
         where=str(path),
         got=f"{size} bytes",
-        remedy="stop who uses it and remove it",
+        remedy="stop the processes that use it, and remove it",
     )

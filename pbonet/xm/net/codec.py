@@ -95,7 +95,7 @@ class Codec:
             raise ProtocolError(
                 "the message is not msgpack",
                 got=str(error),
-                remedy="send a msgpack map, as docs/protocol.md says",
+                remedy="send a msgpack map, as described in docs/protocol.md",
             ) from None
         if version != VERSION:
             raise ProtocolError(

@@ -59,7 +59,7 @@ def check(folder: Path) -> Path:
                 pass
         except OSError as error:
             raise ConfigFileError(
-                "this is no key folder",
+                "this is not a key folder",
                 where=str(folder / name),
                 expected=f"{CA}, {CERT} and {KEY}",
                 got=error.strerror or str(error),
@@ -68,7 +68,7 @@ def check(folder: Path) -> Path:
     mode = (folder / KEY).stat().st_mode & 0o077
     if mode & 0o007:
         raise ConfigFileError(
-            "everybody may read the private key",
+            "all users may read the private key",
             where=str(folder / KEY),
             expected="mode 0600, or 0640 for a group",
             got=f"{mode | 0o600:04o}",
@@ -121,7 +121,7 @@ def prove(folder: Path, role: Role | None = None) -> float:
         raise ConfigFileError(
             "the files of this key folder do not belong together",
             where=str(folder),
-            expected=f"{CERT}, its {KEY}, and the {CA} of who signed it",
+            expected=f"{CERT}, its {KEY}, and the {CA} that signed it",
             got=error.reason or str(error),
             remedy="copy the whole folder that `pbonet keys` has made",
         ) from None
@@ -164,9 +164,9 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
     except ssl.SSLCertVerificationError as error:
         how = {
             _RUN_OUT: "has expired",
-            _NOT_YET: "is not valid yet (look at the clocks of both machines)",
+            _NOT_YET: "is not valid yet (check the clocks of both machines)",
         }
-        other = "is not of the authority of these keys"
+        other = "was not signed by the authority of these keys"
         return f"its certificate {how.get(error.verify_code, other)}"
     except ssl.SSLError as error:
         refused = "ALERT" in (error.reason or "")

@@ -75,7 +75,7 @@ def make_authority(folder: Path, name: str = "pbonet") -> Path:
     """
     if (folder / AUTHORITY_KEY).exists():
         raise NodeError(
-            "this folder has an authority already",
+            "this folder already has an authority",
             where=str(folder),
             remedy="all its certificates would be void; name another folder with --ca, "
             "or remove it first",
@@ -129,21 +129,21 @@ def issue(
     """
     if not _NAME.fullmatch(name):
         raise NodeError(
-            "this is no name for the holder of a certificate",
+            "this is not a valid name for the holder of a certificate",
             expected="1 to 31 letters, digits, _, - and ., not - or . first",
             got=repr(name),
             remedy="name the machine or the person, such as arm-pc or anna",
         )
     if role is Role.AGENT and not hosts:
         raise NodeError(
-            f"nobody could meet the agent {name}: its certificate would name no host",
+            f"no machine could reach agent {name}: its certificate would name no host",
             expected="every name and address by which others connect to it",
             remedy=f"for example: pbonet keys agent {name} --host 10.0.0.2",
         )
     folder = folder or authority / name
     if (folder / KEY).exists():
         raise NodeError(
-            f"{folder} holds keys already",
+            f"{folder} already has keys",
             remedy="name another folder with --out, or remove it first",
         )
     signer, signer_key = _load_authority(authority)
@@ -182,7 +182,7 @@ def read(folder: Path) -> Holder:
         role = Role(_attribute(found, NameOID.COMMON_NAME).removeprefix("pbonet-"))
     except ValueError as error:
         raise ConfigFileError(
-            "this is no certificate of pbonet",
+            "this is not a certificate of pbonet",
             where=str(folder / CERT),
             got=str(error),
             remedy="`pbonet keys agent|master|observer NAME` makes one",
@@ -241,7 +241,7 @@ def _host(text: str) -> x509.GeneralName:
         return x509.DNSName(text)
     except ValueError as error:
         raise NodeError(
-            "this is no host",
+            "this is not a host",
             expected="a name such as arm.lab, or an address",
             got=repr(text),
             remedy=str(error),
@@ -267,7 +267,7 @@ def _load_authority(
             "the authority's files are damaged",
             where=str(folder),
             got=str(error).splitlines()[0],
-            remedy="put back a copy of them",
+            remedy="restore them from a copy",
         ) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise ConfigFileError(

@@ -41,14 +41,14 @@ def _reason(endpoint: str) -> tuple[str, str]:
         if protocol not in _BY_TCP:
             return "no answer", remedy
         with socket.create_connection((host, int(port)), TRY_TIME):
-            return "an open port, and no greeting of an agent", remedy
+            return "an open port, but no agent answers there", remedy
     except (socket.gaierror, UnicodeError):
         return (
-            f"no host that is known as {host}",
-            "is the name right? Else write the host's address, or enter the name in "
+            f"the host name {host} is unknown",
+            "is the name right? If so, use the host's address, or enter the name in "
             "DNS or /etc/hosts",
         )
     except TimeoutError:
-        return f"no answer of the host {host} within {TRY_TIME:g} s", remedy
+        return f"no answer from the host {host} within {TRY_TIME:g} s", remedy
     except OSError as error:
         return f"from {host}: {error.strerror}", remedy

@@ -48,7 +48,7 @@ def read_result(rtpu: str, answer: Answer, result: type[T]) -> T:
         return convert(answer.result, result)
     except msgspec.ValidationError as error:
         raise ProtocolError(
-            "the result is not what the operation gives",
+            "the result is not of the operation's type",
             where=rtpu,
             got=str(error),
             remedy="run the same pbonet version on every machine",

@@ -45,10 +45,10 @@ def check(request: m.Request, key: str) -> None:
     """
     if key.rpartition("/")[2] != "sbs" and not only_looks(request):
         raise AccessError(
-            "this key takes requests that change nothing",
+            "this key accepts only requests that change nothing",
             where=key,
             expected="hello, links, status, profile, display, modules, events, get, "
-            "files that are read, and freq, sigmask and job that only ask",
+            "reading files, and freq, sigmask and job without changes",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys",
         )

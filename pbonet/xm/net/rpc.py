@@ -418,9 +418,9 @@ def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None
 
 def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:
     return NoAnswerError(
-        f"the agent is there and did not answer within {seconds:g} s",
+        f"the agent is alive but did not answer within {seconds:g} s",
         where=rtpu,
-        remedy=f"see its output; 'pbonet doctor' measures the way to {rtpu}",
+        remedy=f"see its output; 'pbonet doctor' measures the latency to {rtpu}",
     )
 
 
@@ -429,18 +429,18 @@ def _no_access(rtpu: str) -> AccessError:
         "the agent is there, but your request was dropped on the way",
         where=rtpu,
         expected="the keys of a master",
-        remedy="name them with --keys; an observer's are good for status, display, "
-        "profile and events (`pbonet keys show` says whose they are)",
+        remedy="name them with --keys; an observer's keys allow only status, display, "
+        "profile and events (`pbonet keys show` shows their role)",
     )
 
 
 def _no_sign(rtpu: str) -> NoAnswerError:
     return NoAnswerError(
-        "the agent is there and gives no sign of life",
+        "the agent is registered but does not respond",
         where=rtpu,
-        expected=f"one within {ASK_TIME + PROOF_TIME:g} s",
+        expected=f"an answer within {ASK_TIME + PROOF_TIME:g} s",
         remedy="see its output; if it hangs, end it with 'kill -9' and start it "
-        "again: its tasks go on meanwhile, for its grace",
+        "again: its tasks continue meanwhile, for its grace",
     )
 
 

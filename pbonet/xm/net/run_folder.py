@@ -40,7 +40,7 @@ def check_name(what: str, name: str) -> str:
     """
     if not NAME.fullmatch(name):
         raise NodeError(
-            f"this is no name for {what}",
+            f"this is not a valid name for {what}",
             expected="1 to 31 letters, digits, '_', '-' and '.', no '-' or '.' first",
             got=repr(name[:40]),
             remedy="choose another name",

@@ -78,7 +78,7 @@ def check_endpoint(
     local = protocol == "unixsock-stream" and address
     if not local and not (protocol in PROTOCOLS and _is_address(address)):
         raise NodeError(
-            "this is no endpoint",
+            "this is not an endpoint",
             expected="PROTOCOL/HOST:PORT with one of " + " ".join(PROTOCOLS),
             got=repr(endpoint),
             remedy="for example tcp/127.0.0.1:7447, or tcp/[::1]:7447",
@@ -100,7 +100,7 @@ def check_endpoint(
             where=endpoint,
             expected=f"tls/{address}",
             got=protocol,
-            remedy="write it so, or use no keys",
+            remedy="use this endpoint, or no keys",
         )
     if not insecure and key_folder is None and not _is_loopback(address):
         raise NodeError(
@@ -108,7 +108,7 @@ def check_endpoint(
             where=endpoint,
             expected="keys, or an address of this machine alone, such as 127.0.0.1",
             remedy=f"make keys with `pbonet keys` and write tls/{address}; or use "
-            "--insecure if everybody on that network may steer the robot",
+            "--insecure if everyone on that network may control the robot",
         )
     return endpoint
 
@@ -123,7 +123,7 @@ def check_dialled(endpoint: str, *, key_folder: Path | None = None) -> str:
     if check_endpoint(endpoint, key_folder=key_folder).startswith("tls/["):
         port = endpoint.rpartition(":")[2]
         raise NodeError(
-            "a host with an address of IPv6 is reached over TLS by its name only",
+            "over TLS a host with an IPv6 address can be reached only by its name",
             where=endpoint,
             expected=f"tls/NAME:{port}",
             got="an address",
@@ -226,8 +226,7 @@ def client(
             f"every agent of domain {domain} on this machine is stopped",
             where=str(run_folder.folder() / domain),
             got=", ".join(f"{name}: process {pid}" for name, pid in stopped.items()),
-            remedy=f"'kill -CONT {' '.join(map(str, stopped.values()))}' lets them "
-            "go on",
+            remedy=f"'kill -CONT {' '.join(map(str, stopped.values()))}' resumes them",
         )
     key_folder = key_folder or credentials.named()
     endpoints = [check_dialled(one, key_folder=key_folder) for one in connect]

@@ -30,7 +30,7 @@ def remedy(by: AgentInfo, lost: Lost) -> str:
     if by.host == lost.host:
         return f"see {runs}"
     return (
-        f"look at the network between {by.host} and {lost.host}, and {runs}; they link "
+        f"check the network between {by.host} and {lost.host}, and {runs}; they link "
         "again by themselves"
     )
 
@@ -87,7 +87,7 @@ def unreachable(
     there = ", ".join(names) or "none"
     if loss[0]:
         return UnreachableError(
-            "the agent is out of reach",
+            "the agent cannot be reached",
             where=rtpu,
             got=f"{loss[0]}; RTPUs that can be reached: {there}",
             remedy=loss[1],
@@ -120,9 +120,9 @@ def _cut_off(rtpu: str, pid: int) -> UnreachableError:
     """Return the error for an agent whose process runs here but does not answer."""
     stopped = run_folder.is_stopped(pid)
     return UnreachableError(
-        "the agent cannot be reached, though its process is there",
+        "the agent cannot be reached, although its process runs",
         where=rtpu,
         got=f"process {pid}" + (", which is stopped" if stopped else ""),
-        remedy=(f"'kill -CONT {pid}' lets it go on; else " if stopped else "")
+        remedy=(f"'kill -CONT {pid}' resumes it; else " if stopped else "")
         + f"end it with 'kill -9 {pid}' and start it again",
     )

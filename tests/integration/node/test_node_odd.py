@@ -34,7 +34,7 @@ def test_get_gives_numpy_s_numbers_and_refuses_what_is_none(arm):
     (value,) = arm.ask(m.Get(task="bad", name="warnings"), list[m.ParamValue])
     assert value.value == 1.5
     error = arm.refused(PbonetError, arm.ask, m.Get(task="bad", name="text"))
-    assert "cannot be told" in str(error)
+    assert "cannot be sent" in str(error)
     assert "`get`" in str(error)
     now = arm.wait_cycles("bad", 5)
     assert (now.state, now.tid) == ("ON", tid)

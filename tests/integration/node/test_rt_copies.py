@@ -305,7 +305,7 @@ def test_a_synchronous_task_is_timed_by_its_own_events(core) -> None:
     assert core.snapshot(i).cycles == 3
     assert core.snapshot(i).missed == 0
     slot.disarm()
-    with pytest.raises(ValueError, match="timed from outside, and only they, need"):
+    with pytest.raises(ValueError, match="required for tasks that are not periodic"):
         slot.run(lambda _dt: None, None)
 
 

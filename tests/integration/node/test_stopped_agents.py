@@ -69,8 +69,8 @@ def stopped(nodes, *names):
 
 def told(name, pid):
     return (
-        f"{name}: the agent cannot be reached, though its process is there (got "
-        f"process {pid}, which is stopped); 'kill -CONT {pid}' lets it go on; else "
+        f"{name}: the agent cannot be reached, although its process runs (got "
+        f"process {pid}, which is stopped); 'kill -CONT {pid}' resumes it; else "
         f"end it with 'kill -9 {pid}' and start it again"
     )
 
@@ -116,5 +116,5 @@ def test_all_are_named_when_all_are_stopped(two, verb):
             assert done.stderr.endswith(
                 f"every agent of domain {two.domain} on this machine is stopped (got "
                 f"arm0: process {first}, arm1: process {second}); 'kill -CONT {first} "
-                f"{second}' lets them go on\n"
+                f"{second}' resumes them\n"
             )

@@ -236,7 +236,7 @@ def test_who_comes_on_late_takes_nothing_from_who_came_back(
         arm.control(task, "on")
         go_on.touch()
         wait_for(lambda: states(arm)["late"] == "ERROR", "the end of on")
-        assert "late cannot write Y0, another task does" in arm.status("late").error
+        assert "late cannot write Y0: another task does" in arm.status("late").error
         assert (states(arm)[task], writer(arm)) == ("ON", task)
         wait_for(lambda: not causes(arm), "a legal configuration")
 
@@ -275,7 +275,7 @@ def test_on_that_ends_when_nobody_waits_takes_nothing_from_others(
     assert arm.swap("late", "good").items == [("good", "on")]
     go_on.touch()
     wait_for(lambda: states(arm)["late"] == "ERROR", "the end of on")
-    assert "late cannot write Y0, another task does" in arm.status("late").error
+    assert "late cannot write Y0: another task does" in arm.status("late").error
     assert states(arm) == {"stays": "ON", "good": "ON", "late": "ERROR"}
     assert writer(arm) == "good"
     wait_for(lambda: not causes(arm), "a legal configuration")

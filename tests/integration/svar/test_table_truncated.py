@@ -90,7 +90,7 @@ def test_tasks_die_with_a_clear_cause_and_the_rtpu_goes_on(
     wait_gone(pids)
     cause = (
         f"{path}: the table's file was truncated while it was in use (expected {size} "
-        f"bytes, got {left} bytes); its tasks die of it: stop the subsystem, which "
+        f"bytes, got {left} bytes); its tasks will die: stop the subsystem, which "
         "removes the file, and start it again; find out who writes to shared memory "
         "files"
     )

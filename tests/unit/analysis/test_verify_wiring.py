@@ -259,7 +259,7 @@ def test_what_goes_by_age_needs_a_variable_that_grows_old() -> None:
     (problem,) = legality.check(first_of())
     assert problem.severity is legality.Severity.WARN
     assert legality.as_text(problem) == (
-        "join.rmod: X1 has no MAXAGE, so join takes it for valid even when nobody "
+        "join.rmod: X1 has no MAXAGE, so join takes it for valid even when no task "
         "writes it any more, and never falls back for that; write MAXAGE and seconds "
         "under NAME X1 in the .svar file"
     )

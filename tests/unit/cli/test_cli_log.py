@@ -114,7 +114,7 @@ def test_values_go_to_text_files_as_they_are_shown(call, path, tmp_path) -> None
     ("name", "got", "remedy"),
     [
         ("a.parqet", ".parqet", "did you mean .parquet?"),
-        ("values", "no ending", "say values.csv"),
+        ("values", "no ending", "use values.csv"),
     ],
 )
 def test_a_file_is_written_as_its_name_ends(call, path, name, got, remedy) -> None:
@@ -133,7 +133,7 @@ def test_a_log_without_commands_says_why(call, path, tmp_path) -> None:
         "commands": []
     }
     err = call("log", "commands", tmp_path / "s.mcap")[2]
-    assert err.startswith("nobody sent a command: this run was simulated, ")
+    assert err.startswith("no commands were sent: this run was simulated, ")
 
 
 def test_a_log_that_was_cut_is_recovered(call, path, tmp_path) -> None:
@@ -152,7 +152,7 @@ def test_a_log_that_was_cut_is_recovered(call, path, tmp_path) -> None:
     cut.write_bytes(path.read_bytes()[:5])
     status, _, err = call("log", "recover", cut, "-o", tmp_path / "b.mcap")
     assert status == 1
-    assert f"{cut}: nothing stands in the log: it was cut before its first" in err
+    assert f"{cut}: the log is empty: it was truncated before its first" in err
     assert not (tmp_path / "b.mcap").exists()
 
 

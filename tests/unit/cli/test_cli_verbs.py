@@ -243,8 +243,8 @@ def test_a_host_that_is_not_found_is_told_in_words_of_pbonet(call):
     status, _, err = call(*words, "--domain", "nobody-here")
     assert status == 1
     assert err.startswith(
-        "pbonet: tcp/no..where:7447: no agent of domain nobody-here answers (got no "
-        "host that is known as no..where); is the name right?"
+        "pbonet: tcp/no..where:7447: no agent of domain nobody-here answers (got the "
+        "host name no..where is unknown); is the name right?"
     )
 
 

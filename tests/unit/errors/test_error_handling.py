@@ -265,7 +265,7 @@ def test_an_answer_that_there_is_not():
     with pytest.raises(MethodError) as caught:
         made.step()
     assert str(caught.value) == (
-        "bench.cycle: a handler of errors gave an answer that it cannot give "
+        "bench.cycle: an error handler returned an invalid answer "
         "(expected None or Handling.ABORT or Handling.CONTINUE or Handling.JUMP, "
         "got 'please'); this happened in the handler of: x"
     )

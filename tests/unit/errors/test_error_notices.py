@@ -163,7 +163,7 @@ def test_what_cannot_be_told_is_answered_with_an_error(ends, given):
     voice.say(rtpu_messages.Done(n=1, state="ON", result=given))
     (done,) = heard(far)
     assert (done.n, done.state, done.result) == (1, "ON", None)
-    assert done.error["what"] == "the task's answer cannot be told"
+    assert done.error["what"] == "the task's answer cannot be sent"
 
 
 def test_counts_that_come_with_a_message_are_added():

@@ -142,7 +142,7 @@ def test_a_log_cut_before_its_first_chunk_says_so_or_has_no_cycles(tmp_path) -> 
         assert not is_complete(cut)
         if not Part(cut).metadata:
             told.add(at)
-            with pytest.raises(LogError, match=": nothing stands in the log") as caught:
+            with pytest.raises(LogError, match=": the log is empty") as caught:
                 Log(cut)
             assert caught.value.got == f"{at} bytes"
             continue

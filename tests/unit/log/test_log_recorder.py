@@ -189,7 +189,7 @@ def test_a_ring_that_another_drains_is_told_and_left(tmp_path, monkeypatch) -> N
     monkeypatch.setattr(recording, "HANDOVER", 0.0)
     recorder.turn()
     assert codes(said) == ["NOT_RECORDED"]
-    assert "somebody else drains this ring" in said[-1].text
+    assert "another process drains this ring" in said[-1].text
     recorder.turn()
     assert codes(said) == ["NOT_RECORDED"], "it is said once"
     recorder.end()
@@ -297,8 +297,8 @@ def test_a_recorder_that_is_lost_too_often_is_not_started_again(tmp_path) -> Non
         recorders.stop()
     assert codes(said) == ["RECORDER_DIED"] * (RESTARTS + 1)
     texts = [one.text for one in said]
-    assert all(text.endswith("another one goes on") for text in texts[:-1])
-    assert texts[-1].endswith("nothing is recorded any more")
+    assert all(text.endswith("another one continues") for text in texts[:-1])
+    assert texts[-1].endswith("recording has stopped")
     assert len(Log(tmp_path / "r").parts) == RESTARTS + 1
 
 
@@ -327,9 +327,9 @@ def test_a_recorder_that_cannot_be_started_again_at_once_is_so_later(
     finally:
         recorders.stop()
     assert codes(said) == ["RECORDER_DIED"] * 2
-    assert said[0].text.endswith("another one goes on")
+    assert said[0].text.endswith("another one continues")
     assert "could not be started again: [Errno 24] Too many" in said[1].text
-    assert said[1].text.endswith("it is tried on")
+    assert said[1].text.endswith("it is tried again")
     assert len(Log(tmp_path / "r").commands()) == 1
 
 

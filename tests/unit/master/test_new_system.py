@@ -141,7 +141,8 @@ def test_nothing_is_written_over_and_nothing_elsewhere(call, write, tmp_path):
     assert not (tmp_path / "arm.job").exists()
     assert call("new", "job", "arm", "plant", "--force")[0] == 0
     for name in ("../arm", ".svar", ""):
-        assert "this is no name for a file" in call("new", "svar", name, "plant")[2]
+        said = call("new", "svar", name, "plant")[2]
+        assert "this is not a valid name for a file" in said
 
 
 def test_a_structure_has_no_length_that_a_module_knows(call, write):

@@ -87,7 +87,7 @@ def test_recording_that_shows_nothing_is_told(demo: ModuleType, tmp_path: Path) 
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
     empty = tmp_path / "empty.mcap"
     empty.write_bytes(b"")
-    with pytest.raises(SystemExit, match="nothing stands in the log"):
+    with pytest.raises(SystemExit, match="the log is empty"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
     assert not (tmp_path / "a.png").exists()
 

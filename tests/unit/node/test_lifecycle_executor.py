@@ -101,7 +101,7 @@ def test_a_module_may_refuse_a_parameter():
     bench = make(set=boom)
     with pytest.raises(MethodError, match=r"^scale\.set: ZeroDivisionError") as caught:
         bench.set("gain", 2.0)
-    assert caught.value.remedy == "the old value of gain stands"
+    assert caught.value.remedy == "the old value of gain remains"
     assert bench.module.params.gain == 1.0
     assert bench.state is State.OFF
 

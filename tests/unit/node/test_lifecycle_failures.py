@@ -132,13 +132,13 @@ def test_answers_that_cannot_be_given_are_errors():
     with pytest.raises(MethodError) as caught:
         make(on=lambda _: Answer.CONTINUE).on()
     assert str(caught.value) == (
-        "scale.on: on gave an answer that it cannot give "
-        "(expected None or Answer.OFF, got Answer.CONTINUE); mend what it returns"
+        "scale.on: on returned an invalid answer "
+        "(expected None or Answer.OFF, got Answer.CONTINUE); correct what it returns"
     )
     with pytest.raises(MethodError, match=r"expected None or Answer.OFF, got True"):
         make(on=lambda _: True).on()
     for other in ("OFF", [], {}):
-        with pytest.raises(MethodError, match=r"on gave an answer that it cannot give"):
+        with pytest.raises(MethodError, match=r"on returned an invalid answer"):
             make(on=lambda _, other=other: other).on()
     bench = make(cycle=boom, error=lambda _: "OFF!")
     bench.on()
@@ -166,7 +166,7 @@ def test_a_non_finite_output_is_an_error_that_names_it():
         bench.step()
     assert caught.value.what == (
         "an output is not a finite number: Y[1] (got nan); the table keeps its last "
-        "values: look in the module for what makes it so"
+        "values: find the cause in the module"
     )
     assert bench.outputs.y.tolist() == [0.0, 0.0]
 
@@ -183,10 +183,12 @@ def test_outputs_that_are_refused_behind_on_are_not_owned():
 
 
 def test_refused_flags_in_words():
-    assert str(refused(8, Blamed())).startswith("no whole set of inputs was had; ")
+    assert str(refused(8, Blamed())).startswith(
+        "no consistent set of inputs could be copied; "
+    )
     assert str(refused(32 | 2, Blamed("Y", 0, "73.2", "-50.0 to 50.0 N"))) == (
         "an output is outside its limits: Y[0] (expected -50.0 to 50.0 N, got 73.2); "
-        "the table keeps its last values: bound it in the module, or say LIMIT clip in "
+        "the table keeps its last values: bound it in the module, or set LIMIT clip in "
         "the .svar file"
     )
 
@@ -251,7 +253,7 @@ def test_no_answer_saves_a_task_from_kill(answer):
     bench.on()
     with pytest.raises(MethodError) as caught:
         bench.kill()
-    assert str(caught.value) == ("scale.off: no; the task has ended all the same")
+    assert str(caught.value) == ("scale.off: no; the task has ended anyway")
     assert bench.state is State.NOT_CREATED
     assert bench.log[-4:] == ["off", "error", "disown", "kill"]
     assert seen == [([7.0, 7.0], State.NOT_CREATED)]
@@ -285,7 +287,7 @@ def test_a_kill_whose_methods_all_fail_tells_all():
     why = "ZeroDivisionError: division by zero"
     assert str(caught.value) == (
         f"scale.off: {why}; and then scale.error: {why}; and then scale.kill: {why}; "
-        "the task has ended all the same"
+        "the task has ended anyway"
     )
     assert bench.state is State.NOT_CREATED
 
@@ -296,7 +298,7 @@ def test_outputs_that_cannot_be_written_do_not_stop_a_kill():
 
     bench = make(off=poison, error=lambda _: Answer.CONTINUE)
     bench.on()
-    with pytest.raises(MethodError, match=r"not a finite number.*has ended all the"):
+    with pytest.raises(MethodError, match=r"not a finite number.*has ended anyway"):
         bench.kill()
     assert bench.state is State.NOT_CREATED
     assert bench.log[-5:] == ["out-vars out", "error", "out-vars out", "disown", "kill"]
@@ -322,7 +324,7 @@ def test_in_consts_that_are_not_had_leave_the_old_ones():
         return 8
 
     bench.table.copy_in_consts = lost
-    with pytest.raises(MethodError, match="no whole set of inputs"):
+    with pytest.raises(MethodError, match="no consistent set of inputs"):
         bench.reinit()
     assert bench.module.ndof == 2
 

@@ -46,15 +46,18 @@ STAYS = "put it back, or end the agent and start it again: its tasks turn OFF"
         ({"domain": "d"}, "keeps its domain (expected domain lab, got d); " + STAYS),
         ({"core": 0}, "keeps its core (expected core 1, got 0); " + STAYS),
         ({"name": None}, "keeps its name (expected name arm0, got None); " + STAYS),
-        ({"listen": ("tcp/127.0.0.1",)}, "this is no endpoint"),
-        ({"listen": ("tcp/127.0.0.1:65536",)}, "this is no endpoint"),
+        ({"listen": ("tcp/127.0.0.1",)}, "this is not an endpoint"),
+        ({"listen": ("tcp/127.0.0.1:65536",)}, "this is not an endpoint"),
         ({"listen": ("tcp/x..y:80",), "insecure": True}, "be listened on"),
         ({"listen": ("tcp/0.0.0.0:7447",)}, "beyond this machine is not protected"),
         ({"listen": ("tcp/192.0.2.1:7448",), "insecure": True}, "be listened on"),
         ({"connect": ("tls/10.0.0.1:7447",)}, "TLS needs keys"),
         ({"keys": "/nowhere"}, "with keys every link over a network is TLS"),
-        ({"keys": "/nowhere", "listen": ()}, "this is no key folder"),
-        ({"files": "/nowhere"}, "the folder of files for others is not there"),
+        ({"keys": "/nowhere", "listen": ()}, "this is not a key folder"),
+        (
+            {"files": "/nowhere"},
+            "the folder of files for other machines does not exist",
+        ),
     ],
 )
 def test_what_may_not_be(more, words):
@@ -72,7 +75,7 @@ def test_a_port_that_is_taken_is_found_out():
             restart_check.check(OLD, config(listen=(endpoint,)), 1)
     assert str(error.value) == (
         f"{endpoint}: the endpoint cannot be listened on (got Address already in use); "
-        "name an address of this machine, and a port that is free"
+        "name an address of this machine, and a free port"
     )
 
 

@@ -102,7 +102,7 @@ def test_an_heir_whose_on_is_slow_takes_nothing_from_who_came_back(table, old, n
     old.cede()
     new.engage(old.claim)
     assert (new.executor.state, writer(table)) == (State.ERROR, "old")
-    assert "new cannot write Y0, another task does" in str(new.error)
+    assert "new cannot write Y0: another task does" in str(new.error)
 
 
 def test_a_fallback_whose_on_is_slow_takes_nothing_from_the_one_before(table, old, new):

@@ -59,10 +59,10 @@ def test_it_is_told_once_a_day_and_when_it_is_over(lab, clock):
     finally:
         term.stop()
     assert [note.text.partition(";")[0] for note in told] == [
-        "the keys run out in 28 days",
-        "the keys run out in 27 days",
-        "the keys run out in 26 days",
-        "the keys have run out: no other machine can be reached any more",
+        "the keys expire in 28 days",
+        "the keys expire in 27 days",
+        "the keys expire in 26 days",
+        "the keys have expired: no other machine can be reached",
     ]
     kinds = [Severity.WARNING] * 3 + [Severity.ERROR]
     assert [(note.code, note.severity) for note in told] == [
@@ -100,9 +100,9 @@ def test_keys_that_others_refuse_are_told_once(lab, tmp_path, monkeypatch):
             term.stop()
     (note,) = told
     assert (note.code, note.severity) == ("KEYS_REFUSED", int(Severity.ERROR))
-    why = "its certificate is not of the authority of these keys"
+    why = "its certificate was not signed by the authority of these keys"
     assert note.text.startswith(f"no link to {endpoint}: {why}; ")
-    assert f"here into {mine}, " in note.text
+    assert f"(here in {mine})" in note.text
 
 
 @contextlib.contextmanager

@@ -37,7 +37,7 @@ def test_good_names(name):
 
 @pytest.mark.parametrize("name", ["", ".", "-a", "a/b", "a*", "ä", "a b", "x" * 32])
 def test_bad_names(name):
-    with pytest.raises(NodeError, match="no name for an RTPU"):
+    with pytest.raises(NodeError, match="not a valid name for an RTPU"):
         run_folder.check_name("an RTPU", name)
 
 
@@ -125,7 +125,7 @@ def test_endpoints_beyond_it(endpoint):
 
 @pytest.mark.parametrize("endpoint", ["", "tcp", "tcp/", "ftp/1.2.3.4:5", "1.2.3.4:5"])
 def test_endpoints_that_are_none(endpoint):
-    with pytest.raises(NodeError, match="this is no endpoint"):
+    with pytest.raises(NodeError, match="this is not an endpoint"):
         session.check_endpoint(endpoint)
 
 

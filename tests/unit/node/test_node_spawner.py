@@ -80,6 +80,6 @@ def test_a_system_that_gives_no_process_is_named(monkeypatch):
 
     monkeypatch.setattr(os, "fork", refused)
     before = sorted(Path("/proc/self/fd").iterdir())
-    with pytest.raises(NodeError, match=r"gives no process .*Resource.*ulimit"):
+    with pytest.raises(NodeError, match=r"cannot create a process .*Resource.*ulimit"):
         fork_server.beside(0, close=-1)
     assert sorted(Path("/proc/self/fd").iterdir()) == before

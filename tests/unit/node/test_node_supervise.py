@@ -163,7 +163,7 @@ def test_messages_that_cannot_be_read_are_borne_for_a_while_only(ends, info, cap
     far.sendall(UNREADABLE)
     hears.wait("ended")
     assert hears.heard.count("broke") == rtpu_link.UNREAD
-    assert "the RTPU process is not understood: arm0, process" in hears.how
+    assert "the RTPU process cannot be understood: arm0, process" in hears.how
     assert "must be of one installation" in hears.how
     assert [one.levelname for one in caplog.records] == ["WARNING"]
     os.kill(info.pid, 0)  # it goes on for its grace
@@ -183,7 +183,7 @@ class Lacking:
 
 
 def told(caplog):
-    return [one for one in caplog.records if "cannot be made anew" in one.message]
+    return [one for one in caplog.records if "cannot be opened again" in one.message]
 
 
 def test_a_link_is_made_anew_when_there_are_descriptors_again(
@@ -201,7 +201,7 @@ def test_a_link_is_made_anew_when_there_are_descriptors_again(
     hears.wait(b"news")
     assert (pidfd.left, sock.left) == (0, 0)
     (record,) = told(caplog)
-    assert "Too many open files; it is tried again" in record.message
+    assert "Too many open files; this is retried" in record.message
 
 
 def test_an_end_is_told_though_descriptors_lack(ends, info, monkeypatch, caplog):

@@ -126,5 +126,5 @@ def test_a_parent_that_is_gone_already_is_noticed() -> None:
 
 
 def test_the_guard_refuses_what_is_no_signal() -> None:
-    with pytest.raises(OSError, match="the watch over the parent cannot be set up"):
+    with pytest.raises(OSError, match="the parent process cannot be watched"):
         _rt.orphan_guard(signal.SIGKILL)

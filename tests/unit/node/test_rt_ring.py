@@ -73,7 +73,7 @@ def test_the_consumer_may_be_another_process(ring) -> None:
 def test_there_is_one_consumer(ring) -> None:
     ring.drain()
     other = _rt.Ring.attach("sub.task")
-    with pytest.raises(NodeError, match="somebody else drains this ring"):
+    with pytest.raises(NodeError, match="another process drains this ring"):
         other.drain()
     other.close()
 
@@ -92,7 +92,9 @@ def test_what_is_no_ring_is_refused(tmp_path) -> None:
         _rt.Ring.attach("nobody")
     bad = tmp_path / f"pbonet.{os.geteuid()}.bad.ring"
     bad.write_bytes(b"x" * 9000)
-    with pytest.raises(NodeError, match="the file is no ring, or of another version"):
+    with pytest.raises(
+        NodeError, match="the file is not a ring, or is of another version"
+    ):
         _rt.Ring.attach("bad")
     bad.unlink()
 

@@ -115,8 +115,8 @@ def test_slots_of_a_dead_member_are_reclaimed_by_the_next_alloc(table) -> None:
 @pytest.mark.parametrize(
     ("spoil", "error", "text"),
     [
-        (lambda p: p.chmod(0o644), RealTimeError, "belongs to somebody else"),
-        (lambda p: (p.unlink(), p.symlink_to("/dev/null")), RealTimeError, "somebody"),
+        (lambda p: p.chmod(0o644), RealTimeError, "belongs to another user"),
+        (lambda p: (p.unlink(), p.symlink_to("/dev/null")), RealTimeError, "another"),
         (lambda p: _poke(p, 8, b"\x63"), NodeError, "of another version"),
         (lambda p: _poke(p, 0, b"\x00"), NodeError, "is damaged; restart the agents"),
         (lambda p: os.truncate(p, 5000), NodeError, "is damaged"),

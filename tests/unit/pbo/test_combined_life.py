@@ -326,7 +326,7 @@ def test_when_the_next_part_fails_too_both_are_told(folder):
     with pytest.raises(MethodError) as caught:
         bench.on()
     assert str(caught.value) == (
-        "both.two.on: RuntimeError: two fails in on; before that was put right: "
+        "both.two.on: RuntimeError: two fails in on; before that was corrected: "
         "both.one.on: RuntimeError: one fails in on"
     )
     assert bench.state is State.ERROR

@@ -90,7 +90,7 @@ def test_a_file_in_use_is_not_replaced_and_an_unused_one_is():
     first, fresh = FILES.make(path, 8)
     FILES.publish(fresh, path)
     second, fresh = FILES.make(path, 16)
-    with pytest.raises(XmExistsError, match="a thing of this name stands already"):
+    with pytest.raises(XmExistsError, match="a thing of this name already exists"):
         FILES.publish(fresh, path)
     assert not fresh.exists()
     os.close(first)

@@ -50,7 +50,7 @@ def test_the_new_task_was_called_by_the_old_one(arm):
     arm.spawn("slow", "b")
     arm.swap("fast", "slow")
     assert [one.text for one in arm.events() if one.code == "ENGAGED"] == [
-        "in the place of fast"
+        "in place of fast"
     ]
 
 

@@ -114,8 +114,8 @@ def test_an_owner_that_cannot_be_looked_at_counts_as_alive(table):
         check=True,
         stdin=subprocess.DEVNULL,
     )
-    assert "thief cannot write V0, another task does" in done.stdout
-    assert "the claims of owner stand, its process runs" in done.stdout
+    assert "thief cannot write V0: another task does" in done.stdout
+    assert "the claims of owner remain, because its process runs" in done.stdout
     assert owner.commit() == 0
 
 
@@ -165,7 +165,7 @@ def test_a_fresh_register_that_is_not_there_is_said_before_a_module_is_turned_on
         task.array("X")[:] = task.array("Y")[:] = 2
         before = table.generation
         for call in (task.check_claim, task.claim):
-            with pytest.raises(SvarFullError, match="no register is left for task"):
+            with pytest.raises(SvarFullError, match="no register is free for task"):
                 call()
         assert table.generation == before
         assert table.read("X")[0] == 0

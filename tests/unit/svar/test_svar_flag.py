@@ -84,8 +84,8 @@ def test_a_process_has_room_for_64_causes_and_what_finds_none_is_counted(table):
         table.raise_illegal(f"cause {n}", "t")
     with pytest.raises(
         SvarFullError,
-        match=r"too many causes stand, this one was not added: one more \(expected at "
-        r"most 64 of a process and 128 in all\)",
+        match=r"there are too many causes; this one was not added: one more \(expected "
+        r"at most 64 of a process and 128 in all\)",
     ):
         table.raise_illegal("one more", "t")
     assert table.unlisted == 1
@@ -113,7 +113,7 @@ def test_long_texts_of_a_cause_are_cut(table):
 
 def test_a_live_raiser_alone_clears_what_it_raised(table, other):
     child = other(2)
-    text = r"arm: what other raised is not cleared, its process lives"
+    text = r"arm: the causes of other are not cleared, because its process is alive"
     with pytest.raises(SvarOwnerError, match=text):
         table.clear_illegal("other")
     assert len(table.illegal) == 3

@@ -127,7 +127,7 @@ def test_a_second_live_owner_is_refused_and_nothing_changes(table):
     fill(second, V1=2, V2=2)
     first.claim()
     text = (
-        r"arm: second cannot write V1, another task does \(expected one task that "
+        r"arm: second cannot write V1: another task does \(expected one task that "
         r"writes a variable, got owner first\); turn first off first, or give second "
         r"an alias for V1"
     )
@@ -225,7 +225,9 @@ def test_a_dead_tasks_claims_are_reaped_and_taken_over(table):
 def test_a_live_task_is_not_reaped(table):
     task = table.local("t", ME, outvar=["V0"])
     task.claim()
-    with pytest.raises(SvarOwnerError, match="the claims of t stand, its process runs"):
+    with pytest.raises(
+        SvarOwnerError, match="the claims of t remain, because its process runs"
+    ):
         table.reap(task.owner)
     assert table.info("V0").owner == "t"
     assert table.reap("nobody") == []
@@ -242,7 +244,7 @@ def test_registers_run_out_with_an_error_and_are_used_again():
     variables = [Variable(name="X", type="double", nelem=40_000)]
     with Table.create("small", variables, spare=2) as table:
         held = [table.local(f"t{i}", ME, outvar=["X"]) for i in range(2)]
-        with pytest.raises(SvarFullError, match="no register is left for t2"):
+        with pytest.raises(SvarFullError, match="no register is free for t2"):
             table.local("t2", ME, outvar=["X"])
         held[0].claim()
         held[1].close()

@@ -164,7 +164,7 @@ def test_operator_may_not_set_what_a_task_owns(table):
         task.claim()
         with pytest.raises(
             SvarOwnerError,
-            match=r"arm: Q_REF cannot be set, a task writes it \(expected a variable "
+            match=r"arm: Q_REF cannot be set: a task writes it \(expected a variable "
             r"that no task owns, got owner pid\); turn pid off first",
         ):
             table.write("Q_REF", [0] * 6)
@@ -235,14 +235,14 @@ def test_layout_differs_for_tables_that_do_not(fields):
 
 def test_attach_compares_the_layout_when_asked(table):
     Table.attach("arm", layout=table.layout).close()
-    with pytest.raises(SvarLayoutError, match="stands with another layout"):
+    with pytest.raises(SvarLayoutError, match="exists with another layout"):
         Table.attach("arm", layout=changed())
 
 
 @pytest.mark.parametrize(
     ("variables", "text"),
     [
-        ([Variable(name="X", type="int")] * 2, "the variable X is there twice"),
+        ([Variable(name="X", type="int")] * 2, "the variable X is defined twice"),
         ([Variable(name="", type="int")], "expected 1 to 15 characters"),
         ([Variable(name="N" * 16, type="int")], "expected 1 to 15 characters, got 16"),
         ([Variable(name="X", type="int", nelem=0)], "has no elements"),
@@ -270,7 +270,7 @@ def test_missing_table_is_said():
 
 def test_a_table_in_use_is_not_made_again(table):
     table.write("NDOF", [7])
-    with pytest.raises(SvarExistsError, match="stands already and is in use"):
+    with pytest.raises(SvarExistsError, match="already exists and is in use"):
         Table.create("arm", PLAIN)
     assert table.read("NDOF").tolist() == [7]
 
@@ -352,7 +352,7 @@ def test_shorter_than_a_header_is_refused(table, size):
 
 def test_cut_short_is_refused(table):
     os.truncate(table.path, table.path.stat().st_size - 4096)
-    with pytest.raises(SvarDamagedError, match="cut short"):
+    with pytest.raises(SvarDamagedError, match="truncated"):
         Table.attach("arm")
 
 

@@ -170,11 +170,11 @@ def test_one_writer_and_one_reader(link, monkeypatch):
     with pytest.raises(XmTakenError) as second:
         tbuf.Writer("x", SIX)
     assert str(second.value) == (
-        "arm:x: the link has its one writer already (got process "
+        "arm:x: the link already has a writer (got process "
         f"{os.getpid()} of arm); end that one first, or give this writer a link of its "
         "own"
     )
-    with pytest.raises(XmTakenError, match="its one reader already"):
+    with pytest.raises(XmTakenError, match="already has a reader"):
         tbuf.Reader("arm:x")
     link[0].close()
     with tbuf.Writer("x", SIX) as successor:
@@ -226,8 +226,8 @@ def test_a_name_that_is_somebody_elses_says_whose():
     with pytest.raises(XmNameError) as refused:
         tbuf.Writer("vision:x", SIX)
     assert str(refused.value) == (
-        "vision:x: a link is named after who writes it (expected arm or arm0:x, got "
-        "vision:x); call it x, or let vision write it"
+        "vision:x: a link is named after its writer (expected arm or arm0:x, got "
+        "vision:x); name it x, or let vision write it"
     )
 
 
@@ -325,9 +325,9 @@ def damage(path, offset, data):
 @pytest.mark.parametrize(
     ("offset", "data", "kind", "words"),
     [
-        (0, b"x", XmDamagedError, "no buffer"),
+        (0, b"x", XmDamagedError, "not a buffer"),
         (8, struct.pack("<I", 99), XmLayoutError, "another version"),
-        (16, struct.pack("<Q", 1 << 40), XmDamagedError, "no buffer"),
+        (16, struct.pack("<Q", 1 << 40), XmDamagedError, "not a buffer"),
         (0, struct.pack(">Q", 0x6662745F74656E62), XmLayoutError, "byte order"),
     ],
 )

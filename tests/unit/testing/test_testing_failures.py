@@ -258,9 +258,9 @@ def test_another_answer_is_an_error(answer):
     with pytest.raises(MethodError) as caught:
         bench.timing_failure(DEADLINE)
     assert str(caught.value) == (
-        "search.timing_failure: timing_failure gave an answer that it cannot give "
+        "search.timing_failure: timing_failure returned an invalid answer "
         "(expected None or Recovery.CONTINUE or Recovery.ABORT or Recovery.SKIP, got "
-        f"{answer!r}); mend what it returns; no return at all means CONTINUE"
+        f"{answer!r}); correct what it returns; no return at all means CONTINUE"
     )
 
 
@@ -270,7 +270,7 @@ def test_a_task_that_is_not_on_does_not_fail_in_time():
     with pytest.raises(StateError) as caught:
         bench.timing_failure(DEADLINE)
     assert str(caught.value) == (
-        "search: a timing failure is one of a task that is ON (got state OFF); "
+        "search: only a task that is ON has timing failures (got state OFF); "
         "turn it on first"
     )
     with pytest.raises(StateError, match="signal abort is not valid in state OFF"):

@@ -157,7 +157,7 @@ def test_a_link_put_in_the_way_meanwhile_is_refused(ask, root, monkeypatch):
 def test_only_regular_files_are_read(ask, root):
     os.mkfifo(root / "pipe")
     for path in ("pipe", "logs"):
-        with pytest.raises(XmAccessError, match="this is no regular file"):
+        with pytest.raises(XmAccessError, match="this is not a regular file"):
             ask(f.FileRead(path=path, offset=0, size=3))
 
 
@@ -191,7 +191,7 @@ def test_what_is_not_finished_leaves_the_old_file(ask, root):
         f.FileWrite(path="logs/run.txt", part="a1", offset=1, data=b"y"),
         f.FileFinish(path="logs/run.txt", part="a1", size=1, keep=True),
     ):
-        with pytest.raises(XmLapsedError, match="a file that stood there is unchanged"):
+        with pytest.raises(XmLapsedError, match="an existing file is unchanged"):
             ask(late)
     ask(f.FileWrite(path="logs/run.txt", part="a2", offset=0, data=b"x"))
     with pytest.raises(XmLapsedError):
@@ -229,9 +229,9 @@ def test_bounds(ask, monkeypatch):
     ask(f.FileWrite(path="a", part="a1", offset=0, data=b"x"))
     with pytest.raises(XmFullError, match="too many files are being written"):
         ask(f.FileWrite(path="b", part="b1", offset=0, data=b"x"))
-    with pytest.raises(XmNameError, match="no name of a part"):
+    with pytest.raises(XmNameError, match="not a valid name of a part"):
         ask(f.FileWrite(path="b", part="../x", offset=0, data=b"x"))
-    with pytest.raises(XmNameError, match="this cannot be done"):
+    with pytest.raises(XmNameError, match="this change is not possible"):
         ask(f.FileChange(path="", what="rmdir"))
     ask.fileserver.lost("c1")
 
@@ -252,13 +252,15 @@ def test_an_agent_that_declares_none_says_how():
         fileserver.operations[f.FileStat](f.FileStat(path="x"))
     assert str(error.value) == (
         "arm1: this agent declares no files (expected files = FOLDER in its "
-        "agent.toml, or --files FOLDER); start it so; whoever may steer can write "
-        "there then"
+        "agent.toml, or --files FOLDER); start it with one of these; every master can "
+        "then write to it"
     )
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(NodeError, match="folder of files for others is not there"):
+    with pytest.raises(
+        NodeError, match="folder of files for other machines does not exist"
+    ):
         server.FileServer(str(tmp_path / "none"), "arm1")
 
 

@@ -158,7 +158,7 @@ def test_a_transaction_is_all_or_nothing_of_each_file(fs, root):
 def test_modes(fs, root):
     with fs.open("arm1/new", "xb") as file:
         file.write(b"1")
-    with pytest.raises(XmExistsError, match="something stands there"):
+    with pytest.raises(XmExistsError, match="there is already a file at this path"):
         fs.open("arm1/new", "xb")
     file = fs.open("arm1/newer", "xb")
     file.write(b"2")
@@ -166,10 +166,10 @@ def test_modes(fs, root):
     with pytest.raises(XmExistsError):
         file.close()
     assert (root / "newer").read_bytes() == b"1"
-    with pytest.raises(XmAccessError, match="is read or written, whole"):
+    with pytest.raises(XmAccessError, match="is read or written as a whole"):
         fs.open("arm1/new", "ab")
     (root / "sub").mkdir()
-    with pytest.raises(XmAccessError, match="this is no regular file"):
+    with pytest.raises(XmAccessError, match="this is not a regular file"):
         fs.open("arm1/sub")
     with pytest.raises(XmMissingError) as error:
         fs.open("arm1/none")
@@ -234,10 +234,10 @@ OUT = "out of the agent's folder"
         ("arm1/none arm1/new", "there is no such file"),
         ("arm1/none arm1/fresh/new", "arm1:none: there is no such file"),
         ("arm1/none/at arm1/fresh/new", "arm1:none/at: there is no such file"),
-        ("arm1/logs arm1/logs/fresh/logs", "this cannot be moved there"),
-        ("arm1 arm1/new", "this cannot be moved there"),
-        ("arm1/logs arm1/logs/old/logs", "this cannot be moved there"),
-        ("arm1/logs/run arm1/logs/../run", "this is no path of a file here"),
+        ("arm1/logs arm1/logs/fresh/logs", "this move is not possible"),
+        ("arm1 arm1/new", "this move is not possible"),
+        ("arm1/logs arm1/logs/old/logs", "this move is not possible"),
+        ("arm1/logs/run arm1/logs/../run", "this is not a valid path"),
         ("arm1/logs/run arm1/out/run", f"the path leads {OUT}"),
         ("arm1/out/secret arm1/got", f"the path leads {OUT}"),
     ],
@@ -296,7 +296,7 @@ def test_moved_to_another_machine(fs, desk, root, other):
     assert files(other) == ["logs/old/a", "logs/old/b", "run"]
     (root / "logs").mkdir()
     (root / "logs" / "new").write_bytes(bytes(3 * f.CHUNK))
-    with pytest.raises(XmExistsError, match="a folder stands where this is to go"):
+    with pytest.raises(XmExistsError, match="there is a folder at the new path"):
         fs.mv("arm1/logs", "arm2/")
     desk.cut_after = len(desk.asked) + 12
     with pytest.raises(UnreachableError):

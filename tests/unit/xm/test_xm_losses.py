@@ -46,9 +46,9 @@ def test_doctor_tells_which_machines_and_since_when():
     infos = [agent("arm0", "a", NEIGHBOUR, BEHIND, LONGER), agent("arm4", "a")]
     assert [str(one) for one in doctor.losses(infos)] == [
         "WARN arm0 of a has not seen arm1 of b for 12 s, to which it had a link, and "
-        "with it arm2 of c; look at the network between a and b, and whether arm1 runs "
+        "with it arm2 of c; check the network between a and b, and whether arm1 runs "
         "on b; they link again by themselves",
-        "WARN arm0 of a has not seen arm3 of d for 60 s; look at the network between a "
+        "WARN arm0 of a has not seen arm3 of d for 60 s; check the network between a "
         "and d, and whether arm3 runs on d; they link again by themselves",
     ]
     (same,) = doctor.losses([agent("arm0", "a", lost("arm1", "a", 3.0))])
@@ -81,8 +81,8 @@ def test_the_error_says_so():
     remedy = unreachable_reason.remedy(agent("arm0", "a"), NEIGHBOUR)
     error = unreachable_reason.unreachable("arm1", "d", ["arm0"], (loss, remedy))
     assert str(error) == (
-        "arm1: the agent is out of reach (got arm0 of a has not seen arm1 of b for 12 "
-        "s, to which it had a link; RTPUs that can be reached: arm0); look at the "
+        "arm1: the agent cannot be reached (got arm0 of a has not seen arm1 of b for "
+        "12 s, to which it had a link; RTPUs that can be reached: arm0); check the "
         "network between a and b, and whether arm1 runs on b; they link again by "
         "themselves"
     )
@@ -90,7 +90,7 @@ def test_the_error_says_so():
 
 def test_doctor_tells_what_agents_say_of_their_links():
     """Of each pair once, by whichever of the two knows; what is amiss with a remedy."""
-    unasked = "its agent is seen, and no request finds its way there"
+    unasked = "its agent is seen, but requests do not reach it"
     reports = {
         "arm0": LinkReport(
             rtpu="arm0",

@@ -30,7 +30,7 @@ def test_a_name_alone_belongs_to_the_processs_own_rtpu() -> None:
     "name", ["", ":", "a:", ":b", "a:b:c", "a/b", "../x", "-a", "a b", "x" * 65]
 )
 def test_what_is_no_name_is_refused(name) -> None:
-    with pytest.raises(XmNameError, match="this is no name of a resource") as error:
+    with pytest.raises(XmNameError, match="this is not a valid resource name") as error:
         xm.semaphore(name)
     assert isinstance(error.value, ValueError)
 
@@ -39,7 +39,7 @@ def test_another_machine_that_no_agent_leads_to_says_what_to_do() -> None:
     with pytest.raises(UnreachableError) as error:
         xm.semaphore("arm1:grip", initial=1)
     assert "no agent of domain default runs on this machine" in str(error.value)
-    assert str(error.value).endswith("; a program says so in PBONET_CONNECT")
+    assert str(error.value).endswith("; a program sets PBONET_CONNECT instead")
 
 
 def test_memory_of_another_machine_says_what_to_use() -> None:

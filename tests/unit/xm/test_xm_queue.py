@@ -78,7 +78,7 @@ def test_full_refuses(queue) -> None:
         queue.send(b"more")
     assert str(error.value) == (
         "local:events: the queue is full (expected room for 4 bytes, got 4 messages in "
-        "it); receive more often, make it larger, or say what to drop (full=)"
+        "it); receive more often, make it larger, or choose what to drop (full=)"
     )
     assert queue.dropped == 0
     assert not queue.send(b"more", full=Full.DROP)

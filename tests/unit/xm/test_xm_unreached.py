@@ -26,7 +26,7 @@ def test_a_port_that_nobody_listens_on() -> None:
 def test_a_port_on_which_no_agent_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         told = probe_endpoint.reasons([f"tls/localhost:{other.getsockname()[1]}"])
-    assert told == ("an open port, and no greeting of an agent", LISTENS)
+    assert told == ("an open port, but no agent answers there", LISTENS)
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp", "ws"])
@@ -36,7 +36,7 @@ def test_a_host_that_nobody_knows(monkeypatch, protocol) -> None:
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     got, remedy = probe_endpoint.reasons([f"{protocol}/lab7:7447"])
-    assert got == "no host that is known as lab7"
+    assert got == "the host name lab7 is unknown"
     assert remedy.startswith("is the name right?")
 
 
@@ -46,7 +46,7 @@ def test_a_host_that_is_silent(monkeypatch) -> None:
 
     monkeypatch.setattr(socket, "create_connection", silent)
     told = probe_endpoint.reasons(["tcp/[::1]:7447"])
-    assert told == ("no answer of the host ::1 within 0.5 s", LISTENS)
+    assert told == ("no answer from the host ::1 within 0.5 s", LISTENS)
 
 
 def test_each_of_several_is_told_and_what_to_do_once() -> None:
