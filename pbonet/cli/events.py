@@ -30,7 +30,7 @@ def command(
     from pbonet.master.console import follow_events, oneshot
 
     if follow and count:
-        raise StateError("--follow and --count do not go together", remedy="choose one")
+        raise StateError("--follow and --count exclude each other", remedy="choose one")
     if follow:
         follow_events.follow(file, given, place, as_data=json_)
         return

@@ -67,19 +67,19 @@ def command(
     names = [name for task in (play or "").split(",") if (name := task.strip())]
     if play is not None and (verify or tasks or out or not names):
         raise StateError(
-            "--play goes with a rate and a part of the run, and with nothing else",
+            "--play takes only a rate and a part of the run",
             expected="pbonet replay RUN --play TASK,...",
             remedy=f"pbonet replay {run} --play {','.join(names) or 'TASK'}",
         )
     if play is None and (span != playback.Span() or subsystem):
         raise StateError(
-            "--rate, --start, --end, --loop and --subsystem go with --play only",
+            "--rate, --start, --end, --loop and --subsystem need --play",
             expected="pbonet replay RUN --play TASK,... --rate 2",
-            remedy="leave them out: code is run again as fast as it goes, and whole",
+            remedy="leave them out: code is run again completely, at full speed",
         )
     if verify and out:
         raise StateError(
-            "--out goes without --verify, which makes nothing that could be written",
+            "--out and --verify exclude each other: verifying writes no log",
             expected="pbonet replay RUN --out FILE, or pbonet replay RUN --verify",
             remedy=f"pbonet replay {run} --out {out}",
         )

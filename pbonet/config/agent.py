@@ -132,12 +132,12 @@ def _toml(text: str, file: str) -> dict[str, Any]:
             place = Place(file, 1)
         reason = _AT.sub("", message)
         if isinstance(error, RecursionError):
-            reason = "nested too deep"
+            reason = "nested too deeply"
         raise fault(
             f"this is not TOML: {quote(reason)[1:-1]}",
             place,
             expected="key = value",
-            remedy="texts stand in quotes, lists in brackets",
+            remedy="write texts in quotes, lists in brackets",
         ) from None
 
 
@@ -223,7 +223,7 @@ def _check_events(config: AgentConfig, text: str, file: str) -> None:
         place = _place(text, file, queue)
         if not _QUEUE.fullmatch(queue):
             raise fault(
-                f"{quote(queue)} is no name of a queue",
+                f"{quote(queue)} is not a valid queue name",
                 place,
                 expected="letters, digits, and _ - . after the first, at most 64",
                 got=quote(queue),
@@ -231,7 +231,7 @@ def _check_events(config: AgentConfig, text: str, file: str) -> None:
             )
         if not _KEY.fullmatch(key):
             raise fault(
-                "this is no key",
+                "this is not a valid key",
                 place,
                 expected="parts between single slashes; * and ** stand for any",
                 got=quote(key),

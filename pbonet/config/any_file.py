@@ -35,7 +35,7 @@ def read_any(path: str | Path) -> Record:
     reader = _READERS.get(Path(path).suffix)
     if reader is None:
         raise ConfigFileError(
-            "the ending of the file's name tells no format",
+            "the file name has no known ending",
             where=str(path),
             expected=" or ".join(_READERS),
             got=Path(path).suffix or "no ending",

@@ -54,7 +54,7 @@ _KNOWN = "variables, numbers, + - * /, < <= > >= == !=, and or not, " + " ".join
 )
 _REMEDIES: dict[type[ast.AST], str] = {
     ast.Pow: "write the product, X*X",
-    ast.Attribute: "the . belongs to a name; put a space before it if it does not",
+    ast.Attribute: "the . is part of a name; put a space before it if it is not",
     ast.NamedExpr: "a comparison is ==",
     ast.BitAnd: "write and",
     ast.BitOr: "write or",
@@ -121,9 +121,9 @@ def parse(text: str, place: Place | None = None) -> Parsed:
         column = min(max((error.offset or 1) - 1, 0), len(text))
         raise _wrong(blank, column, _found(text, column)) from None
     except (RecursionError, MemoryError, ValueError):
-        raise _wrong(blank, 0, f"more than {DEEPEST} parts in one another") from None
+        raise _wrong(blank, 0, f"more than {DEEPEST} nested parts") from None
     if _depth(tree) > DEEPEST:
-        raise _wrong(blank, 0, f"more than {DEEPEST} parts in one another")
+        raise _wrong(blank, 0, f"more than {DEEPEST} nested parts")
     found = Parsed(text, tree, names, units, place)
     for node in ast.walk(tree):
         _check(found, node)
@@ -175,7 +175,7 @@ def _wrong(
     condition: Parsed, column: int, got: str, expected: str = "", remedy: str = ""
 ) -> ConfigError:
     return fault(
-        "this is no condition",
+        "this is not a condition",
         condition.at(column),
         expected=expected or _KNOWN,
         got=f"{got} in {quote(condition.text)}",

@@ -43,7 +43,7 @@ class Constants:
                 "a DEFINE needs a name and one value",
                 line.place,
                 expected="DEFINE NAME value",
-                got=f"{len(words)} words behind DEFINE",
+                got=f"{len(words)} words after DEFINE",
                 remedy="write one constant a line",
             )
         name, value = words
@@ -88,7 +88,7 @@ class Constants:
     @staticmethod
     def _too_deep(word: Word) -> ConfigError:
         return fault(
-            f"the constant {quote(word.text)} is nested too deep",
+            f"the constant {quote(word.text)} is nested too deeply",
             word.place,
             expected=f"at most {MAX_NESTING} constants in a chain",
             remedy="give it its value",
@@ -147,7 +147,7 @@ class Constants:
         return fault(
             f"the constant {quote(name)} is not defined{behind}",
             word.place,
-            expected=f"{wanted}, or a constant that stands for one",
+            expected=f"{wanted}, or a constant with such a value",
             remedy=remedy,
         )
 
@@ -159,8 +159,8 @@ def _without_unit(text: str) -> str:
         return ""
     scale = _SCALE.get(match[2])
     if scale is None:
-        return "units are not written; convert the number to what is expected"
-    return f"units are not written: {float(match[1]) * scale:.12g}"
+        return "omit the unit; convert the number to the expected unit"
+    return f"omit the unit and write {float(match[1]) * scale:.12g}"
 
 
 _SCALE = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "s": 1.0, "ms": 1e-3, "us": 1e-6}

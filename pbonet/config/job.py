@@ -90,7 +90,7 @@ def _condition(reader: Reader, line: Line) -> Condition:
             line.place,
             expected="a condition",
             got="nothing",
-            remedy="write the condition behind the keyword, or remove the line",
+            remedy="write the condition after the keyword, or remove the line",
         )
     first, last = words[0].place, words[-1]
     end = last.place.column + len(last.text) - first.column
@@ -173,7 +173,7 @@ def _rmod(word: Word) -> str:
 def _rtpu(word: Word) -> str:
     if word.text[0].isdigit():
         raise fault(
-            f"TASK has {quote(word.text)} where an RTPU may stand",
+            f"TASK has {quote(word.text)} where an RTPU is allowed",
             word.place,
             expected=_TASK,
             got=quote(word.text),

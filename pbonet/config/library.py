@@ -284,7 +284,7 @@ def _checked(module: str) -> str:
     """Return a module's name if it is one; it may have come over the network."""
     if not _is_name(module) or module.startswith("_"):
         raise ModuleLoadError(
-            "a module is named, not located",
+            "a module is given by name, not by path",
             expected="letters, digits and underscores, no leading underscore",
             got=f'"{module}"',
             remedy="name the folder in agent.toml and the module by its file's name "
@@ -325,7 +325,7 @@ def _registered() -> list[Shelf]:
                 f"entry point {point.name} names a package that does not import",
                 where=point.value,
                 got=f"{type(error).__name__}: {error}",
-                remedy="install it anew, or remove it",
+                remedy="install it again, or remove it",
             ) from None
     return found
 
@@ -441,9 +441,9 @@ def _only_class(
     raise ModuleLoadError(
         f"module {module} must define one class that derives from PortBasedObject",
         where=str(path),
-        expected="one, or one that is named like the file",
+        expected="one, or one with the name of the file",
         got=names or "none",
-        remedy="put each class into a file of its own"
+        remedy="put each class into its own file"
         if own
         else "derive its class from pbonet.PortBasedObject",
     )

@@ -89,7 +89,7 @@ def decode(data: bytes, file: str) -> str:
             "the file is too long",
             where=file,
             expected=f"at most {MAX_FILE} bytes",
-            remedy="this is hardly a configuration file; name another",
+            remedy="this is probably not a configuration file; name another",
         )
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise ConfigFileError(
@@ -172,7 +172,7 @@ class Reader:
             raise self.unknown(line, ("EOF",))
         if line.words:
             raise fault(
-                "text stands behind EOF on its line",
+                "there is text after EOF on its line",
                 line.words[0].place,
                 expected="EOF alone on the last line",
                 got=quote(line.rest),
@@ -181,11 +181,11 @@ class Reader:
         surplus = next(self._raw_lines(self._last.line), None)
         if surplus is not None:
             raise fault(
-                "text stands behind the EOF line",
+                "there is text after the EOF line",
                 surplus.place,
                 expected=f"EOF (line {line.place.line}) as the last line",
                 got=quote(surplus.keyword),
-                remedy="remove the text, or move EOF behind it",
+                remedy="remove the text, or move EOF after it",
             )
 
     def unknown(self, line: Line, expected: Iterable[str]) -> ConfigError:
@@ -266,7 +266,7 @@ def _refuse_control(text: str, file: str) -> None:
         at = match.start()
         line = text.count("\n", 0, at) + 1
         raise ConfigFileError(
-            "the file holds a control character",
+            "the file contains a control character",
             where=f"{file}:{line}:{at - text.rfind(chr(10), 0, at)}",
             expected="text with spaces, tabs and line ends only",
             got=f"0x{ord(text[at]):02x}",

@@ -191,7 +191,7 @@ def _ports(line: Line) -> tuple[Word, ...]:
     for word in found:
         if word.text == "none":
             raise fault(
-                f"{line.keyword} says none beside names",
+                f"{line.keyword} has both none and names",
                 word.place,
                 expected="names of ports, or none alone",
                 got=f"{len(found)} words",
@@ -304,7 +304,7 @@ def _local(reader: Reader) -> tuple[dict[str, LocalLine], dict[str, Place]]:
     reader.take()
     if head.words:
         raise fault(
-            "LOCAL has words on its line",
+            "there is text after LOCAL on its line",
             head.words[0].place,
             expected="LOCAL alone, and below it one parameter a line",
             got=quote(head.rest),

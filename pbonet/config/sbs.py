@@ -101,7 +101,7 @@ def _rtpu(reader: Reader, former: dict[str, RtpuEntry]) -> RtpuEntry:
             line.place,
             expected=f"MINFREQ below MAXFREQ = {entry.maxfreq:g} Hz",
             got=f"MINFREQ = {entry.minfreq:g} Hz",
-            remedy=f"add a {assumed.pop()} line; the default stands here"
+            remedy=f"add a {assumed.pop()} line; the default applies here"
             if assumed
             else "exchange the values or correct one",
         )

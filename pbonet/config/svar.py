@@ -157,7 +157,7 @@ def _finite(line: Line | None, kind: ElementType) -> bool:
         return True
     if not kind.is_float:
         raise fault(
-            f"FINITE means nothing for the type {kind.name}",
+            f"FINITE does not apply to the type {kind.name}",
             line.place,
             expected="FINITE for float, double, float32 and float64 only",
             remedy="remove the line",
@@ -180,7 +180,8 @@ def _values(
         raise fault(
             f"a {kind.name} cannot have {line.keyword}",
             line.place,
-            expected=f"no {line.keyword} line, as the table does not know the contents",
+            expected=f"no {line.keyword} line, because the table does not know the "
+            "contents",
             remedy="remove the line; the task that writes the variable sets it",
         )
     given = line.words

@@ -41,7 +41,7 @@ def read_timing(reader: Reader, block: Block, tasktype: TaskType) -> Timing:
     known, which may be the job's (`pbonet.analysis.legality`).
 
     Raises:
-        ConfigError: One is missing, means nothing for the task type, or is too large.
+        ConfigError: One is missing, does not apply to the task type, or is too large.
     """
     freq = _freq(reader, block, tasktype)
     found = Timing(
@@ -98,16 +98,16 @@ def _freq(reader: Reader, block: Block, tasktype: TaskType) -> float | None:
                 block["TASKTYPE"].place,
                 expected="FREQ in Hz or PERIOD in seconds behind TASKTYPE",
                 got="neither",
-                remedy="add the period in which its capacity comes back"
+                remedy="add the period after which its capacity is restored"
                 if tasktype in _SERVERS
                 else "add the task's default frequency",
             )
         return None
     if tasktype is TaskType.BACKGROUND:
         raise fault(
-            f"{line.keyword} means nothing for a background task",
+            f"{line.keyword} does not apply to a background task",
             line.place,
-            expected=f"no {line.keyword}, as it runs when nothing else does",
+            expected=f"no {line.keyword}, because it runs when nothing else does",
             remedy="remove the line, or choose another TASKTYPE",
         )
     if line.keyword == "FREQ":
@@ -166,7 +166,7 @@ def _softness(reader: Reader, block: Block, tasktype: TaskType) -> float | None:
 
 def _meaningless(line: Line, tasktype: TaskType, wanted: str) -> ConfigError:
     return fault(
-        f"{line.keyword} means nothing for a {tasktype.value} task",
+        f"{line.keyword} does not apply to a {tasktype.value} task",
         line.place,
         expected=f"{line.keyword} with TASKTYPE {wanted} only",
         remedy="remove the line, or choose another TASKTYPE",
@@ -177,7 +177,7 @@ def _check_soft(block: Block, found: Timing) -> None:
     """Refuse E of a task that may miss no cycle, and so has C in its place."""
     if found.effc is not None and not found.softness:
         raise fault(
-            "EFFC means nothing for a task without SOFTNESS",
+            "EFFC does not apply to a task without SOFTNESS",
             block["EFFC"].place,
             expected="a hard task to have MAXC reserved, a soft one EFFC",
             got="no SOFTNESS above 0",

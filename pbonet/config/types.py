@@ -119,6 +119,6 @@ def numpy_type(name: str) -> str:
     """
     kind = element_type(name)
     if kind is None:
-        msg = f"{name!r} is no type of a state variable"
+        msg = f"{name!r} is not a type of a state variable"
         raise ValueError(msg)
     return kind.dtype

@@ -207,7 +207,7 @@ class SerialLine:
     def _refused(self, error: Exception) -> DeviceError:
         number = getattr(error, "errno", None)
         remedies = {
-            errno.ENOENT: "check cable and name; `ls /dev/tty*` lists what there is",
+            errno.ENOENT: "check cable and name; `ls /dev/tty*` lists the devices",
             errno.EACCES: "add the user to the group that owns it, often `dialout`",
             errno.EAGAIN: "another program has it open; end that program",
         }

@@ -64,10 +64,10 @@ class PosePath:
         metres, radians = gap(self._poses[0], self._poses[-1])
         if repeat and max(metres, radians) > _CLOSED:
             raise ParameterError(
-                "the path cannot repeat: it ends elsewhere than it begins",
+                "the path cannot repeat: its end differs from its start",
                 expected="the first pose again as the last",
                 got=f"{metres:.3f} m and {radians:.3f} rad away",
-                remedy="add the first pose at the end, or say REPEAT no",
+                remedy="add the first pose at the end, or use REPEAT no",
             )
 
     def at(self, time: float) -> tuple[Matrix, Vector]:

@@ -175,8 +175,8 @@ def _checked(dh: Matrix) -> Matrix:
 
 def _other(expected: str, got: str) -> ParameterError:
     return ParameterError(
-        "the constant DH is that of an arm whose wrist or shoulder is built otherwise",
+        "the constant DH is that of an arm with another wrist or shoulder",
         expected=expected,
         got=got,
-        remedy="use damped_ls, which takes any arm",
+        remedy="use damped_ls, which supports any arm",
     )

@@ -67,7 +67,7 @@ class DampedLS(PortBasedObject[Damping]):
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - a velocity
         if not is_rotation(self.x_des[:, :3]):
             if not self._lost:
-                self.task.warn("X_DES is no pose: its orientation is no rotation")
+                self.task.warn("X_DES is not a pose: its orientation is not a rotation")
             self._lost = True
             self.qd[:] = 0.0
             return

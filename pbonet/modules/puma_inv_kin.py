@@ -64,7 +64,7 @@ class PumaInvKin(PortBasedObject[Posture]):
 
     def cycle(self, dt: float) -> None:
         if not is_rotation(self.x[:, :3]):
-            self._hold("pose", "X_DES is no pose: its orientation is no rotation")
+            self._hold("pose", "X_DES is not a pose: its orientation is not a rotation")
             return
         found, why = self._arm.solve(self.x, self._solution)
         if found is None:
@@ -89,7 +89,7 @@ class PumaInvKin(PortBasedObject[Posture]):
         self._holds = True
         if kind != self._told:
             self._told = kind
-            self.task.warn(f"{text}; Q_REF stays where it is")
+            self.task.warn(f"{text}; Q_REF does not change")
 
     def _watch(self) -> None:
         """Report a nearby singularity once."""

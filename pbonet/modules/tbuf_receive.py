@@ -62,7 +62,7 @@ class TbufReceive(PortBasedObject[Incoming]):
         self.task.stamp_ns = link.time_ns or NEVER
 
     def _tell(self, age: float) -> None:
-        text = f"link {self.params.link}: nothing came for {age:.3g} s"
+        text = f"link {self.params.link}: nothing arrived for {age:.3g} s"
         if self.params.fail:
-            self.task.fail(f"{text}; look for its sender, or for the network")
+            self.task.fail(f"{text}; check its sender and the network")
         self.task.warn(text)

@@ -33,7 +33,7 @@ class TbufSend(PortBasedObject[Outgoing]):
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only
         stale = self.task.stale("z")
         if stale and not self._stale:
-            self.task.warn(f"link {self.params.link} rests: its variable is stale")
+            self.task.warn(f"link {self.params.link} is paused: its variable is stale")
         self._stale = stale
         if self._link is not None and not stale:
             self._link.write()

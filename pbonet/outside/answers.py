@@ -20,7 +20,7 @@ _NESTED: Final = 1
 
 
 class NotRecordedError(BaseException):
-    """A module asks for what is not on record; nothing behind it can be run again.
+    """A module asks for what is not recorded; nothing behind it can be run again.
 
     No `Exception`, so that a module which catches those does not go on without it.
     """
@@ -51,7 +51,7 @@ def pack(answer: object, where: str) -> tuple[int, bytes]:
         where=where,
         expected="None, a number, text, bytes, or a tuple, list or dictionary of these",
         got=got,
-        remedy="ask for the plain values, and make what the module wants of them",
+        remedy="ask for plain values and convert them in the module",
     )
 
 

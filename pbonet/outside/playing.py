@@ -76,7 +76,7 @@ class Player:
         found = self._heard.pop((source.number, source.calls), None)
         if found is None:
             if default is ALWAYS or self.lost:
-                why = "found no room" if self.lost else "is not on record"
+                why = "found no room" if self.lost else "is not recorded"
                 raise NotRecordedError(f"what it heard of {source.name} {why}")
             return default
         kind, data = found
@@ -104,4 +104,4 @@ def refuse(what: str) -> None:
         NotRecordedError: One is.
     """
     if plays():
-        raise NotRecordedError(f"it uses {what}, and what that gives is in no log")
+        raise NotRecordedError(f"it uses {what}, whose results are in no log")

@@ -320,11 +320,11 @@ def signals(parts: Sequence[Part]) -> tuple[SignalInfo, ...]:
             number = one.number if one.number not in taken else next(free, None)
             if number is None:
                 raise DeclarationError(
-                    "the parts have too many signals of their own",
+                    "the parts have too many user signals",
                     where=part.name,
                     expected=f"at most {SIGNALS - len(Signal)} names",
                     got=f"one more, {one.name}",
-                    remedy="run one of the parts as a task of its own",
+                    remedy="run one of the parts as a separate task",
                 )
             found[one.name] = structs.replace(one, number=number)
     return tuple(found.values())

@@ -336,7 +336,7 @@ def combine(
             f"the parts {' and '.join(waiting)} both write sync",
             where=where or name,
             expected="at most one part that waits for its event",
-            remedy="run the others as tasks of their own",
+            remedy="run the others as separate tasks",
         )
     cls: Any = type(name.replace("-", "_"), (Combined,), {"__module__": __name__})
     cls.__classes__ = tuple(parts)

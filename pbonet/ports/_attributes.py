@@ -106,7 +106,7 @@ def view(
     """
     if not accepts(port, array.dtype.str):
         raise PortError(
-            f"the variable behind port {port.attr} ({port.name}) has another type",
+            f"the variable of port {port.attr} ({port.name}) has another type",
             where=where,
             expected=wanted(port),
             got=array.dtype.name,
@@ -114,7 +114,7 @@ def view(
         )
     if not array.flags.c_contiguous:
         raise PortError(
-            f"the memory behind port {port.attr} ({port.name}) has gaps",
+            f"the memory of port {port.attr} ({port.name}) has gaps",
             where=where,
             expected="a contiguous array",
         )

@@ -483,7 +483,7 @@ class Table(shm.Closeable):
         seen = self._open().look(number, room)
         if seen is None:
             raise SvarError(
-                f"{variable.name} could not be read whole",
+                f"{variable.name} could not be read completely",
                 where=self.name,
                 remedy="its writer commits faster than this reader can copy; try again",
             )

@@ -92,8 +92,8 @@ class Failing:
         """Be where an aborted cycle was left: its handler has answered, no more."""
         self.rest()
         self.unsure = (
-            f"the cycle behind cycle {cycle} was aborted, and what it had done by then "
-            "is not on record"
+            f"the cycle after cycle {cycle} was aborted, and what it had done by then "
+            "is not recorded"
         )
         if self._player is not None:
             self._player.go_on(calls)
@@ -115,7 +115,7 @@ class Failing:
         if place:
             self.unsure = (
                 f"a timing failure ({kind}) came at {place}, and how often that line "
-                "had been run by then is not on record"
+                "had been run by then is not recorded"
             )
         before, self._source.release = self._source.release, now
         self._told.handling = True

@@ -130,7 +130,7 @@ class Inputs:
     def _apply(self, register: int, number: int) -> str:
         found = self._commits.find((register, number))
         if found is None:
-            return f"commit {number} of register {register} is not on record"
+            return f"commit {number} of register {register} is not recorded"
         life, group, whole = found
         key = id(life)
         if key not in self._pieces:

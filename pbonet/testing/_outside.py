@@ -173,7 +173,7 @@ class _Guard:
 
     def _refuse(self, what: str) -> None:
         raise NotRecordedError(
-            f"it opens {what}, and what that gives is in no log "
+            f"it opens {what}, whose results are in no log "
             "(pbonet.io.Outside records it)"
         )
 

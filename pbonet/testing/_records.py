@@ -41,11 +41,11 @@ def did(message: bytes) -> Did | None:
 def not_again(life: Life) -> str:
     """Return why a task cannot be run again; empty: it can."""
     if not life.about.rmod:
-        return "its RMOD is not on record"
+        return "its RMOD is not recorded"
     if not _from_birth(life):
         return (
             f"{life.part.path.name} begins amid the task's life: what its module held "
-            "then is not on record"
+            "then is not recorded"
         )
     return ""
 

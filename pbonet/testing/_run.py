@@ -276,7 +276,7 @@ class Run:
         head = HEAD.unpack_from(message, len(CDR))
         if head[8] != self._lost:
             count, self._lost = head[8] - self._lost, head[8]
-            raise Stop(f"{count} records were lost behind cycle {self._cycle}")
+            raise Stop(f"{count} records were lost after cycle {self._cycle}")
         if head[10] == Step.CYCLE:
             self._at += 1
             self._run_cycle(message, head)
@@ -327,14 +327,14 @@ class Run:
     def _place(self) -> str:
         if self._where == "cycle":
             return f"cycle {self._cycle}"
-        return f"{self._where} behind cycle {self._cycle}"
+        return f"{self._where} after cycle {self._cycle}"
 
     def _obey(self, done: Did) -> None:
         """Do what the task did between two cycles."""
         self._where = done.what
         if done.what == "fault" or (done.what == "abort" and not self.about.timing):
             what = done.arg or "a timing failure ended it"
-            raise Stop(f"{done.name or 'cycle'} behind cycle {self._cycle}: {what}")
+            raise Stop(f"{done.name or 'cycle'} after cycle {self._cycle}: {what}")
         executor, self._failed = self._executor, None
         try:
             if done.what == "spawn":
@@ -371,12 +371,12 @@ class Run:
     def next(self, step: Step) -> bytes:
         """Return the data of the next record, which must be of this kind."""
         if self._at >= len(self._records):
-            raise Stop(f"the log ends amid {self._where} behind cycle {self._cycle}")
+            raise Stop(f"the log ends amid {self._where} after cycle {self._cycle}")
         message = self._records[self._at]
         head = HEAD.unpack_from(message, len(CDR))
         kind, self._now = Step(head[10]), head[1]
         if kind is not step:
-            self._diverged(f"it came to {step.name}, recorded is {kind.name}")
+            self._diverged(f"it reached {step.name}, recorded is {kind.name}")
         self._at += 1
         if kind in {Step.CLAIM, Step.COMMIT}:
             self._key = (head[6], head[7])

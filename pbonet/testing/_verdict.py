@@ -25,7 +25,7 @@ class Divergence(Struct, kw_only=True):
         """Return it in one sentence."""
         place = f"cycle {self.cycle}"
         if self.where != "cycle":
-            place = f"{self.where}, behind {place}"
+            place = f"{self.where}, after {place}"
         if self.reason:
             return f"{place}: {self.reason}"
         return (
@@ -101,7 +101,7 @@ class Replayed(Struct, kw_only=True):
     """The result for a whole configuration."""
 
     tasks: list[Verdict]
-    """Of each; ``cycles`` are all that gave the same, behind a divergence too."""
+    """Of each; ``cycles`` are all that gave the same, after a divergence too."""
     first: str = ""
     """The task that was the first to give something else."""
     seconds: float = 0.0

@@ -1,4 +1,4 @@
-"""What SIGHUP does to an agent: it starts anew, or ends with its terminal."""
+"""What SIGHUP does to an agent: it restarts, or ends with its terminal."""
 
 from __future__ import annotations
 

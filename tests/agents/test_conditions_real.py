@@ -191,7 +191,7 @@ def test_a_stop_ends_the_waiting(arm):
     waiting.start()
     wait_for(lambda: arm.stop() and not waiting.is_alive(), "the waiting's end")
     waiting.join()
-    assert "a stop came while conditions were waited for" in str(caught[0])
+    assert "a stop arrived during the wait for conditions" in str(caught[0])
 
 
 def test_a_start_asks_its_pre(arm, files):

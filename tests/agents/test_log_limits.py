@@ -91,4 +91,4 @@ def test_only_the_last_seconds_are_written_and_only_behind_an_error(start) -> No
     assert any(event["code"] == "SPAWNED" for event in told)
     wait_for(lambda: not line.rtpu_status().log, "the end of that log")
     error = line.refused(LogError, line.ask, m.Record(run="r", last=-1.0))
-    assert "so many seconds cannot be kept" in str(error)
+    assert "this many seconds cannot be kept" in str(error)

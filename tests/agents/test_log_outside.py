@@ -312,5 +312,5 @@ def test_what_no_log_can_have_is_said(line, nodes, tmp_path, code, what):
     (verdict,) = verify(log, ["hears"])
     assert verdict.cycles == 0
     assert verdict.divergence is None
-    assert verdict.gaps[0].startswith(f"spawn behind cycle 0: {what}")
+    assert verdict.gaps[0].startswith(f"spawn after cycle 0: {what}")
     assert "in no log" in str(verdict)

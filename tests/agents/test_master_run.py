@@ -273,7 +273,8 @@ def test_a_task_that_never_ends_its_first_cycle_has_failed(
     assert [(one.state, one.error) for one in outcome.tasks] == [("ON", "")]
     assert outcome.status == 1
     assert outcome.faults == [
-        "c0/hung: the task hung hung and was ended by force (expected 'off' between "
+        "c0/hung: the task hung hung and was terminated by force (expected 'off' "
+        "between "
         "two of its cycles, got a method of module hangs_at_once that does not come "
         "back); see what its cycle() or its off() waits for"
     ]

@@ -205,9 +205,9 @@ def test_repeated_request_is_executed_once(arm, nodes):
     third = raw(nodes, "arm0", codec.Codec().pack(request))
     assert third["ok"] is False
     assert third["error"]["code"] == "PROTOCOL"
-    told = "the id once of client me was another request's"
+    told = "the id once of client me was used by another request"
     assert third["error"]["what"] == told
-    assert third["error"]["expected"] == "the same spawn again, or an id of its own"
+    assert third["error"]["expected"] == "the same spawn again, or a new id"
     assert len(arm.events("SPAWNED")) == 1
 
 

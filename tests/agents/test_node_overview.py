@@ -40,7 +40,7 @@ def test_an_operator_writes_without_the_rtpu_process(held):
 
 def test_who_may_not_write_is_refused_by_the_agent_too(nodes, held):
     request = m.Write(subsystem="arm", epoch=held.epoch - 1, name="X", values=[0, 0])
-    with pytest.raises(ClaimError, match="another master steers subsystem arm now"):
+    with pytest.raises(ClaimError, match="another master controls subsystem arm now"):
         nodes.client().call("arm0", request, object)
     request = m.Write(subsystem="leg", epoch=held.epoch, name="X", values=[0, 0])
     with pytest.raises(ClaimError, match="has not claimed the RTPU"):

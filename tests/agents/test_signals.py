@@ -92,7 +92,7 @@ class TestCounts:
             total = 0
             for event in arm.events(task="f"):
                 if event.code == "SIGNALS":
-                    text = event.text.removeprefix("not told one by one: ")
+                    text = event.text.removeprefix("not reported individually: ")
                     total += sum(int(part.split()[0]) for part in text.split(", "))
                 elif event.bits:
                     total += 1

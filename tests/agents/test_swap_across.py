@@ -29,7 +29,7 @@ from pbonet.xm.net import messages as m
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
 RATE = 100.0
 PERIOD = 1e9 / RATE
-NOBODY = "off a is done, and nobody took over Y0 (arm0/unfinished)"
+NOBODY = "off a is done, and no task took over Y0 (arm0/unfinished)"
 NEVER_ON = """
     import time
     from pathlib import Path

@@ -84,7 +84,7 @@ def test_an_exchange_is_finished_without_the_master(killed, rtpu):
 
 def test_the_part_that_was_never_sent_is_said_and_the_flag_is_up(killed):
     arm = killed("arm1", "list")
-    left = "off old is done, and nobody took over Y0"
+    left = "off old is done, and no task took over Y0"
     wait_for(lambda: any(left in cause for cause in causes(arm)), "the flag")
     assert states(arm) == {"stays": "ON", "old": "OFF", "new": "OFF"}
     assert any(left in e.text for e in arm.events() if e.code == "ILLEGAL")

@@ -120,7 +120,9 @@ def test_two_subsystems_by_rmod_files_alone(linked):
 
     os.kill(vision.status("to_arm").tid, signal.SIGKILL)
     stale(arm)
-    wait_for(lambda: "nothing came for" in arm.status("from_vision").warning, "a word")
+    wait_for(
+        lambda: "nothing arrived for" in arm.status("from_vision").warning, "a word"
+    )
     vision.kill("to_arm")
     vision.spawn("to_arm", "tbuf_send", text=SEND)
     vision.on("to_arm")

@@ -109,7 +109,7 @@ def begin(lab, keys, short):
 
 
 def runs_out(cell, whose):
-    """Wait until an agent's keys have run out, as it had said they would."""
+    """Wait until an agent's keys have expired, as it had said they would."""
     lab = cell.lab
     assert "the keys expire in " in told(lab, whose)[0]
     wait_for(lambda: "host-a is unreachable" in cell.illegal("arm1"), "flag")
@@ -121,7 +121,7 @@ def runs_out(cell, whose):
 
 
 def goes_on(cell, keys, short):
-    """Give an agent other keys: it starts anew, and its task has gone on meanwhile."""
+    """Give an agent other keys: it restarts, and its task has gone on meanwhile."""
     lab = cell.lab
     before = cell.status("arm0", "src")
     assert before.state == "ON"

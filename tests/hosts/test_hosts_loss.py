@@ -171,7 +171,8 @@ def test_the_agent_of_the_writer_is_killed(cell, lab, runs):
 
 
 def test_the_agent_of_the_reader_is_killed(cell, lab):
-    """Its RTPU process sees that nobody brings the variable, and says so at once."""
+    """Its RTPU process sees that no agent transfers the variable, and says so at "
+    "once."""
     rtpu = lab.info("arm1", "b").rtpu_pid
     cell.host = "a"
     lab.kill("arm1")

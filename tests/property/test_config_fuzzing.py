@@ -115,5 +115,5 @@ def test_a_good_file_cut_short_is_noticed(data: st.DataObject) -> None:
 
 
 def test_deep_nesting_is_no_stack_overflow() -> None:
-    with pytest.raises(ConfigError, match="this is not TOML: nested too deep"):
+    with pytest.raises(ConfigError, match="this is not TOML: nested too deeply"):
         agent.parse_agent("name = " + "[" * 100_000, "fuzz.toml")

@@ -56,7 +56,8 @@ def test_what_does_not_come_is_said(robot, agents, world, monkeypatch):
         robot.write("NDOF", NEW)
     assert str(caught.value) == (
         "arm1/jttrace: the constant NDOF has not come here (expected the value that "
-        "arm0 has, within 0 s); look at the link with `pbonet doctor`; NDOF was set "
+        "arm0 has, within 0 s); check the connection with `pbonet doctor`; NDOF was "
+        "set "
         "all the same, and this task has the old NDOF"
     )
     assert ("arm1", "reinit jttrace") not in world.log

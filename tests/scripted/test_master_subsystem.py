@@ -115,7 +115,7 @@ def test_watcher_needs_no_claim_and_may_not_change(robot, world):
     robot.spawn("jttrace", "arm1")
     with other(robot, world, watch=True) as watcher:
         assert states(watcher) == {"puma_pidg": "OFF", "jttrace": "OFF"}
-        with pytest.raises(ClaimError, match="open for watching only"):
+        with pytest.raises(ClaimError, match="open for reading only"):
             watcher.control("jttrace", "on")
     assert states(robot) == {"puma_pidg": "OFF", "jttrace": "OFF"}
 
@@ -431,7 +431,7 @@ def test_stop_ends_a_start_that_is_under_way(arm, agents):
     arm.stop()
     go_on.set()
     thread.join()
-    assert failed == ["the start was given up because a stop came in between"]
+    assert failed == ["the start was abandoned because of a stop"]
     assert agents["arm0"].tasks == agents["arm1"].tasks == {}
 
 

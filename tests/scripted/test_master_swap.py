@@ -159,7 +159,7 @@ def test_swap_with_a_wrong_name_does_nothing(arm, world):
     with pytest.raises(VerificationError, match="no task is named"):
         arm.swap("jttrace", [])
     arm.swap("jttrace", "trace2")
-    with pytest.raises(StateError, match="stands on another RTPU"):
+    with pytest.raises(StateError, match="is on another RTPU"):
         arm.swap("trace2", "jttrace", rtpu="arm0")
     assert steps(world) == ["spawn trace2", "off jttrace", "on trace2"]
 

@@ -54,7 +54,7 @@ def _sync(task: Task, info: ModuleInfo) -> Iterator[Problem]:
             what=f"the parts {' and '.join(waiting)} both write sync",
             where=task.place("COMBINE"),
             expected="at most one part that waits for its event",
-            remedy="run the others as tasks of their own",
+            remedy="run the others as separate tasks",
             tasks=(task.name,),
         )
 
@@ -101,7 +101,7 @@ def _differences(
         writer.unit, reader.unit
     ):
         factor = conversion(writer.unit, reader.unit)
-        remedy = "put a module that converts in between"
+        remedy = "insert a module that converts"
         yield (
             Code.UNIT,
             "units",
@@ -145,7 +145,7 @@ def _outer(
             where=task.place("COMBINE"),
             expected=expected,
             got=f"{got} ({variable.place or 'the .svar file'})",
-            remedy="connect another variable, or put a module that converts in between",
+            remedy="connect another variable, or insert a module that converts",
             tasks=(task.name,),
             ports=(about,),
             variables=(variable.name,),

@@ -164,7 +164,7 @@ class _Walk:
         if not found.truth:
             raise self._fault(
                 node,
-                what="a number is no condition",
+                what="a number is not a condition",
                 expected="a comparison, or a variable of TYPE bool",
                 got=self.parsed.source(node),
                 remedy=f"write such as {self.parsed.source(node)} > 0",
@@ -228,7 +228,7 @@ class _Walk:
             return self._function(node)
         raise self._fault(
             node,
-            what="a yes or no stands where a number is wanted",
+            what="a yes-or-no value is used where a number is expected",
             expected="a number",
             got=self.parsed.source(node),
             remedy="join comparisons with and, or, not",
@@ -248,7 +248,7 @@ class _Walk:
                 expected="a variable of the .svar file",
                 got=name,
                 remedy=did_you_mean(name, self._table)
-                or "correct the name; text for people belongs behind # or DESC",
+                or "correct the name; put comments after # or into DESC",
             )
         if variable.type.startswith("struct"):
             raise self._fault(
@@ -256,7 +256,7 @@ class _Walk:
                 what=f"a condition cannot look into {name}",
                 expected="a variable of numbers",
                 got=f"TYPE {variable.type}",
-                remedy="have its writer put what matters into a variable of its own",
+                remedy="let its writer put the relevant value into another variable",
             )
         unit = ANY if variable.units == ANY else variable.units
         return _Quantity(self._values[name], unit, truth=variable.type == "bool")

@@ -71,7 +71,7 @@ def check_ages(configuration: Configuration) -> Iterator[Problem]:
         yield Problem(
             code=Code.NO_MAXAGE,
             severity=Severity.WARN,
-            what=f"{variable} has no MAXAGE, so {task.name} takes it for valid even "
+            what=f"{variable} has no MAXAGE, so {task.name} considers it valid even "
             "when no task writes it any more, and never falls back for that",
             where=task.place("INVAR"),
             remedy=f"write MAXAGE and seconds under NAME {variable} in the .svar file",
@@ -109,7 +109,7 @@ def check_units(configuration: Configuration) -> Iterator[Problem]:
                 expected=f"one unit for {', '.join(joined)}",
                 got=", ".join(f"{p}={v} in {unit}" for p, (v, unit) in joined.items()),
                 remedy=(f"{factor}; " if factor else "")
-                + "correct UNITS, or put a gain that converts in between",
+                + "correct UNITS, or insert a gain that converts",
                 tasks=(task.name,),
                 ports=tuple(joined),
                 variables=tuple(variable for variable, _ in joined.values()),

@@ -47,7 +47,7 @@ def check_initialization(configuration: Configuration) -> Iterator[Problem]:
         where=tasks[path[0]].place("INCONST"),
         expected="constants that flow from task to task without a circle",
         got=graph.draw(edges, path),
-        remedy="let one of them have its constant from LOCAL or from another task",
+        remedy="give one of them its constant by LOCAL or from another task",
         tasks=names,
         variables=tuple(edges[a][b] for a, b in pairwise(path)),
     )
@@ -68,7 +68,7 @@ def spawn_order(tasks: Sequence[Task]) -> list[str]:
             "the tasks wait for each other's constants",
             where=left[0],
             got=graph.draw(edges, graph.cycle(edges, left)),
-            remedy="let one of them have its constant from LOCAL or from another task",
+            remedy="give one of them its constant by LOCAL or from another task",
         )
     return ordered
 

@@ -118,7 +118,8 @@ def _surplus(
     about = f"{task.rmod.name}.rmod" if info.parts else info.name
     return Problem(
         code=Code.PORTS,
-        what=f"{keyword} lists {port}, which is no such port of the module {info.name}",
+        what=f"{keyword} lists {port}, which is not a port of that kind in module "
+        f"{info.name}",
         where=task.place(keyword),
         expected=" ".join(declared) or "none",
         got=" ".join(listed(task, keyword)),
@@ -203,7 +204,7 @@ def _unit(
         expected=port.unit,
         got=f"{variable.units} ({_at(variable)})",
         remedy=(f"{factor}; " if factor else "")
-        + "correct UNITS, or put a module that converts in between",
+        + "correct UNITS, or insert a module that converts",
         tasks=(task.name,),
         ports=(port.name,),
         variables=(variable.name,),

@@ -38,7 +38,7 @@ def _too_fast(task: Task) -> Iterator[Problem]:
     if task.hz is not None and task.hz > fastest * _EXACT:
         yield Problem(
             code=Code.RATE,
-            what=f"task {task.name} is faster than an RTPU can be",
+            what=f"task {task.name} has a higher frequency than an RTPU supports",
             where=task.place(
                 "FREQ" if task.freq or not _says_period(task) else "PERIOD"
             ),

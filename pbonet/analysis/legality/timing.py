@@ -364,7 +364,7 @@ def _largest(
     load: Load, reserved: list[Server], there: list[Task], limit: float
 ) -> str:
     if len(reserved) > 1:
-        return "servers that leave the tasks what they need"
+        return "servers that leave enough time for the tasks"
     asked = demands(there)
     most = largest_server(
         reserved[0], asked, rm=load.scheduler is Scheduler.RM, limit=limit
@@ -409,7 +409,7 @@ def _not_critical(
 def _too_much(load: Load, limit: float) -> Problem:
     return Problem(
         code=Code.OVERLOAD,
-        what=f"RTPU {load.rtpu} is asked for more than it has",
+        what=f"RTPU {load.rtpu} is overloaded",
         where=load.rtpu,
         expected=f"a utilization of at most {limit:.1%}",
         got=_used(load),
@@ -483,11 +483,11 @@ def check_traffic(configuration: Configuration) -> Iterator[Problem]:
     most = max(moved, key=lambda name: (moved[name], name))
     yield Problem(
         code=Code.BANDWIDTH,
-        what="the tasks move more data than the table is allowed to",
+        what="the tasks transfer more data than the table can carry",
         where=most,
         expected=f"at most {configuration.copy_speed / 1e6:.6g} MB/s (equation 7)",
         got=f"{total / 1e6:.6g} MB/s, of which {most} {moved[most] / 1e6:.6g} MB/s",
-        remedy=f"lower the frequency of {most}, or combine it with the tasks it talks "
-        "to",
+        remedy=f"lower the frequency of {most}, or combine it with the tasks that "
+        "use it",
         tasks=(most,),
     )

@@ -231,8 +231,8 @@ def _no_times(unknown: Sequence[str]) -> VerificationError:
         where=unknown[0],
         expected="MAXC in the .rmod, or a measured profile",
         got="neither",
-        remedy="declare MAXC, measure it with 'pbonet run --profile', or say what "
-        "share of a period to assume: --assume 0.1",
+        remedy="declare MAXC, measure it with 'pbonet run --profile', or give "
+        "the share of a period to assume: --assume 0.1",
     )
 
 

@@ -80,7 +80,7 @@ def _two_givers(variable: str, tasks: list[Task]) -> Problem:
         code=Code.TWO_CONSTANTS,
         severity=Severity.WARN,
         what=f"{_list(names)} both produce the constant {variable}; they must give it "
-        "the same value, for the table refuses another one",
+        "the same value, because the table refuses another value",
         where=tasks[-1].place("OUTCONST"),
         expected="one value of a constant",
         got=", ".join(task.place("OUTCONST") for task in tasks),
@@ -168,7 +168,7 @@ def _no_constant(configuration: Configuration, task: Task, variable: str) -> Pro
         code=Code.NO_CONSTANT,
         what=f"no task produces the constant {variable}, which {task.name} needs",
         where=task.place("INCONST"),
-        expected="a task that stands and has it as an out-const",
+        expected="an existing task with it as an out-const",
         got=f"{_list(writers)} with it as an out-var" if writers else "",
         remedy=f"{_from_library(configuration, variable)}, or give it a value by INIT "
         "in the .svar file",

@@ -83,7 +83,7 @@ def must_hold(
         raise ConditionError(
             missed[0] if len(missed) == 1 else several,
             where=place,
-            remedy="bring it about, or give it time: wait=2 at the prompt and in "
+            remedy="make it true, or give it time: wait=2 at the prompt and in "
             "programs, --wait 2 of a verb",
         )
     return told
@@ -102,9 +102,9 @@ def _of_one_instant(names: list[str], look: Look) -> list[m.VarValue]:
         if all(value.whole for value in values):
             return values
     raise ConditionError(
-        "the values that conditions need are not had of one instant",
+        "the values for the conditions could not be read at one instant",
         where=", ".join(names),
-        got=f"{_TRIES} looks in vain",
+        got=f"{_TRIES} failed attempts",
         remedy="try again; name fewer variables in one job's conditions",
     )
 

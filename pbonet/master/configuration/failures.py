@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 _ANEW = {
     State.OFF: "'on {0}' turns it on, 'kill {0}' removes it",
-    State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
-    State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
+    State.ON: "'off {0}', then 'kill {0}', to spawn it again",
+    State.ERROR: "'clear {0}' brings it out of ERROR, 'kill {0}' removes it",
 }
 """The remedy for a task that exists already."""
 
@@ -31,21 +31,23 @@ def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
     if not errors:
         return
     count = "an RTPU" if len(errors) == 1 else f"{len(errors)} RTPUs"
-    done = " ".join([*stopped.off, *stopped.killed]) or "nothing, for nothing was ON"
+    done = (
+        " ".join([*stopped.off, *stopped.killed]) or "nothing, because nothing was ON"
+    )
     raise SeveralError(
         f"{count} did not confirm the stop; on the others was turned off: {done}",
         errors,
-        remedy="see to the others by hand, and stop again when they answer",
+        remedy="stop the others by hand, and stop again when they answer",
     )
 
 
 def forced(task: Member) -> PbonetError:
     """Return the error for a task that did not turn OFF, and was ended by force."""
     return StateError(
-        f"the task {task.name} hung and was ended by force",
+        f"the task {task.name} hung and was terminated by force",
         where=f"{task.rtpu}/{task.name}",
         expected="'off' between two of its cycles",
-        got=f"a method of module {task.rmod.module} that does not come back",
+        got=f"a method of module {task.rmod.module} that does not return",
         remedy="see what its cycle() or its off() waits for",
     )
 

@@ -41,10 +41,10 @@ class RecordingPlan:
         self._told_last = last_seconds(rest) if first == LAST else 0.0
         if mode is not None and mode not in MODES and not self._told_last:
             raise LogError(
-                "this is no way to record",
+                "this is not a recording mode",
                 expected=f"{' or '.join(MODES)} or {LAST} SECONDS",
                 got=mode,
-                remedy=did_you_mean(mode, MODES) or "say one of them",
+                remedy=did_you_mean(mode, MODES) or "choose one of them",
             )
         self._told = mode if mode in MODES else None
         self.last = self._told_last

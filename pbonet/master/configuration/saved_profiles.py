@@ -302,7 +302,7 @@ def read(path: Path) -> Saved:
         _ = saved.profile
     except (OSError, ValueError) as error:
         raise ConfigFileError(
-            "this is no saved profile",
+            "this is not a saved profile",
             where=str(path),
             got=str(error),
             remedy="remove it, or save it again by 'pbonet profile --save'",

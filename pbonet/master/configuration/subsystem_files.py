@@ -99,7 +99,7 @@ class Files:
             raise ConfigError(
                 "the job is of another subsystem",
                 where=job.file,
-                expected=f"SBS {self.path.resolve()}, which this master steers",
+                expected=f"SBS {self.path.resolve()}, which this master controls",
                 got=f"SBS {named}",
                 remedy="start it with its own subsystem",
             )

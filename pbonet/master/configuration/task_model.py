@@ -113,7 +113,7 @@ class TaskModel:
             raise UnknownTaskError(
                 f"the subsystem has no task {task}",
                 got=f"tasks: {there}",
-                remedy=did_you_mean(task, self._members) or "'spawn' makes one",
+                remedy=did_you_mean(task, self._members) or "'spawn' creates one",
             )
         return member
 

@@ -85,7 +85,7 @@ def ask(
             return _reply(codec.Codec().answer(reply.ok.payload.to_bytes()))
         if not client.tokens(key) or time.monotonic() > deadline:
             raise UnreachableError(
-                "the master has gone",
+                "the master has ended",
                 where=key,
                 remedy="give the command again: it needs no other master then",
             )

@@ -123,12 +123,12 @@ class CommandSession(SessionState):
         command = call.command
         if command.scope is Scope.PROMPT and self.hand_over is None:
             raise StateError(
-                f"{command.name} makes no sense here",
+                f"{command.name} is not available here",
                 remedy="it is for the prompt and for scripts",
             )
         if call.changes and self.subsystem.watch:
             raise ClaimError(
-                f"{command.name} changes it, and it is open for watching only",
+                f"{command.name} changes the subsystem, which is open for reading only",
                 where=self.subsystem.name,
                 remedy="give it at the prompt of 'pbonet prompt', or as a verb",
             )
@@ -322,7 +322,7 @@ def _number(command: Command, arg: Arg, word: str) -> float | int:
     try:
         number = int(word) if arg.kind is Kind.COUNT else unit * float(word)
     except ValueError:
-        raise _usage(command, f"{arg.name.upper()} is no number: {word}") from None
+        raise _usage(command, f"{arg.name.upper()} is not a number: {word}") from None
     if not math.isfinite(number):
         raise _usage(command, f"{arg.name.upper()} is not finite: {word}")
     if arg.kind is Kind.COUNT and number < 0:

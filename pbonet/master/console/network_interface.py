@@ -286,7 +286,7 @@ class Port:
                 "another client has control",
                 where=f"port {self.name}",
                 got=self._holder,
-                remedy="wait for its end; watching and stop are open to everybody",
+                remedy="wait for its end; reading and stop are open to every client",
             )
         with self._lock:  # a new token may still be on its way
             if self._lock.wait_for(lambda: client in self._living, _TOKEN_TIME):
@@ -296,7 +296,7 @@ class Port:
                 self._domain, self.name, client or "NAME"
             )
             raise ClaimError(
-                "a client that takes control must be seen to live",
+                "a client that takes control needs a liveliness token",
                 where=f"port {self.name}",
                 expected=f"a liveliness token {token}",
                 got="none",
@@ -307,10 +307,10 @@ class Port:
     def _must_hold(self, client: str) -> None:
         if client != self._holder:
             raise StateError(
-                "quit gives control back, and this client has none",
+                "this client has no control to give back",
                 where=f"port {self.name}",
                 got=client or "no client name",
-                remedy="who has not taken control need not give it back: just end",
+                remedy="a client without control can simply end",
             )
 
     def _give_back(self, client: str, reason: str) -> None:

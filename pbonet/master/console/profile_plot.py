@@ -57,7 +57,7 @@ def draw(path: str | Path, tasks: Sequence[Data]) -> None:
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise ConfigFileError(
-            "no picture can be drawn into this file",
+            "no plot can be written to this file",
             where=str(path),
             expected=" or ".join(SUFFIXES),
             got=path.suffix or "no suffix",
@@ -83,7 +83,7 @@ def draw(path: str | Path, tasks: Sequence[Data]) -> None:
         figure.savefig(path, bbox_inches="tight")
     except OSError as error:
         raise ConfigFileError(
-            "the picture cannot be written",
+            "the plot cannot be written",
             where=str(path),
             got=error.strerror or str(error),
             remedy="name a folder that is there and writable",
@@ -108,7 +108,7 @@ def _figure() -> tuple[Any, Any]:
         from matplotlib.figure import Figure
     except ImportError:
         raise NodeError(
-            "there is nothing to draw with",
+            "no package that draws is installed",
             expected="matplotlib",
             remedy="pip install 'pbonet[plot]'",
         ) from None

@@ -83,7 +83,7 @@ class Prompt:
                 "a prompt needs a subsystem in real time",
                 where=subsystem.name,
                 expected="Subsystem(...) without virtual=True",
-                remedy="in virtual time steer it by its methods: time passes in wait",
+                remedy="in virtual time use its methods: time passes in wait",
             )
         self._say = say or render.print_line
         self._subsystem = subsystem

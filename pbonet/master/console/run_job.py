@@ -277,7 +277,7 @@ class Run:
         try:
             port.open()
         except PbonetError as error:
-            self._view.say(render.warning(f"no verb can steer this run: {error}"))
+            self._view.say(render.warning(f"no verb can control this run: {error}"))
             yield
             return
         try:

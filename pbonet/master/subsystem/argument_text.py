@@ -88,7 +88,7 @@ def check_time(seconds: float | None) -> None:
     """
     if seconds is not None and not 0 <= seconds <= threading.TIMEOUT_MAX:
         raise StateError(
-            "this is no time limit",
+            "this is not a valid time limit",
             expected=f"0 to {threading.TIMEOUT_MAX:g} s",
             got=f"{seconds:g} s",
             remedy="give one within these; none at all waits for ever",

@@ -322,6 +322,6 @@ def go_on(stopped: threading.Event) -> None:
     """
     if stopped.is_set():
         raise StateError(
-            "the start was given up because a stop came in between",
-            remedy="start it again when nobody stops it; what was begun was undone",
+            "the start was abandoned because of a stop",
+            remedy="start it again; what was begun was undone",
         )

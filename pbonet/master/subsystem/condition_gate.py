@@ -127,6 +127,6 @@ def in_time(
                 raise
         if clock.wait(min(LOOK_TIME, left), stopped):
             raise StateError(
-                "a stop came while conditions were waited for",
-                remedy="start it again when nobody stops it",
+                "a stop arrived during the wait for conditions",
+                remedy="start it again",
             )

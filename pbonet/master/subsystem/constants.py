@@ -216,7 +216,7 @@ def _arrived(
                 where=f"{member.rtpu}/{member.name}",
                 expected=f"the value that {' and '.join({*far.values()})} has, within "
                 f"{ARRIVAL_TIME:g} s",
-                remedy="look at the link with `pbonet doctor`",
+                remedy="check the connection with `pbonet doctor`",
             )
         if far:
             time.sleep(LOOK_TIME)

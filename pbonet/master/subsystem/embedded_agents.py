@@ -244,5 +244,5 @@ class Embedded:
         return NodeError(
             f"the embedded agents are not there after {START_TIME:g} s",
             where=", ".join(sorted(wanted)),
-            remedy="is the machine overloaded? 'pbonet doctor' looks at it",
+            remedy="is the machine overloaded? 'pbonet doctor' checks it",
         )

@@ -54,7 +54,7 @@ def since(word: int | str) -> tuple[int, float]:
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smhd])", text)
     if found is None:
         raise StateError(
-            "this says not since when",
+            "this is neither a number nor a time",
             expected="the number of an event, or a time such as 90s, 5m, 2h or 1d",
             got=text[:40],
             remedy="such as --since 5m; 'events' shows the numbers",

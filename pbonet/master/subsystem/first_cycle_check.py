@@ -43,7 +43,7 @@ def prove(
 
     Raises:
         ReconfigError: One of them has failed, or an RTPU does not say how its tasks
-            stand; nobody was killed.
+            stand; no task was killed.
     """
     came = [task for task, signal in items if signal == "on"]
     end = clock.now() + PATIENCE
@@ -77,5 +77,5 @@ def _failed(task: m.TaskStatus) -> StateError:
         where=f"{task.rtpu}/{task.task}",
         expected="a first cycle before others are killed for it",
         got=task.error or f"state {task.state}",
-        remedy="nobody was killed: 'switch' back turns them on again",
+        remedy="no task was killed: 'switch' back turns them on again",
     )

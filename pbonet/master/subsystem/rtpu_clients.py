@@ -252,7 +252,7 @@ class RtpuClients:
         """
         if not self.epochs:
             raise ClaimError(
-                "this changes the subsystem, which is open for watching only",
+                "this changes the subsystem, which is open for reading only",
                 where=self.sbs.subsystem,
                 remedy="open it as its master",
             )

@@ -737,7 +737,7 @@ class Subsystem:
             return found
         if not found:
             raise StateError(
-                "the task went away while it was looked for",
+                "the task disappeared during the request",
                 where=task,
                 remedy="'status' shows which tasks there are",
             )
@@ -983,7 +983,7 @@ class Subsystem:
         results, errors = self.clients.each(
             lambda _: request(since=first), list[m.Event]
         )
-        rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
+        rpc.raise_all(f"{len(errors)} RTPUs do not report their events", errors)
         found = [event for events in results.values() for event in events]
         if doubt := wanted.doubt(found):
             self._warn(doubt)
@@ -1008,7 +1008,7 @@ class Subsystem:
     def _must_go_on(self) -> None:
         if self.stopped.is_set():
             raise StateError(
-                "the subsystem was stopped while a signal was waited for",
+                "the subsystem was stopped during the wait for a signal",
                 where=self.name,
                 remedy="start it, then wait again",
             )
@@ -1022,7 +1022,7 @@ class Subsystem:
             where=", ".join(tasks) or self.name,
             got="pending: "
             + (", ".join(f"{one.task} {one.signal}" for one in others) or "nothing"),
-            remedy="'status' shows how the tasks stand",
+            remedy="'status' shows the state of the tasks",
         )
 
     def _warn(self, text: str) -> None:

@@ -313,11 +313,11 @@ def _newcomer(
             where=place,
             expected="state OFF",
             got="state ERROR",
-            remedy=f"'clear {name}' mends it, 'kill {name}' removes it",
+            remedy=f"'clear {name}' brings it out of ERROR, 'kill {name}' removes it",
         )
     if rtpu not in {None, member.rtpu}:
         raise StateError(
-            f"the task {name} stands on another RTPU",
+            f"the task {name} is on another RTPU",
             where=place,
             expected=str(rtpu),
             got=member.rtpu,
@@ -329,7 +329,7 @@ def _newcomer(
 def _must_run_at(standing: Member, wanted: Member) -> None:
     if abs(standing.freq - wanted.freq) > _RATE * wanted.freq:
         raise StateError(
-            f"the task {standing.name} stands with another frequency",
+            f"the task {standing.name} has another frequency",
             where=f"{standing.rtpu}/{standing.name}",
             expected=f"{wanted.freq:g} Hz, as the job says",
             got=f"{standing.freq:g} Hz",

@@ -119,7 +119,7 @@ def examine(
     found += [
         Finding(
             Level.WARN,
-            f"nobody uses the shared memory {path.name}",
+            f"no process uses the shared memory {path.name}",
             "'pbonet doctor --clean' removes it",
         )
         for path in abandoned()
@@ -278,14 +278,14 @@ def _tbufs(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding
 def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
     """Return what is to be thought of a link."""
     if not link.writer:
-        return Level.WARN, text, f"start who writes {link.name}, or its agent"
+        return Level.WARN, text, f"start the writer of {link.name}, or its agent"
     if not link.reader:
-        return Level.WARN, text, "start who reads it, or its agent"
+        return Level.WARN, text, "start its reader, or the agent"
     if link.age is None or link.age > _QUIET:
         return (
             Level.WARN,
             text,
-            "look whether its writer is ON, and its input not stale",
+            "check that its writer is ON and its input is not stale",
         )
     return Level.PASS, text, ""
 
@@ -318,7 +318,7 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
             yield Finding(
                 Level.WARN,
                 f"{name} has a link to {other}, and does not see it",
-                "the agent makes the link anew within some seconds; look again then",
+                "the agent restores the link within some seconds; check again then",
             )
         for other in report.double:
             yield Finding(
@@ -341,8 +341,8 @@ def _pair(one: str, other: str, way: m.Way | None) -> Finding:
         return Finding(
             Level.FAIL,
             f"{one} - {other}: {way.error}",
-            "a link that was lost is restored within some seconds: look again; if it "
-            f"stays so, start {other} anew (kill -HUP, docs/hosts.md)",
+            "a link that was lost is restored within some seconds: check again; if it "
+            f"is not, restart {other} (kill -HUP, docs/hosts.md)",
         )
     text = f"{one} - {other}: round trip {render.seconds(way.trip)}"
     if way.hops:
@@ -395,7 +395,7 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
 def _term(whose: str, left: float, remedy: str) -> Finding:
     """Judge how long keys are good for."""
     if left <= 0:
-        return Finding(Level.FAIL, f"{whose} have run out", remedy)
+        return Finding(Level.FAIL, f"{whose} have expired", remedy)
     text = f"{whose} are good for {credentials.days(left)}"
     if left < credentials.SOON:
         return Finding(Level.WARN, text, remedy)

@@ -272,7 +272,7 @@ def _sdk() -> Any:  # noqa: ANN401 - it may not be there
         return import_module("foxglove")
     except ImportError:
         raise NodeError(
-            "Foxglove's SDK is not there",
+            "Foxglove's SDK is not installed",
             expected="foxglove-sdk",
             remedy='pip install "pbonet[view]"; a log needs none, Foxglove opens it',
         ) from None

@@ -23,14 +23,14 @@ def draw(log: Log, variables: Sequence[str], out: Path) -> None:
 
     Raises:
         UnknownVariableError: No task wrote one of them.
-        LogError: There is nothing to draw with, or the picture cannot be written.
+        LogError: There is nothing to draw with, or the plot cannot be written.
     """
     series = [(name, *log.series(name)) for name in variables]
     try:
         import matplotlib as mpl
     except ImportError:
         raise LogError(
-            "there is nothing to draw with",
+            "no package that draws is installed",
             expected="matplotlib",
             remedy='pip install "pbonet[plot]", or open the log in Foxglove',
         ) from None
@@ -52,7 +52,7 @@ def draw(log: Log, variables: Sequence[str], out: Path) -> None:
         figure.savefig(out, dpi=100)  # pyright: ignore[reportUnknownMemberType]
     except (OSError, ValueError) as error:
         raise LogError(
-            "the picture cannot be written",
+            "the plot cannot be written",
             where=str(out),
             got=str(error),
             remedy="choose another file, such as log.png",

@@ -292,11 +292,12 @@ def _check_fit(table: Table, variables: list[Variable]) -> None:
             ) from None
         if _meaning(there) != _meaning(variable):
             raise SvarLayoutError(
-                f"{variable.name} is another variable in the table than in the log",
+                f"{variable.name} differs between the table and the log",
                 where=table.name,
                 expected=_meaning(variable),
                 got=_meaning(there),
-                remedy="play it into a subsystem whose .svar file says the same of it",
+                remedy="play it into a subsystem whose .svar file defines it in the "
+                "same way",
             )
 
 

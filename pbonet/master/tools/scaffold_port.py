@@ -69,7 +69,7 @@ def read_port(text: str, kind: Kind, svar: SvarFile | None = None) -> NewPort:
             where=text,
             expected="NAME:SHAPE:UNIT:TYPE",
             got=f"{1 + len(words)} parts",
-            remedy="leave out what is too many",
+            remedy="remove the surplus parts",
         )
     if variable is None and not given.get("unit"):
         raise ConfigError(

@@ -104,7 +104,7 @@ def _is_idle(task: legality.Task) -> bool:
 def _no_work(task: legality.Task) -> str:
     return (
         f"background task {task.name} has nothing to do here: MAXC of its cycles is "
-        "not known; declare it, and it works in what the others leave"
+        "not known; declare it, and it uses the time that the others leave"
     )
 
 
@@ -203,7 +203,7 @@ def write_svg(outcome: legality.JobOutcome, path: Path, show_ns: int = 0) -> lis
             file.write_text(text, encoding="utf-8")
         except OSError as error:
             raise ConfigFileError(
-                "the picture cannot be written",
+                "the plot cannot be written",
                 where=str(file),
                 got=error.strerror or str(error),
                 remedy="name a folder that is there and writable",

@@ -53,7 +53,7 @@ def new_module(
         The files.
 
     Raises:
-        ConfigError: The name or a port is wrong, or a file stands there already.
+        ConfigError: The name or a port is wrong, or a file exists there already.
     """
     table = read_svar(svar) if svar is not None else None
     wanted = [
@@ -192,9 +192,9 @@ def _write(paths: Mapping[Path, str], *, force: bool) -> list[Path]:
     standing = [path for path in paths if path.exists()]
     if standing and not force:
         raise ConfigFileError(
-            "a file stands there already",
+            "a file exists there already",
             where=str(standing[0]),
-            remedy="choose another name or folder, or say --force",
+            remedy="choose another name or folder, or use --force",
         )
     for path, text in paths.items():
         try:

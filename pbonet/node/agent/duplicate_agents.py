@@ -95,7 +95,7 @@ class DuplicateAgents:
             )
             answers = [r.ok.payload.to_bytes() for r in replies if r.ok is not None]
         except zenoh.ZError as error:
-            log.debug("nobody could be asked for the name: %s", error)
+            log.debug("no agent could be asked for the name: %s", error)
             return
         for data in answers:
             self._judge(data)

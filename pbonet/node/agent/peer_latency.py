@@ -228,7 +228,7 @@ class PeerLatencies:
                 self._look(self._me().name)
                 self._relink_unseen()
             except (zenoh.ZError, OSError) as error:
-                log.debug("the ways cannot be measured: %s", error)
+                log.debug("the connections cannot be measured: %s", error)
             if self._tell is not None and (others := self._apart()):
                 self._tell(rtpu_messages.Clocks(self._me().machine, others))
 

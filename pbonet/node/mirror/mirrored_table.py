@@ -355,6 +355,6 @@ class MirroredTable:
                 ),
             )
         except zenoh.ZError as error:
-            log.debug("%s: nobody could be asked: %s", self.subsystem, error)
+            log.debug("%s: no machine could be asked: %s", self.subsystem, error)
             if done is not None:
                 done()

@@ -230,7 +230,7 @@ class TableCarrier:
             try:
                 self._carried[subsystem] = MirroredTable(self, subsystem, keep=keep)
             except SvarError as error:
-                log.warning("the table of %s is not carried: %s", subsystem, error)
+                log.warning("the table of %s is not transferred: %s", subsystem, error)
 
     def _end(self) -> None:
         self._over = True
@@ -263,4 +263,4 @@ class TableCarrier:
         try:
             what()
         except Exception:  # a fault of one table must not affect the others
-            log.exception("a table could not be carried")
+            log.exception("a table could not be transferred")

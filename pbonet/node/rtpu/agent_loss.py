@@ -62,6 +62,6 @@ def _reaped(rtpu: Rtpu, subsystem: str) -> bool:
         return True
     finally:
         if lost:
-            cause = f"nobody brings {' '.join(lost)} from other machines"
+            cause = f"no agent transfers {' '.join(lost)} from other machines"
             rtpu.flags.up(subsystem, NAME, cause[:120], lost)
     return True

@@ -139,7 +139,7 @@ class Claims:
                     where=self._rtpu,
                     expected="one of " + " ".join(known),
                     got=repr(got),
-                    remedy="mend its line in the .sbs file",
+                    remedy="correct its line in the .sbs file",
                 )
         if not request.subsystem or not request.client:
             raise ClaimError(
@@ -154,7 +154,7 @@ class Claims:
                 where=self._rtpu,
                 expected="0 < minfreq < maxfreq, in Hz",
                 got=f"{request.minfreq:g} to {request.maxfreq:g}",
-                remedy="mend MINFREQ and MAXFREQ in the .sbs file",
+                remedy="correct MINFREQ and MAXFREQ in the .sbs file",
             )
 
     def _check_take_over(
@@ -227,7 +227,7 @@ def check(rtpu: str, entry: Entry | None, request: Request) -> Entry:
         )
     if entry.epoch != request.epoch:
         raise ClaimError(
-            f"another master steers subsystem {request.subsystem} now",
+            f"another master controls subsystem {request.subsystem} now",
             where=rtpu,
             expected=f"epoch {entry.epoch}, held by {entry.client}",
             got=f"epoch {request.epoch} from {request.client or 'nobody'}",

@@ -80,7 +80,7 @@ class ConstantOwners:
                 giver.told = True
                 verb = "is" if len(left) == 1 else "are"
                 cause = f"{giver.task.name} gives the constants of {' and '.join(left)}"
-                cause += f", which {verb} still ON: nobody goes on with the exchange"
+                cause += f", which {verb} still ON: no master continues the exchange"
                 self._rtpu.flags.up(giver.task.facts.subsystem, RAISER, cause)
 
     def _on(self, giver: ConstantOwner) -> list[str]:

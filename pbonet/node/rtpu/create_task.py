@@ -116,7 +116,7 @@ def check_freq(rmod: Rmod, freq: float | None) -> float:
             where=rmod.name,
             expected=f"above 0 and at most {FASTEST:g} Hz",
             got=f"{wanted:g} Hz",
-            remedy="mend FREQ in the .rmod file, or name a frequency within this",
+            remedy="correct FREQ in the .rmod file, or name a frequency within this",
         )
     return wanted
 
@@ -235,7 +235,7 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
     except PbonetError as error:
         if isinstance(error, NoAnswerError):
             error.what = f"`init` did not return within {limit:g} s"
-            error.remedy = "see where it stood; `timeout` of the spawn gives it longer"
+            error.remedy = "`timeout` of the spawn gives it longer"
             error.debug = await task.where()
             task.child.send_signal(signal.SIGKILL)
         await task.end(1.0)

@@ -200,7 +200,7 @@ class Flags:
         if opened is None or not handed:
             return
         raiser = f"{self._rtpu}/{UNFINISHED}"
-        cause = f"{done} is done, and nobody took over "
+        cause = f"{done} is done, and no task took over "
         entry = _Entry(opened, raiser, cause, handed, by=dict(outputs), pending=True)
         self._entries[subsystem, UNFINISHED, str(next(self._number))] = entry
         if within:

@@ -86,7 +86,7 @@ async def _result(child: Child, name: str | None) -> Inspected:
         code = await asyncio.wait_for(asyncio.shield(child.exited), PATIENCE)
     except TimeoutError:
         raise ModuleLoadError(
-            f"loading {what} does not come to an end",
+            f"loading {what} does not finish",
             got=f"no result after {PATIENCE:g} s",
             remedy="look for code at the top of a module that waits",
             debug=child.crash_text(),

@@ -66,14 +66,14 @@ def _check(request: Record) -> None:
     for mode in (request.mode, *request.tasks.values()):
         if mode not in MODES:
             raise LogError(
-                "this is no way to record",
+                "this is not a recording mode",
                 expected=" or ".join(MODES),
                 got=mode[:40],
                 remedy="correct it",
             )
     if not 0.0 <= request.last <= LONGEST:
         raise LogError(
-            "so many seconds cannot be kept",
+            "this many seconds cannot be kept",
             expected=f"0 to {LONGEST:g}",
             got=f"{request.last:g}",
             remedy="record everything where more is wanted",

@@ -111,11 +111,12 @@ class RequestHandlers:
         return await asyncio.shield(known.answer)
 
     def _another(self, request: m.Request, before: str) -> ProtocolError:
-        """Return the error for an id that was another request's."""
+        """Return the error for an id that was used by another request."""
         return ProtocolError(
-            f"the id {request.id} of client {request.client} was another request's",
+            f"the id {request.id} of client {request.client} was used by another "
+            "request",
             where=self._rtpu.name,
-            expected=f"the same {before} again, or an id of its own",
+            expected=f"the same {before} again, or a new id",
             got=f"{request.__struct_config__.tag} with other contents",
             remedy="count ids up, and give each run of a program another client name",
         )
@@ -366,7 +367,7 @@ def _check_timeout(timeout: float) -> None:
     """
     if not 0 <= timeout <= LONGEST:
         raise ProtocolError(
-            "this is no time limit",
+            "this is not a valid time limit",
             expected=f"0 to {LONGEST:g} s",
             got=f"{timeout:g}",
             remedy="give one within these",

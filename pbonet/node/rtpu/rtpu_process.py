@@ -146,7 +146,7 @@ class AgentLink:
         self._rtpu.events.add(
             Severity.WARNING,
             "AGENT_GONE",
-            f"agent {self._agent_pid} is gone; control goes on for {self._grace:g} s",
+            f"agent {self._agent_pid} is gone; control continues for {self._grace:g} s",
         )
         self._start_grace()
 
@@ -173,7 +173,7 @@ class AgentLink:
                 self._queues.put(message)
             case rtpu_messages.Shutdown():
                 self.end_time = message.timeout
-                self._finish("the agent was told to end")
+                self._finish("the agent was asked to end")
             case rtpu_messages.Attach():
                 self._grace = message.grace
 

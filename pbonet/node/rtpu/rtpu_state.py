@@ -339,7 +339,7 @@ class Rtpu:
             task.error = placed(error, notice.place)
         if notice.code == "ENDING" and task.state is State.ON:
             task.left = True
-            self._raise_flag(task, "has ended unasked")
+            self._raise_flag(task, "has ended by itself")
         if notice.code == "ENGAGED":
             self._engaged(task, notice)
         elif notice.state:
@@ -528,5 +528,5 @@ class Rtpu:
             if led and not self.dispatcher.running:
                 led = False
                 self.events.add(
-                    Severity.FATAL, "DISPATCHER_ENDED", "nobody releases tasks any more"
+                    Severity.FATAL, "DISPATCHER_ENDED", "no tasks are released any more"
                 )

@@ -202,9 +202,9 @@ class Successors:
             notice = await asyncio.wait_for(asyncio.shield(task.engaged), limit)
         except TimeoutError:
             raise NoAnswerError(
-                "the task did not come on in time",
+                "the task was not turned on in time",
                 where=task.name,
-                remedy="look at its state, and at what else its RTPU has to do",
+                remedy="check its state and the load of its RTPU",
             ) from None
         if notice.error is not None:
             raise error_of(notice)

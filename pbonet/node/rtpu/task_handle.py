@@ -290,7 +290,7 @@ class Task:
                 "the task takes no messages",
                 where=self.name,
                 got=str(error),
-                remedy="'status' shows how it stands; kill it and spawn it again",
+                remedy="'status' shows its state; kill it and spawn it again",
             ) from None
         self._wake(last)
 
@@ -369,7 +369,7 @@ class Task:
         try:
             message = self._decoder.decode(data)
         except codec.MALFORMED as error:
-            text = f"the task sent what is no message: {error}"
+            text = f"the task sent an invalid message: {error}"
             self._tell(
                 self,
                 rtpu_messages.Notice(
@@ -393,7 +393,7 @@ class Task:
             notice = rtpu_messages.Notice(
                 severity=int(Severity.WARNING),
                 code="LOST",
-                text=f"{total} notices found no room; they are counted",
+                text=f"{total} notices did not fit; they are counted",
                 lost=message.lost,
             )
             self._tell(self, notice)

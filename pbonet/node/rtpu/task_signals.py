@@ -126,7 +126,7 @@ class Signals:
         self._events.add(
             severity(bits),
             "SIGNALS",
-            f"not told one by one: {text}",
+            f"not reported individually: {text}",
             subsystem=task.facts.subsystem,
             task=task.name,
             bits=bits,

@@ -256,7 +256,7 @@ def signal_event(name: str, *, where: str = "") -> Event:
 
 
 _REMEDIES: Mapping[tuple[State, Event], str] = {
-    (State.ON, Event.ON): "it is cycling already",
+    (State.ON, Event.ON): "it is ON already",
     (State.OFF, Event.OFF): "it is OFF already",
     (State.ERROR, Event.ON): "remove the cause of its error, then send clear",
     (State.ERROR, Event.OFF): "it does not cycle; send clear or kill",

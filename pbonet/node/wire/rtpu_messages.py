@@ -489,7 +489,7 @@ def _receive_exactly(sock: socket.socket, count: int) -> bytes:
 def _checked(length: int) -> int:
     if length > LARGEST_FRAME:
         raise NodeError(
-            "a frame between agent and RTPU process is impossibly long",
+            "a frame between agent and RTPU process is too long",
             expected=f"at most {LARGEST_FRAME} bytes",
             got=f"{length} bytes",
             remedy="run the same pbonet version in both; end the older",

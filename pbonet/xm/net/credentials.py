@@ -131,7 +131,7 @@ def prove(folder: Path, role: Role | None = None) -> float:
             where=str(folder / CERT),
             expected=role,
             got=common.removeprefix("pbonet-"),
-            remedy=f"`pbonet keys {role} NAME` makes the right ones",
+            remedy=f"`pbonet keys {role} NAME` makes the correct ones",
         )
     return until
 

@@ -182,8 +182,8 @@ def test_what_an_aborted_cycle_left_is_not_verifiable(line, nodes):
     verdict = verdict_of(run(line, nodes, KEEPS, answer="abort"))
     gap, number = end_of(verdict)
     assert gap == (
-        f"Y2 differs, but the cycle behind cycle {number - 1} was aborted, and what it "
-        "had done by then is not on record"
+        f"Y2 differs, but the cycle after cycle {number - 1} was aborted, and what it "
+        "had done by then is not recorded"
     )
 
 
@@ -191,5 +191,5 @@ def test_a_handler_that_raised_ends_what_can_be_verified(line, nodes):
     verdict = verdict_of(run(line, nodes, answer="raise"))
     (gap,) = verdict.gaps
     assert gap == (
-        f"timing_failure behind cycle {verdict.cycles}: the handler does not like it"
+        f"timing_failure after cycle {verdict.cycles}: the handler does not like it"
     )

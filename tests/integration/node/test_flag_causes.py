@@ -188,7 +188,7 @@ def test_a_task_that_ends_unasked(arm, nodes, who):
         hold(arm, "Y0")
         wait_level(arm, 3.0)
     os.kill(tid if who == "task" else nodes.fork_server("arm0"), signal.SIGTERM)
-    cause = "source has ended unasked (arm0/source)"
+    cause = "source has ended by itself (arm0/source)"
     wait_for(lambda: illegal(arm) == [cause], "the flag")
     if who == "task":
         wait_level(arm, -1.0)

@@ -161,7 +161,7 @@ class TestAgent:
 
 
 class TestRtpuProcess:
-    """Every task turns itself off within a second; the agent starts anew."""
+    """Every task turns itself off within a second; the agent restarts."""
 
     def test_killed(self, arm, nodes, tmp_path, shared_memory):
         books, pids = start_pair(arm, tmp_path)

@@ -181,7 +181,7 @@ def test_one_of_two_that_leave_fails(arm, nodes, tmp_path):
     assert states(arm) == {"a": "OFF", "b": "OFF", "bad": "ERROR", "pair": "OFF"}
     with Table.attach(f"{nodes.domain}.t") as table:
         assert table.info("Y0").owner is None  # and not a, which ceded it
-    assert any("off a is done, and nobody took over Y0" in one for one in causes(arm))
+    assert any("off a is done, and no task took over Y0" in one for one in causes(arm))
     assert arm.swap(["a", "bad"], "pair").items == [("pair", "on")], "what is left"
     wait_for(lambda: not causes(arm), "a legal configuration")
 

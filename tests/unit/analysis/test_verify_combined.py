@@ -68,10 +68,12 @@ def test_the_lists_are_those_of_the_parts_without_what_is_inner(folder):
     assert told(folder, path) == [
         "ERROR> both.rmod:3:1: INCONST does not list NDOF, an in-const of the module "
         "one+two (expected NDOF, got none); add NDOF to INCONST",
-        "ERROR> both.rmod:5:1: INVAR lists Y, which is no such port of the module "
+        "ERROR> both.rmod:5:1: INVAR lists Y, which is not a port of that kind in "
+        "module "
         "one+two (expected X, got X Y); take it out; 'pbonet module both.rmod' shows "
         "the ports",
-        "ERROR> both.rmod:6:1: OUTVAR lists W, which is no such port of the module "
+        "ERROR> both.rmod:6:1: OUTVAR lists W, which is not a port of that kind in "
+        "module "
         "one+two (expected Z, got Z W); take it out; 'pbonet module both.rmod' shows "
         "the ports",
         "both.rmod: RMOD both of module one+two: 3 faults",
@@ -83,7 +85,7 @@ def test_units_within(folder):
     assert told(folder, folder.both())[0] == (
         "ERROR> both.rmod:1:1: one.Y and two.Y, which the inner variable Y connects, "
         "have different units (expected rad as one.Y has, got deg); 1 rad is 57.2958 "
-        "deg; put a module that converts in between"
+        "deg; insert a module that converts"
     )
 
 

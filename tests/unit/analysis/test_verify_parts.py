@@ -29,7 +29,8 @@ def test_ports_of_file_and_class_are_compared_both_ways() -> None:
     assert texts(config) == [
         "diff.rmod:6:1: INVAR does not list W, an in-var of the module mod (expected Z "
         "W, got Z); add W to INVAR",
-        "diff.rmod:7:1: OUTVAR lists Z^, which is no such port of the module mod "
+        "diff.rmod:7:1: OUTVAR lists Z^, which is not a port of that kind in module "
+        "mod "
         "(expected Y, got Z^); take it out; 'pbonet module mod' shows the ports",
         "diff.rmod:7:1: OUTVAR does not list Y, an out-var of the module mod (expected "
         "Y, got Z^); add Y to OUTVAR",
@@ -40,7 +41,8 @@ def test_a_port_in_the_wrong_list() -> None:
     info = module(port("outvar", "Z"))
     config = configuration(task("a", invar="Z", info=info), on=set())
     assert texts(config) == [
-        "a.rmod: INVAR lists Z, which is no such port of the module mod (expected "
+        "a.rmod: INVAR lists Z, which is not a port of that kind in module mod "
+        "(expected "
         "none, got Z); list it under OUTVAR",
     ]
 
@@ -61,7 +63,8 @@ def test_a_port_that_is_misspelt_is_told_once_and_first(alias) -> None:
     table = tuple(one for one in now.svar.variables if one.name != "T_GRAVV")
     now = structs.replace(now, svar=structs.replace(now.svar, variables=table))
     assert texts(now) == [
-        "grav.rmod: OUTVAR lists T_GRAVV, which is no such port of the module mod "
+        "grav.rmod: OUTVAR lists T_GRAVV, which is not a port of that kind in module "
+        "mod "
         "(expected T_GRAV, got T_GRAVV); did you mean T_GRAV?"
     ]
 
@@ -70,7 +73,8 @@ def test_a_port_that_is_misspelt_in_the_module_is_told_once() -> None:
     info = module(port("outvar", "T_GRAVV"))
     tasks = (task("arm", invar="T_GRAV"), task("grav", outvar="T_GRAV", info=info))
     assert texts(configuration(*tasks)) == [
-        "grav.rmod: OUTVAR lists T_GRAV, which is no such port of the module mod "
+        "grav.rmod: OUTVAR lists T_GRAV, which is not a port of that kind in module "
+        "mod "
         "(expected T_GRAVV, got T_GRAV); did you mean T_GRAVV?"
     ]
 
@@ -142,11 +146,11 @@ def test_units_differ() -> None:
     assert texts(configuration(one, variables=[variable])) == [
         "a.rmod: the port X of task a and the variable X have different units "
         "(expected rad/s, got deg/s (the .svar file)); 1 deg/s is 0.0174533 rad/s; "
-        "correct UNITS, or put a module that converts in between"
+        "correct UNITS, or insert a module that converts"
     ]
     variable = Variable(name="X", type="double", units="N*m")
     assert legality.check(configuration(one, variables=[variable]))[0].remedy == (
-        "correct UNITS, or put a module that converts in between"
+        "correct UNITS, or insert a module that converts"
     )
 
 

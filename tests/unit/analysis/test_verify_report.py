@@ -259,7 +259,7 @@ def test_unknown_times_are_refused_or_assumed() -> None:
     assert str(caught.value) == (
         "a: the execution time of a is not known (expected MAXC in the .rmod, or a "
         "measured profile, got neither); declare MAXC, measure it with 'pbonet run "
-        "--profile', or say what share of a period to assume: --assume 0.1"
+        "--profile', or give the share of a period to assume: --assume 0.1"
     )
     outcome = legality.simulate_job(config, seconds=1, assume=0.25)
     assert outcome.rtpus["arm0"].utilization == pytest.approx(0.25)

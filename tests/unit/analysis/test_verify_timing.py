@@ -54,7 +54,7 @@ def test_edf_has_one_criticality_and_keeps_nothing_in_an_overload() -> None:
     (load,) = legality.loads(config)
     assert load.critical_set == ()
     assert texts(config) == [
-        "arm0: RTPU arm0 is asked for more than it has (expected a utilization of at "
+        "arm0: RTPU arm0 is overloaded (expected a utilization of at "
         "most 100.0%, got 125.0%); lower a frequency, or move a task to another RTPU"
     ]
     fewer = configuration(*config.tasks[:3], rtpus=config.rtpus)
@@ -102,7 +102,7 @@ def test_rm_refuses_an_overload_of_which_nobody_is_safe() -> None:
     tasks = [structs.replace(t, rmod=structs.replace(t.rmod, crit=7)) for t in tasks]
     (problem,) = legality.check(configuration(*tasks, rtpus=[rtpu(scheduler="RM")]))
     assert problem.severity == "refuse"
-    assert "is asked for more than it has" in problem.what
+    assert "is overloaded" in problem.what
 
 
 def test_rm_gives_the_faster_task_the_higher_criticality() -> None:
@@ -237,9 +237,9 @@ def test_the_traffic_of_equations_6_and_7() -> None:
     assert texts(config) == []
     config = configuration(*tasks, variables=table, copy_speed=200e3)
     assert texts(config) == [
-        "arm: the tasks move more data than the table is allowed to (expected at most "
+        "arm: the tasks transfer more data than the table can carry (expected at most "
         "0.2 MB/s (equation 7), got 0.216 MB/s, of which arm 0.144 MB/s); lower the "
-        "frequency of arm, or combine it with the tasks it talks to"
+        "frequency of arm, or combine it with the tasks that use it"
     ]
 
 
@@ -339,7 +339,8 @@ def test_a_rate_that_no_rtpu_grants_is_refused() -> None:
     (problem,) = legality.check(configuration(task("a", freq=10_001)))
     assert problem.severity == "refuse"
     assert legality.as_text(problem) == (
-        "a.rmod: task a is faster than an RTPU can be (expected at most 10000 Hz, got "
+        "a.rmod: task a has a higher frequency than an RTPU supports (expected at "
+        "most 10000 Hz, got "
         "10001 Hz); lower the frequency"
     )
 

@@ -161,8 +161,8 @@ def test_a_missing_constant() -> None:
     )
     (problem,) = legality.check(config)
     assert legality.as_text(problem) == (
-        "grav.rmod: no task produces the constant DH, which grav needs (expected a "
-        "task that stands and has it as an out-const); in the library, puma and scara "
+        "grav.rmod: no task produces the constant DH, which grav needs (expected "
+        "an existing task with it as an out-const); in the library, puma and scara "
         "do; add one of them to the configuration, or give it a value by INIT in the "
         ".svar file"
     )
@@ -192,7 +192,8 @@ def test_two_producers_of_a_constant_even_when_off() -> None:
     assert problem.severity is legality.Severity.WARN
     assert legality.as_text(problem) == (
         "scara.rmod: puma and scara both produce the constant DH; they must give it "
-        "the same value, for the table refuses another one (expected one value of a "
+        "the same value, because the table refuses another value (expected one value "
+        "of a "
         "constant, got puma.rmod, scara.rmod); where values differ, swap one for the "
         "other, kill one of them, or give its constant another name by SVARALIAS"
     )
@@ -219,13 +220,13 @@ def test_a_circle_of_constants_is_drawn() -> None:
     assert legality.as_text(problem) == (
         "a.rmod: the tasks wait for each other's constants (expected constants that "
         "flow from task to task without a circle, got a --A--> b --B1, B2--> c --C--> "
-        "a); let one of them have its constant from LOCAL or from another task"
+        "a); give one of them its constant by LOCAL or from another task"
     )
     with pytest.raises(VerificationError) as caught:
         legality.spawn_order(tasks)
     assert str(caught.value) == (
         "a: the tasks wait for each other's constants (got a --A--> b --B1, B2--> c "
-        "--C--> a); let one of them have its constant from LOCAL or from another task"
+        "--C--> a); give one of them its constant by LOCAL or from another task"
     )
 
 
@@ -259,7 +260,7 @@ def test_what_goes_by_age_needs_a_variable_that_grows_old() -> None:
     (problem,) = legality.check(first_of())
     assert problem.severity is legality.Severity.WARN
     assert legality.as_text(problem) == (
-        "join.rmod: X1 has no MAXAGE, so join takes it for valid even when no task "
+        "join.rmod: X1 has no MAXAGE, so join considers it valid even when no task "
         "writes it any more, and never falls back for that; write MAXAGE and seconds "
         "under NAME X1 in the .svar file"
     )
@@ -292,7 +293,7 @@ def test_a_connector_joins_variables_of_one_unit() -> None:
     assert told == (
         "join.rmod: join joins variables of different units (expected one unit for Z1, "
         "Z2, Z, got Z1=X1 in deg, Z2=X2 in rad, Z=X in rad); 1 rad is 57.2958 deg; "
-        "correct UNITS, or put a gain that converts in between"
+        "correct UNITS, or insert a gain that converts"
     )
     (told,) = joining("any", "rad", "m")
     assert "got Z2=X2 in rad, Z=X in m); correct UNITS" in told

@@ -252,7 +252,7 @@ def test_a_word_that_a_command_does_not_take_is_reported_with_the_verbs_usage(ca
     assert call("start", PUMA / "puma.sbs", "--wait", "5min") == (
         1,
         "",
-        "pbonet: start: WAIT is no number: 5min (expected pbonet start FILE [JOB] "
+        "pbonet: start: WAIT is not a number: 5min (expected pbonet start FILE [JOB] "
         "[options]); 'pbonet start --help' explains it\n",
     )
 
@@ -366,7 +366,7 @@ def test_new_module_is_written_once(call, tmp_path):
     assert len(out.splitlines()) == 3
     status, _, err = call(*words)
     assert status == 1
-    assert "a file stands there already" in err
+    assert "a file exists there already" in err
     assert call(*words, "--force")[0] == 0
     assert call("check", tmp_path / "squash.rmod", "--library", tmp_path)[0] == 0
 
@@ -416,13 +416,13 @@ def test_a_run_is_looked_at(call, tmp_path):
     assert status == 0
     assert out.startswith("grav_comp: 50 cycles identical")
     for words, why in (
-        (("--play", "jttrace", "--verify"), "--play goes with"),
-        (("--play", ","), "--play goes with"),
-        (("--rate", "2"), "go with --play only"),
-        (("--verify", "--loop"), "go with --play only"),
-        (("--start", "1"), "go with --play only"),
-        (("--subsystem", "arm"), "go with --play only"),
-        (("--verify", "-o", tmp_path / "x.mcap"), "--out goes without --verify"),
+        (("--play", "jttrace", "--verify"), "--play takes only"),
+        (("--play", ","), "--play takes only"),
+        (("--rate", "2"), "need --play"),
+        (("--verify", "--loop"), "need --play"),
+        (("--start", "1"), "need --play"),
+        (("--subsystem", "arm"), "need --play"),
+        (("--verify", "-o", tmp_path / "x.mcap"), "--out and --verify exclude"),
     ):
         status, _, err = call("replay", one, *words)
         assert (status, why in err) == (1, True), err
@@ -435,7 +435,9 @@ def test_what_is_recorded_is_said(call, tmp_path):
     words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.1", "--runs", tmp_path]
     status, _, err = call(*words, "--record", "alll")
     assert status == 1
-    assert "this is no way to record (expected off or outputs or all or last " in err
+    assert (
+        "this is not a recording mode (expected off or outputs or all or last " in err
+    )
     assert call(*words, "--record", "off")[0] == 0
     assert list(tmp_path.glob("*")) == []
 

@@ -61,7 +61,7 @@ def test_a_file_that_is_too_long() -> None:
         config.parse_svar(b"#\n" * (MAX_FILE // 2 + 1), "a.svar")
     assert str(caught.value) == (
         f"a.svar: the file is too long (expected at most {MAX_FILE} bytes); "
-        "this is hardly a configuration file; name another"
+        "this is probably not a configuration file; name another"
     )
 
 
@@ -122,7 +122,7 @@ def test_read_any_tells_the_format_by_the_ending() -> None:
     with pytest.raises(ConfigFileError) as caught:
         config.read_any("arm.cfg")
     assert str(caught.value) == (
-        "arm.cfg: the ending of the file's name tells no format (expected .svar or "
+        "arm.cfg: the file name has no known ending (expected .svar or "
         ".rmod or .sbs or .job or .toml, got .cfg); rename the file or name another"
     )
 
@@ -152,7 +152,7 @@ def test_the_types_have_the_sizes_of_the_thesis() -> None:
             assert (limits.min, limits.max) == (kind.low, kind.high)
         elif dtype.kind == "f":
             assert float(np.finfo(dtype).max) == kind.high
-    with pytest.raises(ValueError, match="'long' is no type of a state variable"):
+    with pytest.raises(ValueError, match="'long' is not a type of a state variable"):
         numpy_type("long")
 
 

@@ -181,13 +181,13 @@ def test_code_means_what_it_means_when_it_is_imported(folder):
 def test_a_file_without_a_module_class(folder):
     assert fails(folder, "from pbonet import PortBasedObject\n") == (
         f"{folder}/wrong.py: module wrong must define one class that derives from "
-        "PortBasedObject (expected one, or one that is named like the file, got none); "
+        "PortBasedObject (expected one, or one with the name of the file, got none); "
         "derive its class from pbonet.PortBasedObject"
     )
 
 
 def test_a_class_that_is_only_imported_does_not_count(folder):
-    assert "(expected one, or one that is named like the file, got none)" in fails(
+    assert "(expected one, or one with the name of the file, got none)" in fails(
         folder, "from .ramp import Ramp\n"
     )
 
@@ -195,7 +195,7 @@ def test_a_class_that_is_only_imported_does_not_count(folder):
 def test_of_two_classes_the_one_that_is_named_like_the_file(folder):
     two = GOOD + GOOD.replace("Ramp", "Rampe").replace('"Y"', '"Z"')
     assert fails(folder, two).endswith(
-        "got Ramp, Rampe); put each class into a file of its own"
+        "got Ramp, Rampe); put each class into its own file"
     )
     (folder / "ramp.py").write_text(two)
     assert Library([folder]).load("ramp").cls.__name__ == "Ramp"
@@ -252,7 +252,7 @@ PATHS = ["../ramp", "/etc/passwd", "ramp.py", "a/b", "", ".", "_shared", "os\0",
 
 @pytest.mark.parametrize("name", [*PATHS, "rämp", "ramp\n"])
 def test_a_module_is_named_and_not_located(folder, name):
-    with pytest.raises(ModuleLoadError, match="a module is named, not located"):
+    with pytest.raises(ModuleLoadError, match="a module is given by name, not by path"):
         Library([folder]).load(name)
 
 
@@ -327,6 +327,6 @@ def test_an_installed_package_that_does_not_import_is_told(monkeypatch):
         Library().modules()
     assert str(caught.value) == (
         "gone_package.modules: entry point parts names a package that does not import "
-        "(got ModuleNotFoundError: No module named 'gone_package'); install it anew, "
+        "(got ModuleNotFoundError: No module named 'gone_package'); install it again, "
         "or remove it"
     )

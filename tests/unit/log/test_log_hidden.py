@@ -51,7 +51,7 @@ def test_a_constant_too(shop) -> None:
     a, b = verify(shop.folder / "run.mcap")
     for one in (a, b):
         assert one.divergence is None
-        assert one.gaps == ["spawn behind cycle 0: N is not recorded"]
+        assert one.gaps == ["spawn after cycle 0: N is not recorded"]
 
 
 def test_who_reads_it_is_not_verified_and_no_zero_is_taken_for_it(shop) -> None:
@@ -59,7 +59,7 @@ def test_who_reads_it_is_not_verified_and_no_zero_is_taken_for_it(shop) -> None:
     a, b = verify(shop.log(hidden=["X"]))
     assert a.cycles == 0
     assert a.divergence is None
-    assert a.gaps == ["on behind cycle 0: X is not recorded"]
+    assert a.gaps == ["on after cycle 0: X is not recorded"]
     assert b.good
 
 

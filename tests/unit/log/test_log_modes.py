@@ -44,7 +44,7 @@ def test_the_command_line_goes_before_the_job(told, lines, wanted) -> None:
 
 @pytest.mark.parametrize("told", ["last", "last x", "last -1", "last inf", "some"])
 def test_what_is_no_way_to_record(told) -> None:
-    with pytest.raises(LogError, match="this is no way to record"):
+    with pytest.raises(LogError, match="this is not a recording mode"):
         RecordingControl(told)
 
 

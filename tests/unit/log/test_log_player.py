@@ -159,7 +159,7 @@ def test_what_does_not_fit_is_refused(path) -> None:
     assert caught.value.got == "3 s to 0.1 s"
     other = Table.create("d.leg", [Variable(name="Y", type="double", units="rad")])
     try:
-        with pytest.raises(SvarLayoutError, match="Y is another variable"):
+        with pytest.raises(SvarLayoutError, match="Y differs between"):
             play(path, ["a"], domain="d", subsystem="leg")
     finally:
         other.destroy()

@@ -77,7 +77,7 @@ def test_a_method_that_heard_too_much_spoils_no_cycle_before_it(tmp_path) -> Non
     assert verdicts["b"].good
     assert verdicts["a"].cycles == 5
     assert verdicts["a"].gaps == [
-        "off behind cycle 5: what it heard of it found no room"
+        "off after cycle 5: what it heard of it found no room"
     ]
 
 
@@ -100,7 +100,7 @@ def test_tasks_that_hand_over_give_the_same_again(shop) -> None:
     assert all(one.good for one in verdicts.values()), verdicts
     assert [verdicts[name].cycles for name in "abc"] == [7, 13, 4]
     shop.code.write_text(ADDS.replace("+= self.task.handover", "+= 0.0"))
-    with pytest.raises(DivergedError, match=r"off, behind cycle 3: Y0\[1\] is "):
+    with pytest.raises(DivergedError, match=r"off, after cycle 3: Y0\[1\] is "):
         replay(path, "a")
 
 
@@ -109,7 +109,7 @@ def test_tasks_that_hand_over_give_the_same_again(shop) -> None:
     [
         ("dt / 3.0", "dt / 3.5", "cycle 1: Y0[0] is "),
         ("= 0.1", "= 0.2", "cycle 1: Y0[0] is "),
-        ("self.y[0] = self.task.cyclecount", "pass", "off, behind cycle 4: Y0[0] is "),
+        ("self.y[0] = self.task.cyclecount", "pass", "off, after cycle 4: Y0[0] is "),
         ("self.age = 0.1", "raise OSError('no scale')", "no scale"),
         (
             "self.y += self",
@@ -198,7 +198,7 @@ def test_lost_records_end_what_can_be_verified(shop) -> None:
     path = shop.log()
     (one,) = verify(path, ["a"])
     assert (one.cycles, one.recorded, one.divergence) == (3, 4, None)
-    assert one.gaps == ["2 records were lost behind cycle 3"]
+    assert one.gaps == ["2 records were lost after cycle 3"]
     with pytest.raises(DivergedError, match="3 of 4 cycles identical"):
         replay(path, "a")
 
@@ -207,7 +207,7 @@ def test_inputs_of_a_task_that_is_not_on_record(shop) -> None:
     shop.cycles(3)
     (one,) = verify(shop.log(without="a"), ["b"])
     assert one.divergence is None
-    assert "is not on record" in one.gaps[0]
+    assert "is not recorded" in one.gaps[0]
 
 
 def test_inputs_that_are_hidden(shop) -> None:
@@ -221,7 +221,7 @@ def test_a_cycle_that_failed_ends_it(shop) -> None:
     shop.cycles(3)
     shop.a.do(Did("fault", name="cycle", arg="it hurts"), lambda: None)
     (one,) = verify(shop.log(), ["a"])
-    assert one.gaps == ["cycle behind cycle 3: it hurts"]
+    assert one.gaps == ["cycle after cycle 3: it hurts"]
     assert one.good, "the failed one is no recorded cycle"
 
 

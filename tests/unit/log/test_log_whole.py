@@ -108,7 +108,7 @@ def test_what_is_not_on_record_ends_a_task_and_not_the_others(record) -> None:
     found = rerun(record("r", do=lose_some))
     a, b = found.tasks
     assert (a.cycles, a.good) == (4, True)
-    assert b.gaps == ["2 records were lost behind cycle 3"]
+    assert b.gaps == ["2 records were lost after cycle 3"]
     assert not found.good
 
 

@@ -99,7 +99,7 @@ def test_a_log_that_virtual_time_does_not_give_is_refused():
         assert not Subsystem(job, virtual=True, record=mode).recordings.wanted
     with pytest.raises(StateError, match="a program in virtual time writes no log"):
         Subsystem(job, virtual=True, record="outputs")
-    with pytest.raises(LogError, match="this is no way to record"):
+    with pytest.raises(LogError, match="this is not a recording mode"):
         Subsystem(job, record="everything")
 
 

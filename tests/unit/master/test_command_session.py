@@ -175,9 +175,9 @@ def test_parameter_without_any_task_is_asked_back(session):
     ("line", "message"),
     [
         ("spawn", "spawn: RMOD is missing"),
-        ("spawn a b c d", "spawn: HZ is no number: c"),
+        ("spawn a b c d", "spawn: HZ is not a number: c"),
         ("spawn a b 3 d", "spawn: one word too many: d"),
-        ("freq pid fast", "freq: HZ is no number: fast"),
+        ("freq pid fast", "freq: HZ is not a number: fast"),
         ("reconfig pid", "reconfig: no TASK:SIGNAL, such as pid:off: pid"),
         ("reconfig", "reconfig: ITEM is missing"),
         ("freq pid nan", "freq: HZ is not finite: nan"),
@@ -235,7 +235,7 @@ def test_maps_give_the_same_calls(session, stub):
         ({"rmod": "a", "where": "b"}, "spawn has no argument where"),
         ({}, "spawn: RMOD is missing"),
         ({"rmod": ["a", "b"]}, "spawn: rmod is one value"),
-        ({"rmod": "a", "hz": "x"}, "spawn: HZ is no number: x"),
+        ({"rmod": "a", "hz": "x"}, "spawn: HZ is not a number: x"),
     ],
 )
 def test_wrong_maps_are_refused(args, message):
@@ -249,7 +249,7 @@ def test_watcher_may_look_and_not_change():
     session.execute("freq pid")
     session.execute("set pid")
     for line in ("freq pid 3", "set pid kp 1", "on pid", "spawn diff"):
-        with pytest.raises(ClaimError, match="open for watching only"):
+        with pytest.raises(ClaimError, match="open for reading only"):
             session.execute(line)
     session.execute("stop")
 
@@ -292,12 +292,12 @@ def test_warnings_of_commands_that_overlap_come_with_their_own_reply(stub):
 @pytest.mark.parametrize("seconds", ["-1", "1e30"])
 def test_nobody_waits_for_ever_or_backwards(stub, seconds):
     session = CommandSession(stub, hand_over=print)
-    with pytest.raises(StateError, match="this is no time limit"):
+    with pytest.raises(StateError, match="this is not a valid time limit"):
         session.execute(f"wait {seconds}")
 
 
 def test_a_client_of_the_network_keeps_nobody_waiting(session):
-    with pytest.raises(StateError, match="wait makes no sense here"):
+    with pytest.raises(StateError, match="wait is not available here"):
         session.execute("wait 1")
 
 
@@ -337,7 +337,7 @@ def test_quit_ends_the_interface(session):
 
 
 def test_network_needs_an_interface_that_can_hand_over(session, stub):
-    with pytest.raises(StateError, match="network makes no sense here"):
+    with pytest.raises(StateError, match="network is not available here"):
         session.execute("network onika")
     ports = []
     CommandSession(stub, hand_over=ports.append).execute("network onika")

@@ -157,13 +157,14 @@ def test_what_is_older_than_its_maxage_answers_nothing():
         (
             "GRIP",
             "condition",
-            "lift.job:5:6: a number is no condition (expected a comparison, or a "
+            "lift.job:5:6: a number is not a condition (expected a comparison, or a "
             "variable of TYPE bool, got GRIP); write such as GRIP > 0",
         ),
         (
             "(HELD or HELD) + 1 > 1",
             "condition",
-            "lift.job:5:7: a yes or no stands where a number is wanted (expected a "
+            "lift.job:5:7: a yes-or-no value is used where a number is expected "
+            "(expected a "
             "number, got HELD or HELD); join comparisons with and, or, not",
         ),
         (
@@ -208,7 +209,7 @@ def test_what_the_table_cannot_answer_is_refused_with_its_column(text, code, mes
         ("X = 1", 3, "'= 1'"),
         ("ö < 1", 1, "the character 'ö'"),
         ("X < 1; Y", 6, "'; Y'"),
-        ("-" * 400 + "X < 1", 1, "more than 50 parts in one another"),
+        ("-" * 400 + "X < 1", 1, "more than 50 nested parts"),
         ("(" * 240 + "X" + ")" * 240, 201, "'" + "(" * 37 + "...'"),
     ],
 )

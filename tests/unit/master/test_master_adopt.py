@@ -275,7 +275,7 @@ def test_an_overload_that_was_only_measured_is_told_and_not_refused(folder, caps
     with pytest.raises(SystemExit) as caught:
         main(["check", str(folder / "puma.job")])
     out = capsys.readouterr().out
-    words = "RTPU arm1 is asked for more than it has"
+    words = "RTPU arm1 is overloaded"
     assert f"WARNING> arm1: {words}" in out
     assert "with measured times" in out
     assert not caught.value.code

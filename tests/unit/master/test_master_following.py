@@ -148,5 +148,5 @@ def test_since_how_long_ago(word, seconds):
 
 def test_since_a_number_or_nonsense():
     assert since(7) == since("7") == (7, 0.0)
-    with pytest.raises(StateError, match="this says not since when"):
+    with pytest.raises(StateError, match="this is neither a number nor a time"):
         since("yesterday")

@@ -137,7 +137,7 @@ def test_nothing_is_written_over_and_nothing_elsewhere(call, write, tmp_path):
     (tmp_path / "arm.sbs").write_text("mine")
     status, _, err = call("new", "job", "arm", "plant")
     assert status == 1
-    assert "arm.sbs: a file stands there already" in err
+    assert "arm.sbs: a file exists there already" in err
     assert not (tmp_path / "arm.job").exists()
     assert call("new", "job", "arm", "plant", "--force")[0] == 0
     for name in ("../arm", ".svar", ""):

@@ -213,7 +213,7 @@ REFUSED = [
     (
         lambda: read_port("Q:6:rad:double:more", IV),
         "Q:6:rad:double:more: a port has at most four parts (expected "
-        "NAME:SHAPE:UNIT:TYPE, got 5 parts); leave out what is too many",
+        "NAME:SHAPE:UNIT:TYPE, got 5 parts); remove the surplus parts",
     ),
     (
         lambda: read_port("Q:6*2:rad", IV),

@@ -221,6 +221,6 @@ def test_an_arm_that_is_built_otherwise_is_refused(
         dh = dh[row]
     else:
         dh[row, column] = value
-    with pytest.raises(ParameterError, match="built otherwise") as caught:
+    with pytest.raises(ParameterError, match="another wrist or shoulder") as caught:
         PumaArm(dh, PUMA560.lower, PUMA560.upper)
     assert caught.value.got.replace("[ 90.", "[90.0").startswith(got)

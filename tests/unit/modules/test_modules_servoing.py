@@ -143,7 +143,7 @@ def test_a_pose_out_of_reach_is_told_once_and_holds_the_reference() -> None:
     bench.step()
     (notice,) = bench.notices()
     assert notice.text.startswith("no solution, out of reach: the wrist would be 1.")
-    assert notice.text.endswith("Q_REF stays where it is")
+    assert notice.text.endswith("Q_REF does not change")
     assert bench.outputs.q_ref == pytest.approx(POSTURE, abs=1e-9)
     bench.inputs.x = GEOMETRY.pose(POSTURE + 0.1)
     bench.step()
@@ -160,7 +160,7 @@ def test_what_is_no_pose_is_told_and_holds_the_reference() -> None:
     bench.inputs.x = np.zeros((3, 4))
     bench.step(n=3)
     (notice,) = bench.notices()
-    assert "X_DES is no pose" in notice.text
+    assert "X_DES is not a pose" in notice.text
     assert np.array_equal(bench.outputs.q_ref, POSTURE)
 
 
@@ -299,7 +299,7 @@ def test_what_is_no_pose_stops_the_joints_and_is_told_once() -> None:
     bench.inputs.x_des = np.zeros((3, 4))
     bench.step(n=3)
     (notice,) = bench.notices()
-    assert "X_DES is no pose" in notice.text
+    assert "X_DES is not a pose" in notice.text
     assert np.array_equal(bench.outputs.qd, np.zeros(6))
     bench.inputs.x_des = GEOMETRY.pose(POSTURE)
     bench.step()
@@ -450,7 +450,7 @@ def test_a_target_that_is_not_seen_any_more_moves_no_hand() -> None:
         ({"time": (1.0, 2.0)}, "times of a path begin at 0 and grow"),
         ({"position": (1.0,)}, "position has the wrong number of values"),
         ({"angles": (1.0,) * 7}, "angles has the wrong number of values"),
-        ({"repeat": True}, "ends elsewhere than it begins"),
+        ({"repeat": True}, "its end differs from its start"),
     ],
 )
 def test_what_is_no_path_is_refused(params: dict[str, object], message: str) -> None:

@@ -88,7 +88,7 @@ def test_what_is_too_old_is_warned_of_once():
     for _ in range(20):
         other.step()
     assert other.task.nwarnings == 1
-    assert "nothing came for 0.1" in other.task.errmsg
+    assert "nothing arrived for 0.1" in other.task.errmsg
     assert other.state is State.ON
     assert other.outputs.z.tolist() == [1.0] * 3
     assert other.task.signals & Signal.WARNING
@@ -106,7 +106,7 @@ def test_what_is_too_old_may_be_an_error():
     other.on()
     for _ in range(8):
         other.step()
-    with pytest.raises(MethodError, match="look for its sender"):
+    with pytest.raises(MethodError, match="check its sender"):
         steps(other, 20)
     assert other.state is State.ERROR
     other.clear()

@@ -44,7 +44,7 @@ def test_what_is_valid_in_each_state():
 
 
 REFUSALS = [
-    (State.ON, Event.ON, "off or kill or reinit", "; it is cycling already"),
+    (State.ON, Event.ON, "off or kill or reinit", "; it is ON already"),
     (State.OFF, Event.OFF, "on or kill or reinit", "; it is OFF already"),
     (State.OFF, Event.CLEAR, "on or kill or reinit", "; it has no error"),
     (

@@ -1,4 +1,4 @@
-"""Which configuration an agent that starts anew may have, and the core it stays on."""
+"""Which configuration an agent that restarts may have, and the core it stays on."""
 
 from __future__ import annotations
 

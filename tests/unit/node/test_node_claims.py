@@ -54,7 +54,7 @@ def test_take_over_replaces_a_living_master(claims):
     new = claim(claims, "arm", "b", masters=alive("arm/a"), take_over=True)
     assert new.epoch == 12
     old = m.Control(subsystem="arm", client="a", epoch=11, task="t", signal="on")
-    with pytest.raises(ClaimError, match="another master steers subsystem arm now"):
+    with pytest.raises(ClaimError, match="another master controls subsystem arm now"):
         claims.check(old)
     assert claims.check(m.Release(subsystem="arm", client="b", epoch=12)) is new
 

@@ -137,7 +137,7 @@ def test_what_an_heir_has_taken_over_is_handed_over_for_good(table, taken):
             await asyncio.sleep(0)
 
     asyncio.run(look())
-    nobody = "off old is done, and nobody took over X"
+    nobody = "off old is done, and no task took over X"
     assert [one.cause for one in table.illegal] == [nobody] * (not taken)
 
 

@@ -187,7 +187,7 @@ def test_who_does_not_come_in_that_time_raises_the_flag(rtpu, table, monkeypatch
     monkeypatch.setattr(reconfig, "TRIP", 0.0)
     carry_out(rtpu, {"b": ["Y1"]}, {})
     assert [one.cause for one in table.illegal] == [
-        "off b is done, and nobody took over Y1"
+        "off b is done, and no task took over Y1"
     ]
 
 
@@ -198,7 +198,7 @@ def test_a_variable_that_nobody_is_to_take_over_is_not_waited_for(
     monkeypatch.setattr(reconfig, "TRIP", 0.0)
     carry_out(rtpu, {"b": ["Y0", "Y1"]}, {}, handover=B_HANDS)
     assert [one.cause for one in table.illegal] == [
-        "off b is done, and nobody took over Y1"
+        "off b is done, and no task took over Y1"
     ]
 
 
@@ -229,7 +229,7 @@ def test_the_next_part_of_a_list_ends_no_look(rtpu, table, monkeypatch):
     monkeypatch.setattr(reconfig, "TRIP", 0.0)
     two_lists(rtpu, ([("b", "off")], B_HANDS), ([("other", "off")], B_HANDS))
     assert [one.cause for one in table.illegal] == [
-        "off b is done, and nobody took over Y1"
+        "off b is done, and no task took over Y1"
     ]
 
 
@@ -245,7 +245,7 @@ def test_what_one_list_left_stands_until_the_next_is_done(rtpu, table, monkeypat
 
     rtpu.reactions["other"] = look
     two_lists(rtpu, ([("b", "off")], B_HANDS), ([("other", "off")], {}))
-    assert seen == ["off b is done, and nobody took over Y1"]
+    assert seen == ["off b is done, and no task took over Y1"]
     assert [one.cause for one in table.illegal] == []
 
 

@@ -230,7 +230,7 @@ def test_more_questions_than_were_asked_have_no_answer() -> None:
         outside = Outside("it")
         return outside.ask(never), outside.ask(never)
 
-    with pytest.raises(NotRecordedError, match="what it heard of it is not on record"):
+    with pytest.raises(NotRecordedError, match="what it heard of it is not recorded"):
         played(twice, heard)
 
 
@@ -355,7 +355,7 @@ def test_mailboxes_work_on_what_was_heard() -> None:
     ],
 )
 def test_what_no_log_can_have_is_refused(program, what) -> None:
-    with pytest.raises(NotRecordedError, match=f"{what}.* that gives is in no log"):
+    with pytest.raises(NotRecordedError, match=f"{what}.* results are in no log"):
         played(program, b"")
 
 

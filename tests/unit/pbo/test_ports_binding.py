@@ -191,7 +191,7 @@ def test_arrays_must_be_those_of_the_ports():
 
 def test_arrays_must_have_the_ports_types():
     assert refused(q=np.zeros(2, "<f4")) == (
-        "Law: the variable behind port q (Q) has another type (expected double, got "
+        "Law: the variable of port q (Q) has another type (expected double, got "
         "float32); correct TYPE in the .svar file, or the port's annotation"
     )
     assert "expected an integer type, got float64" in refused(ndof=np.zeros(1))
@@ -202,7 +202,7 @@ def test_arrays_must_have_one_size():
 
 
 def test_arrays_must_be_contiguous():
-    assert "the memory behind port q (Q) has gaps" in refused(q=np.zeros(4)[::2])
+    assert "the memory of port q (Q) has gaps" in refused(q=np.zeros(4)[::2])
 
 
 def test_parameters_must_be_the_modules_own():

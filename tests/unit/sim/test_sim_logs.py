@@ -182,7 +182,7 @@ def test_that_it_cannot_be_written_is_a_fault_of_the_run(tmp_path) -> None:
 
 
 def test_a_simulation_that_is_no_way_to_record_is_refused_first(tmp_path) -> None:
-    with pytest.raises(LogError, match="this is no way to record"):
+    with pytest.raises(LogError, match="this is not a recording mode"):
         simulated(tmp_path, 0.1, record="last")
     assert not (tmp_path / "runs").exists()
 

@@ -26,7 +26,8 @@ def test_a_chart_of_text(outcome) -> None:
         "   h ....####+..+####....",
         "     '         '",
         "  ms 0         10",
-        "a column is 1 ms; # runs, - runs on what others leave, ' release, x deadline "
+        "a column is 1 ms; # runs, - runs in time that others leave, ' release, x "
+        "deadline "
         "missed",
     ]
 

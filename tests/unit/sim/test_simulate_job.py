@@ -57,7 +57,7 @@ def test_an_overload_is_shown_and_not_refused(shop):
         .replace("RTPU a", "RTPU a\nSCHEDULER EDF")
     )
     outcome, told = run(shop, 1.0)
-    assert "RTPU a is asked for more than it has" in told[0]
+    assert "RTPU a is overloaded" in told[0]
     assert outcome.missing
 
 
@@ -247,7 +247,7 @@ def test_background_work_of_unknown_length_is_on_and_has_nothing_to_do(shop):
     assert "srv" not in outcome.rtpus["b"].tasks
     assert told == [
         "background task srv has nothing to do here: MAXC of its cycles is not known; "
-        "declare it, and it works in what the others leave"
+        "declare it, and it uses the time that the others leave"
     ]
 
 
@@ -284,4 +284,4 @@ def test_the_verb_draws_a_picture_for_each_rtpu(shop, call, tmp_path):
     assert (tmp_path / "one.svg").exists()
     status, _, err = call(*words, "--svg", tmp_path / "no" / "one.svg")
     assert status == 1
-    assert "the picture cannot be written" in err
+    assert "the plot cannot be written" in err

@@ -129,7 +129,7 @@ def test_an_agent_takes_no_other_keys(lab, role):
     folder = pki.issue(lab, role, "anna")
     assert refusal(folder, Role.AGENT) == (
         f"{folder}/cert.pem: these keys are for another role (expected agent, got "
-        f"{role}); `pbonet keys agent NAME` makes the right ones"
+        f"{role}); `pbonet keys agent NAME` makes the correct ones"
     )
 
 

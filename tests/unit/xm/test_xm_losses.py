@@ -108,10 +108,10 @@ def test_doctor_tells_what_agents_say_of_their_links():
         "FAIL arm0 - arm2: they do not see each other; let one of them --connect to "
         "the other, or both to a third",
         f"FAIL arm1 - arm2: {unasked}; a link that was lost is restored within some "
-        "seconds: look again; if it stays so, start arm2 anew (kill -HUP, "
+        "seconds: check again; if it is not, restart arm2 (kill -HUP, "
         "docs/hosts.md)",
         "WARN arm0 has two links to arm1: cuts elsewhere make them stall; let one of "
         "the two name the other with --connect, not both, and start it again",
-        "WARN arm2 has a link to arm0, and does not see it; the agent makes the link "
-        "anew within some seconds; look again then",
+        "WARN arm2 has a link to arm0, and does not see it; the agent restores "
+        "the link within some seconds; check again then",
     ]
