@@ -88,8 +88,8 @@ def as_text(
         lines.append(f"{' ' * width} {below}".rstrip())
     lines += _scale(begin, unit, count, width)
     key = (
-        f"a column is {unit / UNIT_NS:g} ms; {marks.full} runs, {marks.low} runs on "
-        f"what others leave, {marks.release} release, {marks.miss} deadline missed"
+        f"a column is {unit / UNIT_NS:g} ms; {marks.full} runs, {marks.low} runs in "
+        f"time that others leave, {marks.release} release, {marks.miss} deadline missed"
     )
     return "\n".join([*lines, key])
 

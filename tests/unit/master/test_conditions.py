@@ -106,8 +106,8 @@ def test_what_is_older_than_its_maxage_answers_nothing():
             "HELD and done",
             "unknown-variable",
             "lift.job:5:15: a condition names done, which the table does not have "
-            "(expected a variable of the .svar file, got done); correct the name; text "
-            "for people belongs behind # or DESC",
+            "(expected a variable of the .svar file, got done); correct the name; put "
+            "comments after # or into DESC",
         ),
         (
             "abs(Q) < 1",
@@ -171,8 +171,8 @@ def test_what_is_older_than_its_maxage_answers_nothing():
             "RAW > 0",
             "condition",
             "lift.job:5:6: a condition cannot look into RAW (expected a variable of "
-            "numbers, got TYPE struct[8]); have its writer put what matters into a "
-            "variable of its own",
+            "numbers, got TYPE struct[8]); let its writer put the relevant value "
+            "into another variable",
         ),
     ],
 )

@@ -187,7 +187,7 @@ def test_a_damaged_file_is_told_and_not_used(store, change, what):
     assert none is None
     assert what in note
     assert note.endswith("it is not used")
-    with pytest.raises(ConfigFileError, match="no saved profile"):
+    with pytest.raises(ConfigFileError, match="not a saved profile"):
         saved_profiles.read(path)
 
 
@@ -287,7 +287,7 @@ def test_a_picture_is_drawn(tmp_path):
     for name, head in (("psi.svg", b"<?xml"), ("psi.png", b"\x89PNG")):
         profile_plot.draw(tmp_path / name, [data])
         assert (tmp_path / name).read_bytes().startswith(head)
-    with pytest.raises(ConfigFileError, match="no picture can be drawn"):
+    with pytest.raises(ConfigFileError, match="no plot can be written"):
         profile_plot.draw(tmp_path / "psi.txt", [data])
     with pytest.raises(ConfigFileError, match="cannot be written"):
         profile_plot.draw(tmp_path / "no" / "psi.svg", [data])

@@ -27,8 +27,7 @@ def test_a_chart_of_text(outcome) -> None:
         "     '         '",
         "  ms 0         10",
         "a column is 1 ms; # runs, - runs in time that others leave, ' release, x "
-        "deadline "
-        "missed",
+        "deadline missed",
     ]
 
 
