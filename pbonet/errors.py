@@ -310,7 +310,7 @@ class XmQueueFullError(XmError):
 
 
 class XmTakenError(XmError):
-    """The link has its one writer, or its one reader, already."""
+    """The link already has a writer, or a reader."""
 
     code = "XM_TAKEN"
 

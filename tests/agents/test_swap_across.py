@@ -158,7 +158,7 @@ def test_the_old_one_is_told_that_somebody_takes_over(arm, tmp_path):
     arm.swap("a", "b")
     assert (tmp_path / "a.txt").read_text().splitlines()[-1].endswith("off True")
     said = [(e.code, e.text) for e in arm.events() if e.task == "b"]
-    assert ("ENGAGED", "in the place of a") in said
+    assert ("ENGAGED", "in place of a") in said
 
 
 def test_pairs_in_both_directions(arm):
