@@ -9,6 +9,7 @@ that came over the network.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.machinery
 import importlib.util
 import keyword
@@ -23,6 +24,7 @@ from msgspec import Struct
 
 from pbonet import pbo
 from pbonet.errors import (
+    ConfigError,
     ConfigFileError,
     DeclarationError,
     ModuleLoadError,
@@ -220,6 +222,7 @@ class Library:
             no_module(name),
             expected=f"{name}.py in {self._places()}",
             remedy=self._forgotten(name)
+            or self._of_rmod(name)
             or did_you_mean(name, self.modules())
             or self._missing(),
         )
@@ -230,6 +233,14 @@ class Library:
             if (folder / f"{name}.py").is_file():
                 place = folder.absolute()
                 return f"{name}.py stands in {place}; give --library {place}"
+        return ""
+
+    def _of_rmod(self, name: str) -> str:
+        """Return what to say where it is an RMOD that has the name."""
+        with contextlib.suppress(ConfigError):
+            module = self.read_rmod(self.find_rmod(name)).module
+            if module != name:
+                return f"{name} is an RMOD of the module {module}; name that one"
         return ""
 
     def for_agent(self, name: str, rtpu: str) -> str:

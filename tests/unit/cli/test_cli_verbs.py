@@ -160,6 +160,11 @@ def test_user_error_is_told_without_a_stack(call):
     assert "Traceback" not in err
 
 
+def test_an_rmod_named_as_a_module_is_told_its_module(call):
+    err = call("module", "jttrace")[2]
+    assert "jttrace is an RMOD of the module jtball; name that one" in err
+
+
 def test_debug_adds_the_stack(call):
     status, _, err = call("module", "dif", "--debug")
     assert status == 1
