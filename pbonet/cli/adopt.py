@@ -42,7 +42,7 @@ def command(
     found, warnings = adopt(
         file, rmod or (), library or (), margin=margin, host=host, dry_run=dry_run
     )
-    options.show(
+    options.show_warned(
         "\n".join(render.adopted(one, dry_run=dry_run) for one in found),
         {"adopted": msgspec.to_builtins(found)},
         warnings,

@@ -32,9 +32,7 @@ def command(
     from pbonet.master.configuration import check_file
 
     found = [check_file(path, library or (), host) for path in file]
-    if json_:
-        data = [{**msgspec.to_builtins(one), "legal": one.legal} for one in found]
-        print(msgspec.json.encode(data).decode())
-    else:
-        print("\n".join(line for one in found for line in one.lines()))
+    data = [{**msgspec.to_builtins(one), "legal": one.legal} for one in found]
+    text = "\n".join(line for one in found for line in one.lines())
+    options.show(text, data, as_data=json_)
     return int(not all(one.legal for one in found))

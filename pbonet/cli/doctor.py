@@ -25,8 +25,6 @@ def command(
         Remove the shared memory of processes that were killed:
         pbonet doctor --clean
     """
-    import msgspec
-
     from pbonet.master.tools import doctor
     from pbonet.node.rt import probe
     from pbonet.node.rtpu import cleanup
@@ -40,11 +38,8 @@ def command(
     if clean:
         done = [text for places in dead for text in cleanup.clean_after(places)]
         removed = [*done, *(f"{name} was removed" for name in doctor.clean())]
-        print(
-            msgspec.json.encode(removed).decode()
-            if json_
-            else "\n".join(removed) or "nothing to remove"
-        )
+        text = "\n".join(removed) or "nothing to remove"
+        options.show(text, removed, as_data=json_)
         return 0
     found = doctor.examine(
         agents.domain,
@@ -57,8 +52,5 @@ def command(
         ],
         connect=agents.connect,
     )
-    if json_:
-        print(msgspec.json.encode(found).decode())
-    else:
-        print("\n".join(map(str, found)))
+    options.show("\n".join(map(str, found)), found, as_data=json_)
     return int(any(one.level is doctor.Level.FAIL for one in found))

@@ -122,18 +122,17 @@ def show(
         Show all that were made here:
         pbonet keys show keys/*/
     """
-    import msgspec
-
     from pbonet.xm.net import pki
 
     found = [pki.read(folder) for folder in folders]
-    if json_:
-        print(msgspec.json.encode(found).decode())
-        return
+    lines: list[str] = []
     for one in found:
         hosts = f" at {', '.join(one.hosts)}" if one.hosts else ""
         state = f"{one.days:.0f} days left" if one.days > 0 else "EXPIRED"
-        print(f"{one.name}: {one.role.value}{hosts}, until {one.until} ({state})")
+        lines.append(
+            f"{one.name}: {one.role.value}{hosts}, until {one.until} ({state})"
+        )
+    options.show("\n".join(lines), found, as_data=json_)
 
 
 COMMANDS = (ca, agent, master, observer, show)

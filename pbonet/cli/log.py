@@ -21,14 +21,9 @@ Out = A[Path, Option("The new file.", "FILE", names=("--out", "-o"))]
 def _written(
     out: Path, json_: bool, messages: int | None = None, clocks: Sequence[str] = ()
 ) -> None:
-    import msgspec
-
-    if json_:
-        data = {"file": str(out), "messages": messages, "clocks": clocks}
-        print(msgspec.json.encode(data).decode())
-    else:
-        print(out if messages is None else f"{out}: {messages} messages")
-        print("\n".join(clocks), end="\n" * bool(clocks))
+    data = {"file": str(out), "messages": messages, "clocks": clocks}
+    text = str(out) if messages is None else f"{out}: {messages} messages"
+    options.show("\n".join([text, *clocks]), data, as_data=json_)
 
 
 def info(
@@ -44,12 +39,10 @@ def info(
         Show another one:
         pbonet log info runs/2026-05-04T10-00-00-teleop
     """
-    import msgspec
-
     from pbonet.log import Log, last_run, text
 
     data = text.info(Log(file or last_run()))
-    print(msgspec.json.encode(data).decode() if json_ else text.info_text(data))
+    options.show(text.info_text(data), data, as_data=json_)
 
 
 def cat(
@@ -123,11 +116,8 @@ def events(
     chosen = [event for event in found if wanted(event)]
     if doubt := wanted.doubt(found):
         render.print_error(render.warning(doubt))
-    if json_:
-        print(msgspec.json.encode({"events": chosen}).decode())
-        return
-    for event in chosen:
-        print(render.event(event))
+    text = "\n".join(map(render.event, chosen))
+    options.show(text, {"events": chosen}, as_data=json_)
 
 
 def commands(
@@ -151,20 +141,15 @@ def commands(
     """
     import sys
 
-    import msgspec
-
     from pbonet.log import Log, last_run, orders
 
     log = Log(file or last_run())
     found = log.commands()
     chosen = orders.chosen(found, task=task, op=op, refused=refused)
-    if json_:
-        print(msgspec.json.encode({"commands": chosen}).decode())
-        return
-    if not chosen:
+    if not (chosen or json_):
         sys.stderr.write(f"{orders.none_of(log.about, found)}\n")
-    for one in chosen:
-        print(orders.line(one))
+    text = "\n".join(map(orders.line, chosen))
+    options.show(text, {"commands": chosen}, as_data=json_)
 
 
 def plot(
@@ -206,12 +191,10 @@ def diff(
         Compare what one task did:
         pbonet log diff runs/before runs/after --task jttrace
     """
-    import msgspec
-
     from pbonet.log import Log, text
 
     rows = text.diff(Log(one), Log(other), task or ())
-    print(msgspec.json.encode(rows).decode() if json_ else text.diff_text(rows))
+    options.show(text.diff_text(rows), rows, as_data=json_)
     return int(any(row["first"] is not None for row in rows))
 
 

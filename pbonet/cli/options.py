@@ -92,27 +92,32 @@ Watching = A[Place, TO_WATCH]
 ChangeTransaction = A[Place, TO_CHANGE]
 
 
+def show(text: str, data: object, *, as_data: bool) -> None:
+    """Print data as JSON, or a text in its place."""
+    if as_data:
+        import msgspec
+
+        text = msgspec.json.encode(data).decode()
+    if text:
+        print(text)
+
+
+def show_warned(
+    text: str,
+    data: Mapping[str, object],
+    warnings: Sequence[str],
+    *,
+    as_data: bool,
+) -> None:
+    """Print a text and its warnings, or data that has both."""
+    for warning in () if as_data else warnings:
+        sys.stderr.write(f"WARNING> {warning}\n")
+    show(text, {**data, "warnings": warnings}, as_data=as_data)
+
+
 def show_files(
     paths: Sequence[Path], warnings: Sequence[str] = (), *, as_data: bool
 ) -> None:
     """Print which files a verb has written, and what it warns of."""
     names = list(map(str, paths))
-    show("\n".join(names), {"files": names}, warnings, as_data=as_data)
-
-
-def show(
-    text: str,
-    data: Mapping[str, object],
-    warnings: Sequence[str] = (),
-    *,
-    as_data: bool,
-) -> None:
-    """Print a text, or the same as data, with warnings beside it."""
-    if as_data:
-        import msgspec
-
-        print(msgspec.json.encode({**data, "warnings": list(warnings)}).decode())
-        return
-    for warning in warnings:
-        sys.stderr.write(f"WARNING> {warning}\n")
-    print(text)
+    show_warned("\n".join(names), {"files": names}, warnings, as_data=as_data)

@@ -57,8 +57,6 @@ def command(
         Feed a recorded sensor to a running subsystem, at half speed:
         pbonet replay runs/teleop --play camera --rate 0.5
     """
-    import msgspec
-
     from pbonet import testing
     from pbonet.errors import StateError
     from pbonet.master.tools import playback
@@ -98,8 +96,6 @@ def command(
             run, tasks or (), libraries=libraries, rtol=rtol, out=out
         )
         status = int(not result.good)
-    if json_:
-        print(msgspec.json.encode(result).decode())
-    else:
-        print("\n".join(map(str, result if isinstance(result, list) else [result])))
+    text = "\n".join(map(str, result if isinstance(result, list) else [result]))
+    options.show(text, result, as_data=json_)
     return status

@@ -50,8 +50,6 @@ def command(
         Try it in virtual time, without the robot:
         pbonet run puma.job --sim --seconds 15
     """
-    import msgspec
-
     from pbonet.master.console import run
 
     outcome = run(
@@ -66,7 +64,6 @@ def command(
         profile=profile,
         quiet=json_,
     )
-    if json_:
-        outcome.recording = None
-        print(msgspec.json.encode(outcome).decode())
+    outcome.recording = None
+    options.show("", outcome, as_data=json_)
     return outcome.status

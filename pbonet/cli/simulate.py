@@ -73,4 +73,4 @@ def command(
     files = schedule_job.write_svg(outcome, svg, show_ns) if svg else []
     text = outcome.as_text(show_ns=show_ns, marks=chart.ASCII if ascii_ else None)
     data = outcome.as_data() | {"files": list(map(str, files))}
-    options.show(text, data, warnings, as_data=json_)
+    options.show_warned(text, data, warnings, as_data=json_)

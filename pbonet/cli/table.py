@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,17 +88,10 @@ def show(
     command: str, data: dict[str, Any], warnings: list[str], *, as_data: bool
 ) -> None:
     """Print what a command gave: data as JSON, or text with warnings beside it."""
-    import msgspec
-
-    if as_data:
-        print(msgspec.json.encode({**data, "warnings": warnings}).decode())
-        return
     from pbonet.master.console import render
 
-    for warning in warnings:
-        sys.stderr.write(render.warning(warning) + "\n")
-    if text := render.text(command, data):
-        print(text)
+    text = "" if as_data else render.text(command, data)
+    options.show_warned(text, data, warnings, as_data=as_data)
 
 
 def _parameter(arg: Arg) -> Parameter:
