@@ -136,7 +136,7 @@ def test_doctor_tells_of_a_killed_rtpu_and_cleans_up(nodes, pbonet, agent):
     assert pbonet("doctor", "--clean").returncode == 0
     again = pbonet("doctor")
     assert "was killed" not in again.stdout
-    assert "nobody uses" not in again.stdout
+    assert "no process uses" not in again.stdout
     run_folder.Places(nodes.domain, "arm0").remove(
         *(nodes.folder / nodes.domain).glob("arm0.*")
     )

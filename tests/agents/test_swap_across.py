@@ -242,7 +242,7 @@ def test_on_that_raises_frees_the_place(arm, tmp_path, nodes):
     assert (failed.task, failed.errnum) == ("bad", 1)
     with Table.attach(f"{nodes.domain}.t") as table:
         assert table.info("Y0").owner is None  # and not a, which ceded it
-    assert any("nobody took over Y0" in cause for cause in causes(arm))
+    assert any("no task took over Y0" in cause for cause in causes(arm))
     assert arm.reconfig([("b", "on")]) == {"b": "ON"}
     wait_for(lambda: not causes(arm), "a legal configuration")
 

@@ -279,7 +279,7 @@ def test_a_cable_is_cut_amid_a_swap(cell, lab, lan):
     lan.cut("b", "c")
     try:
         leave(cell, "arm0", "one", "arm2", "two")
-        wait_for(lambda: "nobody took over Y0" in cell.illegal("arm0"), "the flag")
+        wait_for(lambda: "no task took over Y0" in cell.illegal("arm0"), "the flag")
     finally:
         lan.heal("a", "c")
         lan.heal("b", "c")

@@ -102,7 +102,7 @@ def test_a_look_amid_a_change_does_not_hide_it_from_the_next(tmp_path):
     ("right", "wrong"),
     [
         ("PBONET_STEP(32);\n    pb_changed(t);", "PBONET_STEP(32);"),
-        ("    pb_changed(t); /* also for who died", "    /* also for who died"),
+        ("    pb_changed(t); /* also for a process", "    /* also for a process"),
     ],
 )
 def test_the_number_of_changes_moves_behind_every_change(tmp_path, right, wrong):

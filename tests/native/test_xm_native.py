@@ -85,9 +85,9 @@ MUTANTS = {
     ),
     "taken in two steps": Mutant(
         "sem.h",
-        "seen by the next. */\n"
+        "sees this one's writes. */\n"
         "    } while (!atomic_compare_exchange_weak(&s->word, &word, next));",
-        "seen by the next. */\n    } while (atomic_store(&s->word, next), 0);",
+        "sees this one's writes. */\n    } while (atomic_store(&s->word, next), 0);",
         "intruders",
     ),
 }

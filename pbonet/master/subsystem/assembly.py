@@ -309,7 +309,8 @@ def stands(task_set: SubsystemTasks, member: Member) -> bool:
         expected=f"none, or one of the same RMOD on {member.rtpu} without error",
         got=f"state {old.state}, {'the same' if same else 'another'} RMOD "
         f"on {old.rtpu}",
-        remedy=f"'clear {old.name}' mends it, " * (same and old.state is State.ERROR)
+        remedy=f"'clear {old.name}' brings it out of ERROR, "
+        * (same and old.state is State.ERROR)
         + f"'kill {old.name}' removes it",
     )
 

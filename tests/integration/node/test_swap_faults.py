@@ -132,7 +132,7 @@ def test_on_that_raises_and_back_again(arm, write, tmp_path):
     assert "item 2 of 2, on bad" in str(caught.value)
     assert "done: off good" in str(caught.value)
     assert states(arm) == {"stays": "ON", "bad": "ERROR", "good": "OFF"}
-    with pytest.raises(StateError, match="'clear bad' mends it"):
+    with pytest.raises(StateError, match="'clear bad' brings it out of ERROR"):
         arm.swap("good", "bad")
     assert arm.swap("bad", "good").items == [("good", "on")]
     assert writer(arm) == "good"
@@ -164,7 +164,9 @@ def test_a_switch_kills_nobody_for_a_task_that_fails_at_once(
     states_then = {"stays": "ON", "good": "OFF", "bad": "ERROR", "third": "ON"}
     wait_for(lambda: states(arm) == states_then, "that the fallback is ON")
     wait_for(lambda: not causes(arm), "a legal configuration")
-    with pytest.raises(StateError, match="'clear bad' mends it, 'kill bad' removes it"):
+    with pytest.raises(
+        StateError, match="'clear bad' brings it out of ERROR, 'kill bad' removes it"
+    ):
         arm.switch("two")
     back = arm.switch("one")
     assert back.items == [("third", "off"), ("good", "on")]
@@ -270,7 +272,9 @@ def test_on_that_ends_when_nobody_waits_takes_nothing_from_others(
     arm.control("good", "on")
     with monkeypatch.context() as short:
         short.setattr(subsystem_tasks, "CONTROL_TIME", 2.5)
-        with pytest.raises(ReconfigError, match="on late: the task did not come on"):
+        with pytest.raises(
+            ReconfigError, match="on late: the task was not turned on in time"
+        ):
             arm.swap("good", "late")
     assert arm.swap("late", "good").items == [("good", "on")]
     go_on.touch()
