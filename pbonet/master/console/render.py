@@ -6,12 +6,10 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-import msgspec
-
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.subsystem import is_sequence, status_fields
-from pbonet.xm.net import Event
+from pbonet.xm.net import Event, convert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -330,14 +328,14 @@ def _module(data: Data) -> str:
     if "module" in data:
         from pbonet.pbo import ModuleInfo, render as render_module
 
-        return render_module(msgspec.convert(data["module"], ModuleInfo)).rstrip()
+        return render_module(convert(data["module"], ModuleInfo)).rstrip()
     rows = [[one["name"], one["version"], one["doc"]] for one in data["modules"]]
     modules = table(("module", "version", "what it does"), rows)
     return f"{modules}\n\nRMODs: {' '.join(data['rmods'])}"
 
 
 def _check(data: Data) -> str:
-    reports = msgspec.convert(data["rtpus"], list[legality.RtpuReport])
+    reports = convert(data["rtpus"], list[legality.RtpuReport])
     verdict = "legal"
     if not data["legal"]:
         verdict = error(PbonetError.from_wire(data["error"]))
@@ -397,7 +395,7 @@ def event(one: Event) -> str:
 
 
 def _events(data: Data) -> str:
-    found = msgspec.convert(data["events"], list[Event])
+    found = convert(data["events"], list[Event])
     return "\n".join(map(event, found)) or "no events"
 
 

@@ -14,7 +14,7 @@ import zenoh
 
 from pbonet.errors import Severity
 from pbonet.master.subsystem import Subsystem, sequence
-from pbonet.xm.net import codec, direct, key_expressions, messages as m
+from pbonet.xm.net import codec, decoder, direct, key_expressions, messages as m
 
 from . import render
 from .command_session import Call, CommandSession, convert
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Data = dict[str, Any]
 
+_EVENT: Final[msgspec.msgpack.Decoder[m.Event]] = decoder(m.Event)
 _KEPT: Final = 1000
 _LEAST: Final = {
     "errors": Severity.ERROR,
@@ -88,7 +89,7 @@ class Listener:
 
     def _take(self, sample: zenoh.Sample) -> None:
         try:
-            event = msgspec.msgpack.decode(sample.payload.to_bytes(), type=m.Event)
+            event = _EVENT.decode(sample.payload.to_bytes())
         except codec.MALFORMED:
             return  # of another version; `events` tells of it
         if not self.wants(event):

@@ -10,8 +10,6 @@ from functools import cache, partial
 from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import msgspec
-
 from pbonet import config
 from pbonet.analysis import legality, schedule
 from pbonet.errors import (
@@ -23,7 +21,7 @@ from pbonet.errors import (
 from pbonet.lazy import logger
 from pbonet.master import configuration
 from pbonet.pbo import State
-from pbonet.xm.net import messages as m, rpc
+from pbonet.xm.net import convert, messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
 from .unwritten_inputs import UnwrittenInputs
@@ -435,7 +433,7 @@ class SubsystemTasks:
                 if described := self._modules.pop(member.name, None):
                     from pbonet.pbo import ModuleInfo  # it is loaded with numpy
 
-                    member.info = msgspec.convert(described, ModuleInfo)
+                    member.info = convert(described, ModuleInfo)
                 self._describe(member)
 
     def say(self, problems: Problems) -> None:

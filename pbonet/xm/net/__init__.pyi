@@ -19,7 +19,7 @@ from . import (
 from .any_message import AnyMessage as AnyMessage
 from .callbacks import direct as direct
 from .codec import Codec as Codec, failure as failure
-from .decoders import convert as convert, prepare as prepare
+from .decoders import convert as convert, decoder as decoder, prepare as prepare
 from .file_messages import FileWrite as FileWrite
 from .message_parts import VarValue as VarValue, plain as plain
 from .messages import (

@@ -7,9 +7,12 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import msgspec
+import pytest
 
+import pbonet
 from pbonet.xm.net import convert, decoders
 
 LOOK = """
@@ -18,6 +21,7 @@ from __future__ import annotations
 import sys
 
 import msgspec
+import pytest
 from pbonet.node.wire import rtpu_messages as wire
 
 
@@ -74,3 +78,15 @@ def test_a_type_is_made_by_one_thread_while_others_wait(monkeypatch):
     with ThreadPoolExecutor(8) as pool:
         assert list(pool.map(ask, kinds * 2)) == [3] * 8
     assert set(most) == {1}
+
+
+@pytest.mark.parametrize("room", ["master", "xm/net", "node/agent"])
+def test_parts_of_messages_are_converted_by_this_file_alone(room):
+    """Its lock keeps out threads that meet a type which another one makes."""
+    root = Path(pbonet.__file__).parent
+    users = [
+        str(path.relative_to(root))
+        for path in (root / room).rglob("*.py")
+        if "msgspec.convert(" in path.read_text()
+    ]
+    assert users == (["xm/net/decoders.py"] if room == "xm/net" else [])
