@@ -192,14 +192,12 @@ class Pair:
 
     def open(self, subsystem: str, name: str, *, keep: bool) -> None:
         """Claim an RTPU for a subsystem, and open its table there."""
-        claim = m.Claim(subsystem=subsystem, usage="shared")
-        epoch = self.client.call(name, claim, m.Claimed).epoch
-        self.epochs[subsystem, name] = epoch
-        table = m.OpenTable(
-            subsystem=subsystem, epoch=epoch, svar=SVAR + "EOF\n",
+        claim = m.Claim(
+            subsystem=subsystem, usage="shared", svar=SVAR + "EOF\n",
             svar_name="b.svar", keep=keep,
         )  # fmt: skip
-        self.client.call(name, table, m.TableInfo)
+        epoch = self.client.call(name, claim, m.Claimed).epoch
+        self.epochs[subsystem, name] = epoch
 
     def close(self) -> None:
         """End everything."""

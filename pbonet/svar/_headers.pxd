@@ -4,7 +4,7 @@ from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 
 cdef extern from "local.h" nogil:
     enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_CAUSES_EACH, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
-    enum: PB_FREE, PB_HELD, PB_STUCK, PB_GROUP_VARS, PB_GROUP_CONSTS
+    enum: PB_FREE, PB_LEFT, PB_STUCK, PB_GROUP_VARS, PB_GROUP_CONSTS
     enum: PB_KEEPER
     struct pb_stamp:
         int64_t time_ns
@@ -98,6 +98,7 @@ cdef extern from "local.h" nogil:
     pb_table pb_table_at(void *base)
     int pb_verify(const void *base, uint64_t bytes)
     int pb_look(pb_table *t, uint32_t v, void *to, pb_view *view)
+    bint pb_written(pb_table *t, uint32_t v)
     int pb_set(pb_table *t, uint32_t v, const void *value, int64_t now_ns, bint wait)
     int pb_enter(pb_table *t, pb_group *g, pb_reg *who, uint8_t *named)
     int pb_note_ends(pb_table *t, pb_group *g, pb_last *ends)
@@ -121,6 +122,7 @@ cdef extern from "local.h" nogil:
     bint pb_is_stale(const pb_local *l, uint32_t v)
     int pb_judge(pb_local *l, pb_outputs *o)
     uint64_t pb_committed(const pb_outputs *o)
+    void pb_cede(const pb_local *l, pb_outputs *o)
     int pb_commit(pb_local *l, pb_outputs *o, int64_t now_ns, uint64_t cycle)
     int pb_commit_one(pb_local *l, pb_outputs *o, uint32_t i, int64_t now_ns, uint64_t cycle)
     int pb_read_one(pb_local *l, uint32_t v, uint64_t at)

@@ -141,6 +141,12 @@ cdef class Arena:
         return (view.reg, view.live != 0, view.stamp.time_ns, view.stamp.cycle, view.uid,
                 view.seq, view.task.decode(errors="replace"))
 
+    def written(self, unsigned v) -> bool:
+        """Return whether the owner of a variable is alive and has not ended."""
+        if v >= table(self).fixed.n_vars:
+            raise ValueError("no such variable")
+        return pb_written(table(self), v)
+
     def set(self, unsigned v, const uint8_t[::1] value, long long now, bint wait=True) -> int:
         if v >= table(self).fixed.n_vars or <size_t>value.shape[0] < table(self).vars[v].bytes:
             raise ValueError("the value is too short")
@@ -158,7 +164,7 @@ cdef class Arena:
             return None
         return [(r, regs[r].uid, regs[r].owner, regs[r].pid,
                  regs[r].task.decode(errors="replace"), regs[r].bytes, pb_number(regs[r].head),
-                 regs[r].state == PB_HELD)
+                 regs[r].state != PB_LEFT)
                 for r in range(1, table(self).fixed.n_regs) if regs[r].state != PB_FREE]
 
     def reap(self, unsigned r, unsigned long long uid) -> int:
@@ -347,7 +353,7 @@ cdef class LocalTable:
 
     def cede(self) -> None:
         """Stop writing, and leave the variables to the successor's claim."""
-        local(self).outputs[PB_GROUP_VARS].live = False
+        pb_cede(local(self), &local(self).outputs[PB_GROUP_VARS])
 
     def give(self, unsigned which, bint leave) -> int:
         """Release a group's variables; returns 0 or a negative code."""

@@ -21,7 +21,7 @@
 
 #define PB_MAGIC "pbSVAR\r\n"
 
-enum { PB_VERSION = 3, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
+enum { PB_VERSION = 4, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
 
 struct pb_static {
     char magic[8];
@@ -48,7 +48,7 @@ struct pb_cause {
 
 struct pb_live {
     _Alignas(PB_LINE) _Atomic uint64_t generation; /* head of the directory */
-    _Atomic uint64_t changes;  /* incremented by every change of the flag (flag.h) */
+    _Atomic uint64_t changes;  /* incremented by every change of the flag, and by every end */
     _Atomic uint64_t unlisted; /* number of entries that did not fit */
     _Alignas(PB_LINE) pthread_mutex_t lock; /* taken by claimers only */
     uint64_t uids;
@@ -56,7 +56,9 @@ struct pb_live {
     struct pb_cause causes[PB_CAUSES];
 };
 
-enum { PB_FREE, PB_HELD, PB_LEFT }; /* PB_LEFT: no writer; its values may still be read */
+/* PB_ENDED: its task has ended and owns its variables until a successor takes them;
+ * PB_LEFT: no writer; its values may still be read. */
+enum { PB_FREE, PB_HELD, PB_ENDED, PB_LEFT };
 
 /* A register's description. `head` has a cache line of its own: every commit writes it. */
 struct pb_reg {

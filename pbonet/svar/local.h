@@ -138,6 +138,17 @@ static inline bool pb_is_mine(const struct pb_outputs *o) {
                           o->group.uid;
 }
 
+/* Stop writing the group, and leave its variables to the successor's claim. While this
+ * process lives and has not left, no other one changes the state. */
+static inline void pb_cede(const struct pb_local *l, struct pb_outputs *o) {
+    /* SYNC POINT: before the calls of successors, so a successor's death shows the end. */
+    if (pb_is_mine(o)) {
+        atomic_store(&o->group.reg->state, PB_ENDED);
+        pb_changed(&l->table); /* for the agent, which tells other machines */
+    }
+    o->live = false;
+}
+
 /* Copy one variable to any place in the local table; returns flags. */
 static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     struct pb_view view;

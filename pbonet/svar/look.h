@@ -3,6 +3,7 @@
 #define PBONET_LOOK_H
 
 #include "cut.h"
+#include "lock.h"
 
 struct pb_view {
     struct pb_stamp stamp;
@@ -38,6 +39,22 @@ static inline enum pb_result pb_look(const struct pb_table *t, uint32_t v, void 
         return PB_CONSISTENT;
     }
     return PB_LOST;
+}
+
+/* Whether a task writes variable `v`: its owner is alive and has not ended. */
+static inline bool pb_written(const struct pb_table *t, uint32_t v) {
+    for (int i = 0; i < PB_TRIES_WHOLE; i++) {
+        const uint64_t head = pb_read_begin(&t->live->generation);
+        struct pb_entry e;
+        struct pb_reg owner;
+        pb_copy(&e, pb_directory(t, head) + v, sizeof e);
+        pb_copy(&owner, t->regs + e.reg % t->fixed->n_regs, sizeof owner);
+        /* SYNC POINT C5: as in pb_look. */
+        pb_read_fence();
+        if (pb_read_end(&t->live->generation) != head) continue;
+        return e.live && atomic_load(&owner.state) == PB_HELD && pb_alive(&owner);
+    }
+    return false;
 }
 
 #endif

@@ -149,6 +149,7 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
         return PB_FULL;
     }
     pb_commit_group(g, data, stamp);
+    atomic_store_explicit(&g->reg->state, PB_HELD, memory_order_relaxed);
     next = pb_next(t, &head);
     for (uint32_t i = 0; i < g->n; i++) {
         struct pb_entry mine = {(uint32_t)(g->reg - t->regs), 1, g->at[i]};

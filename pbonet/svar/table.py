@@ -195,6 +195,10 @@ class Table(shm.Closeable):
         """Return who wrote a variable, when, and who owns it now."""
         return self.see(which)[1]
 
+    def written(self, which: str | int) -> bool:
+        """Return whether a task writes a variable: one that lives and has not ended."""
+        return self._open().written(self._number(which))
+
     def see(self, which: str | int) -> tuple[NDArray[Any], VarInfo]:
         """Return the newest value of a variable and its `info`, of one instant."""
         number = self._number(which)

@@ -28,7 +28,7 @@ def test_every_command_and_its_answer_are_on_record(nodes):
     log = end(line, path)
     found = log.commands()
     ops = [one["op"] for one in found]
-    first = ["claim", "open_table", "record", "spawn", "spawn", "control", "control"]
+    first = ["claim", "claim", "record", "spawn", "spawn", "control", "control"]
     assert ops[:7] == first, "what came before the log began is in it, too"
     assert not {"status", "hello", "events", "get"} & set(ops), (
         "who looks commands nothing"

@@ -217,7 +217,7 @@ def test_repeated_request_is_executed_once(arm, nodes):
 def test_commands_need_a_claim(nodes):
     nodes.agent("arm0")
     client = nodes.client()
-    request = m.OpenTable(subsystem="arm", svar=svar(), svar_name="t.svar", keep=True)
+    request = m.CloseTable(subsystem="arm")
     with pytest.raises(ClaimError, match="has not claimed the RTPU"):
         client.call("arm0", request, object)
     for harmless in (m.Status(), m.Events(), m.Stop()):

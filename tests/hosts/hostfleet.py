@@ -71,23 +71,17 @@ class Desk:
         self._text = svar().replace("\nEOF\n", AGED)
         for rtpu in self.rtpus:
             self.claim(rtpu)
-        for rtpu in self.rtpus:
-            self.open(rtpu)
 
     def claim(self, rtpu):
-        self.epochs[rtpu] = self.ask(rtpu, m.Claim(), m.Claimed).epoch
-
-    def open(self, rtpu):
-        """Open the table on an RTPU's machine."""
+        """Claim an RTPU, and open the table on its machine."""
         keep = rtpu == self.rtpus[0]
-        request = m.OpenTable(svar=self._text, svar_name="t.svar", keep=keep)
-        self.ask(rtpu, request, m.TableInfo)
+        request = m.Claim(svar=self._text, svar_name="t.svar", keep=keep)
+        self.epochs[rtpu] = self.ask(rtpu, request, m.Claimed).epoch
 
     def join(self, rtpu):
         """Have one more RTPU take part."""
         self.rtpus.append(rtpu)
         self.claim(rtpu)
-        self.open(rtpu)
 
     def ask(self, rtpu, request, result=object, *, limit=LIMIT, host=None):
         session = self.lab.session(host or self.host)

@@ -258,6 +258,7 @@ class InStep(RuleBasedStateMachine):
             room = [np.zeros(layout.var_bytes(variable), np.uint8) for _ in range(2)]
             looks = zip(self.arenas, room, strict=True)
             self.both(lambda pair, v=index: pair[0].look(v, pair[1]), list(looks))
+            self.both(lambda arena, v=index: arena.written(v), self.arenas)
             assert (room[0] == room[1]).all()
 
     @invariant()

@@ -53,7 +53,6 @@ GUARDED = (
     | m.Set
     | m.Rank
     | m.Write
-    | m.OpenTable
     | m.CloseTable
     | m.Release
     | m.Flag
@@ -253,9 +252,9 @@ class FakeAgent:
                     remedy="end it, or take over",
                 )
         if request.svar:
-            if error := self.fail.get(("open_table", "")):
+            if error := self.fail.get(("open table", "")):
                 raise error
-            self.do_open_table(request)
+            self.open_table(request)
         self.claims[request.subsystem] = (epoch + 1, request.client)
         self.exclusive = request.subsystem if request.usage == "exclusive" else ""
         status = self.do_status(m.Status())
@@ -276,18 +275,17 @@ class FakeAgent:
         self.exclusive = ""
         self.did("release")
 
-    def do_open_table(self, request: m.OpenTable | m.Claim) -> m.TableInfo:
+    def open_table(self, request: m.Claim) -> None:
         file = parse_svar(request.svar, request.svar_name)
         if self.tables.get(request.subsystem) == request.svar:
-            return m.TableInfo(name=request.subsystem, layout="0", machine="fake")
+            return
         self.tables[request.subsystem] = request.svar
         if request.keep:
             self.world.values[request.subsystem] = {
                 v.name: [*map(float, v.init or ()), *[0.0] * v.nelem][: v.nelem]
                 for v in file.variables
             }
-        self.did(f"open_table keep={request.keep}")
-        return m.TableInfo(name=request.subsystem, layout="0", machine="fake")
+        self.did(f"open table keep={request.keep}")
 
     def do_close_table(self, request: m.CloseTable) -> None:
         self.tables.pop(request.subsystem, None)

@@ -46,8 +46,8 @@ def other(arm, world, **kwargs):
 def test_keeper_opens_the_table_before_the_others(arm, world):
     assert arm.sbs.keeper == "arm0"
     assert world.log == [
-        ("arm0", "open_table keep=True"),
-        ("arm1", "open_table keep=False"),
+        ("arm0", "open table keep=True"),
+        ("arm1", "open table keep=False"),
     ]
 
 
@@ -122,7 +122,7 @@ def test_watcher_needs_no_claim_and_may_not_change(robot, world):
 
 def test_table_that_cannot_be_opened_gives_the_claims_back(world, agents, puma):
     agents("arm0", "arm1")
-    agents["arm1"].fail["open_table", ""] = NodeError("no room", where="arm1")
+    agents["arm1"].fail["open table", ""] = NodeError("no room", where="arm1")
     with pytest.raises(NodeError, match="no room"):
         Subsystem(puma, domain=world.domain).open()
     assert agents["arm0"].claims == agents["arm1"].claims == {}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from unittest.mock import Mock
+from unittest.mock import patch
 
 import pytest
 
 from pbonet.config.library import Library
 from pbonet.errors import ConditionError, MethodError, NoAnswerError
+from pbonet.master.configuration import subsystem_files
 
 OTHER = """
 JOB   other
@@ -68,9 +69,8 @@ def test_warning_is_told_once_while_it_holds_and_again_when_it_is_back(arm):
     arm.control("jttrace", "off")
     arm.control("jttrace", "on")
     assert arm.heard.count(told) == 1
-    arm.files.producers = Mock(side_effect=AssertionError)
-    arm.control("jttrace", "reinit")  # nothing is new, so the library is not read
-    del arm.files.producers
+    with patch.object(subsystem_files.config, "parse_rmod", side_effect=AssertionError):
+        arm.control("jttrace", "reinit")  # no file of the library is parsed again
     arm.control("grav_comp", "on")
     arm.heard.clear()
     arm.control("grav_comp", "off")

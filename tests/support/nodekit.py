@@ -122,6 +122,7 @@ class Master:
         if token:
             key = key_expressions.master(nodes.domain, subsystem, self.name)
             self.token = nodes.session.liveliness().declare_token(key)
+        self.settings = claim
         self.claimed = self.ask(m.Claim(**claim), m.Claimed)
         self.epoch = self.claimed.epoch
 
@@ -134,7 +135,9 @@ class Master:
 
     def open_table(self, text=None, *, keep=True):
         text = svar() if text is None else text
-        return self.ask(m.OpenTable(svar=text, svar_name="t.svar", keep=keep))
+        claim = m.Claim(svar=text, svar_name="t.svar", keep=keep, **self.settings)
+        self.claimed = self.ask(claim, m.Claimed)
+        return self.claimed
 
     def spawn(self, task, module, limit=LIMIT, **settings):
         """Spawn one of the modules in `misbehaving`; return its status."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -114,10 +114,13 @@ class Files:
             ConfigFileError: There is none of that name.
             ConfigError: Its file is wrong.
         """
-        name = check_name("a task", name.removesuffix(".rmod"))
+        text, path = self.text_of(check_name("a task", name.removesuffix(".rmod")))
+        return RmodSource(config.parse_rmod(text, path), text)
+
+    def text_of(self, name: str) -> tuple[str, str]:
+        """Return the text of the RMOD `name`, with its parts, and its file."""
         path = self._find(name)
-        text = config.bundled(load(path), self.part)
-        return RmodSource(config.parse_rmod(text, str(path)), text)
+        return config.bundled(load(path), self.part), str(path)
 
     def part(self, name: str) -> config.Section:
         """Return the file of a part of a combination.
@@ -245,6 +248,13 @@ def _is_there(path: Path) -> bool:
         return False
 
 
+@lru_cache(1024)
+def _outputs(text: str, path: str) -> tuple[str, ...]:
+    """Return the variables that an RMOD writes; the same text is parsed once."""
+    record = config.parse_rmod(text, path)
+    return tuple(map(record.svar_name, (*record.outvar, *record.outconst)))
+
+
 class Producers(Mapping[str, tuple[str, ...]]):
     """The RMODs that write each variable, read from all files when one is asked for."""
 
@@ -256,9 +266,8 @@ class Producers(Mapping[str, tuple[str, ...]]):
         found: dict[str, list[str]] = {}
         for name in self._files.rmods():
             with contextlib.suppress(ConfigError):  # reported when it is spawned
-                record = self._files.rmod(name).record
-                for port in (*record.outvar, *record.outconst):
-                    found.setdefault(record.svar_name(port), []).append(name)
+                for variable in _outputs(*self._files.text_of(name)):
+                    found.setdefault(variable, []).append(name)
         return {variable: tuple(names) for variable, names in found.items()}
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:

@@ -82,21 +82,18 @@ class Simulation(VirtualRtpus):
 
     def _take(self) -> None:
         """Claim the RTPUs and open the table, as a master does."""
-        for entry in self.files.sbs.rtpus:
+        entries = self.files.sbs.rtpus
+        for entry in sorted(entries, key=lambda entry: entry.name != self._keeper):
             claim = m.Claim(
                 usage=entry.usage,
                 scheduler=entry.scheduler,
                 minfreq=entry.minfreq,
                 maxfreq=entry.maxfreq,
-            )
-            self._epochs[entry.name] = self._ask(entry.name, claim, m.Claimed).epoch
-        for rtpu in sorted(self.rtpus, key=lambda name: name != self._keeper):
-            table = m.OpenTable(
                 svar=self.files.table_text,
                 svar_name=self.files.table.file,
-                keep=rtpu == self._keeper,
+                keep=entry.name == self._keeper,
             )
-            self._ask(rtpu, table, m.TableInfo)
+            self._epochs[entry.name] = self._ask(entry.name, claim, m.Claimed).epoch
 
     @property
     def _keeper(self) -> str:
@@ -322,20 +319,17 @@ class Simulation(VirtualRtpus):
         Raises:
             VerificationError: It would be.
         """
-        verdict = self._judged(change, producers=False)
-        if verdict.problems:
-            verdict = self._judged(change, producers=True)
+        verdict = self._judged(change)
         verdict.check()
         self.events += map(legality.as_text, verdict.warnings)
 
-    def _judged(self, change: legality.Change, *, producers: bool) -> legality.Verdict:
-        """Judge a change; with `producers`, remedies can name RMODs of the library."""
+    def _judged(self, change: legality.Change) -> legality.Verdict:
         now = legality.Configuration(
             svar=self.files.table,
             tasks=tuple(member.task for member in self._model),
             on=frozenset(n for n, state in self.states().items() if state is State.ON),
             rtpus=self.files.sbs.rtpus,
-            producers=self.files.producers() if producers else {},
+            producers=self.files.producers(),
             limit=PLANNED,
         )
         return legality.judge(now, change)

@@ -656,7 +656,8 @@ class Subsystem:
             VerificationError: It would be, or is, illegal.
         """
         with self._busy:
-            return self.task_set.verdict(self._change(job))
+            problems = self.task_set.legal(self._change(job))
+            return list(map(legality.as_text, problems))
 
     def report(self, job: str | Path | None = None) -> list[legality.RtpuReport]:
         """Return the analysis of a job, or of what stands, be it legal or not."""

@@ -28,7 +28,7 @@ from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from pbonet.config import Rmod
     from pbonet.master.configuration import Files, Member, RmodSource, TaskModel
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     Warned = Callable[[str], None]
     Problems = Sequence[legality.Problem]
-    News = Callable[[Problems], Sequence[legality.Problem]]
 
 CONTROL_TIME = 5.0
 SPAWN_TIME = 10.0
@@ -86,7 +85,7 @@ class SubsystemTasks:
         """Of tasks that are not in the model yet, for their files are not read."""
         self._info = cache(partial(remote_modules.on, clients, files.library))
         self._standing = WarningDedup()
-        self._producers: Mapping[str, tuple[str, ...]] = {}  # as last read
+        self._producers = files.producers()
         self._unwritten = UnwrittenInputs(
             lambda flag: clients.call(files.sbs.keeper, flag, list[str]), self.say
         )
@@ -229,6 +228,7 @@ class SubsystemTasks:
             SeveralError: Several agents do not answer; of one, its own error.
         """
         known, dead = {*self._model.names, *self._unread}, self._inbox.dead()
+        self._producers = self.files.producers()
         wanted = self.clients.names if rtpus is None else rtpus
         results = {name: self._fresh[name] for name in wanted if name in self._fresh}
         self._fresh.clear()
@@ -358,44 +358,19 @@ class SubsystemTasks:
         """
         self.say(self.legal(change))
 
-    def legal(self, change: legality.Change, *, only_asked: bool = False) -> Problems:
-        """Return what there is to `say` of a change; of one that is `only_asked`, all.
-
-        Raises:
-            VerificationError: It would be illegal.
-        """
-        return self._legal(
-            change, list if only_asked else self._standing.new_or_refused
-        )
-
-    def verdict(self, change: legality.Change | None = None) -> list[str]:
+    def legal(self, change: legality.Change | None = None) -> Problems:
         """Return the warnings for a change, or for the tasks as they stand.
 
         Raises:
             VerificationError: It would be, or is, illegal.
         """
-        return list(map(legality.as_text, self._legal(change, list)))
-
-    def _legal(self, change: legality.Change | None, news: News) -> Problems:
         self.with_infos(self.model)
-        problems = self._problems(change, news)
+        problems = self._problems(change)
         if refused := warning_dedup.refused(problems):
             raise legality.as_error(refused)
         return problems
 
-    def _problems(self, change: legality.Change | None, news: News) -> Problems:
-        """Return what is to be said of a change, or of the tasks as they stand.
-
-        The library, which a remedy may name, is read again only when there are `news`:
-        that takes longer than everything else of a change.
-        """
-        problems = self._judged(change)
-        if not news(problems):
-            return problems
-        self._producers = self.files.producers()
-        return self._judged(change)
-
-    def _judged(self, change: legality.Change | None) -> Problems:
+    def _problems(self, change: legality.Change | None = None) -> Problems:
         now = self.configuration()
         found = legality.judge(now, change).problems if change else legality.check(now)
         if self._whole:
@@ -422,7 +397,7 @@ class SubsystemTasks:
             tasks=tuple(member.task for member in self.model),
             on=frozenset(member.name for member in self.model if member.is_on),
             rtpus=self.files.sbs.rtpus,
-            producers=self._producers,
+            producers=self._producers if self._whole else {},
             limit=schedule.PLANNED,
         )
 
@@ -552,7 +527,7 @@ class SubsystemTasks:
         too: the change has its own outcome.
         """
         try:
-            problems = self._problems(None, self._standing.new_unfed)
+            problems = self._problems()
             self._unwritten.settle(warning_dedup.unwritten(problems))
             self._standing.keep(problems)
             self.rank()
@@ -561,7 +536,7 @@ class SubsystemTasks:
 
     def keep(self) -> None:
         """After a change of times alone: forget warnings that do not hold any more."""
-        self._standing.keep(self._judged(None))
+        self._standing.keep(self._problems())
 
     @staticmethod
     def priorities(members: Iterable[Member]) -> dict[str, int]:

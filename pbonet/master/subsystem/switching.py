@@ -70,7 +70,7 @@ def carry_out(
     """
     with plan.supposed():
         transition = plan.transition()
-        problems = task_set.legal(plan.change(transition), only_asked=dry_run)
+        problems = task_set.legal(plan.change(transition))
         if gate is not None:
             transition.conditions = gate.must_hold()
     if dry_run:

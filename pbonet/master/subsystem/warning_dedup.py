@@ -24,16 +24,6 @@ class WarningDedup:
         """Return what is not said already."""
         return [one for one in problems if legality.as_text(one) not in self._told]
 
-    def new_or_refused(
-        self, problems: Sequence[legality.Problem]
-    ) -> list[legality.Problem]:
-        """Return the same, and everything for which a change is refused."""
-        return [*self.new(problems), *refused(problems)]
-
-    def new_unfed(self, problems: Iterable[legality.Problem]) -> list[legality.Problem]:
-        """Return the same of inputs that no task writes."""
-        return self.new(unwritten(problems))
-
     def say(self, problems: Iterable[legality.Problem]) -> list[str]:
         """Return what is new, as texts; from here on it is said."""
         new = list(map(legality.as_text, self.new(problems)))

@@ -173,9 +173,9 @@ class Timed(Simulation):
         hosts = self.rtpus[self.task(task).rtpu].hosts.values()
         return next(host for host in hosts if host.spec.task == task)
 
-    def _judged(self, change: legality.Change, *, producers: bool) -> legality.Verdict:
+    def _judged(self, change: legality.Change) -> legality.Verdict:
         """Judge the job but for its load; its warnings are told by `simulate`."""
-        verdict = without_loads(super()._judged(change, producers=producers))
+        verdict = without_loads(super()._judged(change))
         return structs.replace(verdict, problems=verdict.refused)
 
 

@@ -56,7 +56,6 @@ LOOKS = 4
 
 CHANGES = (
     m.Claim,
-    m.OpenTable,
     m.CloseTable,
     m.Release,
     m.Spawn,
@@ -224,7 +223,7 @@ class Server:
         self._node.spread(
             request.subsystem if isinstance(request, CHANGES) else "",
             partial(self._reply, query, data),
-            take=isinstance(request, m.OpenTable | m.Claim),
+            take=isinstance(request, m.Claim),
         )
 
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:

@@ -120,14 +120,14 @@ class Fallbacks:
     def missed(self, task: Task) -> list[str]:
         """Return which of its variables others must write when a task has failed.
 
-        Where its fallback is ON these are what both write: the configuration was judged
+        Where it has a fallback these are what both write: the configuration was judged
         with the one in the place of the other.
         """
         outputs = task.facts.outputs
         for pair in self._pairs.values():
             if (pair.subsystem, pair.original) == (task.facts.subsystem, task.name):
                 other = self._rtpu.tasks.get((pair.subsystem, pair.standby))
-                if other is not None and other.state is State.ON:
+                if other is not None:
                     theirs = other.facts.outputs
                     return [output for output in outputs if output in theirs]
         return outputs

@@ -22,7 +22,7 @@ from pbonet.config import TaskType
 from pbonet.errors import PbonetError
 from pbonet.node.wire import lifecycle, rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net import Call
+from pbonet.xm.net import MOST_CALLERS, Call
 
 from .task_handle import rest
 
@@ -77,7 +77,7 @@ def plan(
                 for one in olds
                 if one.state is State.ON and mine & set(one.facts.outputs)
             ]
-            if not found[name]:
+            if not 0 < len(found[name]) <= MOST_CALLERS:
                 break
             alone -= set(found[name])
         if not alone:
@@ -307,8 +307,7 @@ class Exchange:
         return sorted({output for call in calls for output in _both(call, task)})
 
     def _written(self, task: Task, outputs: Sequence[str]) -> bool:
-        subsystem = task.facts.subsystem
-        return self._rtpu.flags.written(subsystem, outputs, but=task.name)
+        return self._rtpu.flags.written(task.facts.subsystem, outputs)
 
     def _has_come(self, new: Task) -> bool:
         """Return whether a task has come on; it may have failed in a cycle since."""
@@ -329,17 +328,9 @@ class Exchange:
         that do not answer is known.
         """
         for task in self._olds:
-            if task.state is not State.OFF:
-                continue
-            due = self._due(task)
-            left = [output for output in due if not self._written(task, [output])]
-            if left:
+            if task.state is State.OFF:
                 subsystem = task.facts.subsystem
-                self._rtpu.flags.abandoned(subsystem, task.name, left)
-        for task in self._news:
-            late = task.name not in self._came
-            if late and task.gone.is_set() and not task.stopping:
-                self._rtpu.successors.died(task, ended=True)
+                self._rtpu.flags.handed_over(subsystem, task.name, self._due(task))
 
     async def _disown(self, task: Task) -> None:
         await task.command("disown", rtpu_messages.Disown, 1.0)

@@ -2,16 +2,15 @@
 
 An entry is raised by an event: a task that others may depend on is in ERROR or dead, a
 reconfiguration takes longer than a cycle, or its other part has not come. Whether it is
-still valid follows from the table: it goes as soon as living tasks own all variables
-that were missing, whichever RTPU they are on. Entries without such variables remain
-until they are withdrawn.
+still valid follows from the table: it goes as soon as living tasks that have not ended
+own all variables that were missing, whichever RTPU they are on. Entries without such
+variables remain until they are withdrawn.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -19,7 +18,7 @@ from msgspec import Struct
 from pbonet.errors import Severity, SvarError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection
 
     from pbonet.node.wire import EventLog
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 MASTER = "master"
 """Raises the entries of a subsystem's masters."""
 UNFINISHED = "unfinished"
-"""Raises the entry of a list whose other part, on another RTPU, has not come."""
+"""Raises the entries of variables that were handed over and not taken over."""
 
 
 class _Entry(Struct):
@@ -39,10 +38,8 @@ class _Entry(Struct):
     cause: str
     missing: Collection[str] | None = None
     """Variables that no task writes; None: the entry remains until it is withdrawn."""
-    but: str = ""
-    """A task that does not count as a writer of them."""
-    by: Mapping[str, str] = {}
-    """The task that has handed each variable over; only of a list."""
+    by: str = ""
+    """The task that has handed them over."""
     pending: bool = False
     """It is not raised yet: tasks on another RTPU may still take over."""
     generation: int = -1
@@ -65,11 +62,7 @@ class Flags:
         self._reported: dict[str, dict[tuple[str, str], None]] = {}
         """Causes and raisers that were reported, by subsystem."""
         self._entries: dict[tuple[str, str, str], _Entry] = {}
-        """By subsystem, name and, where a name has several, a cause."""
-        self._ended: dict[str, dict[int, int]] = {}
-        """Last commits of tasks that have ended and own their variables still, because
-        a successor was to take them: by subsystem a number for each register."""
-        self._number = itertools.count()
+        """By subsystem, name and, where a name has several, a cause or a variable."""
         self.waits = asyncio.Event()
         """Set while an entry goes when a task writes: call `glance` now and then."""
 
@@ -90,7 +83,7 @@ class Flags:
             return
         before = self._entries.get((subsystem, name, ""))
         missing = outputs or (before.missing if before else None)
-        entry = _Entry(opened, f"{self._rtpu}/{name}", cause, missing, name)
+        entry = _Entry(opened, f"{self._rtpu}/{name}", cause, missing)
         self._entries[subsystem, name, ""] = entry
         self.evaluate()
 
@@ -103,18 +96,6 @@ class Flags:
                 self.report()
                 opened.table.clear_illegal(f"{self._rtpu}/{name}")
                 self.report()
-
-    def narrow(self, subsystem: str, name: str, outputs: Collection[str]) -> None:
-        """Let an entry go once those of its outputs that are in `outputs` are written.
-
-        Args:
-            subsystem: The flag's subsystem.
-            name: The task that the entry is about; harmless when there is none.
-            outputs: What the task's fallback writes, which has taken its place.
-        """
-        entry = self._entries.get((subsystem, name, ""))
-        if entry is not None and entry.missing is not None:
-            entry.missing = [output for output in entry.missing if output in outputs]
 
     def master_found(
         self, subsystem: str, cause: str, unwritten: Collection[str]
@@ -155,88 +136,40 @@ class Flags:
         self._tables.need(subsystem).table.clear_illegal(MASTER, cause=cause)
         self.report()
 
-    def written(
-        self, subsystem: str, outputs: Collection[str], *, but: str = ""
-    ) -> bool:
-        """Return whether living tasks other than `but` own all of these variables."""
+    def written(self, subsystem: str, outputs: Collection[str]) -> bool:
+        """Return whether living tasks that have not ended own all these variables."""
         opened = self._tables.sound(subsystem)
-        if opened is None:
-            return False
-        ended = self._ended.get(subsystem, {})
-        found = [opened.table.info(output) for output in outputs]
-        return all(
-            one.owner not in {None, but} and ended.get(one.register) != one.seq
-            for one in found
-        )
+        return opened is not None and all(map(opened.table.written, outputs))
 
-    def ceded(self, subsystem: str, outputs: Collection[str]) -> None:
-        """Note that the owners of variables have ended without successors."""
-        opened = self._tables.sound(subsystem)
-        if opened is not None:
-            owned = [opened.table.info(output) for output in outputs]
-            last = {one.register: one.seq for one in owned}
-            self._ended.setdefault(subsystem, {}).update(last)
-
-    def expect(
-        self, subsystem: str, outputs: Mapping[str, str], done: str, within: float
+    def handed_over(
+        self, subsystem: str, by: str, outputs: Collection[str], within: float = 0.0
     ) -> None:
-        """Raise an entry unless others have taken variables over by then.
-
-        Args:
-            subsystem: The subsystem of the variables.
-            outputs: Their names, and which task each was handed over by.
-            done: What of the list is done.
-            within: Seconds.
-        """
-        for old in self._unfinished(subsystem):
-            if old.pending:
-                old.missing = [one for one in old.missing or () if one not in outputs]
-        handed = [
-            output
-            for output, by in outputs.items()
-            if not self.written(subsystem, [output], but=by)
-        ]
-        opened = self._tables.sound(subsystem)
-        if opened is None or not handed:
-            return
-        raiser = f"{self._rtpu}/{UNFINISHED}"
-        cause = f"{done} is done, and no task took over "
-        entry = _Entry(opened, raiser, cause, handed, by=dict(outputs), pending=True)
-        self._entries[subsystem, UNFINISHED, str(next(self._number))] = entry
-        if within:
-            loop = asyncio.get_running_loop()
-            loop.call_later(within, self._due, subsystem, entry)
-        else:
-            self._due(subsystem, entry)
-
-    def abandoned(self, subsystem: str, by: str, outputs: Collection[str]) -> None:
-        """Raise an entry: a task is off, and its successor will not come.
+        """Raise entries unless others take variables over by then.
 
         Args:
             subsystem: The subsystem of the variables.
             by: The task that has handed them over; it may own them still.
             outputs: Their names.
+            within: Seconds.
         """
-        self.ceded(subsystem, outputs)
-        self.expect(subsystem, dict.fromkeys(outputs, by), f"off {by}", 0.0)
-
-    def _due(self, subsystem: str, entry: _Entry) -> None:
-        """Raise an entry for variables that no task writes and no other entry names."""
-        if not any(one is entry for one in self._unfinished(subsystem)):
+        opened = self._tables.sound(subsystem)
+        if opened is None:
             return
-        known = {
-            output
-            for one in self._unfinished(subsystem)
-            if not one.pending
-            for output in one.missing or ()
-        }
-        left = [
-            output
-            for output in entry.missing or ()
-            if output not in known and not self.written(subsystem, [output])
-        ]
-        entry.pending, entry.missing = False, left
-        entry.cause += " ".join(left)
+        for output in outputs:
+            key = subsystem, UNFINISHED, output
+            if key not in self._entries or self._entries[key].pending:
+                cause = f"off {by} is done, and no task took over {output}"
+                raiser = f"{self._rtpu}/{UNFINISHED}"
+                entry = _Entry(opened, raiser, cause, [output], by, bool(within))
+                self._entries[key] = entry
+                if within:
+                    loop = asyncio.get_running_loop()
+                    loop.call_later(within, self._due, entry)
+        self.evaluate()
+
+    def _due(self, entry: _Entry) -> None:
+        """Raise an entry, if it was not withdrawn."""
+        entry.pending = False
         self.evaluate()
 
     def decided(self, subsystem: str, handover: Collection[str] = ()) -> None:
@@ -247,23 +180,10 @@ class Flags:
             handover: Tasks that hand over in the list that was decided on. What one of
                 them has handed over in an earlier part of it still counts.
         """
-        for entry in self._unfinished(subsystem):
-            entry.missing = [
-                output for output in entry.missing or () if entry.by[output] in handover
-            ]
+        for (whose, *_), entry in self._entries.items():
+            if whose == subsystem and entry.by and entry.by not in handover:
+                entry.missing = ()
         self.evaluate()
-
-    def _unfinished(self, subsystem: str) -> list[_Entry]:
-        return [
-            entry
-            for (whose, name, _), entry in self._entries.items()
-            if (whose, name) == (subsystem, UNFINISHED)
-        ]
-
-    def forget(self, subsystem: str) -> None:
-        """Forget what was handed over: all tasks of the subsystem have ended."""
-        self._ended.pop(subsystem, None)
-        self.decided(subsystem)
 
     def owners(self, subsystem: str, outputs: Collection[str]) -> set[str]:
         """Return the tasks that own any of these variables."""
@@ -323,13 +243,10 @@ class Flags:
                 del self._entries[key]
                 continue
             entry.generation = opened.table.generation
-            if entry.pending:
-                continue
             with contextlib.suppress(SvarError):  # no room: other causes hold the flag
-                if entry.missing is None or not self.written(
-                    subsystem, entry.missing, but=entry.but
-                ):
-                    opened.table.raise_illegal(entry.cause, entry.raiser)
+                if entry.missing is None or not self.written(subsystem, entry.missing):
+                    if not entry.pending:
+                        opened.table.raise_illegal(entry.cause, entry.raiser)
                     continue
                 del self._entries[key]
                 one = entry.cause if several else ""

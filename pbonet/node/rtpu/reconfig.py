@@ -66,10 +66,13 @@ class _List:
         """Carry it out, as far as it goes."""
         items = self._request.items
         begin = 0
+        done: list[Item] = []
         try:
             while begin < len(items):
                 left, length = await self._next(items[begin:])
                 rest = items[begin + length :]
+                step = items[begin : begin + length]
+                done += [item for item in step if item not in left]
                 if left:
                     self._result.rest = [*left, *rest]
                     break
@@ -81,7 +84,7 @@ class _List:
                 self._rtpu.flags.decided(
                     self._request.subsystem, named.union(self._request.handover)
                 )
-            self._expect_others(items[:begin])
+            self._expect_others(done)
         self._result.done = len(items) - len(self._result.rest)
         return self._result
 
@@ -100,17 +103,13 @@ class _List:
         and its entry says what is not.
         """
         rtpu, request = self._rtpu, self._request
-        gone = [name for name, signal in done if signal == "off"]
-        outputs = {
-            output: name
-            for name in gone
-            if name in request.handover and (request.subsystem, name) in rtpu.tasks
-            for output in request.handover[name]
-        }
-        if outputs:  # after a failure the master sends nothing more
-            within = 0.0 if self._result.error else TRIP
-            what = f"off {' '.join(gone)}"
-            rtpu.flags.expect(request.subsystem, outputs, what, within)
+        subsystem = request.subsystem
+        # After a failure the master sends nothing more.
+        within = 0.0 if self._result.error else TRIP
+        for name, signal in done:
+            outputs = request.handover.get(name, ())
+            if signal == "off" and (subsystem, name) in rtpu.tasks:
+                rtpu.flags.handed_over(subsystem, name, outputs, within)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
         """Send one signal; return it when that failed."""
@@ -175,7 +174,7 @@ class _List:
         self._rtpu.rank()
         for task in made.hanging:
             cause = f"{task.name} hangs in off"
-            self._rtpu.flags.up(subsystem, task.name, cause, task.facts.outputs)
+            self._rtpu.flags.up(subsystem, task.name, cause)
             self._rtpu.later(self._late(made, task), f"off of {task.name}")
         undone = made.undone
         if undone and made.failed:

@@ -70,7 +70,6 @@ class RequestHandlers:
         self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
             m.Claim: self._claim,
             m.Release: self._release,
-            m.OpenTable: self._open_table,
             m.CloseTable: self._close_table,
             m.Spawn: self._spawn,
             m.Control: self._control,
@@ -225,9 +224,6 @@ class RequestHandlers:
                 got="tasks " + " ".join(names),
                 remedy="kill them first, or stop the subsystem",
             )
-
-    async def _open_table(self, request: m.OpenTable) -> Result:
-        return self._rtpu.tables.open(request), []
 
     async def _close_table(self, request: m.CloseTable) -> Result:
         self._must_be_idle(request.subsystem, "closed")

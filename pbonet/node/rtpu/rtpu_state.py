@@ -338,8 +338,7 @@ class Rtpu:
             error = str(PbonetError.from_wire(notice.error))
             task.error = placed(error, notice.place)
         if notice.code == "ENDING" and task.state is State.ON:
-            task.left = True
-            self._raise_flag(task, "has ended by itself")
+            self._leaves(task)
         if notice.code == "ENGAGED":
             self._engaged(task, notice)
         elif notice.state:
@@ -365,21 +364,23 @@ class Rtpu:
         )
         self.flags.report()
 
+    def _leaves(self, task: Task) -> None:
+        """Raise the flag for a task that ends unasked; it still owns its variables."""
+        task.left = True
+        if task.facts.outputs:
+            cause = f"{task.name} has ended by itself"
+            self.flags.up(task.facts.subsystem, task.name, cause)
+
     def _engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
         """Note that the dispatcher has turned a task ON."""
         if task.state is State.ON:
             self.turned_on += 1
             task.on_rank = self.turned_on
         subsystem, replaced = task.facts.subsystem, task.stands_by
-        if not replaced and task.state is State.ERROR:
-            self.flags.ceded(subsystem, task.facts.outputs)
         self.fallbacks.engaged(task, notice)
-        if original := self.tasks.get((subsystem, replaced)):
-            missed = self.fallbacks.missed(original)
-            if self.flags.written(subsystem, missed, but=replaced):
-                self.flags.down(subsystem, replaced)
-        elif replaced and task.state is State.ON:  # its death is known already
-            self.flags.narrow(subsystem, replaced, task.facts.outputs)
+        original = self.tasks.get((subsystem, replaced))
+        if original and self.flags.written(subsystem, self.fallbacks.missed(original)):
+            self.flags.down(subsystem, replaced)
         self.settle(task)
         self.flags.evaluate()
 
@@ -398,7 +399,7 @@ class Rtpu:
     def _raise_flag(self, task: Task, how: str) -> None:
         """Raise the flag for a task if others may depend on it."""
         outputs, subsystem = self.fallbacks.missed(task), task.facts.subsystem
-        if outputs and not self.flags.written(subsystem, outputs, but=task.name):
+        if outputs and not self.flags.written(subsystem, outputs):
             cause = f"{task.name} {how}"
             self.flags.up(subsystem, task.name, cause, outputs)
         else:  # the vigil may have raised it, and a fallback is there already
@@ -451,10 +452,11 @@ class Rtpu:
         last.error, last.tid = text, 0
         last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
-        if slot.comes:
-            self.successors.died(task, called=slot.called)
-        elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
+        was_on = slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON
+        if was_on or slot.comes:
             self._raise_flag(task, "has died")
+        elif task.left:
+            self._raise_flag(task, "has ended by itself")
         trace = task.child.crash_text()
         self.events.add(
             Severity.ERROR,
@@ -477,7 +479,7 @@ class Rtpu:
         for key in [key for key in self.tombs if key[0] == subsystem]:
             self.bury(*key)
         self.fallbacks.forget(subsystem)
-        self.flags.forget(subsystem)
+        self.flags.decided(subsystem)
 
     def _forks_died(self, code: int) -> None:
         self.events.add(

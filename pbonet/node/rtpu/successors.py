@@ -17,7 +17,6 @@ import asyncio
 import secrets
 from typing import TYPE_CHECKING, Protocol
 
-from pbonet.analysis.schedule import Mode
 from pbonet.errors import NoAnswerError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
@@ -220,36 +219,6 @@ class Successors:
         """End the standby of a task, if it stands by."""
         if self._forget(task) and task.engaged and not task.engaged.done():
             await rest(self._rtpu.core, task)
-
-    def died(self, task: Task, *, called: bool = False, ended: bool = False) -> None:
-        """Keep the flag up for a task that has died as it was about to come on.
-
-        Its death has raised it natively. While another task writes what this one was to
-        take over, the entry remains until the exchange of the two has ended.
-
-        Args:
-            task: The task.
-            called: One of its predecessors has ended, and counts on it. The exchange
-                need not be this RTPU's alone: the entry stands until all is written
-                anew.
-            ended: Their exchange has; who writes now goes on.
-        """
-        rtpu, subsystem, outputs = self._rtpu, task.facts.subsystem, task.facts.outputs
-        owners = rtpu.flags.owners(subsystem, outputs)
-        slots = [
-            rtpu.core.snapshot(one.facts.slot)
-            for one in rtpu.of(subsystem)
-            if one.name in owners and one is not task
-        ]
-        there = any(s.mode in {Mode.ON, Mode.COMMAND} and not s.dead for s in slots)
-        written = there and not called
-        if written and ended:
-            rtpu.flags.down(subsystem, task.name)
-            return
-        if not written:
-            rtpu.flags.ceded(subsystem, outputs)
-        cause = f"{task.name} has died"
-        rtpu.flags.up(subsystem, task.name, cause, () if written else outputs)
 
     def dismiss_all(self, subsystem: str) -> None:
         """Engage no task any more, because the subsystem is being stopped."""

@@ -24,14 +24,14 @@ from pbonet.errors import (
     SvarMissingError,
 )
 from pbonet.svar import Table
-from pbonet.xm.net import TableInfo, run_folder
+from pbonet.xm.net import run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from pbonet.config import SvarFile
-    from pbonet.xm.net import Claim, OpenTable
+    from pbonet.xm.net import Claim
 
 
 _LOCK = struct.Struct("hhqqi4x")
@@ -110,7 +110,7 @@ class Tables:
             )
         return opened
 
-    def open(self, request: OpenTable | Claim) -> TableInfo:
+    def open(self, request: Claim) -> None:
         """Create or attach the subsystem's table.
 
         Raises:
@@ -125,12 +125,10 @@ class Tables:
         if held is not None:
             if held.table.layout != layout:
                 raise _other_layout(name, layout, held.table.layout)
-            return self._info(held)
+            return
         table = self._create(name, file) if request.keep else self._attach(name, file)
-        opened = Opened(table, file, request.keep)
-        self._open[request.subsystem] = opened
+        self._open[request.subsystem] = Opened(table, file, request.keep)
         self._changed()
-        return self._info(opened)
 
     def close(self, subsystem: str) -> None:
         """Let go of the table; the keeper removes its file."""
@@ -202,14 +200,6 @@ class Tables:
             return Table.attach(name, layout=Table.layout_of(file.variables))
         except SvarMissingError:
             return self._create(name, file)
-
-    @staticmethod
-    def _info(opened: Opened) -> TableInfo:
-        return TableInfo(
-            name=opened.table.name,
-            layout=opened.table.layout,
-            machine=run_folder.machine(),
-        )
 
 
 def table_name(domain: str, subsystem: str) -> str:

@@ -123,6 +123,8 @@ class Machine:
                 theirs.drop()
                 theirs.shown = shown
                 self._claim(theirs)
+            elif theirs.group.ended and theirs.local is not None:
+                theirs.local.cede()
             elif theirs.local is None or theirs.local.claimed != theirs.group.live:
                 self._claim(theirs)
 
@@ -174,6 +176,8 @@ class Machine:
             local.claim(theirs.time_ns, theirs.news.cycle)
             if not theirs.group.live:
                 local.release()
+            elif theirs.group.ended:
+                local.cede()
         except SvarError:  # a task here owns one; the conflict is reported elsewhere
             self.counts.refused += 1
             theirs.drop()

@@ -47,6 +47,8 @@ class OwnGroup:
         """Time before which nothing newer is sent."""
         self.live = False
         """Whether a task owns it, as last reported."""
+        self.ended = False
+        """Whether that task has ended, as last reported."""
         self._last: News | None = None
         """The state that was sent last, for a group with a limited rate."""
         self.stamp_ns = 0
@@ -123,6 +125,8 @@ class Outbox:
         self._keep = keep
         self.generation = -1
         """Generation of the table at the last check."""
+        self._changes = -1
+        """Number of changes of the flag and of ends at the last check."""
         self.groups: dict[int, OwnGroup] = {}
         self._kept: int | None = None
         """A variable in the keeper's register, and the last commit there."""
@@ -139,7 +143,7 @@ class Outbox:
             return False
         generation = self._table.generation
         if generation == self.generation and not self._keep_grown():
-            return False
+            return self._note_ends()
         self.generation, self._kept, self._unset = generation, None, []
         found: dict[int, tuple[str, bool, list[int]]] = {}
         registers: dict[int, int] = {}
@@ -166,7 +170,21 @@ class Outbox:
             live = found[uid][1]
             if group.live != live:  # its first and last values are sent at once
                 group.live, group.next_ns = live, 0
+        self._changes = -1
+        self._note_ends()
         return True
+
+    def _note_ends(self) -> bool:
+        """Note which owners have ended; return whether that has changed."""
+        changes = self._table.arena.changes
+        if changes == self._changes:
+            return False
+        self._changes = changes
+        before = [group.ended for group in self.groups.values()]
+        for group in self.groups.values():
+            written = self._table.written(group.variables[0])
+            group.ended = group.live and not written
+        return before != [group.ended for group in self.groups.values()]
 
     def news(
         self,
@@ -234,6 +252,7 @@ class Outbox:
                 own.live,
                 own.variables,
                 [epochs.own[v].epoch for v in own.variables],
+                own.ended,
             )
             for own in self.groups.values()
         ]

@@ -26,6 +26,8 @@ class Group(Struct, array_like=True):
     vars: list[int]
     epochs: list[int]
     """One for each variable; see `pbonet.svar.mirror.epochs`."""
+    ended: bool = False
+    """That task has ended, and a successor is to take the variables."""
 
 
 class News(Struct, array_like=True):

@@ -67,8 +67,9 @@ class Claim(Request, tag="claim"):
     The same subsystem may claim again when the former master's token is gone, or with
     `take_over`; the epoch then increases and the former master's commands are refused.
 
-    With the text of a ``.svar`` file the table is opened as well, as by `OpenTable`; if
-    that fails, the claim does not change.
+    With the text of a ``.svar`` file the subsystem's table is opened, too: created, or
+    attached to where it stands on the machine. If it stands there with another layout,
+    that is refused, and the claim is as it was before.
     """
 
     usage: str = "exclusive"
@@ -87,20 +88,6 @@ class Claim(Request, tag="claim"):
 
 class Release(Request, tag="release"):
     """Release the RTPU; refused while the subsystem has tasks on it. Result: None."""
-
-
-class OpenTable(Request, tag="open_table"):
-    """Create or attach the subsystem's table. Result: `TableInfo`.
-
-    Refused if a table of that name exists with another layout.
-    """
-
-    svar: str
-    """Text of the ``.svar`` file."""
-    svar_name: str
-    """Its name, for messages."""
-    keep: bool = False
-    """True on the RTPU that creates and keeps the table."""
 
 
 class CloseTable(Request, tag="close_table"):
@@ -378,7 +365,6 @@ AnyRequest = (
     | Links
     | Claim
     | Release
-    | OpenTable
     | CloseTable
     | Spawn
     | Control
@@ -417,14 +403,6 @@ class Claimed(Struct, kw_only=True):
     """The result of ``status``, which saves the master a request."""
     agent: AgentInfo | None = None
     """The result of ``hello``."""
-
-
-class TableInfo(Struct, kw_only=True):
-    """A table that exists on the machine."""
-
-    name: str
-    layout: str
-    machine: str
 
 
 class Recorded(Struct, kw_only=True):

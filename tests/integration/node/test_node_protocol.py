@@ -19,7 +19,6 @@ RECORDS = [
     m.Way,
     m.TableNews,
     m.Claimed,
-    m.TableInfo,
     m.Recorded,
     m.TaskStatus,
     m.RtpuStatus,

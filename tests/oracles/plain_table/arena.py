@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
     from .local import Group
 
-VERSION, STATIC_BYTES = 3, 136
+VERSION, STATIC_BYTES = 4, 136
 SLOTS, LINE = 4, 64
 _EVER = 1 << 64
 _NUMBERS = (1 << 56) - 1
-FREE, HELD, LEFT = range(3)
+FREE, HELD, ENDED, LEFT = range(4)
 _MAGIC = b"pbSVAR\r\n"
 _STATIC = struct.Struct("<8s4I2Q16s10Q")
 _MUTEX = {"x86_64": 40, "aarch64": 48}.get(platform.machine(), 40)
@@ -237,7 +237,7 @@ class Arena(Flag):
         for r in range(1, self.n_regs):
             state = self.reg(r, _STATE)
             if r not in named and (
-                state == LEFT or (state == HELD and not self._alive(r))
+                state == LEFT or (state != FREE and not self._alive(r))
             ):
                 self._set_reg(r, _STATE, FREE)
         free = [r for r in range(1, self.n_regs) if self.reg(r, _STATE) == FREE]
@@ -324,6 +324,7 @@ class Arena(Flag):
         if self.divided(group, constants=constants) and not self._renew(group):
             return FULL, 0
         self.commit(group.reg, group.value(0, group.bytes), stamp)
+        self._set_reg(group.reg, _STATE, HELD)
         changes: dict[int, tuple[int, int, int]] = {}
         for v, at in group:
             if self._asked(group, old, v, at, constants=constants) == "take":
@@ -372,6 +373,17 @@ class Arena(Flag):
         if leave:
             self._set_reg(r, _STATE, LEFT)
         return 0
+
+    def cede(self, r: int, uid: int) -> None:
+        """Mark that the task of a register has ended, unless it is another one's."""
+        if self.uid(r) == uid:
+            self._set_reg(r, _STATE, ENDED)
+            self.count_change()
+
+    def written(self, v: int) -> bool:
+        """Return whether the owner of a variable is alive and has not ended."""
+        reg, live, _ = self.entry(v)
+        return bool(live) and self.reg(reg, _STATE) == HELD and self._alive(reg)
 
     def set(  # as the native one, which has a lock
         self, v: int, value: NDArray[Any], now: int, _wait: object = None
@@ -443,7 +455,7 @@ class Arena(Flag):
                 self._task(r),
                 self.reg(r, _BYTES),
                 self.reg(r, 0) >> 8,
-                self.reg(r, _STATE) == HELD,
+                self.reg(r, _STATE) != LEFT,
             )
             for r in range(1, self.n_regs)
             if self.reg(r, _STATE) != FREE

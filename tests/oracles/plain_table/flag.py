@@ -57,6 +57,10 @@ class Flag:
     def _add(self, place: int) -> None:
         self._set(self.live + place, self._get(self.live + place) + 1)
 
+    def count_change(self) -> None:
+        """Count a change of the flag, or the end of a task."""
+        self._add(_CHANGES)
+
     def _word(self, i: int) -> int:
         return self._get(self.flag + 8 * i)
 

@@ -147,7 +147,10 @@ class LocalTable:
 
     def cede(self) -> None:
         """Write no more, and leave the variables to the successor's claim."""
-        self.groups[VARS].live = False
+        group = self.groups[VARS]
+        if group.live:
+            self.arena.cede(group.reg, group.uid)
+        group.live = False
 
     def give(self, which: int, leave: bool) -> int:
         """Give a group's variables up."""

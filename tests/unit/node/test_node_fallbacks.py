@@ -249,3 +249,11 @@ def test_nobody_gets_ready_again_for_a_task_that_is_killed(restless, monkeypatch
 
     asyncio.run(run())
     assert left == [ALONE, ALONE]
+
+
+def test_what_a_fallback_does_not_write_is_not_missed(home):
+    """The configuration was judged with it in the place of the task that has failed."""
+    home.first.facts.outputs = ["X", "Y"]
+    assert home.fallbacks.missed(home.first) == ["Y"]
+    del home.tasks["arm", STANDBY]
+    assert home.fallbacks.missed(home.first) == ["X", "Y"]

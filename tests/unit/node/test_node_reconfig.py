@@ -6,6 +6,7 @@ import asyncio
 from types import SimpleNamespace
 
 import pytest
+from msgspec import structs
 
 from pbonet.analysis.schedule.records import Mode
 from pbonet.config import parse_svar
@@ -13,7 +14,7 @@ from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, TaskDiedError, UnknownTaskError
 from pbonet.node.rt import _rt
 from pbonet.node.rtpu import reconfig
-from pbonet.node.rtpu.handover import Exchange
+from pbonet.node.rtpu.handover import Exchange, plan
 from pbonet.node.rtpu.illegal_flag import Flags
 from pbonet.node.rtpu.rtpu_state import Rtpu as Process
 from pbonet.node.rtpu.successors import Successors
@@ -70,7 +71,7 @@ class Played:
 class Rtpu:
     """What lists need of an RTPU process."""
 
-    name, turned_on = "arm0", 0
+    name, turned_on, call_far = "arm0", 0, None
 
     def __init__(self, core, table):
         self.core, self.tasks, self.lists, self.reactions = core, {}, {}, {}
@@ -263,6 +264,36 @@ def test_what_was_done_before_another_one_died_is_answered(rtpu):
     assert answer.states == {"b": "OFF"}
     assert answer.error is not None
     assert "there is no such task" in str(PbonetError.from_wire(answer.error))
+
+
+def test_what_one_of_two_has_handed_over_in_vain_raises_the_flag(rtpu, table):
+    """Both leave for one on another machine, and b fails: nobody calls it for both."""
+    msg = "off raised"
+
+    async def fails():
+        raise PbonetError(msg)
+
+    rtpu.reactions["b"] = fails
+    far = {name: [structs.replace(call("h", "Y0"), far=True)] for name in ("a", "b")}
+    answer = carry_out(rtpu, {"a": ["Y0"], "b": ["Y1"]}, far)
+    assert (answer.done, answer.rest) == (1, [("b", "off")])
+    assert [one.cause for one in table.illegal] == [
+        "off a is done, and no task took over Y0"
+    ]
+
+
+def test_more_than_can_call_one_successor_are_exchanged_one_by_one(rtpu):
+    """A ticket has room for so many callers."""
+
+    async def run(many):
+        for k in range(many):
+            Played(rtpu, f"t{k}", ["Y0"])
+        Played(rtpu, "new", ["Y0"]).state = State.OFF
+        items = [(f"t{k}", "off") for k in range(many)]
+        return len(plan(rtpu, "arm", [*items, ("new", "on")], {}))
+
+    assert asyncio.run(run(m.MOST_CALLERS)) == m.MOST_CALLERS + 1
+    assert asyncio.run(run(m.MOST_CALLERS + 1)) == 0
 
 
 def test_a_task_that_has_died_is_killed_in_a_list(rtpu):

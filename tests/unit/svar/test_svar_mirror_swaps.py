@@ -98,6 +98,43 @@ def test_a_state_that_was_overtaken_brings_nothing_back(sides):
     assert [cause.cause for cause in b.table.illegal] == ["hand off"]
 
 
+def test_the_end_of_an_owner_is_known_on_all_machines(sides):
+    """Its successor, on its own machine, takes its variables over later, or never."""
+    a, b, c = sides
+    old = on(a, "old", "Q", value=1.0)
+    meet(*sides)
+    assert [one.table.written("Q") for one in sides] == [True] * 3
+    old.cede()
+    news = a.mirror.tell()
+    assert news is not None, "nothing else has changed"
+    assert a.mirror.tell() is None
+    data = packets.pack(news)
+    generation = b.table.generation
+    assert take(b, data)
+    assert take(c, data)
+    assert [one.table.written("Q") for one in sides] == [False] * 3
+    assert b.table.info("Q").owner == "old@host-a"
+    assert b.table.generation == generation
+    new = a.task("new", "Q")
+    new.take_over_from(["old"])
+    new.claim()
+    carry(a, b, c)
+    assert [one.table.written("Q") for one in sides] == [True] * 3
+    assert b.table.info("Q").owner == "new@host-a"
+
+
+def test_a_machine_that_comes_later_learns_which_owner_has_ended(sides):
+    a, _, c = sides
+    old = on(a, "old", "Q", value=1.0)
+    old.cede()
+    meet(*sides)
+    assert c.table.info("Q").owner == "old@host-a"
+    assert not c.table.written("Q")
+    old.claim()
+    carry(a, c)
+    assert c.table.written("Q")
+
+
 def test_a_carrier_that_stood_still_amid_a_look(sides, monkeypatch):
     """It takes a commit for older than the last one, and goes on all the same."""
     a, b, _ = sides
