@@ -107,8 +107,10 @@ class _List:
         # After a failure the master sends nothing more.
         within = 0.0 if self._result.error else TRIP
         for name, signal in done:
-            outputs = request.handover.get(name, ())
-            if signal == "off" and (subsystem, name) in rtpu.tasks:
+            task = rtpu.tasks.get((subsystem, name))
+            if signal == "off" and task is not None:
+                handed = request.handover.get(name, ())
+                outputs = [one for one in task.facts.outputs if one in handed]
                 rtpu.flags.handed_over(subsystem, name, outputs, within)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:

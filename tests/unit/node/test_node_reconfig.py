@@ -282,6 +282,14 @@ def test_what_one_of_two_has_handed_over_in_vain_raises_the_flag(rtpu, table):
     ]
 
 
+def test_a_variable_that_a_task_does_not_write_is_not_handed_over(rtpu, table):
+    """The list is carried out, and the answer says so; nothing is waited for."""
+    answer = carry_out(rtpu, {"b": []}, {}, handover={"b": ["NONE", "Y1"]})
+    assert (answer.done, answer.error) == (1, None)
+    assert table.illegal == []
+    assert not rtpu.flags.waits.is_set()
+
+
 def test_more_than_can_call_one_successor_are_exchanged_one_by_one(rtpu):
     """A ticket has room for so many callers."""
 
