@@ -1,7 +1,7 @@
-"""The autonomous interface: a subsystem as a program steers it (Stewart 1994, 4.4.4).
+"""The autonomous interface: control of a subsystem by a program (Stewart 1994, 4.4.4).
 
-The other interfaces (prompt, script, network, one-shot verbs) call these methods and
-nothing else, so whatever can be done in one can be done in all.
+The other interfaces (prompt, script, network, one-shot verbs) call only these methods,
+so every command is available in all of them.
 
 ::
 
@@ -69,28 +69,29 @@ if TYPE_CHECKING:
 
 
 class Subsystem:
-    """A subsystem of tasks on one or more RTPUs, steered by this master.
+    """A subsystem of tasks on one or more RTPUs, controlled by this program.
 
     Args:
         path: Its ``.sbs`` file, or a ``.job`` file that names it.
-        domain: The domain of its RTPUs; None for PBONET_DOMAIN.
-        connect: Endpoints of agents on other machines; None for PBONET_CONNECT.
-        libraries: Folders with RMODs and modules of one's own; None for PBONET_LIBRARY.
-        kind: What the master is, as the first part of its client name.
-        watch: Look only: claim nothing, change nothing.
-        take_over: Replace a master that lives.
-        embed: Start agents for RTPUs that nobody runs; they end with the subsystem.
+        domain: The domain of its RTPUs; None: PBONET_DOMAIN.
+        connect: Endpoints of agents on other machines; None: PBONET_CONNECT.
+        libraries: Folders with your own RMODs and modules; None: PBONET_LIBRARY.
+        kind: The kind of master, as the first part of its client name.
+        watch: Only read: claim nothing, change nothing.
+        take_over: Replace a master that is still alive.
+        embed: Start agents for RTPUs without one; they end with the subsystem.
         virtual: Run in virtual time, in this process, without agents and devices: time
-            passes where the program waits.
-        partly: Be content with the RTPUs that answer; of the others it is warned.
+            passes only while the program waits.
+        partly: Continue with the RTPUs that answer, and warn about the others.
         warned: Called with each warning, one sentence, unless a `CommandSession`
             collects it.
-        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
-            says, or outputs. In virtual time nothing is, and only ``off`` may be said.
+        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None: as the job
+            says, or outputs. In virtual time nothing is recorded, and only ``off`` is
+            accepted.
 
     Raises:
         ConfigError: A file is missing or wrong.
-        StateError: A log is asked for in virtual time.
+        StateError: A log is requested in virtual time.
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class Subsystem:
         self.domain = domain
         self.warned = warned
         self.stopped = threading.Event()
-        """Set by `stop`; an assembly that is under way then gives up."""
+        """Set by `stop`; a start in progress is then abandoned."""
         self.watch = watch
         self.simulation: VirtualRtpus | None = None
         """The RTPUs in virtual time; it has the ``recording``."""
@@ -132,7 +133,7 @@ class Subsystem:
                 domain, libraries=[*map(str, libraries)], connect=connect
             )
         self.shown: tuple[str, ...] = status_fields.DEFAULT
-        """Fields that `status` shows; `status_set` chooses them."""
+        """Fields that `status` shows; `status_set` sets them."""
         self.baselines = status_fields.Baselines()
         self.recordings = book(record, virtual=virtual)
         self._connect = connect
@@ -193,7 +194,7 @@ class Subsystem:
 
     @property
     def model(self) -> TaskModel:
-        """Its tasks as they stood at the last look."""
+        """Its tasks as last read from the RTPUs."""
         return self.task_set.model
 
     def open(
@@ -203,18 +204,21 @@ class Subsystem:
         once: bool = False,
         task: str = "",
     ) -> Self:
-        """Connect, claim the RTPUs, open the table, and learn what stands already.
+        """Connect, claim the RTPUs, open the table, and read the existing tasks.
 
         Args:
-            opened: A session to go through, which is ours from now on; None opens one.
-            once: One command follows immediately, for which the status that is learned
-                here is new enough.
-            task: That command concerns this task alone: claim and ask only its RTPU.
+            opened: A session to use, which is closed with the subsystem; None: open
+                one.
+            once: A single command follows immediately and may use the status read here.
+            task: That command concerns only this task: claim and ask only its RTPU.
+
+        Returns:
+            This subsystem.
 
         Raises:
             UnreachableError: No agent, or not every agent, can be reached.
             ClaimError: An RTPU belongs to another subsystem or another master.
-            SeveralError: Several RTPUs cannot be had.
+            SeveralError: Several RTPUs cannot be used.
             SvarError: The table cannot be opened.
         """
         if self._agents is not None:
@@ -228,7 +232,7 @@ class Subsystem:
         return self
 
     def _client(self, opened: zenoh.Session | None) -> rpc.Client:
-        """Return who asks the RTPUs."""
+        """Return the client that sends requests to the RTPUs."""
         name = client_name(self._kind)
 
         def warned(rtpu: str, text: str) -> None:
@@ -267,9 +271,9 @@ class Subsystem:
                 self._warn(f"the embedded agent of {rtpu} had to be killed")
 
     def detach(self) -> None:
-        """Leave: the tasks go on, and the next master finds them as they are.
+        """Leave the subsystem; its tasks continue, and the next master finds them.
 
-        Those of embedded agents end with their agents.
+        Tasks of embedded agents end with their agents.
         """
         if self._task_set is not None:
             clients = self._task_set.clients
@@ -279,14 +283,15 @@ class Subsystem:
             self._end_agents()
 
     def finish(self) -> list[PbonetError]:
-        """Turn OFF in order, end every task, give everything back (`sbsFinish`).
+        """Turn tasks OFF in order, end them, and release the RTPUs (`sbsFinish`).
 
         Returns:
-            An error for each task that hung: it is ended, but by force.
+            An error for each task that hung and was terminated by force.
 
         Raises:
-            SeveralError: Parts of it could not be done, the rest was; of one part, its
-                own error.
+            NodeError: The subsystem is not open.
+            SeveralError: Some steps failed, the others were done; if only one failed,
+                its own error is raised.
         """
         self.stopped.set()
         try:
@@ -297,10 +302,11 @@ class Subsystem:
             self.detach()
 
     def quit(self) -> None:
-        """End the subsystem with its last interface, and warn of tasks that hung.
+        """End the subsystem as `finish` does, and warn of tasks that hung.
 
         Raises:
-            SeveralError: As `finish`.
+            NodeError: The subsystem is not open.
+            SeveralError: Some steps failed; see `finish`.
         """
         for error in self.finish():
             self._warn(str(error))
@@ -310,18 +316,22 @@ class Subsystem:
     def spawn(
         self, rmod: str, rtpu: str | None = None, hz: float | None = None
     ) -> m.TaskStatus:
-        """Create a task from an RMOD; when this returns it is OFF (section 4.5.2).
+        """Create a task from an RMOD; it is OFF when this returns (section 4.5.2).
 
         Args:
-            rmod: The RMOD's name; it is also the task's.
-            rtpu: Where; by default where the RMOD says, else the first RTPU.
-            hz: Its frequency; by default what the RMOD says.
+            rmod: The RMOD's name; it is also the name of the task.
+            rtpu: The RTPU; None: as the RMOD says, else the first RTPU.
+            hz: Frequency, Hz; None: as the RMOD says.
+
+        Returns:
+            The status of the new task.
 
         Raises:
-            ConfigError: There is no such RMOD, or its file is wrong.
+            ConfigError: The RMOD does not exist, or its file is wrong.
             StateError: The subsystem has a task of this name.
-            ParameterError: `hz` is no frequency.
-            VerificationError: It does not fit the table or its module.
+            ParameterError: `hz` is not a valid frequency.
+            ClaimError: The subsystem is open for reading only.
+            VerificationError: The task does not fit the table or its module.
             PbonetError: The module does not load, or its `init` failed.
         """
         if hz is not None:
@@ -342,18 +352,22 @@ class Subsystem:
         """Send ``on off kill clear reinit`` to a task (section 4.5.3).
 
         An ``on`` is verified first: it may not make two tasks write one variable. It
-        may leave inputs without a producer, for a loop is built task by task; then it
-        warns, and the illegal-configuration flag is up until the loop is closed. The
-        other signals are never refused for legality.
+        may leave inputs without a producer, because a control loop is built task by
+        task; then it warns, and the illegal-configuration flag is up until the loop is
+        closed. The other signals are never refused because of legality.
 
         Args:
             task: The task.
-            signal: What to send.
-            arg: Text for the module, as its ``self.task.arg``.
+            signal: The signal to send.
+            arg: Text for the module, available as ``self.task.arg``.
+
+        Returns:
+            The task's status after the transition.
 
         Raises:
-            UnknownTaskError: There is no such task.
-            StateError: The signal is not valid in the task's state.
+            UnknownTaskError: The task does not exist.
+            StateError: The signal is unknown, or not valid in the task's state.
+            ClaimError: The subsystem is open for reading only.
             VerificationError: ``on`` would make the configuration illegal.
             PbonetError: A method of the module failed.
         """
@@ -372,11 +386,18 @@ class Subsystem:
     def freq(self, task: str, hz: float | None = None) -> float:
         """Return a task's frequency in Hz; with `hz`, set it first.
 
+        Args:
+            task: The task.
+            hz: The new frequency, Hz; None: only read.
+
+        Returns:
+            The frequency, Hz.
+
         Raises:
-            UnknownTaskError: There is no such task.
-            ClaimError: It is to be set, and the subsystem is open for watching only.
-            ParameterError: `hz` is no frequency.
-            VerificationError: The RTPU could not bear the new rate.
+            UnknownTaskError: The task does not exist.
+            ClaimError: `hz` is given, and the subsystem is open for reading only.
+            ParameterError: `hz` is not a valid frequency.
+            VerificationError: The new rate would overload the RTPU.
         """
         if hz is None:
             return self.task_set.ask(task, m.Freq(task=task), float)
@@ -392,11 +413,18 @@ class Subsystem:
                 task_set.keep()
 
     def get(self, task: str, param: str | None = None) -> list[m.ParamValue]:
-        """Return the parameters of a task's module, or the one named.
+        """Return the parameters of a task's module, or a single one.
+
+        Args:
+            task: The task.
+            param: The parameter; None: all.
+
+        Returns:
+            One record per parameter, with its value, type, unit and bounds.
 
         Raises:
-            UnknownTaskError: There is no such task.
-            ParameterError: It has no such parameter.
+            UnknownTaskError: The task does not exist.
+            ParameterError: The module has no such parameter.
         """
         request = m.Get(task=task, name=param)
         return self.task_set.ask(task, request, list[m.ParamValue])
@@ -408,13 +436,18 @@ class Subsystem:
 
         Args:
             task: The task.
-            param: The parameter.
-            value: A number, a word, or several of them, as in a LOCAL line; None: only
-                look, as `get` does.
+            param: The parameter; None: only read all, as `get` does.
+            value: A number, a word, or a sequence of them, as in a LOCAL line; None:
+                only read.
+
+        Returns:
+            The parameter after the change.
 
         Raises:
-            UnknownTaskError: There is no such task.
-            ParameterError: No such parameter, or a value that it does not take.
+            UnknownTaskError: The task does not exist.
+            ClaimError: The subsystem is open for reading only.
+            ParameterError: The module has no such parameter, or does not accept the
+                value.
         """
         if param is None or value is None:
             return self.get(task, param)
@@ -423,11 +456,22 @@ class Subsystem:
             return task_set.ask(task, request, list[m.ParamValue], timeout=CONTROL_TIME)
 
     def write(self, variable: str, value: float | Iterable[float]) -> m.VarValue:
-        """Set a variable that no task writes; who has it as in-const takes it in.
+        """Set a variable that no task writes.
+
+        Tasks that have it as an in-const are re-initialized.
+
+        Args:
+            variable: Its name.
+            value: One number per element, in the variable's unit.
+
+        Returns:
+            The variable after the change.
 
         Raises:
             UnknownVariableError: The table has no such variable.
             SvarOwnerError: A task writes it.
+            ClaimError: The subsystem is open for reading only.
+            SeveralError: Users of a constant did not accept the new value.
         """
         with self._changing(strict=False) as task_set:
             self.files.must_have(variable)
@@ -442,38 +486,99 @@ class Subsystem:
     # -- signals ----------------------------------------------------------------------
 
     def on(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
-        """Send ``on`` to a task, or to several as one list judged by its end.
+        """Turn on a task, or several as one list verified by its end.
 
         Args:
-            task: The tasks.
-            text: For the module of one task, as its ``self.task.arg``.
+            task: The tasks, in the order in which to turn them on.
+            text: Text for the module of a single task, available as ``self.task.arg``.
 
         Returns:
-            The states of the tasks.
+            The states of the tasks, by name.
 
         Raises:
-            UnknownTaskError: There is no such task.
-            StateError: The signal is not valid in a task's state.
-            VerificationError: The end would be illegal; nothing was sent.
-            ReconfigError: Of several, one failed.
+            UnknownTaskError: A task does not exist.
+            StateError: The signal is not valid in a task's state, or no task is named.
+            ClaimError: The subsystem is open for reading only.
+            VerificationError: The result would be illegal; nothing was sent.
+            ReconfigError: One of several tasks failed.
             PbonetError: A method of the module failed.
         """
         return self._signal("on", task, text)
 
     def off(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
-        """Send ``off``; as `on`, and never refused for legality."""
+        """Turn off a task, or several in order; never refused because of legality.
+
+        Args:
+            task: The tasks, in the order in which to turn them off.
+            text: Text for the module of a single task, available as ``self.task.arg``.
+
+        Returns:
+            The states of the tasks, by name.
+
+        Raises:
+            UnknownTaskError: A task does not exist.
+            StateError: The signal is not valid in a task's state, or no task is named.
+            ClaimError: The subsystem is open for reading only.
+            ReconfigError: One of several tasks failed.
+            PbonetError: A method of the module failed.
+        """
         return self._signal("off", task, text)
 
     def kill(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
-        """Destroy tasks; as `off`."""
+        """Destroy tasks; a task that is ON is turned off first.
+
+        Args:
+            task: The tasks, in order.
+            text: Text for the module of a single task, available as ``self.task.arg``.
+
+        Returns:
+            The last states of the tasks, by name.
+
+        Raises:
+            UnknownTaskError: A task does not exist.
+            StateError: No task is named, or a text is given for several tasks.
+            ClaimError: The subsystem is open for reading only.
+            ReconfigError: One of several tasks failed.
+            PbonetError: A method of the module failed; the task has ended nevertheless.
+        """
         return self._signal("kill", task, text)
 
     def clear(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
-        """Send ``clear`` to tasks in ERROR; as `off`."""
+        """Bring tasks out of ERROR; they are OFF then.
+
+        Args:
+            task: The tasks, in order.
+            text: Text for the module of a single task, available as ``self.task.arg``.
+
+        Returns:
+            The states of the tasks, by name; ERROR if the cause persists.
+
+        Raises:
+            UnknownTaskError: A task does not exist.
+            StateError: A task is not in ERROR, or no task is named.
+            ClaimError: The subsystem is open for reading only.
+            ReconfigError: One of several tasks failed.
+            PbonetError: A method of the module failed.
+        """
         return self._signal("clear", task, text)
 
     def reinit(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
-        """Have tasks read their constants again; as `off`."""
+        """Make tasks read their constants again, without turning them off.
+
+        Args:
+            task: The tasks, in order.
+            text: Text for the module of a single task, available as ``self.task.arg``.
+
+        Returns:
+            The states of the tasks, by name.
+
+        Raises:
+            UnknownTaskError: A task does not exist.
+            StateError: The signal is not valid in a task's state, or no task is named.
+            ClaimError: The subsystem is open for reading only.
+            ReconfigError: One of several tasks failed.
+            PbonetError: A method of the module failed.
+        """
         return self._signal("reinit", task, text)
 
     def _signal(
@@ -492,20 +597,22 @@ class Subsystem:
         return self.reconfig([(name, signal) for name in tasks])
 
     def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
-        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
+        """Send an ordered list of signals, verified by its end (section 4.4.4).
 
-        Tasks that have died may be killed, which forgets them and their ERROR; that is
-        done before the list is sent.
+        A ``kill`` of a task that has died makes the RTPU forget it; this is done before
+        the list is sent.
 
         Args:
             item: Pairs of task and signal.
 
         Returns:
-            The states of the tasks concerned.
+            The states of the tasks, by name.
 
         Raises:
-            UnknownTaskError: There is no such task; nothing was sent.
-            VerificationError: The end would be illegal; nothing was sent.
+            UnknownTaskError: A task does not exist; nothing was sent.
+            StateError: A signal is unknown; nothing was sent.
+            ClaimError: The subsystem is open for reading only.
+            VerificationError: The result would be illegal; nothing was sent.
             ReconfigError: An item failed; it says which, and what was not sent.
         """
         items = [(task, signal) for task, signal in item]
@@ -537,23 +644,28 @@ class Subsystem:
         rtpu: str | None = None,
         dry_run: bool = False,
     ) -> Transition:
-        """Put tasks into the place of others while everything else goes on.
+        """Replace tasks by others while all other tasks continue (section 3.10).
 
-        The old ones stay OFF, so that one can swap back. Tasks that both name are not
-        touched. Given again behind a failure, it does what is left.
+        The old tasks stay OFF, so that you can swap back. Tasks named on both sides are
+        not touched. Repeated after a failure, it does the rest.
 
         Args:
             old: The tasks that leave, by name.
-            new: The tasks that come, by name; RMODs that are no tasks yet are spawned.
-            rtpu: Where to spawn; by default where the RMOD says, else where the first
-                of the old ones runs.
-            dry_run: Verify, and only return what would be done.
+            new: The tasks that come, by name; RMODs that are not tasks yet are spawned.
+            rtpu: The RTPU of new tasks; None: as the RMOD says, else that of the first
+                old task.
+            dry_run: Only verify, and return what would be done.
+
+        Returns:
+            The signals of the change, and the tasks that are spawned, killed or
+            unchanged.
 
         Raises:
-            UnknownTaskError: There is no such old task; nothing was done.
-            StateError: A new task stands in ERROR, or on another RTPU than `rtpu`;
-                nothing was done.
-            VerificationError: The end would be illegal; nothing was done.
+            UnknownTaskError: An old task does not exist; nothing was done.
+            StateError: A new task is in ERROR, or on another RTPU than `rtpu`; nothing
+                was done.
+            ClaimError: The subsystem is open for reading only.
+            VerificationError: The result would be illegal; nothing was done.
             ReconfigError: A signal failed; it says which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
@@ -573,26 +685,34 @@ class Subsystem:
         dry_run: bool = False,
         wait: float | None = None,
     ) -> Transition:
-        """Go over to the configuration of another job while shared tasks go on.
+        """Change to the configuration of another job; shared tasks continue (3.10).
 
-        POST of the job that stands and PRE of the one to come must hold, before
-        anything is done and again when all its tasks are there; not where the job
-        stands already and is only completed. Tasks that are ON or in ERROR and not in
-        the job are turned off, and killed when those that came have done a cycle; tasks
-        that are OFF stand by, and stay so.
+        POST of the present job and PRE of the new one must hold, before anything is
+        done and again when all tasks are spawned; they are not checked if the job is
+        already present and only completed. Tasks that are ON or in ERROR and not in the
+        job are turned off, and killed after the new tasks have completed a cycle. Tasks
+        that are OFF stay OFF.
 
         Args:
-            job: The ``.job`` file or its name; None where the subsystem was opened with
-                one.
-            dry_run: Verify, and only return what would be done.
-            wait: Seconds that conditions have to come true; None: they must hold now.
+            job: The ``.job`` file or its name; None: the one with which the subsystem
+                was opened.
+            dry_run: Only verify, and return what would be done.
+            wait: Seconds in which the conditions may become true; None: they must hold
+                now.
+
+        Returns:
+            The signals of the change, and the tasks that are spawned, killed or
+            unchanged.
 
         Raises:
             ConfigError: The job is missing, wrong, or of another subsystem.
-            StateError: A task of the job stands, but is another one; nothing was done.
-            VerificationError: The end would be illegal, or a condition cannot be
-                answered; nothing was done.
-            ConditionError: One does not hold, and says what was seen; nothing was done.
+            StateError: A task of the job exists with other settings, or a stop came
+                during the wait; nothing was done.
+            ClaimError: The subsystem is open for reading only.
+            VerificationError: The result would be illegal, or a condition cannot be
+                evaluated; nothing was done.
+            ConditionError: A condition does not hold; it has the measured values;
+                nothing was done.
             ReconfigError: A signal failed, or a new task in its first cycle; it says
                 which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
@@ -616,21 +736,28 @@ class Subsystem:
     def start(
         self, job: str | Path | None = None, *, wait: float | None = None
     ) -> list[m.TaskStatus]:
-        """Assemble a job: verify, spawn until all are OFF, then turn ON.
+        """Start a job: verify it, spawn its tasks until all are OFF, turn them ON.
 
-        Its PRE must hold. A start that fails is rolled back: what it turned on goes
-        off, what it spawned is killed.
+        Its PRE conditions must hold. A start that fails is undone: tasks that it turned
+        on are turned off, and tasks that it spawned are killed.
 
         Args:
-            job: The ``.job`` file or its name; None where the subsystem was opened with
-                one.
-            wait: Seconds that PRE has to come true; None: it must hold now.
+            job: The ``.job`` file or its name; None: the one with which the subsystem
+                was opened.
+            wait: Seconds in which PRE may become true; None: it must hold now.
+
+        Returns:
+            The status of each task of the job.
 
         Raises:
-            VerificationError: It would be illegal, or a condition cannot be answered;
+            ConfigError: The job is missing, wrong, or of another subsystem.
+            StateError: An existing task is in the way, or a stop ended the start.
+            ClaimError: The subsystem is open for reading only.
+            VerificationError: It would be illegal, or a condition cannot be evaluated;
                 nothing was done.
-            ConditionError: One does not hold, and says what was seen; nothing was done.
-            PbonetError: A step failed; it was rolled back.
+            ConditionError: A condition does not hold; it has the measured values;
+                nothing was done.
+            PbonetError: A step failed; the start was undone.
         """
         from . import assembly
         from .condition_gate import in_time
@@ -647,25 +774,40 @@ class Subsystem:
         return in_time(attempt, wait, self.clock, self.stopped)
 
     def check(self, job: str | Path | None = None) -> list[str]:
-        """Judge a job, or the tasks as they stand, without changing anything.
+        """Verify a job, or the present tasks, without changing anything.
+
+        Args:
+            job: The ``.job`` file or its name; None: the job with which the subsystem
+                was opened, else the present tasks.
 
         Returns:
             Warnings.
 
         Raises:
-            VerificationError: It would be, or is, illegal.
+            ConfigError: The job is missing, wrong, or of another subsystem.
+            VerificationError: The configuration is or would be illegal.
         """
         with self._busy:
             problems = self.task_set.legal(self._change(job))
             return list(map(legality.as_text, problems))
 
     def report(self, job: str | Path | None = None) -> list[legality.RtpuReport]:
-        """Return the analysis of a job, or of what stands, be it legal or not."""
+        """Return the timing analysis of a job, or of the present tasks, legal or not.
+
+        Args:
+            job: The ``.job`` file or its name; None: as for `check`.
+
+        Returns:
+            One report per RTPU.
+
+        Raises:
+            ConfigError: The job is missing, wrong, or of another subsystem.
+        """
         with self._busy:
             return self.task_set.report(self._change(job))
 
     def _change(self, job: str | Path | None) -> legality.Change | None:
-        """Return what a check is about; None for the tasks as they stand."""
+        """Return the change to check; None for the present tasks."""
         self.task_set.refresh()
         if job is None and self.files.job is None:
             return None
@@ -678,8 +820,11 @@ class Subsystem:
     def stop(self) -> m.Stopped:
         """Turn everything OFF and end it, now, on all RTPUs at once.
 
-        Always accepted: it needs no verification, no claim, and no other command to be
-        finished.
+        Always accepted: it needs no verification and no claim, and waits for no other
+        command.
+
+        Returns:
+            The tasks that were turned off normally, and those terminated by force.
 
         Raises:
             SeveralError: An RTPU did not confirm; the others were stopped.
@@ -715,17 +860,19 @@ class Subsystem:
 
         Args:
             task: One task, or several; none: all.
-            fields: Columns of the command ``status``, ``all`` or ``default``, or none
-                for those of `status_set`. Then it is what that command shows: counters
-                since the last such look of this program.
+            fields: Columns of the command ``status``, ``all`` or ``default``, or an empty
+                sequence for those of `status_set`. The result is then what the command
+                shows, with counters since the program's previous such call.
 
         Returns:
-            Of one task its record, of several a list; counters run from when it was
-            turned on.
+            A record for one task, a list for several. Counters count from the task's
+            last ``on``.
 
         Raises:
-            UnknownTaskError: There is no such task.
-            StateError: There is no such field.
+            UnknownTaskError: A task does not exist.
+            StateError: A field does not exist.
+            SeveralError: No RTPU answers; if there is only one RTPU, its own error is
+                raised.
         """
         wanted = names_of(task)
         shown = columns(names_of(fields or ())) or self.shown
@@ -745,39 +892,49 @@ class Subsystem:
         return found[0]
 
     def status_set(self, field: str | Sequence[str] = ()) -> tuple[str, ...]:
-        """Choose what `status` shows when it is given no fields; return it.
+        """Set the fields that `status` shows when it is given no fields; return them.
+
+        Args:
+            field: Names of fields, ``all`` or ``default``; none: only return the
+                present ones.
 
         Raises:
-            StateError: There is no such field.
+            StateError: A field does not exist.
         """
         self.shown = columns(names_of(field)) or self.shown
         return self.shown
 
     def status_all(self) -> list[m.TaskStatus]:
-        """Return the status of every task of the subsystem (`sbsStatusAll`)."""
+        """Return the status of every task of the subsystem (`sbsStatusAll`).
+
+        Raises:
+            SeveralError: No RTPU answers; if there is only one RTPU, its own error is
+                raised.
+        """
         return [task for rtpu in self.rtpu_status() for task in rtpu.tasks]
 
     def rtpu_status(self) -> list[m.RtpuStatus]:
-        """Return the status of every RTPU that answers, and of the tasks there.
+        """Return the status of every RTPU that answers, and of its tasks.
 
-        Those that do not answer are told as warnings.
+        RTPUs that do not answer cause warnings.
 
         Raises:
-            SeveralError: None answers, of several; of one, its own error.
+            SeveralError: No RTPU answers; if there is only one RTPU, its own error is
+                raised.
         """
         return self.task_set.refresh(strict=False)
 
     def events_count(self, task: str | Sequence[str] = ()) -> list[dict[str, Any]]:
-        """Return how often each kind of event came, those held back in floods too.
+        """Return how often each kind of event occurred, suppressed ones included.
 
         Args:
-            task: Of which tasks; none: all.
+            task: Only these tasks; none: all.
 
         Returns:
             Maps with ``rtpu``, ``task``, ``code`` and ``count``.
 
         Raises:
-            UnknownTaskError: There is no such task.
+            UnknownTaskError: A task does not exist.
         """
         wanted = names_of(task)
         rtpus = self.rtpu_status()
@@ -792,10 +949,14 @@ class Subsystem:
         ]
 
     def profile(self, task: str | Sequence[str] = ()) -> list[m.TaskProfile]:
-        """Return the execution profiles of tasks, of all if none is named (6.7).
+        """Return the execution profiles of tasks (section 6.7).
+
+        Args:
+            task: The tasks; none: all.
 
         Raises:
-            UnknownTaskError: There is no such task.
+            UnknownTaskError: A task does not exist.
+            NodeError: The subsystem runs in virtual time, which has no execution times.
         """
         from . import profiling
 
@@ -804,9 +965,15 @@ class Subsystem:
     def profile_save(self, task: str | Sequence[str] = ()) -> list[tuple[Saved, Path]]:
         """Save profiles beside the ``.sbs`` file, for the analysis of later starts.
 
+        Args:
+            task: The tasks; none: all that have run long enough.
+
+        Returns:
+            Each saved profile with its file.
+
         Raises:
-            UnknownTaskError: There is no such task.
-            StateError: One that is named has run too few cycles.
+            UnknownTaskError: A task does not exist.
+            StateError: A named task has run too few cycles.
             ConfigFileError: A file cannot be written.
         """
         from . import profiling
@@ -822,16 +989,17 @@ class Subsystem:
     ) -> list[m.VarValue]:
         """Return values of variables with their age, writer and unit.
 
-        All are of one instant, unless a value's ``whole`` says that this is not proven.
+        All values are of one instant, unless a value's ``whole`` says that this is not
+        proven.
 
         Args:
-            variable: Names, in which * and ? match; none: all.
-            task: Only those of its ports.
-            writer: Only those that it writes now.
+            variable: Names, in which * and ? match any text; None: all.
+            task: Only variables of this task's ports.
+            writer: Only variables that this task writes now.
 
         Raises:
             UnknownVariableError: The table has no such variable.
-            UnknownTaskError: There is no such task.
+            UnknownTaskError: The task does not exist.
         """
         known = [one.name for one in self.files.table.variables]
         patterns = names_of(variable or ())
@@ -848,10 +1016,13 @@ class Subsystem:
         return [one for one in values if writer in {None, task_of(one.writer)}]
 
     def module(self, module: str | None = None) -> list[ModuleInfo]:
-        """Return what is known about the modules in the agents' libraries.
+        """Return descriptions of the modules in the agents' libraries.
+
+        Args:
+            module: Only this module; None: all.
 
         Raises:
-            ModuleLoadError: No library has such a module, or it does not load.
+            ModuleLoadError: No library has this module, or it does not load.
         """
         return remote_modules.of(self.clients, module)
 
@@ -866,21 +1037,21 @@ class Subsystem:
     ) -> Sent:
         """Wait until a task has sent one of some signals, and take it (`sbsSigWait`).
 
-        A signal that was sent before, and not taken, is returned at once. Others stay
-        pending until they are waited for; to be rid of them, mask them.
+        A signal that was sent before and not taken is returned at once. Other signals
+        stay pending until they are waited for; to discard them, mask them.
 
         Args:
-            signal: Names, such as ``FINISH`` or one of the module's own; none: any.
-            task: Whose; none: of any task.
-            timeout: Seconds; None: as long as it takes.
+            signal: Names, such as ``FINISH`` or one that a module declares; none: any.
+            task: Only signals of these tasks; none: of any task.
+            timeout: Seconds; None: wait without a limit.
 
         Returns:
             The signal, the task that sent it, and how often it did.
 
         Raises:
-            UnknownTaskError: There is no such task.
+            UnknownTaskError: A task does not exist.
             StateError: No task has such a signal, or the subsystem was stopped.
-            NoAnswerError: The time is over.
+            NoAnswerError: The timeout expired.
         """
         check_time(timeout)
         signals, tasks = names_of(signal), names_of(task)
@@ -907,32 +1078,33 @@ class Subsystem:
                 statuses = self.status_all()
 
     def news(self) -> AbstractContextManager[threading.Event]:
-        """Have an event set whenever an RTPU publishes one of its own."""
+        """Return a context in which an event is set whenever an RTPU publishes one."""
         return task_signal_inbox.heard(self.clients)
 
     def signals(self) -> list[Sent]:
-        """Return the signals that are pending, and leave them so."""
+        """Return the pending signals, without taking them."""
         return self.inbox.pending(self.status_all())
 
     def sigmask(
         self, signal: str | Sequence[str] | None = None, task: str | None = None
     ) -> dict[str, list[str]]:
-        """Say which signals nobody wants; masked ones are not even counted.
+        """Get or set the signals to ignore; masked signals are not even counted.
 
-        A task without a mask of its own obeys that of the subsystem.
+        A task without its own mask uses that of the subsystem.
 
         Args:
-            signal: Names; ``none`` is a mask that lets all through, ``unset`` takes the
-                mask away. None: only ask.
-            task: Whose mask; None: the subsystem's.
+            signal: Names; ``none`` is a mask that ignores no signal, ``unset`` removes
+                the mask. None: only read.
+            task: The task with the mask; None: the subsystem.
 
         Returns:
             The masks that are set, by task; ``""`` is the subsystem's.
 
         Raises:
-            UnknownTaskError: There is no such task.
+            UnknownTaskError: The task does not exist.
             StateError: No task has such a signal.
-            ClaimError: It is open for watching only.
+            ClaimError: The subsystem is open for reading only.
+            SeveralError: RTPUs did not accept the mask.
         """
         signals = None if signal is None else names_of(signal)
         tasks = [] if task is None else [task]
@@ -963,18 +1135,20 @@ class Subsystem:
         code: str | None = None,
         severity: str | None = None,
     ) -> list[m.Event]:
-        """Return events of the RTPUs that concern the subsystem, the oldest first.
+        """Return events of the RTPUs that concern the subsystem, oldest first.
 
         Args:
-            last: At most so many, the newest; None: all that the RTPUs remember.
-            since: Number of the first event wanted of each RTPU, or how long ago it
-                may have been, such as ``5m``.
-            task: Of one task.
-            code: Of one code, such as ``WARNING``.
-            severity: The least: ``debug`` to ``fatal``.
+            last: At most this many, the newest; None: all that the RTPUs have kept.
+            since: Number of the first event wanted of each RTPU, or an age, such as
+                ``5m``.
+            task: Only events of this task.
+            code: Only this code, such as ``WARNING``.
+            severity: The least severity, ``debug`` to ``fatal``.
 
         Raises:
-            StateError: There is no such severity, or `since` says not since when.
+            StateError: The severity does not exist, or `since` is neither a number nor
+                an age.
+            SeveralError: RTPUs did not report their events.
         """
         given = {"task": task, "code": code, "severity": severity, "since": since}
         from . import event_filter
@@ -997,8 +1171,11 @@ class Subsystem:
     def wait(self, seconds: float) -> bool:
         """Let time pass; a stop ends it. Return whether all of it passed.
 
+        Args:
+            seconds: The time to wait.
+
         Raises:
-            StateError: Nobody can wait so long.
+            StateError: `seconds` is not a valid time.
         """
         check_time(seconds)
         self.stopped.clear()
@@ -1027,7 +1204,7 @@ class Subsystem:
         )
 
     def _warn(self, text: str) -> None:
-        """Hand a warning to the command that gave it, else to whoever listens."""
+        """Pass a warning to the command that caused it, else to `warned`."""
         (collector() or self.warned)(text)
 
     def _changing(
