@@ -1,8 +1,8 @@
 """Devices as modules use them: non-blocking, bounded, with errors that say what to do.
 
-What stands here may be called inside `cycle`. Nothing in this package waits for a
-device, starts a thread, or keeps a clock of its own: a module tells a device what time
-it is, so that the same code runs in real time, in simulation and in replay.
+Everything here may be called inside `cycle`. Nothing in this package waits for a
+device, starts a thread, or keeps a clock of its own: a module passes the time to a
+device, so that the same code runs in real time, in simulation and in replay.
 
 ``serial_line``
     A serial line of the machine, opened and configured by pyserial.

@@ -1,9 +1,9 @@
 """A simulated arm with the interface of a real one.
 
 A robot-interface module sends torques and reads joint angles and velocities. Here they
-come from the equations of motion of the published arm, with its motors' inertia and
-the friction of its gears, instead of from amplifiers and encoders. Only `advance` gives
-the simulation away: a real arm needs not be told that time has passed.
+come from the equations of motion of the published arm, with its motors' inertia and the
+friction of its gears, instead of from amplifiers and encoders. Only `advance` differs
+from a real arm, which needs no call for time to pass.
 
 The integration is semi-implicit with sub-steps: viscous and Coulomb friction and the
 end stops act on the velocity at the end of a step. So a joint sticks when friction can
@@ -64,7 +64,7 @@ class SimulatedArm:
 
     @property
     def q(self) -> Floats:
-        """Joint angles as the encoders tell them, rad."""
+        """Joint angles as measured by the encoders, rad."""
         return self._q
 
     @property
@@ -155,9 +155,9 @@ def solve_with_friction(
 
     With bounds (low, high), f[i] = high where v[i] > 0, low where v[i] < 0, and between
     them where v[i] is 0. For a symmetric positive definite matrix there is exactly one
-    such v. Signs are guessed and corrected all at once, which takes one or two rounds
-    as a rule; should that go round in circles, only the first wrong sign is corrected,
-    which ends for certain (the principal pivoting of Judice and Pires 1994).
+    such v. Signs are guessed and corrected all at once, which usually takes one or two
+    rounds; if that cycles, only the first wrong sign is corrected, which ends for
+    certain (the principal pivoting of Judice and Pires 1994).
 
     Args:
         matrix: Symmetric positive definite, n by n.

@@ -1,9 +1,9 @@
 """Rigid-body mathematics of a serial arm with revolute joints, by pinocchio.
 
 The arm is described as in Denavit and Hartenberg 1955 and Paul 1981: row i of the table
-holds (theta, d, a, alpha), and frame i stands in frame i-1 at Rz(theta + q) Tz(d) Tx(a)
-Rx(alpha). Masses, centres of mass and inertias of link i are given in frame i. Gravity
-points along -z of the base.
+holds (theta, d, a, alpha), and frame i is placed in frame i-1 at Rz(theta + q) Tz(d)
+Tx(a) Rx(alpha). Masses, centres of mass and inertias of link i are given in frame i.
+Gravity points along -z of the base.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Chain:
         return float(0.5 * qd @ mass @ qd + potential)
 
     def position(self, q: Floats) -> Floats:
-        """Return where the last frame's origin stands in the base (m) at `q` (rad)."""
+        """Return the last frame's origin in the base (m) at `q` (rad)."""
         self._pin.forwardKinematics(self._model, self._data, q)
         place: Floats = (self._data.oMi[self.n] * self._tip).translation
         return place

@@ -32,7 +32,7 @@ NIBBLES = b"0AB3D56GH9:K<MN?"
 AXES = 6
 END = b"\r"
 SET_UP = b"\r\rm3\rvQ\r"
-"""End whatever half command stands there, report all six axes, tell the version."""
+"""End an incomplete command, report all six axes, report the version."""
 
 _VALUE = {code: value for value, code in enumerate(NIBBLES)}
 _OFFSET = 1 << 15
@@ -58,7 +58,7 @@ class Keys(Struct, frozen=True):
 
 
 class Reply(Struct, frozen=True):
-    """An answer to a command: its letter and the text behind it."""
+    """An answer to a command: its letter and the text after it."""
 
     kind: str
     text: str
@@ -129,8 +129,8 @@ def _keys(line: bytes) -> Keys | None:
 class Ball:
     """A Magellan on a serial line, polled once a cycle.
 
-    A poll reads what has arrived and never waits. When the device is gone, the ball
-    rests (deflection zero, no button), and every `retry` seconds a poll tries to open
+    A poll reads what has arrived and never waits. When the device is gone, the ball is
+    at rest (deflection zero, no button), and every `retry` seconds a poll tries to open
     the line again; that takes well under a millisecond.
 
     Args:
@@ -185,7 +185,7 @@ class Ball:
         return self.motion
 
     def restart(self) -> None:
-        """Forget what the ball sent while nobody polled it, and set it up again."""
+        """Discard what the ball sent between polls, and set it up again."""
         if self._line.is_open:
             try:
                 self._line.discard_input()

@@ -23,7 +23,7 @@ def no_devices(reason: str) -> Generator[None]:
     """Refuse every opening of a device inside the block.
 
     Args:
-        reason: Why, as it shall stand in the error; ``"this is a simulation"``.
+        reason: The reason, for the error's text; ``"this is a simulation"``.
     """
     token = _refusal.set(reason)
     try:

@@ -28,13 +28,14 @@ class _Entry(NamedTuple):
 
 
 class RecordedBall:
-    """A trace behind the interface of `pbonet.io.magellan.Ball`.
+    """A trace with the interface of `pbonet.io.magellan.Ball`.
 
     It begins with the first poll, and again with the first poll after `restart`.
 
     Args:
         name: The trace's name, without folder and suffix.
-        repeat: Whether it begins anew at its end; else the ball rests from there.
+        repeat: Whether it repeats at its end; otherwise the ball is at rest from then
+            on.
 
     Raises:
         DeviceError: There is no such trace, or it is damaged.

@@ -1,9 +1,9 @@
 """A serial line that never blocks.
 
-pyserial opens and configures the line, which is the part that needs knowledge of every
-driver's habits. Bytes are then moved by plain system calls on the descriptor, for two
+pyserial opens and configures the line, because it knows the differences between
+drivers. Bytes are then moved by plain system calls on the descriptor, for two
 reasons: pyserial's own `write` spins while the output buffer is full, and its `close`
-may wait half a minute for output that nobody reads.
+may wait half a minute for output that is not read.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class SerialLine:
             raise OSError(*error.args) from None
 
     def close(self) -> None:
-        """Close the line and drop what was not sent; closing twice is allowed."""
+        """Close the line and drop unsent output; closing twice is allowed."""
         self._opened = False
         self._close()
 

@@ -20,9 +20,9 @@ _NESTED: Final = 1
 
 
 class NotRecordedError(BaseException):
-    """A module asks for what is not recorded; nothing behind it can be run again.
+    """A request that is not recorded; nothing after it can be run again.
 
-    No `Exception`, so that a module which catches those does not go on without it.
+    No `Exception`, so that a module that catches those does not continue without it.
     """
 
 

@@ -29,10 +29,10 @@ class Player:
         self._heard: dict[tuple[int, int], tuple[int, bytes]] = {}
         self._sources: list[Outside] = []
         self.lost = False
-        """Whether something found no room: what has no record is no default then."""
+        """Whether an entry did not fit; a missing record is then not a default."""
 
     def feed(self, data: bytes) -> bool:
-        """Take entries of a tape; tell whether one says that more found no room."""
+        """Take entries of a tape; return whether some did not fit."""
         at, lost = 0, False
         while at < len(data):
             size, source, both = _ENTRY.unpack_from(data, at)
@@ -67,10 +67,10 @@ class Player:
             source.calls = count
 
     def answer(self, source: Outside, default: object) -> Any:  # noqa: ANN401
-        """Return what a call was answered, or raise what it raised.
+        """Return the recorded answer of a call, or raise its exception.
 
         Raises:
-            NotRecordedError: Nothing is on record, and there is no default.
+            NotRecordedError: Nothing is recorded, and there is no default.
             BrokenOffError: A command broke it off.
         """
         found = self._heard.pop((source.number, source.calls), None)
@@ -89,7 +89,7 @@ class Player:
 
 @contextmanager
 def using(tape: Tape | Player | None) -> Generator[None]:
-    """Have what is opened in this block be kept by a tape, or played."""
+    """Record on a tape, or play back, everything opened in this block."""
     before = use(tape)
     try:
         yield
@@ -98,7 +98,7 @@ def using(tape: Tape | Player | None) -> Generator[None]:
 
 
 def refuse(what: str) -> None:
-    """Return unless a log is run again; what it is stands in no log.
+    """Return unless a log is run again, because this source is in no log.
 
     Raises:
         NotRecordedError: One is.

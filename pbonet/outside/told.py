@@ -1,7 +1,7 @@
 """A module's information about its own task, in a run and in a replay of it.
 
-A handler of timing failures interrupts its module anywhere, so that what it asks has no
-place among what the cycle asks: it has a source of its own.
+A handler of timing failures interrupts its module anywhere, so its requests have no
+place among those of the cycle: it has a separate source.
 """
 
 from __future__ import annotations

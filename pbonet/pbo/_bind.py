@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 M = TypeVar("M", bound=PortBasedObject[Any])
 
 _NUMBERS = {"float": "f8", "int": "i8", "bool": "?"}
-"""Types of scalar ports, and what an inner variable behind them is."""
+"""Types of scalar ports and of the inner variables connected to them."""
 _MEMORY = "_port_memory"
 """The instance attribute that holds its `Memory`."""
 
@@ -50,7 +50,7 @@ def check_sizes(instance: PortBasedObject[Any], kind: Kind) -> None:
 
     Args:
         instance: Its constants were just copied in, or set by `init`.
-        kind: Which of them are looked at: in-consts or out-consts.
+        kind: Which constants to check: in-consts or out-consts.
 
     Raises:
         PortError: A constant has another value.
@@ -86,10 +86,10 @@ def bind(
     Args:
         cls: The module's class.
         params: Its parameters, of the class that it declares.
-        arrays: The local copy behind each port, by attribute: one dimension, at an
-            address that stays for life. The instance sees reshaped views of them,
-            read-only ones for inputs, and plain numbers for scalars.
-        task: What the module sees as ``self.task``.
+        arrays: The local copy for each port, by attribute: one dimension, at a constant
+            address. The instance sees reshaped views of them, read-only ones for
+            inputs, and plain numbers for scalars.
+        task: The object available as ``self.task``.
         constants: Sizes that are known beforehand, as for `solve_shapes`.
 
     Raises:

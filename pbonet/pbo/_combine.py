@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Part(Struct, frozen=True):
-    """One part of a combination, with what is declared of it."""
+    """One part of a combination, with its declarations."""
 
     name: str
     """The RMOD's name."""
@@ -39,7 +39,7 @@ class Part(Struct, frozen=True):
 
 
 class Use(NamedTuple):
-    """A port of a part, behind which some variable stands."""
+    """A port of a part, connected to a variable."""
 
     part: int
     port: Port
@@ -54,7 +54,7 @@ class Wire(NamedTuple):
 
     @property
     def first(self) -> Use:
-        """The port that stands for the variable outside: its writer's, or the first."""
+        """The port that represents the variable outside: its writer's, or the first."""
         return (*self.writers, *self.readers)[0]
 
 
@@ -137,7 +137,7 @@ def faults(parts: Sequence[Part], published: Iterable[str]) -> Iterator[Fault]:
 
 
 def _reading(parts: Sequence[Part], wire: Wire, *, inner: bool) -> Iterator[Fault]:
-    """Yield what is wrong with the readers of a variable that a part writes."""
+    """Yield the faults of readers of a variable that a part writes."""
     (writer,), name = wire.writers, wire.variable
     by = parts[writer.part].name
     constant = writer.port.kind.is_const
@@ -179,7 +179,7 @@ def _reading(parts: Sequence[Part], wire: Wire, *, inner: bool) -> Iterator[Faul
 def combination(parts: Sequence[Part], published: Iterable[str]) -> Combination:
     """Return the interface of parts that run as one task.
 
-    Ports that need not be there are left out: what is published and no part writes.
+    Unneeded ports are left out: published variables that no part writes.
 
     Args:
         parts: In the order in which they run.
@@ -226,10 +226,10 @@ def _attributes(parts: Sequence[Part], outer: Sequence[Wire]) -> dict[str, str]:
 
 
 class _Words:
-    """One name for each size, whatever the parts call it.
+    """One name for each size, whatever its name in the parts.
 
-    Two words are one size where they are the same constant, or stand at the same
-    place in the shapes of one variable.
+    Two words are one size if they are the same constant, or are at the same position in
+    the shapes of one variable.
     """
 
     def __init__(

@@ -84,7 +84,7 @@ class Combined(PortBasedObject[Params], abstract=True):
     # -- the life of a task -----------------------------------------------------------
 
     def init(self) -> None:
-        """Initialize the parts; constants of one are there for those behind it."""
+        """Initialize the parts; constants of a part are available to later parts."""
         for number, part in enumerate(self.parts):
             self._at, self._begun = number, number + 1
             check_sizes(part, Kind.INCONST)
@@ -134,7 +134,7 @@ class Combined(PortBasedObject[Params], abstract=True):
         self._all(self._turn_off)
 
     def _all(self, method: Callable[[int], Answer | None]) -> Answer | None:
-        """Run a method for all parts; `error` may have to run what is left of it."""
+        """Run a method for all parts; `error` may have to run the rest."""
         self._rest = method
         answer = method(0)
         self._rest = None
@@ -150,10 +150,10 @@ class Combined(PortBasedObject[Params], abstract=True):
                 self.parts[number].off()
 
     def kill(self) -> None:
-        """End the parts whose `init` was begun, the last one first.
+        """End the parts whose `init` was called, the last one first.
 
         Raises:
-            MethodError: Some of them failed; the others have ended all the same.
+            MethodError: Some of them failed; the others have ended nevertheless.
         """
         failed: list[str] = []
         for number in reversed(range(self._begun)):
@@ -188,10 +188,10 @@ class Combined(PortBasedObject[Params], abstract=True):
     # -- when something fails ---------------------------------------------------------
 
     def error(self, error: Exception) -> Answer:
-        """Ask the part that failed; the others are turned off unless all goes on.
+        """Call `error` of the failed part; turn off the others unless it continues.
 
-        An error of the whole, such as an output that is refused, is put to all parts,
-        and the gravest answer counts.
+        An error of the whole, such as an output that is refused, is passed to all
+        parts, and the most severe answer counts.
         """
         failed = [self._at] if self._at != NOBODY else list(range(len(self.parts)))
         try:
@@ -205,9 +205,9 @@ class Combined(PortBasedObject[Params], abstract=True):
         return answer
 
     def __resumed__(self) -> Answer | None:
-        """Go on with the parts behind the one whose error was put right.
+        """Continue with the parts after the one whose error was corrected.
 
-        When one of them fails, it is the one that is asked, and this is called again.
+        If one of them fails, its `error` is called, and then this again.
         """
         number = self._at
         if number == NOBODY:
@@ -302,7 +302,7 @@ class Combined(PortBasedObject[Params], abstract=True):
 
 
 def _gravity(answer: object) -> int:
-    """Return the place of an answer among all; what is none goes first."""
+    """Return the rank of an answer; an invalid one comes first."""
     return _GRAVITY.index(answer) if isinstance(answer, Answer) else NOBODY
 
 

@@ -53,7 +53,7 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
-    """Of a combination: what it runs, in order (section 3.8.1)."""
+    """The parts of a combination, in order (section 3.8.1)."""
     within: tuple[Port, ...] = ()
     """Of a combination: the ports of its parts that are none of it."""
 
@@ -83,7 +83,7 @@ class PartInfo(Struct, frozen=True):
 
     @property
     def part(self) -> Part:
-        """The part as `combination` looks at it."""
+        """The part in the form that `combination` uses."""
         info = self.info
         return Part(self.name, info.ports, self.variables, info.methods, info.signals)
 
@@ -91,10 +91,10 @@ class PartInfo(Struct, frozen=True):
 def combined_info(
     name: str, parts: Sequence[PartInfo], published: Iterable[str]
 ) -> ModuleInfo:
-    """Return what is known about a combination out of what is known of its parts.
+    """Return the description of a combination from those of its parts.
 
     Args:
-        name: What stands for its modules.
+        name: The name that represents its modules.
         parts: In the order in which they run.
         published: Variables that it writes to the table.
 
@@ -138,11 +138,11 @@ def describe(
     file: str = "",
     version: str = "",
 ) -> ModuleInfo:
-    """Return what is known about a module.
+    """Return the description of a module.
 
     Args:
         cls: The module's class.
-        name: Its name in RMODs; by default that of the Python module it stands in.
+        name: Its name in RMODs; by default that of its Python module.
         file: Its file; found from the class by default.
         version: Hash of the source that was run; computed from the file by default.
     """

@@ -18,13 +18,13 @@ class Handling(StrEnum):
     """Answer of a handler of errors (Stewart 1994, section 8.2.1)."""
 
     ABORT = "abort"
-    """It is not put right here: the next handler outside is asked, at last the
-    module's `error`, whose default leaves the task in ERROR."""
+    """The error is not corrected here: the next outer handler is called, and finally
+    the module's `error`, whose default leaves the task in ERROR."""
     CONTINUE = "continue"
     """Continue after ``fail()``; after an exception, after the scope."""
     JUMP = "jump"
-    """Go on at the mark, which is the end of the scope; of a handler without one, the
-    end of the method, whose outputs are discarded."""
+    """Continue at the mark, which is the end of the scope; for a handler without a
+    scope, the end of the method, whose outputs are discarded."""
 
 
 Code: TypeAlias = int | type[Exception] | None
@@ -63,10 +63,10 @@ class HasScopes(Protocol):
 
 
 class ErrorScope:
-    """The lines in which a handler counts; made by `TaskContext.on_error`.
+    """The scope of a handler; created by `TaskContext.on_error`.
 
     Attributes:
-        error: What it has handled; None while nothing went wrong.
+        error: The error that it has handled; None without an error.
     """
 
     def __init__(self, task: HasScopes, code: Code, handler: Handler | None) -> None:
@@ -88,7 +88,7 @@ class ErrorScope:
         error: BaseException | None,
         _trace: TracebackType | None,
     ) -> bool:
-        """End; True when an exception was handled and the task goes on here."""
+        """End; True if an exception was handled and the task continues here."""
         scopes = self._task.scopes
         del scopes[scopes.index(self) :]
         if isinstance(error, Jump):
@@ -130,7 +130,7 @@ def number_of(error: Exception) -> int:
 def text_of(error: BaseException) -> str:
     """Return the text of an exception, empty where its own ``__str__`` fails.
 
-    Of a group, also what is in it.
+    For a group, include its members.
     """
     try:
         text = str(error)

@@ -1,4 +1,4 @@
-"""The base class of every module, and what is read from a module's class body."""
+"""The base class of every module, and the reading of its class body."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class PortBasedObject(Generic[P]):
         """Take note that ports, parameters and task are there; for combinations."""
 
     def __resumed__(self) -> Answer | None:
-        """Do what is left of a method that ended in an error which was put right."""
+        """Do the rest of a method that ended in a corrected error."""
         return None
 
     def __init_subclass__(cls, *, abstract: bool = False, **settings: Any) -> None:  # noqa: ANN401
@@ -156,20 +156,20 @@ class PortBasedObject(Generic[P]):
         raise NotImplementedError  # refused before it runs: every module has its own
 
     def off(self) -> None:
-        """Stop in an orderly way: called when an ON task gets the signal off or kill.
+        """Stop normally: called when an ON task gets the signal off or kill.
 
         Before: nothing is copied. After: out-vars are copied out once more and then
-        belong to nobody; their values stand, because a successor's `on` continues
-        from them. A module that must zero an actuator does so only when
+        have no owner; their values remain, because a successor's `on` continues from
+        them. A module that must zero an actuator does so only when
         ``self.task.handover`` is false. Saved data may be written here.
         """
 
     def kill(self) -> None:
-        """Give back what `init` took: called last in the life of a task.
+        """Release the resources of `init`: called last in the life of a task.
 
-        Called on the signal kill (behind `off` when the task was ON, however that
-        went), and after an `init` that failed anywhere, so it first looks whether a
-        resource is there. Nothing is copied before or after.
+        Called on the signal kill (after `off` if the task was ON, whether that failed
+        or not), and after an `init` that failed anywhere, so it must first check
+        whether a resource exists. Nothing is copied before or after.
         """
 
     def error(self, error: Exception) -> Answer:  # noqa: ARG002 - for modules
@@ -180,7 +180,7 @@ class PortBasedObject(Generic[P]):
         last complete cycle wrote. An error in here means `Answer.ERROR`.
 
         Args:
-            error: What was raised; ``self.task.errmsg`` is its text.
+            error: The exception; ``self.task.errmsg`` is its text.
 
         Returns:
             `Answer.OFF`: cleared; the task is OFF, `off` is not called.
@@ -205,10 +205,10 @@ class PortBasedObject(Generic[P]):
         return Answer.OFF
 
     def reinit(self) -> None:
-        """Take over new constants, without all that `init` did.
+        """Use new constants, without repeating `init`.
 
         Called when the producer of an in-const was replaced. Before: in-consts are
-        copied in. After: out-consts are copied out, and the state is what it was. A
+        copied in. After: out-consts are copied out, and the state is unchanged. A
         constant that is the size of a port cannot change this way.
         """
 
@@ -259,8 +259,8 @@ class PortBasedObject(Generic[P]):
         """Handle a timing failure of this cycle (section 6.3).
 
         Called in the middle of `cycle` or `stable`, between any two of its lines, or
-        instead of a cycle that has not begun and would not be finished in time. So
-        it finds the module's data half changed, unless the cycle changes them in
+        instead of a cycle that has not started and could not finish in time. It may
+        therefore find the module's data half changed, unless the cycle changes them in
         ``with self.task.critical():``. It may set ``self.task.criticality`` and
         ``self.task.deadline`` for the rest of the cycle. A long call of C code is not
         interrupted: the handler runs when it returns. Nothing is copied before.

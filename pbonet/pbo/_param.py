@@ -73,18 +73,18 @@ def param(
     lt: float | None = None,
     total: float | None = None,
 ) -> Param:
-    """Say what a parameter means, within its annotation.
+    """Declare the unit, meaning and bounds of a parameter, within its annotation.
 
     Args:
         unit: Its unit; ``none`` for a pure number or a word.
-        doc: What it is, in a few words.
+        doc: A short description.
         ge: Smallest value that is allowed, in `unit`.
         gt: Values must be larger than this.
         le: Largest value that is allowed.
         lt: Values must be smaller than this.
         total: What the values of a tuple must add up to, but for rounding.
 
-    Returns:
-        What stands in the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
+    Returns: The object for the annotation: ``kp: A[float, param("N*m/rad", "gain",
+        ge=0)]``.
     """
     return Param(unit, doc, ge, gt, le, lt, total)

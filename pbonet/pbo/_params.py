@@ -107,7 +107,7 @@ class Line(Protocol):
 
     @property
     def place(self) -> object:
-        """Where the line stands; its text is ``file:line:column``."""
+        """The place of the line; its text is ``file:line:column``."""
         ...
 
 
@@ -294,7 +294,7 @@ def _check(
 
 
 _ROUNDING = 1e-9
-"""How far a sum of values may be from what it is to be: 0.1 has no exact double."""
+"""Tolerance of a sum of values: 0.1 has no exact double."""
 
 _PYTHON: dict[str, tuple[type, ...]] = {
     "float": (float, int),

@@ -18,7 +18,7 @@ class Signal(IntFlag):
     OFF = 1 << 0
     """The goal is reached; the task turns itself off after this cycle."""
     FINISH = 1 << 1
-    """The goal is reached; the task goes on cycling."""
+    """The goal is reached; the task continues its cycles."""
     ERROR = 1 << 2
     """The task has entered the ERROR state, or died; sent by the runtime."""
     WARNING = 1 << 3
@@ -39,18 +39,18 @@ _NAME = re.compile(r"[A-Z][A-Z0-9_]{0,30}")
 
 
 class UserSignal(int):
-    """A signal of the module's own, declared in its class body.
+    """A user-defined signal, declared in the module's class body.
 
     ``GRASPED = UserSignal(0, "the gripper holds an object")`` is sent with
     ``self.task.signal(self.GRASPED)`` and waited for by its name. As a number it is the
     signal's bit.
 
     Args:
-        number: 0 to 24, unique in the module; it stands for the signal on the wire.
-        doc: What it tells the master.
+        number: 0 to 24, unique in the module; it identifies the signal in messages.
+        doc: A description for the user of the module.
 
     Raises:
-        ValueError: There is no such number.
+        ValueError: The number is not valid.
     """
 
     number: int

@@ -42,7 +42,7 @@ class Answer(StrEnum):
     OFF = "OFF"
     """`on`: not yet, stay OFF. `error`, `clear`: the task may be turned on again."""
     CONTINUE = "CONTINUE"
-    """`error` only: the cause is gone and it is safe to go on."""
+    """`error` only: the cause is gone and it is safe to continue."""
     ERROR = "ERROR"
     """`error`, `clear`: an operator is needed."""
 
@@ -175,11 +175,11 @@ class TaskContext:
         """Scopes with handlers of errors, the innermost last."""
         self._kept: list[Kept] = []
         self.at: Callable[[], str] = str
-        """Tells which part of a combination runs; empty for a module by itself."""
+        """Returns the running part of a combination; empty for a single module."""
         self.in_vars: frozenset[str] = frozenset()
         """Attributes of the module's in-vars."""
         self.is_stale: Callable[[str], bool] | None = None
-        """How the runtime tells the age of an in-var; None where nothing ages."""
+        """The function that checks the age of an in-var; None if values do not age."""
         self.on_illegal: IllegalHook | None = None
         """How the runtime raises or withdraws the task's entries in the flag."""
 
@@ -208,11 +208,11 @@ class TaskContext:
 
     @property
     def stamp_ns(self) -> int:
-        """When the outputs were measured, as `now` tells time; 0: at the copy-out.
+        """Time at which the outputs were measured, as `now`; 0: at the copy-out.
 
-        Set by a module that passes on what is older than its cycle, such as what
-        another machine has sent: ages and MAXAGE of its outputs then count from there.
-        Holds until it is set again, or the task is turned on.
+        Set by a module that passes on values older than its cycle, such as those from
+        another machine: ages and MAXAGE of its outputs then count from there. Holds
+        until it is set again, or the task is turned on.
         """
         return self._stamp
 
@@ -307,7 +307,7 @@ class TaskContext:
         self.announce(signal, text)
 
     def announce(self, signal: Signal | int, text: str = "") -> None:
-        """Tell the master of a signal without doing what it stands for."""
+        """Report a signal to the master without its effect on the task."""
         if wanted := self._wanted(int(signal)):
             self._notice(wanted, text, 0)
 
@@ -315,10 +315,10 @@ class TaskContext:
         """Raise the illegal-configuration flag (section 3.10); never waits.
 
         Critical tasks run `stable` from their next cycle on, until `legal` withdraws
-        this entry and no other stands. It also ends when the task is not ON any more.
+        this entry and there is no other. It also ends when the task is no longer ON.
 
         Args:
-            cause: Why; at most 127 bytes of it are kept.
+            cause: The reason; at most 127 bytes of it are kept.
         """
         self.signal(Signal.ILLEGAL, cause)
 
@@ -331,10 +331,10 @@ class TaskContext:
         self.signal(Signal.LEGAL, cause)
 
     def warn(self, text: str, code: int = 0) -> None:
-        """Report something that is not right but lets the task go on; never waits.
+        """Report a problem that does not stop the task; never waits.
 
         Args:
-            text: What is not right, and what to do about it.
+            text: The problem, and what to do about it.
             code: A number that a program may look for.
         """
         self.nwarnings += 1
@@ -345,14 +345,14 @@ class TaskContext:
             self._notice(Signal.WARNING, text, code)
 
     def on_error(self, code: Code, handler: Handler | None = None) -> ErrorScope:
-        """Handle errors of some lines: ``with self.task.on_error(7, handler):`` (8.2).
+        """Handle errors within a block: ``with self.task.on_error(7, handler):`` (8.2).
 
-        The innermost scope that covers an error is asked first. What it puts right is
-        told as a warning, and counted, with its place.
+        The innermost scope that covers an error comes first. An error that it corrects
+        is reported as a warning with its place, and counted.
 
         Args:
             code: A number of ``fail()``, a class of exceptions, or None for all.
-            handler: Called with the error; answers a `Handling`. None jumps.
+            handler: Called with the error; returns a `Handling`. None jumps.
         """
         return ErrorScope(self, code, handler)
 
@@ -370,15 +370,14 @@ class TaskContext:
         self._kept.append(Kept(code, handler, self.at()))
 
     def fail(self, text: str, code: int = UNNUMBERED) -> None:
-        """Report an error: handlers and `error` decide whether this call returns.
+        """Report an error; handlers and `error` decide whether this call returns.
 
-        It returns when a handler or `error` answers CONTINUE; the method then goes on
-        behind this call. With any other answer, and where neither is asked (`error`
-        is not in `init`, `kill`, `error`, `clear`, `set` and `get`), the method ends
-        here.
+        It returns if a handler or `error` returns CONTINUE; the method then continues
+        after this call. With any other answer, and where neither is called (`error` is
+        not in `init`, `kill`, `error`, `clear`, `set` and `get`), the method ends here.
 
         Args:
-            text: What is wrong, and what to do about it.
+            text: The error, and what to do about it.
             code: A number that handlers and programs may look for, not 0.
         """
         error = MethodError(text, where=self.name)
@@ -410,7 +409,7 @@ class TaskContext:
         return Handling.ABORT
 
     def handled(self, error: Exception, handler: Handler) -> Handling:
-        """Run a handler, and tell what it put right; no handler counts meanwhile."""
+        """Run a handler and report what it corrected; none is active meanwhile."""
         before = self.scopes, self._kept, self.on_fail
         self.scopes, self._kept, self.on_fail = [], [], None
         if isinstance(error, MethodError):
@@ -451,7 +450,7 @@ class TaskContext:
             self._unwind(error, answer)
 
     def reset(self) -> None:
-        """Forget what was counted; the runtime calls it when the task is turned on."""
+        """Reset the counters; called when the task is turned on."""
         self.signals = 0
         self.nwarnings = 0
         self.errmsg = ""

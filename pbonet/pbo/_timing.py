@@ -1,9 +1,9 @@
 """Timing failures, critical sections and timed sections (Stewart 1994, 6.3 and 6.7.2).
 
-What a module and whatever runs it say to each other about time: the kinds of failure,
-what a handler wants to follow, and the `Watch` behind ``self.task`` that holds failures
-off and times sections. A task process has a native `Watch`; `PythonWatch` is that of
-the bench and the simulator, where time is virtual.
+The interface between a module and its executor for timing: the kinds of failure, the
+answers of a handler, and the `Watch` of ``self.task`` that delays failures and times
+sections. A task process has a native `Watch`; `PythonWatch` is that of the bench and
+the simulator, where time is virtual.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ class Recovery(StrEnum):
     """Answer of a handler of timing failures; None means `CONTINUE`."""
 
     CONTINUE = "continue"
-    """Go on with the cycle where it was interrupted."""
+    """Continue the cycle where it was interrupted."""
     ABORT = "abort"
-    """Leave the cycle: its outputs are discarded, and before the next one `on` runs
-    again, with in-vars and out-vars read anew."""
+    """Abort the cycle: discard its outputs, and run `on` again before the next one,
+    with in-vars and out-vars read again."""
     SKIP = "skip"
-    """Go on with the cycle, and leave out the next release."""
+    """Continue the cycle, and skip the next release."""
 
 
 class CycleAborted(BaseException):
     """Unwinds the cycle whose timing failure was answered with `Recovery.ABORT`.
 
-    No `Exception`, so that a module which catches those goes on being aborted.
+    No `Exception`, so that a module that catches those is still aborted.
     """
 
 
@@ -99,7 +99,7 @@ class Watch(Protocol):
     def deadline(self, value: float, /) -> None: ...
 
     def critical(self) -> AbstractContextManager[object]:
-        """Return what holds timing failures off; one object, so nothing is made."""
+        """Return the context that delays timing failures; nothing is allocated."""
         ...
 
     def timed(self, name: str) -> AbstractContextManager[object]:
@@ -139,12 +139,12 @@ def check_criticality(task: Watched, value: int) -> int:
     """Return `value` if a handler may set it as the criticality of its task.
 
     Args:
-        task: Whose handler sets it.
+        task: The task whose handler sets it.
         value: From 1 to the larger of the task's own and its handler's criticality, so
             that no module rises above what its RMOD was verified with.
 
     Raises:
-        MethodError: It may not, or no handler is running.
+        MethodError: The value is not allowed, or no handler is running.
     """
     _check_handling(task, "criticality")
     most = max(task.crit, task.handler or 0)
@@ -164,11 +164,11 @@ def check_deadline(task: Watched, value: float) -> float:
     """Return `value` if a handler may set it as the deadline of this cycle.
 
     Args:
-        task: Whose handler sets it.
+        task: The task whose handler sets it.
         value: Seconds after the cycle's release, above 0.
 
     Raises:
-        MethodError: It may not, or no handler is running.
+        MethodError: The value is not allowed, or no handler is running.
     """
     _check_handling(task, "deadline")
     if not _is(value, int, float) or not 0.0 < value < math.inf:
@@ -328,7 +328,7 @@ class PythonWatch:
         return self._critical.count
 
     def critical(self) -> AbstractContextManager[None]:
-        """Return what holds timing failures off while it is entered."""
+        """Return a context that delays timing failures."""
         return self._critical
 
     def when_free(self, call: Callable[[], object]) -> None:
@@ -351,7 +351,7 @@ class PythonWatch:
             return self._timed.setdefault(name, _Timed(self._clock))
 
     def sections(self) -> dict[str, Section]:
-        """Return what was measured so far, by name, of sections that were left."""
+        """Return the measurements of completed sections so far, by name."""
         return {
             name: Section(one.count, one.total, one.least, one.most)
             for name, one in self._timed.items()
@@ -359,5 +359,5 @@ class PythonWatch:
         }
 
     def _cycle(self) -> tuple[int, int]:
-        """Return what is another value in every cycle."""
+        """Return a value that differs in every cycle."""
         return self._task.cyclecount, self._task.now

@@ -90,7 +90,7 @@ class OutScalar(property):
 
 
 def attribute(port: Port) -> ArrayPort | InScalar | OutScalar:
-    """Return what stands in the class for `port`."""
+    """Return the class attribute for `port`."""
     if not port.is_scalar:
         return ArrayPort(port)
     return InScalar(port) if port.kind.is_input else OutScalar(port)
@@ -99,10 +99,10 @@ def attribute(port: Port) -> ArrayPort | InScalar | OutScalar:
 def view(
     port: Port, array: NDArray[Any], shape: tuple[int, ...], *, where: str
 ) -> NDArray[Any]:
-    """Return `array` as the module shall see it: shaped, and read-only for an input.
+    """Return `array` as the module sees it: shaped, and read-only for an input.
 
     Raises:
-        PortError: The variable's type cannot stand behind the port.
+        PortError: The variable's type does not fit the port.
     """
     if not accepts(port, array.dtype.str):
         raise PortError(
@@ -145,7 +145,7 @@ def _rebound(port: Port, instance: object) -> PortError:
 
 
 def _statement(attr: str) -> str:
-    """Return the line of source that assigned, or a stand-in where there is none."""
+    """Return the source line of the assignment, or a substitute if there is none."""
     frame = here(3)
     line = ""
     if frame:

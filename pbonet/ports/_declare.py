@@ -1,4 +1,4 @@
-"""How a port is declared, and what is checked about the declaration."""
+"""The declaration of a port, and its checks."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _WORDS = ("name", "shape", "unit", "doc")
 class Declared:
     """The declaration in a port's annotation; `make_port` turns it into a `Port`.
 
-    Type checkers count the words. What is wrong with them otherwise is said when the
-    class is made, because only then the place is known.
+    Type checkers count the words. Other faults are reported when the class is created,
+    because only then the place is known.
 
     Args:
         name: The port's name in ``.rmod`` and ``.svar`` files, at most 15 characters.
@@ -147,7 +147,7 @@ def make_port(body: Declaring, attr: str, kind: object, declared: Declared) -> P
 
 
 def name_fault(name: str) -> str:
-    """Return what is wrong with the name of a port, an empty string if nothing is."""
+    """Return the fault in the name of a port, or an empty string."""
     fits = _NAME.fullmatch(name) and len(name) <= NAME_LENGTH
     if fits and name.lower() != "none":
         return ""

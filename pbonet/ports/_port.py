@@ -52,7 +52,7 @@ class Port(Struct, frozen=True):
 
 
 def accepts(port: Port, dtype: str) -> bool:
-    """Tell whether a variable of numpy type `dtype` can stand behind `port`.
+    """Return whether a variable of numpy type `dtype` fits `port`.
 
     A Python float holds any floating type and an int any integer type; an array port is
     the very type that its annotation says.

@@ -1,4 +1,4 @@
-"""Shapes: numbers and names, and the one size that each name stands for."""
+"""Shapes of numbers and names, and the size of each name."""
 
 from __future__ import annotations
 
@@ -95,15 +95,15 @@ def solve_shapes(
     *,
     where: str = "",
 ) -> dict[str, tuple[int, ...]]:
-    """Find the one size that each name in the ports' shapes stands for.
+    """Find the size of each name in the ports' shapes.
 
     Args:
         ports: The ports of one module.
-        nelem: Number of elements of the variable behind a port, by the port's name.
-            Ports that are left out follow from the others.
+        nelem: Number of elements of the variable of a port, by the port's name. Ports
+            that are left out follow from the others.
         constants: Known sizes, by the name in the shape or by the name of the integer
             constant port whose attribute the shape names.
-        where: What the errors name as their place.
+        where: The place that errors name.
 
     Returns:
         The shape of every port, by attribute; empty tuples for scalars.

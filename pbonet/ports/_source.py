@@ -1,4 +1,4 @@
-"""Where a declaration stands, for messages, and its annotations one by one."""
+"""The source place of a declaration, and its annotations one by one."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Declaring:
         return f"{name} (line {line})" if line else f"{name} (source unknown)"
 
     def error(self, attr: str, what: str, **parts: str) -> DeclarationError:
-        """Return the error that says what is wrong with the declaration of `attr`."""
+        """Return the error for the declaration of `attr`."""
         return DeclarationError(what, where=self.place(attr), **parts)
 
     def annotations(self, marks: tuple[str, ...]) -> Iterator[tuple[str, Any]]:

@@ -860,8 +860,8 @@ class Subsystem:
 
         Args:
             task: One task, or several; none: all.
-            fields: Columns of the command ``status``, ``all`` or ``default``, or an empty
-                sequence for those of `status_set`. The result is then what the command
+            fields: Columns of the command ``status``, ``all`` or ``default``, or an
+                empty sequence for those of `status_set`. The result is then what the command
                 shows, with counters since the program's previous such call.
 
         Returns:
