@@ -861,8 +861,8 @@ class Subsystem:
         Args:
             task: One task, or several; none: all.
             fields: Columns of the command ``status``, ``all`` or ``default``, or an
-                empty sequence for those of `status_set`. The result is then what the command
-                shows, with counters since the program's previous such call.
+                empty sequence for those of `status_set`. The result is then that of the
+                command, with counters since the program's previous such call.
 
         Returns:
             A record for one task, a list for several. Counters count from the task's
