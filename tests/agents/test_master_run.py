@@ -275,8 +275,8 @@ def test_a_task_that_never_ends_its_first_cycle_has_failed(
     assert outcome.faults == [
         "c0/hung: the task hung hung and was terminated by force (expected 'off' "
         "between "
-        "two of its cycles, got a method of module hangs_at_once that does not come "
-        "back); see what its cycle() or its off() waits for"
+        "two of its cycles, got a method of module hangs_at_once that does not "
+        "return); see what its cycle() or its off() waits for"
     ]
     assert f"ERROR> {outcome.faults[0]}" in capsys.readouterr().out
     assert left_of(nodes) == []

@@ -21,7 +21,6 @@ from __future__ import annotations
 import sys
 
 import msgspec
-import pytest
 from pbonet.node.wire import rtpu_messages as wire
 
 
