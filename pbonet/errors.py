@@ -8,7 +8,7 @@ from a task to the master without losing anything.
 ::
 
     PbonetError
-    ├── ConfigError (ValueError)           a file says something that cannot be
+    ├── ConfigError (ValueError)           a file contains something invalid
     │   └── ConfigFileError                ... or cannot be read at all
     ├── DeclarationError (TypeError)       a module's class body is wrong
     ├── PortError (ValueError)             a port is used in a way it does not allow
@@ -21,7 +21,7 @@ from a task to the master without losing anything.
     │   ├── SvarMissingError (FileNotFoundError)
     │   ├── SvarExistsError (FileExistsError)
     │   ├── SvarFullError (OSError)        no room in the table or in shared memory
-    │   ├── SvarOwnerError                 somebody else writes this variable
+    │   ├── SvarOwnerError                 another task writes this variable
     │   └── UnknownVariableError (KeyError)
     ├── XmError                            express mail: semaphores, queues, links
     │   ├── XmNameError (ValueError)       not of the form RTPU:RESOURCE
@@ -31,10 +31,10 @@ from a task to the master without losing anything.
     │   ├── XmLayoutError                  another version or other settings
     │   ├── XmDamagedError                 not such an object, or overwritten
     │   ├── XmDestroyedError               it was destroyed
-    │   ├── XmFullError (OSError)          no room in shared memory, or in the line
+    │   ├── XmFullError (OSError)          no room in shared memory, or too many users
     │   ├── XmQueueFullError               no room in the queue
     │   ├── XmTakenError                   the link already has a writer, or reader
-    │   ├── XmLapsedError                  another machine's, and the way to it was lost
+    │   ├── XmLapsedError                  the connection to its machine was lost
     │   └── XmTooLongError (ValueError)    longer than the queue or the buffer
     ├── ModuleLoadError (ImportError)      module code is missing or does not load
     ├── TaskError
@@ -50,10 +50,10 @@ from a task to the master without losing anything.
     │   ├── DuplicateNameError
     │   ├── ClaimError (PermissionError)   the RTPU belongs to another subsystem
     │   ├── AccessError (PermissionError)  an observer asks for a change
-    │   ├── ProtocolError                  a message that is not understood
+    │   ├── ProtocolError                  a message that cannot be understood
     │   ├── RealTimeError (OSError)        real-time rights refused
     │   └── SeveralError                   several places failed, each with its error
-    ├── LogError (ValueError)              a log that is none, damaged, or too new
+    ├── LogError (ValueError)              not a log, damaged, or too new
     └── DeviceError (OSError)              a device is missing or does not answer
 """
 
@@ -77,7 +77,7 @@ class Severity(IntEnum):
 
 
 class WireError(TypedDict, total=False):
-    """An error as it travels: plain text fields, and the code that names its class."""
+    """An error in a message: plain text fields, and the code that names its class."""
 
     code: str
     what: str
@@ -160,7 +160,7 @@ class PbonetError(Exception):
 
 
 class ConfigError(PbonetError, ValueError):
-    """A configuration file says something that cannot be."""
+    """A configuration file contains something invalid."""
 
     code = "CONFIG"
 
@@ -214,7 +214,7 @@ class SvarDamagedError(SvarError):
 
 
 class SvarAccessError(SvarError, PermissionError):
-    """The table belongs to somebody else."""
+    """The table belongs to another user."""
 
     code = "SVAR_ACCESS"
 
@@ -226,7 +226,7 @@ class SvarMissingError(SvarError, FileNotFoundError):
 
 
 class SvarExistsError(SvarError, FileExistsError):
-    """A table of that name stands already, and somebody uses it."""
+    """A table of that name already exists and is in use."""
 
     code = "SVAR_EXISTS"
 
@@ -256,7 +256,7 @@ class XmError(PbonetError):
 
 
 class XmNameError(XmError, ValueError):
-    """This is no name of a resource."""
+    """This is not a valid resource name."""
 
     code = "XM_NAME"
 
@@ -268,7 +268,7 @@ class XmMissingError(XmError, FileNotFoundError):
 
 
 class XmExistsError(XmError, FileExistsError):
-    """A resource of that name stands and is in use."""
+    """A resource of that name already exists and is in use."""
 
     code = "XM_EXISTS"
 
@@ -292,13 +292,13 @@ class XmDamagedError(XmError):
 
 
 class XmDestroyedError(XmError):
-    """Somebody destroyed the resource."""
+    """The resource was destroyed."""
 
     code = "XM_DESTROYED"
 
 
 class XmFullError(XmError, OSError):
-    """No room in shared memory, or too many processes use or wait."""
+    """There is no room in shared memory, or there are too many users or waiters."""
 
     code = "XM_FULL"
 
@@ -316,13 +316,13 @@ class XmTakenError(XmError):
 
 
 class XmLapsedError(XmError):
-    """The way to a resource of another machine was lost, and what was held with it."""
+    """The link to a resource on another machine was lost, with what was held there."""
 
     code = "XM_LAPSED"
 
 
 class XmTooLongError(XmError, ValueError):
-    """The message is longer than the queue, or than the buffer it shall go to."""
+    """The message is longer than the queue or the destination buffer allows."""
 
     code = "XM_TOO_LONG"
 
@@ -348,8 +348,9 @@ class StateError(TaskError):
 class MethodError(TaskError):
     """A method of the module raised an exception.
 
-    `number` is what the module gave ``fail()``, 1 for other errors of methods, 0 for
-    any other; `place` is the line, ``file:line in method``; it travels behind `what`.
+    `number` is the number that the module passed to ``fail()``, 1 for other errors of
+    methods, 0 for any other; `place` is the line, ``file:line in method``, which
+    messages append to `what`.
     """
 
     code = "METHOD"
@@ -372,7 +373,7 @@ class ReconfigError(TaskError):
     """An item of a list of signals failed (section 4.4.4).
 
     `done` items were carried out, the item after them failed, `rest` (which begins
-    with it) was not. The item's own error stands in ``__cause__``.
+    with it) was not. The item's own error is in ``__cause__``.
     """
 
     code = "RECONFIG"
@@ -399,13 +400,13 @@ class NodeError(PbonetError):
 
 
 class UnreachableError(NodeError, ConnectionError):
-    """Nobody of that name can be reached."""
+    """No agent of that name can be reached."""
 
     code = "UNREACHABLE"
 
 
 class NoAnswerError(NodeError, TimeoutError):
-    """Somebody of that name is there but did not answer in time."""
+    """The agent is alive but did not answer in time."""
 
     code = "NO_ANSWER"
 
@@ -423,7 +424,7 @@ class ClaimError(NodeError, PermissionError):
 
 
 class AccessError(NodeError, PermissionError):
-    """The client may read, but not change anything."""
+    """The client may read, but not change, the state."""
 
     code = "ACCESS"
 
@@ -443,7 +444,7 @@ class RealTimeError(NodeError, OSError):
 class SeveralError(NodeError):
     """Several places failed in one operation; `errors` holds the error of each.
 
-    The same errors stand as an `ExceptionGroup` in ``__cause__``.
+    The same errors are in ``__cause__``, as an `ExceptionGroup`.
     """
 
     code = "SEVERAL"
@@ -472,7 +473,7 @@ class SeveralError(NodeError):
 
 
 class LogError(PbonetError, ValueError):
-    """A log cannot be written, is none, is damaged, or is of a newer version."""
+    """A log cannot be written or is damaged or too new, or a file is not a log."""
 
     code = "LOG"
 
@@ -489,7 +490,7 @@ def _tree(kind: type[PbonetError]) -> Iterable[type[PbonetError]]:
         yield from _tree(below)
 
 
-BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}  # as they travel
+BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}  # for `from_wire`
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
