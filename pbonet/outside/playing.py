@@ -55,7 +55,7 @@ class Player:
         if found is not None and found[1].decode() == source.name:
             return number
         then = "nothing more" if found is None else found[1].decode()
-        raise NotRecordedError(f"it opens {source.name}, recorded is {then}")
+        raise NotRecordedError(f"it opens {source.name}, but the log has {then}")
 
     def waits(self, source: Outside) -> bool:
         """Return whether the next call to a source is on record."""
@@ -76,8 +76,8 @@ class Player:
         found = self._heard.pop((source.number, source.calls), None)
         if found is None:
             if default is ALWAYS or self.lost:
-                why = "found no room" if self.lost else "is not recorded"
-                raise NotRecordedError(f"what it heard of {source.name} {why}")
+                why = "did not fit on the tape" if self.lost else "is not recorded"
+                raise NotRecordedError(f"its input from {source.name} {why}")
             return default
         kind, data = found
         if kind == RAISED:

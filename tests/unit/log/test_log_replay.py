@@ -77,7 +77,7 @@ def test_a_method_that_heard_too_much_spoils_no_cycle_before_it(tmp_path) -> Non
     assert verdicts["b"].good
     assert verdicts["a"].cycles == 5
     assert verdicts["a"].gaps == [
-        "off after cycle 5: what it heard of it found no room"
+        "off after cycle 5: its input from it did not fit on the tape"
     ]
 
 

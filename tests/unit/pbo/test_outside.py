@@ -217,9 +217,11 @@ def test_sources_are_told_apart_and_must_be_the_same() -> None:
 
     found, heard = recorded(program)
     assert found == played(program, heard) == ["b", "a", "b"]
-    with pytest.raises(NotRecordedError, match="it opens c, recorded is a"):
+    with pytest.raises(NotRecordedError, match="it opens c, but the log has a"):
         played(lambda: program("c"), heard)
-    with pytest.raises(NotRecordedError, match="it opens c, recorded is nothing more"):
+    with pytest.raises(
+        NotRecordedError, match="it opens c, but the log has nothing more"
+    ):
         played(lambda: [program(), Outside("c")], heard)
 
 
@@ -230,7 +232,7 @@ def test_more_questions_than_were_asked_have_no_answer() -> None:
         outside = Outside("it")
         return outside.ask(never), outside.ask(never)
 
-    with pytest.raises(NotRecordedError, match="what it heard of it is not recorded"):
+    with pytest.raises(NotRecordedError, match="its input from it is not recorded"):
         played(twice, heard)
 
 
@@ -241,7 +243,9 @@ def test_what_finds_no_room_is_said() -> None:
 
     _, heard = recorded(program, Tape(1000))
     assert len(heard) <= 1000
-    with pytest.raises(NotRecordedError, match="what it heard of it found no room"):
+    with pytest.raises(
+        NotRecordedError, match="its input from it did not fit on the tape"
+    ):
         played(program, heard)
 
 
