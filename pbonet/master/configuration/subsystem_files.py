@@ -8,8 +8,9 @@ then in the library.
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Mapping
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,6 +67,8 @@ class Files:
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self._folders: list[Path] = []
+        self._stamps: dict[str, int] | None = None
+        self._writers: dict[str, tuple[str, ...]] = {}
         self._look_in(path.parent)
         if self.job is not None:
             self._look_in(Path(self.job.file).parent)
@@ -114,13 +117,10 @@ class Files:
             ConfigFileError: There is none of that name.
             ConfigError: Its file is wrong.
         """
-        text, path = self.text_of(check_name("a task", name.removesuffix(".rmod")))
-        return RmodSource(config.parse_rmod(text, path), text)
-
-    def text_of(self, name: str) -> tuple[str, str]:
-        """Return the text of the RMOD `name`, with its parts, and its file."""
+        name = check_name("a task", name.removesuffix(".rmod"))
         path = self._find(name)
-        return config.bundled(load(path), self.part), str(path)
+        text = config.bundled(load(path), self.part)
+        return RmodSource(config.parse_rmod(text, str(path)), text)
 
     def part(self, name: str) -> config.Section:
         """Return the file of a part of a combination.
@@ -160,6 +160,20 @@ class Files:
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
         return Producers(self)
+
+    def writers(self) -> dict[str, tuple[str, ...]]:
+        """Return, by variable, the RMODs that write it; reads what has changed."""
+        stamps = _stamps([*self._folders, *(s.folder for s in self.library.shelves)])
+        if stamps != self._stamps:
+            found: dict[str, list[str]] = {}
+            for name in self.rmods():
+                with contextlib.suppress(ConfigError):  # reported when it is spawned
+                    record = self.rmod(name).record
+                    for port in (*record.outvar, *record.outconst):
+                        found.setdefault(record.svar_name(port), []).append(name)
+            self._stamps = stamps
+            self._writers = {name: tuple(rmods) for name, rmods in found.items()}
+        return self._writers
 
     def jobs(self) -> list[str]:
         """Return the jobs that stand beside the ``.sbs``, sorted."""
@@ -248,11 +262,17 @@ def _is_there(path: Path) -> bool:
         return False
 
 
-@lru_cache(1024)
-def _outputs(text: str, path: str) -> tuple[str, ...]:
-    """Return the variables that an RMOD writes; the same text is parsed once."""
-    record = config.parse_rmod(text, path)
-    return tuple(map(record.svar_name, (*record.outvar, *record.outconst)))
+def _stamps(folders: Iterable[Path]) -> dict[str, int]:
+    """Return when each RMOD of these folders was written, by its path."""
+    found: dict[str, int] = {}
+    for folder in folders:
+        with contextlib.suppress(OSError), os.scandir(folder) as entries:
+            found |= {
+                one.path: one.stat().st_mtime_ns
+                for one in entries
+                if one.name.endswith(".rmod")
+            }
+    return found
 
 
 class Producers(Mapping[str, tuple[str, ...]]):
@@ -263,12 +283,7 @@ class Producers(Mapping[str, tuple[str, ...]]):
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
-        found: dict[str, list[str]] = {}
-        for name in self._files.rmods():
-            with contextlib.suppress(ConfigError):  # reported when it is spawned
-                for variable in _outputs(*self._files.text_of(name)):
-                    found.setdefault(variable, []).append(name)
-        return {variable: tuple(names) for variable, names in found.items()}
+        return self._files.writers()
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:
         return self._found[variable]

@@ -85,7 +85,6 @@ class SubsystemTasks:
         """Of tasks that are not in the model yet, for their files are not read."""
         self._info = cache(partial(remote_modules.on, clients, files.library))
         self._standing = WarningDedup()
-        self._producers = files.producers()
         self._unwritten = UnwrittenInputs(
             lambda flag: clients.call(files.sbs.keeper, flag, list[str]), self.say
         )
@@ -228,7 +227,6 @@ class SubsystemTasks:
             SeveralError: Several agents do not answer; of one, its own error.
         """
         known, dead = {*self._model.names, *self._unread}, self._inbox.dead()
-        self._producers = self.files.producers()
         wanted = self.clients.names if rtpus is None else rtpus
         results = {name: self._fresh[name] for name in wanted if name in self._fresh}
         self._fresh.clear()
@@ -397,7 +395,7 @@ class SubsystemTasks:
             tasks=tuple(member.task for member in self.model),
             on=frozenset(member.name for member in self.model if member.is_on),
             rtpus=self.files.sbs.rtpus,
-            producers=self._producers if self._whole else {},
+            producers=self.files.producers() if self._whole else {},
             limit=schedule.PLANNED,
         )
 
