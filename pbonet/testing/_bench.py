@@ -46,13 +46,13 @@ M = TypeVar("M", bound=PortBasedObject[Any])
 class Bench(Generic[M]):
     """Runs one module in a test: inputs in, outputs out, in virtual time.
 
-    `init` has run when the constructor returns, unless it failed.
+    The constructor runs `init`.
 
     Args:
         module: The module's class.
         params: Its parameters, as its own class or as a mapping; none for defaults.
         freq: Cycles per second; the default step is its inverse.
-        critical: As if the RMOD said CRITICAL; `illegal` then selects ``stable``.
+        critical: As with CRITICAL in the RMOD; `illegal` then selects ``stable``.
         crit: The task's criticality.
         handler: That of its handler of timing failures, as HANDLER in the RMOD.
         clock: Shared with other benches, if need be.
@@ -149,9 +149,9 @@ class Bench(Generic[M]):
         """Put an RMOD on the bench, such as a combination (section 3.8.1).
 
         Args:
-            rmod: The ``.rmod`` file; parts of a combination stand beside it or in the
-                library. Its LOCAL part, FREQ, CRITICAL and HANDLER count.
-            values: As for the constructor, and so is all that follows.
+            rmod: The ``.rmod`` file; parts of a combination are beside it or in the
+                library. Its LOCAL part, FREQ, CRITICAL and HANDLER are used.
+            values: As for the constructor, like the following arguments.
             library: Folders with modules beside those of pbonet.
             more: As for the constructor.
 
@@ -214,19 +214,18 @@ class Bench(Generic[M]):
         return self.executor.get(name)
 
     def step(self, dt: float | None = None, n: int = 1, *, check: bool = True) -> State:
-        """Let time pass and do `n` cycles.
+        """Let time pass and run `n` cycles.
 
         Args:
             dt: Seconds of each cycle; the inverse of ``freq`` by default.
-            n: How many; fewer when the task leaves the state ON. A release that a
-                handler of timing failures leaves out counts too.
-            check: Raise what a cycle failed with, when the task is in ERROR behind it.
+            n: Number of cycles; fewer are run if the task leaves state ON. A release
+                that a handler of timing failures leaves out counts too.
+            check: Raise the error of a failed cycle if the task is then in ERROR.
 
-        Returns:
-            The state behind the last cycle.
+        Returns: The state after the last cycle.
 
         Raises:
-            MethodError: A cycle failed, and `error` did not put it right.
+            MethodError: A cycle failed, and `error` did not correct it.
             StateError: The task is not ON.
         """
         step = self.task.period if dt is None else dt
@@ -253,18 +252,17 @@ class Bench(Generic[M]):
             self._cycling = False
 
     def timing_failure(self, kind: TimingFailure) -> Recovery | None:
-        """Have the cycle fail in time: call the module's handler, and obey it.
+        """Simulate a timing failure: call the module's handler, and follow its answer.
 
-        Between two steps it is as if the last cycle still ran. It may also be called
-        from within a cycle, by what a test puts in place of a slow part of the module:
-        the failure then comes there, and an abort leaves the cycle there.
+        Between two steps the last cycle counts as still running. It may also be called
+        from within a cycle, by a test's substitute for a slow part of the module: the
+        failure then happens there, and an abort ends the cycle there.
 
         Args:
             kind: What fails.
 
-        Returns:
-            What the handler wanted. It is done already: on ABORT the outputs are
-            discarded and `on` has run again, on SKIP `step` leaves out one release.
+        Returns: The handler's answer, which has been carried out: on ABORT the outputs
+            are discarded and `on` has run again, on SKIP `step` leaves out one release.
             None where a critical section holds the failure off; its end lets it in.
 
         Raises:
@@ -299,7 +297,7 @@ class Bench(Generic[M]):
         """Run the module's `sync`, as a task does that waits for its event."""
         return self.executor.sync()
 
-    # -- what can be looked at --------------------------------------------------------
+    # -- what can be inspected --------------------------------------------------------
 
     @property
     def log(self) -> list[str]:
@@ -307,7 +305,7 @@ class Bench(Generic[M]):
         return list(self._log)
 
     def sections(self) -> dict[str, Section]:
-        """Return what was measured of the module's timed sections, by name."""
+        """Return the measurements of the module's timed sections, by name."""
         return self._watch.sections()
 
     def forget(self) -> None:

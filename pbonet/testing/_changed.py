@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 def changed(
     log: Log, about: TaskAbout, libraries: Sequence[str | Path] = ()
 ) -> list[Changed]:
-    """Return the files of a task's code that are other ones now.
+    """Return the files of a task's code that have changed.
 
-    What counts is the code that a replay runs, wherever it stands: the folders of the
-    recording may be those of another machine.
+    The code that a replay runs counts, wherever it is: the folders of the recording may
+    be those of another machine.
 
     Args:
         log: Carries the files that ran.
         about: Of the task.
-        libraries: Folders of modules that come before those of the recording.
+        libraries: Folders of modules, searched before those of the recording.
     """
     present = {one.path: one for one in _present(about, libraries)}
     found: list[Changed] = []
@@ -65,7 +65,7 @@ def _present(about: TaskAbout, libraries: Sequence[str | Path]) -> list[CodeFile
 
 
 def _same(path: str, present: dict[str, CodeFile]) -> CodeFile | None:
-    """Return the file that stands for a recorded one: of its name, and nearest."""
+    """Return the file for a recorded one: of its name, and nearest."""
     if path in present:
         return present[path]
     name = Path(path).name

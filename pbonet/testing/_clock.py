@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class FakeClock:
-    """Time that passes when it is told to.
+    """A clock that a test advances.
 
     Args:
         now_ns: Nanoseconds at the start.

@@ -1,8 +1,8 @@
-"""Timing failures as they came, reported to a module that is run again.
+"""Recorded timing failures, reported to a module that is run again.
 
-A failure interrupts a module between two instructions; on record is the line. There the
-handler is called again, the first time that the line is reached: what the module had
-done of a loop by then nobody knows, so that what differs from there on proves nothing.
+A failure interrupts a module between two instructions; on record is the line. The
+handler is called again there, the first time that the line is reached. How far a loop
+had come is unknown, so differences after that prove nothing.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class Failing:
     """The timing failures of one task.
 
     Args:
-        told: What its handler was told.
-        player: What it heard; None: older logs do not say.
+        told: The recorded information about the task.
+        player: The recorded answers; None: older logs have none.
         executor: Calls the handler.
-        source: The time that the module is told.
-        watch: Holds failures off.
+        source: The time that the module gets.
+        watch: Delays failures.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Failing:
         self.rest()
 
     def rest(self) -> None:
-        """Call the handler for what has come and was not reported yet."""
+        """Call the handler for a failure that is not reported yet."""
         while self._next():
             self._tell()
 
@@ -109,7 +109,7 @@ class Failing:
         return self._came is not None
 
     def _tell(self) -> None:
-        """Call the handler, which must answer what it answered then."""
+        """Call the handler, which must return the recorded answer."""
         assert self._came is not None  # noqa: S101 - who calls this has looked
         (kind, place, now), self._came = self._came, None
         if place:
@@ -163,7 +163,7 @@ class Failing:
 
 
 def _none() -> tuple[str, str, int]:
-    """Stand for what is on record."""
+    """Take the place of the recorded one."""
     raise AssertionError
 
 

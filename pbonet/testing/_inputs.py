@@ -1,8 +1,8 @@
 """Inputs of a task in each cycle, rebuilt from the commits of all tasks.
 
-A cycle's record names the commits that it read by register and number. Where one of
-them is in nobody's record (initial values, what an operator set), the inputs stand in
-the record itself.
+A cycle's record names the commits that it read by register and number. If one of them
+is in no task's record (initial values, values set by an operator), the record itself
+has the inputs.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Commits:
 
     Args:
         log: The run.
-        table: Only what was committed there counts: others have numbers of their own.
+        table: Only commits to this table count: others have other numbers.
     """
 
     fresh = False
@@ -56,7 +56,7 @@ class Commits:
             self._found |= {key: (life, row) for row, key in enumerate(keys)}
 
     def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
-        """Return whose commit it is, its group, and whether that has every variable.
+        """Return a commit's task, its group, and whether that has every variable.
 
         Returns:
             None when it is not recorded.
@@ -119,7 +119,7 @@ class Inputs:
         return ""
 
     def _renew(self) -> str:
-        """Have what is made now in the place of stored values, where there is such."""
+        """Use new values in place of stored ones where they exist."""
         unseen = set(self._unseen)
         for register, number in self._read.items():
             if not self._apply(register, number):

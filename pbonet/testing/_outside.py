@@ -42,10 +42,10 @@ _SEPARATE: Final = frozenset({
 
 
 class Time(Counted):
-    """The time, the cycles and the criticality that a module was told.
+    """The recorded time, cycles and criticality of a module.
 
     Args:
-        told: What was told of the task itself.
+        told: The recorded information about the task itself.
         clock: Gives nanoseconds between cycles.
     """
 
@@ -64,10 +64,10 @@ class Time(Counted):
 
 
 class Context(TaskContext):
-    """``self.task`` of a module that is run again.
+    """The ``self.task`` of a module that is run again.
 
     Args:
-        told: What was told of the task itself.
+        told: The recorded information about the task itself.
         args: As for `TaskContext`.
         more: As for `TaskContext`.
     """
@@ -84,10 +84,10 @@ class Context(TaskContext):
 
 
 class Watch(PythonWatch):
-    """Criticality and deadline as they were told; a handler's wishes change nothing.
+    """Recorded criticality and deadline; a handler's settings have no effect.
 
     Args:
-        told: What was told of the task itself.
+        told: The recorded information about the task itself.
         task: The task.
     """
 
@@ -116,18 +116,18 @@ class Watch(PythonWatch):
 
 
 def of_task(player: Player | None, *, timing: bool) -> ModuleAnswers:
-    """Return what was told of the task itself: the first sources of each task."""
+    """Return the recorded information about the task, of its first sources."""
     with using(player):
         return ModuleAnswers(timing=timing)
 
 
 @contextmanager
 def only(player: Player | None, about: TaskAbout) -> Generator[None]:
-    """Have what runs in this block hear what is on record, and open nothing.
+    """Answer from the record in this block, and open nothing.
 
     Args:
-        player: What was heard; None: older logs do not say.
-        about: Whose task it was.
+        player: The recorded answers; None: older logs have none.
+        about: Description of the task.
     """
     with ExitStack() as stack:
         if player is None:
@@ -143,7 +143,7 @@ def only(player: Player | None, about: TaskAbout) -> Generator[None]:
 
 
 class _Guard:
-    """Refuses to open what stands in no log, in one thread, while it is on."""
+    """Refuse, in one thread, to open sources that no log has."""
 
     def __init__(self) -> None:
         self._thread = 0

@@ -1,4 +1,4 @@
-"""Records of a task, looked at one by one, and what makes values the same."""
+"""Records of a task one by one, and the comparison of values."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def must_have_cycles(
 
 
 def alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
-    """Tell for each element whether it is the same, NaN and signs of 0 included."""
+    """Return for each element whether it is the same, including NaN and signs of 0."""
     bits = np.dtype(f"V{then.dtype.itemsize}")
     same = np.array(
         [a == b for a, b in zip(then.view(bits), now.view(bits), strict=True)], bool

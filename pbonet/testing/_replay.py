@@ -1,7 +1,8 @@
-"""A log as a test: the code of a task is run again on what was recorded.
+"""A log as a test: the code of a task is run again on recorded data.
 
-`verify` takes each task by itself: it reads what was recorded, and stops at the first
-value that differs. `_whole` runs tasks together, which read what the others make now.
+`verify` runs each task separately with its recorded inputs, and stops at the first
+value that differs. `_whole` runs tasks together, which read the new outputs of the
+others.
 """
 
 from __future__ import annotations
@@ -36,16 +37,16 @@ def verify(
     libraries: Sequence[str | Path] = (),
     rtol: float = 0.0,
 ) -> list[Verdict]:
-    """Run the code of tasks again on a log, and say what came of it.
+    """Run the code of tasks again on a log, and return the verdicts.
 
     Args:
         path: The log, the folder of a run, or a `Log`.
-        tasks: Which; none for all.
-        libraries: Folders of modules that come before those of the recording.
-        rtol: How far floats may be off, relative; 0: identical to the bit.
+        tasks: The tasks; none: all.
+        libraries: Folders of modules, searched before those of the recording.
+        rtol: Relative tolerance for floats; 0: identical to the bit.
 
     Raises:
-        LogError: There is no log there, or no cycle of a task that is named, or of any.
+        LogError: There is no log, or it has no cycle of a named task, or of any task.
         UnknownTaskError: The log has no such task.
         PbonetError: The module of a task that is named does not load, or does not fit
             its RMOD.
@@ -98,7 +99,7 @@ def replay(
     libraries: Sequence[str | Path] = (),
     rtol: float = 0.0,
 ) -> Verdict:
-    """Fail unless a task's code gives again what a log says that it gave.
+    """Fail unless a task's code reproduces its recorded outputs.
 
     A log is a test in one line::
 
@@ -108,11 +109,10 @@ def replay(
     Args:
         path: The log, or the folder of a run.
         task: The task.
-        libraries: Folders of modules that come before those of the recording.
-        rtol: How far floats may be off, relative; 0: identical to the bit.
+        libraries: Folders of modules, searched before those of the recording.
+        rtol: Relative tolerance for floats; 0: identical to the bit.
 
-    Returns:
-        What came of it.
+    Returns: The verdict.
 
     Raises:
         DivergedError: It gave something else, or not every cycle could be run again.

@@ -1,7 +1,7 @@
 """The code of one task, run again record by record.
 
 The instance, its executor and the order of methods are those of a task; the copies
-bring what was recorded, and hand on what the module made of it.
+provide the recorded inputs, and pass on the module's outputs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class Stop(BaseException):
-    """Nothing behind this can be compared; it is no error of the module."""
+    """Nothing after this can be compared; it is not an error of the module."""
 
 
 class _Copies:
@@ -78,7 +78,7 @@ class _Copies:
         return self._out(Step.COMMIT, self._run.about.outvar, self._run.group)
 
     def cede(self) -> None:
-        """Nothing is owned here, and nobody inherits."""
+        """Nothing is owned here, and there are no successors."""
 
     def release(self) -> None:
         """Nothing is owned here."""
@@ -104,11 +104,11 @@ class Run:
     """One life of a task, run again.
 
     Args:
-        life: What was recorded of it.
+        life: Its records.
         commits: Of the whole run.
         libraries: Folders of modules, before those of the recording.
-        verdict: What comes of it.
-        rtol: How far a float may be off, relative; 0: identical to the bit.
+        verdict: The verdict to fill.
+        rtol: Relative tolerance for floats; 0: identical to the bit.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Run:
         self._schema = life.schema
         self._player = Player() if life.about.hears else None
         self._unheard: int | None = None
-        """The record of the first method of which something heard found no room."""
+        """The record of the first method with an answer that did not fit."""
         self._aborted: dict[int, bytes] = {}
         """Inputs of cycles that were not recorded, by the record with the reason."""
         self._records = self._listen(life)
@@ -145,7 +145,7 @@ class Run:
         self._make(libraries)
 
     def _listen(self, life: Life) -> list[bytes]:
-        """Take what methods heard from outside; return the other records."""
+        """Take the recorded answers from outside; return the other records."""
         if self._player is None:
             return life.records
         rest: list[bytes] = []
@@ -171,14 +171,14 @@ class Run:
         return rest
 
     def _hear(self, heard: bytes, began: int) -> None:
-        """Take what a method heard, whose first record is this."""
+        """Take the answers of a method, of which this is the first record."""
         if not heard or self._player is None:
             return
         if self._player.feed(heard) and self._unheard is None:
             self._unheard = began
 
     def outside(self) -> AbstractContextManager[None]:
-        """Return what lets the module hear what is on record, and nothing else."""
+        """Return a context in which the module gets only recorded answers."""
         return _outside.only(self._player, self.about)
 
     def _lay_out(self) -> None:
@@ -236,7 +236,7 @@ class Run:
     # -- going through the records -----------------------------------------------------
 
     def go(self) -> None:
-        """Run it all again; what comes of it is in the verdict."""
+        """Run everything again and fill the verdict."""
         begun = time.perf_counter()
         try:
             with self.outside():
@@ -252,10 +252,10 @@ class Run:
             self._verdict.took += time.perf_counter() - begun
 
     def step(self) -> None:
-        """Run what belongs to the next record.
+        """Run the step of the next record.
 
         Raises:
-            Stop: Nothing behind it can be run again.
+            Stop: Nothing after it can be run again.
         """
         try:
             self._step()
@@ -265,7 +265,7 @@ class Run:
             self._diverged(str(error))
 
     def _feed(self, heard: bytes) -> None:
-        """Take what a cycle or `sync` heard."""
+        """Take the answers of a cycle or `sync`."""
         if heard and self._player is not None and self._player.feed(heard):
             self._player.lost = True
 
@@ -350,11 +350,11 @@ class Run:
                     done.what, done.arg, handover=done.handover, cede=done.cede
                 )
         except PbonetError as error:
-            # As it may have been in the task; what was recorded behind it will tell.
+            # As it may have been in the task; later records show it.
             self._failed = error
 
     def _abort(self, done: Did) -> None:
-        """Leave a cycle that is on no record, and begin anew."""
+        """Leave a cycle that is not recorded, and start again."""
         self._feed(self._aborted.pop(self._at - 1, b""))
         self._failing.aborted(self._cycle, done.calls)
         self._executor.abort()
@@ -394,7 +394,7 @@ class Run:
         return data
 
     def unseen(self, names: set[str]) -> None:
-        """Take note of variables whose values no record and no task gives.
+        """Note variables whose values are in no record and made by no task.
 
         Raises:
             Stop: One of them is an input.
@@ -420,7 +420,7 @@ class Run:
     def compare(
         self, variables: Sequence[Variable], recorded: bytes, made: bytes
     ) -> bool:
-        """Go on if both are the same.
+        """Return if both are the same.
 
         Raises:
             Stop: They are not.
@@ -434,7 +434,7 @@ class Run:
     def differ(
         self, variables: Sequence[Variable], recorded: bytes, made: bytes
     ) -> Divergence | None:
-        """Return the first place where what was made is not what was recorded."""
+        """Return the first place where a value differs from the recorded one."""
         if recorded == made:
             return None
         at = 0

@@ -44,13 +44,13 @@ def simulated(
 
     Args:
         log: What was recorded.
-        tasks: Which are compared; none for all. All are run.
-        libraries: Folders of modules that come before those of the recording.
-        rtol: How far floats may be off, relative.
-        out: A log to be written, of what the tasks gave now.
+        tasks: The tasks to compare; none: all. All are run.
+        libraries: Folders of modules, searched before those of the recording.
+        rtol: Relative tolerance for floats.
+        out: A log to write, with the new outputs of the tasks.
 
     Raises:
-        LogError: A file that it was made of is not attached; a task has no cycle, or
+        LogError: A file of the simulation is not attached; a task has no cycle, or
             `out` cannot be written.
         UnknownTaskError: The log has no such task.
         PbonetError: The job cannot be simulated any more.
@@ -102,7 +102,7 @@ def _again(job: Path, place: Place, seconds: float, out: Path | None) -> Cycles:
 
 
 def _seconds(log: Log) -> float:
-    """Return how much virtual time passed; of a log that was cut, what it has of it."""
+    """Return how much virtual time passed; for a log that was cut, its part."""
     told = float(log.about["seconds"])
     if told > 0:
         return told

@@ -1,9 +1,9 @@
 """A cable that delays: frames wait in a process's memory between two devices.
 
 A second pair of virtual devices is laid beside each end of a cable, and the hosts send
-to each other over those. What comes out of one is put into the other, later and in
-order. Nothing is lost, and links that stand go on. The kernel's own delay (netem) is
-not in every kernel; this needs what cables need.
+to each other over those. Frames from one are sent to the other, later and in order.
+Nothing is lost, and existing links continue. The kernel's own delay (netem) is not in
+every kernel; this needs only what cables need.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Delay:
         self._thread.start()
 
     def close(self) -> None:
-        """Carry nothing more; what is on its way is lost."""
+        """Stop; frames in transit are lost."""
         self._bell.close()
         self._thread.join()
         for end in (self._over, *self._ends):

@@ -129,7 +129,7 @@ class BenchTable:
         return self._in(Step.COPY_IN_ON, Kind.INVAR, Kind.OUTVAR)
 
     def check_claim(self) -> None:
-        """Nobody else is on a bench."""
+        """There are no other tasks on a bench."""
 
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out and own them."""
@@ -185,7 +185,7 @@ def structures(values: Mapping[str, Any]) -> dict[str, np.dtype[Any]]:
 
 
 def _dtype(port: Port, given: Mapping[str, np.dtype[Any]]) -> np.dtype[Any]:
-    """Return the numpy type of the variable behind a port."""
+    """Return the numpy type of the variable of a port."""
     if port.attr in given:
         return given[port.attr]
     if port.type == "void[]":

@@ -1,9 +1,9 @@
 """A whole configuration, run again in the time of its record.
 
-Every task's code runs on what the other tasks make now, in the order and with the time
-steps that were recorded: what read a certain commit then reads the one in its place.
-What came from outside is taken from the record: initial values, what an operator set,
-signals, parameters, and the commits of tasks that are not run again.
+Every task's code runs on the new outputs of the other tasks, in the recorded order and
+with the recorded time steps: a task that read a certain commit reads the new one in its
+place. External inputs are taken from the record: initial values, values set by an
+operator, signals, parameters, and the commits of tasks that are not run again.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _Made(Commits):
         """The task that gave a constant last."""
 
     def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
-        """Return a commit, once the task whose it is has come so far."""
+        """Return a commit, once its task has reached it."""
         found = self._found.get(key)
         if found is None:
             return None
@@ -73,10 +73,10 @@ class _Part(Run):
     """One life of a task among the others.
 
     Args:
-        life: What was recorded of it.
+        life: Its records.
         made: The commits of all.
         libraries: Folders of modules, before those of the recording.
-        verdict: What comes of it.
+        verdict: The verdict to fill.
         rtol: How far a float may be off.
     """
 
@@ -115,7 +115,7 @@ class _Part(Run):
         return self._ends[self._at]
 
     def advance(self) -> None:
-        """Run what belongs to the next record."""
+        """Run the step of the next record."""
         self._busy = True
         try:
             with self.outside():
@@ -140,7 +140,7 @@ class _Part(Run):
     def compare(
         self, variables: Sequence[Variable], recorded: bytes, made: bytes
     ) -> bool:
-        """Take note of what was made, and go on with it."""
+        """Note the new outputs, and continue with them."""
         if self._key != (0, 0):
             self._made.made[self._key] = made
         at = 0
@@ -185,16 +185,16 @@ def rerun(
     rtol: float = 0.0,
     out: Path | None = None,
 ) -> Replayed:
-    """Run the code of several tasks again together, in the time of their record.
+    """Run the code of several tasks again together, in recorded time.
 
     A simulation is simulated again, from the files that its log carries.
 
     Args:
         path: The log, the folder of a run, or a `Log`.
-        tasks: Which; none for all. Of the others the record stands.
-        libraries: Folders of modules that come before those of the recording.
-        rtol: How far floats may be off, relative; 0: identical to the bit.
-        out: A log to be written, of what the tasks gave now.
+        tasks: The tasks; none: all. For the others the record is used.
+        libraries: Folders of modules, searched before those of the recording.
+        rtol: Relative tolerance for floats; 0: identical to the bit.
+        out: A log to write, with the new outputs of the tasks.
 
     Raises:
         LogError: There is no log there, no cycle of a task that is named, or of any, or
@@ -228,7 +228,7 @@ def rerun(
             one = made[life.table]
             try:
                 parts.append(_Part(life, one, libraries, verdicts[task], rtol))
-            except PbonetError as error:  # of the others the record stands
+            except PbonetError as error:  # for the others the record is used
                 if tasks:
                     raise
                 verdicts[task].gaps.append(str(error))
@@ -264,7 +264,7 @@ def _sum_up(found: Replayed, parts: list[_Part]) -> None:
 
 
 def _write(log: Log, each: dict[Table, dict[Key, bytes]], out: Path) -> None:
-    """Write a log of what was made, by table, beside what was recorded else."""
+    """Write a log of the new outputs, by table, with the other records."""
     about = log.parts[0].about or RunAbout(
         run="", job="", subsystem="", domain="", rtpu=""
     )
@@ -281,7 +281,7 @@ def _write(log: Log, each: dict[Table, dict[Key, bytes]], out: Path) -> None:
 
 
 def _partly(life: Life, made: dict[Key, bytes]) -> bool:
-    """Tell whether some commits of a task stand as they were recorded."""
+    """Return whether some commits of a task are the recorded ones."""
     heads = map(head, life.commits)
     return any((int(row["register"]), int(row["number"])) not in made for row in heads)
 

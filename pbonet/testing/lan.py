@@ -23,7 +23,7 @@ from ._slow import Delay
 CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
 NUMBERS = {"a": 1, "b": 2, "c": 3}
 NOBODY = "02:00:00:00:00:99"
-"""An address that no device has: what is sent there is dropped by whoever gets it."""
+"""An address that no device has: frames for it are dropped by each receiver."""
 
 
 def _run(*command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
@@ -57,7 +57,7 @@ class Host:
         lan: The network that it belongs to.
         name: ``a``, ``b`` or ``c``.
         ahead: Seconds by which its monotonic clock is set apart from the others.
-        hostname: What it calls itself; ``host-`` and `name` if left out.
+        hostname: Its host name; ``host-`` and `name` if left out.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Lan:
 
     Args:
         ahead: By host, the seconds by which its clock is ahead.
-        hostnames: By host, what it calls itself; two may have one name.
+        hostnames: By host, its host name; two may have one name.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Lan:
             self.heal(one, other)
 
     def slow(self, one: str, other: str, seconds: float) -> None:
-        """Delay what goes over a cable, each way, until `quick`."""
+        """Delay the traffic of a cable, each way, until `quick`."""
         middle = f"pb{self.tag}m"
         _run("ip", "netns", "add", middle)
         try:
@@ -185,7 +185,7 @@ class Lan:
         four = f"10.77.{number}.{NUMBERS[host]}/24"
         six = f"fd77:{number}::{NUMBERS[host]}/64"
         _run("ip", "-n", space, "addr", "add", four, "dev", device)
-        # An address of IPv6 would go with the link, and be looked for twice at first.
+        # An IPv6 address would go with the link, and be probed twice at first.
         for name, value in (("keep_addr_on_down", 1), ("accept_dad", 0)):
             path = f"/proc/sys/net/ipv6/conf/{device}/{name}"
             _run(
