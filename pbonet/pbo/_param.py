@@ -84,7 +84,7 @@ def param(
         lt: Values must be smaller than this.
         total: What the values of a tuple must add up to, but for rounding.
 
-    Returns: The object for the annotation: ``kp: A[float, param("N*m/rad", "gain",
-        ge=0)]``.
+    Returns:
+        The object for the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
     """
     return Param(unit, doc, ge, gt, le, lt, total)

@@ -222,7 +222,8 @@ class Bench(Generic[M]):
                 that a handler of timing failures leaves out counts too.
             check: Raise the error of a failed cycle if the task is then in ERROR.
 
-        Returns: The state after the last cycle.
+        Returns:
+            The state after the last cycle.
 
         Raises:
             MethodError: A cycle failed, and `error` did not correct it.
@@ -261,8 +262,9 @@ class Bench(Generic[M]):
         Args:
             kind: What fails.
 
-        Returns: The handler's answer, which has been carried out: on ABORT the outputs
-            are discarded and `on` has run again, on SKIP `step` leaves out one release.
+        Returns:
+            The handler's answer, which has been carried out: on ABORT the outputs are
+            discarded and `on` has run again, on SKIP `step` leaves out one release.
             None where a critical section holds the failure off; its end lets it in.
 
         Raises:

@@ -112,7 +112,8 @@ def replay(
         libraries: Folders of modules, searched before those of the recording.
         rtol: Relative tolerance for floats; 0: identical to the bit.
 
-    Returns: The verdict.
+    Returns:
+        The verdict.
 
     Raises:
         DivergedError: It gave something else, or not every cycle could be run again.
