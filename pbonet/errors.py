@@ -16,7 +16,7 @@ from a task to the master without losing anything.
     ├── VerificationError (ValueError)     the configuration would be illegal
     ├── SvarError
     │   ├── SvarLayoutError                another layout or version than expected
-    │   ├── SvarDamagedError               not a table, cut short, or overwritten
+    │   ├── SvarDamagedError               not a table, truncated, or overwritten
     │   ├── SvarAccessError (PermissionError)
     │   ├── SvarMissingError (FileNotFoundError)
     │   ├── SvarExistsError (FileExistsError)
@@ -208,7 +208,7 @@ class SvarLayoutError(SvarError):
 
 
 class SvarDamagedError(SvarError):
-    """The file is not a table, is cut short, or was overwritten."""
+    """The file is not a table, is truncated, or was overwritten."""
 
     code = "SVAR_DAMAGED"
 

@@ -10,7 +10,7 @@ import msgspec
 from pbonet.errors import DeviceError, PbonetError
 
 ALWAYS: Final = object()
-"""The default of who has none."""
+"""The default of a call that needs a record."""
 _SCALARS: Final[frozenset[type]] = frozenset({
     *(type(None), bool, int, float, str, bytes)
 })
@@ -56,7 +56,7 @@ def pack(answer: object, where: str) -> tuple[int, bytes]:
 
 
 class _UnfitError(Exception):
-    """Something within an answer is nothing that msgpack gives back as it was."""
+    """Part of an answer has a type that msgpack does not restore exactly."""
 
     def __init__(self, kind: type) -> None:
         super().__init__()

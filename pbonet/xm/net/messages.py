@@ -67,9 +67,9 @@ class Claim(Request, tag="claim"):
     The same subsystem may claim again when the former master's token is gone, or with
     `take_over`; the epoch then increases and the former master's commands are refused.
 
-    With the text of a ``.svar`` file the subsystem's table is opened, too: created, or
-    attached to where it stands on the machine. If it stands there with another layout,
-    that is refused, and the claim is as it was before.
+    With the text of a ``.svar`` file the subsystem's table is opened, too: it is
+    created, or attached if the machine already has it. A table with another layout is
+    refused, and the claim is then unchanged.
     """
 
     usage: str = "exclusive"
