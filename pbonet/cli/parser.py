@@ -100,7 +100,7 @@ class Parameter(NamedTuple):
         return self.names[0] if self.names else self.metavar
 
     def value(self, word: str) -> object:
-        """Return what a word stands for.
+        """Return the value of a word.
 
         Raises:
             UsageError: It is no such value, or out of range.

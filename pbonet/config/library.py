@@ -74,7 +74,7 @@ class Library:
     Args:
         folders: Folders beside the modules that pbonet brings and those of installed
             packages; earlier ones win, and all of them win over those. One that does
-            not exist is an error when a name is looked for that nobody else has.
+            not exist is an error when a name is searched for that nobody else has.
     """
 
     def __init__(self, folders: Iterable[str | Path] = ()) -> None:
@@ -126,7 +126,7 @@ class Library:
         return loaded
 
     def read_rmod(self, path: str | Path) -> Rmod:
-        """Return what a ``.rmod`` file says; parts stand beside it or in the library.
+        """Return what a ``.rmod`` file says; parts are beside it or in the library.
 
         Raises:
             ConfigFileError: It, or a part, cannot be read.
@@ -228,7 +228,7 @@ class Library:
         )
 
     def _forgotten(self, name: str) -> str:
-        """Return what to say where a module stands beside the files that want it."""
+        """Return what to say where a module is beside the files that want it."""
         for folder in self.beside:
             if (folder / f"{name}.py").is_file():
                 place = folder.absolute()

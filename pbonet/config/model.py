@@ -91,8 +91,8 @@ class LocalLine(Struct, frozen=True):
 class Rmod(Struct, frozen=True, kw_only=True):
     """A ``.rmod`` file: a module configured for use (section 3.8).
 
-    Port names are the module's own; `svar_name` gives the variable behind one. Those of
-    a combination (section 3.8.1) are the variables of its parts.
+    Port names are the module's own; `svar_name` gives the variable of one. Those of a
+    combination (section 3.8.1) are the variables of its parts.
     """
 
     name: str
@@ -258,7 +258,7 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     libraries: tuple[str, ...] = ()
     """Folders with modules, beside the library that pbonet brings."""
     grace: float = 5.0
-    """Seconds that control goes on when the agent is gone."""
+    """Seconds that control continues when the agent is gone."""
     keys: str | None = None
     """The key folder with which the agent proves who it is (``pbonet keys``)."""
     insecure: bool = False
@@ -272,7 +272,7 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     runs: str | None = None
     """Folder of the logs; ``runs`` in the working directory by default."""
     log_mb: float = 1000.0
-    """A log that has grown so far goes on in another file; 0: never."""
+    """A log that has grown so far continues in another file; 0: never."""
     log_minutes: float = 0.0
     """The same by time."""
     runs_mb: float = 0.0

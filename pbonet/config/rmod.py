@@ -41,7 +41,7 @@ LISTS = ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
 
 
 def read_rmod(path: str | Path) -> Rmod:
-    """Return what the ``.rmod`` file at `path` says; parts stand beside it.
+    """Return what the ``.rmod`` file at `path` says; parts are beside it.
 
     Raises:
         ConfigFileError: It, or a part of a combination, cannot be read.

@@ -1,4 +1,4 @@
-"""The master: it assembles, steers and watches a subsystem (Stewart 1994, chapter 4).
+"""The master: it controls and monitors a subsystem (Stewart 1994, chapter 4).
 
 `Subsystem` is the autonomous interface of section 4.4.4. The prompt, the verbs, scripts
 and the network interface are made of one command table and act on it. This package

@@ -58,8 +58,8 @@ def _chain(names: Sequence[str], variable: str, links: int) -> list[str]:
 def check_ages(configuration: Configuration) -> Iterator[Problem]:
     """Yield inputs that a connector takes for valid even without a writer.
 
-    Only the last connector of a chain may go on with a value of any age, its Z2: there
-    is nothing to fall back to behind it.
+    Only the last connector of a chain may continue with a value of any age, its Z2:
+    there is nothing to fall back to behind it.
     """
     for task in configuration.tasks:
         if task.rmod.module != BY_AGE:
@@ -117,7 +117,7 @@ def check_units(configuration: Configuration) -> Iterator[Problem]:
 
 
 _Joined = dict[str, tuple[str, str]]
-"""By port: the variable behind it, and its unit; without those of unknown unit."""
+"""By port: its variable and unit; without those of unknown unit."""
 
 
 def _joined(configuration: Configuration, task: Task) -> Iterator[tuple[str, _Joined]]:

@@ -1,7 +1,7 @@
 """Ports that an RMOD spells otherwise than its module: one cause, reported once.
 
-What follows from it is not told: that the right name is not listed, that the table does
-not have the wrong one, that no task writes what others read.
+What follows from it is not reported: that the right name is not listed, that the table
+does not have the wrong one, that no task writes what others read.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def elsewhere(task: Task, port: str) -> list[str]:
 def as_meant(configuration: Configuration) -> Configuration:
     """Return the configuration with misspelt ports put right, for whatever follows.
 
-    Where the table has the variable behind the RMOD's name alone, it is the module that
-    is misspelt, and the RMOD stays.
+    Where the table has the variable of the RMOD's name alone, it is the module that is
+    misspelt, and the RMOD stays.
     """
     table = configuration.table
     tasks = tuple(_as_meant(task, table) for task in configuration.tasks)

@@ -76,7 +76,7 @@ def _methods(task: Task, info: ModuleInfo) -> Iterator[Problem]:
 def check_ports(task: Task) -> Iterator[Problem]:
     """Compare the lists of the RMOD with the ports of the class, both ways.
 
-    A port that stands in the wrong list, or is misspelt, is told once.
+    A port that stands in the wrong list, or is misspelt, is reported once.
     """
     info = task.info
     if info is None:

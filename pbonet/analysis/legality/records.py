@@ -172,7 +172,7 @@ class Configuration(Struct, frozen=True, kw_only=True):
 
     svar: SvarFile
     tasks: tuple[Task, ...] = ()
-    """All tasks that stand, ON or not, in the order in which they were spawned."""
+    """All existing tasks, ON or not, in the order in which they were spawned."""
     on: frozenset[str] = frozenset()
     rtpus: tuple[RtpuEntry, ...] = ()
     """Of the ``.sbs`` file."""

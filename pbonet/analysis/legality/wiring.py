@@ -1,7 +1,7 @@
 """Writers and readers of variables: equations 1 and 2 (section 3.3.1), and constants.
 
 Both equations speak of the tasks that are ON. Constants are written once, when a task
-is spawned, so they are judged over all tasks that stand.
+is spawned, so they are judged over all existing tasks.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ def _from_library(configuration: Configuration, variable: str) -> str:
 def check_constants(configuration: Configuration) -> Iterator[Problem]:
     """Yield constants that tasks need and no task produces.
 
-    A constant with an INIT line in the ``.svar`` file has that value, which is told.
+    A constant with an INIT line in the ``.svar`` file has that value, which is
+    reported.
     """
     produced = {name for task in configuration.tasks for name in task.gives}
     for task in configuration.tasks:

@@ -31,7 +31,7 @@ class Event(IntEnum):
     DONE = 6
     """Input: the granted cycle has ended."""
     BEGUN = 7
-    """Input: the granted cycle has begun and not ended."""
+    """Input: the granted cycle has started and not ended."""
     LEAD = 8
     """Input: process a leads from now on; no task is known to hold a level."""
     LIMITS = 9
@@ -61,13 +61,13 @@ class Event(IntEnum):
     PARK = 20
     """Decision: hold the task where it is."""
     RESUME = 21
-    """Decision: let a held task go on."""
+    """Decision: let a held task continue."""
     FAIL = 22
     """Decision: a timing failure of kind arg & 3 at instant a; arg bit 8: report it."""
     CRIT = 23
     """Decision: the task has criticality arg from here on."""
     SKIP = 24
-    """Decision: grant number arg must not be begun any more."""
+    """Decision: grant number arg must not be started any more."""
     REFILL = 25
     """Decision: a server gets capacity a back, and has b."""
     FORCE = 26

@@ -81,7 +81,7 @@ class Account(Struct, kw_only=True):
     late: int = 0
     """Cycles that ended after their deadline."""
     given_up: int = 0
-    """Missed ones that were not begun, because MINC could no longer be granted."""
+    """Missed ones that were not started, because MINC could no longer be granted."""
     overruns: int = 0
     """How often the reserve was used up: E, or the capacity."""
     cpu_ns: int = 0

@@ -34,7 +34,7 @@ class Mode(IntEnum):
     ON = 1
     """Releases on the grid; the task waits for them or runs a cycle."""
     COMMAND = 2
-    """Releases go on, but the task is busy with a command and holds no level."""
+    """Releases continue, but the task is busy with a command and holds no level."""
     STANDS = 3
     """No releases; it waits to be engaged when others end."""
 

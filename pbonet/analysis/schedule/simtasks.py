@@ -28,7 +28,7 @@ class PeriodicTask(Struct, frozen=True, kw_only=True):
     name: str
     period_ns: int
     cost: int | Callable[[], int]
-    """CPU nanoseconds of a cycle; asked anew at the begin of each when it can be
+    """CPU nanoseconds of a cycle; asked again at the begin of each when it can be
     called."""
     crit: int = INSIDE
     priority: int = 0
@@ -37,8 +37,8 @@ class PeriodicTask(Struct, frozen=True, kw_only=True):
     offset_ns: int = 0
     """Shifts the grid of releases, which else are multiples of the period."""
     least_ns: int = 0
-    """MINC: a cycle that has not begun when this can no longer be granted before its
-    deadline is not begun (section 6.3); 0 begins every one."""
+    """MINC: a cycle that has not started when this can no longer be granted before its
+    deadline is not started (section 6.3); 0 begins every one."""
     effective_ns: int = 0
     """E of a soft task: the reserve in each period; 0 for none."""
     drop_crit: int = OUTSIDE
@@ -114,7 +114,7 @@ class Job:
         self.index, self.account, self.kind = index, account, kind
         self.name = account.name
         self.active = self.begun = self.limited = False
-        """Ready to run; its cycle has begun; runs on its reserve."""
+        """Ready to run; its cycle has started; runs on its reserve."""
         self.base = self.crit = account.crit
         self.drop: int | None = None
         self.priority = self.stamp = 0

@@ -1,10 +1,10 @@
 """A core in virtual time: who runs when, who misses, for given execution times.
 
-The rules are the runtime's: releases on the grid of the
-period, tasks ranked by `urgency`, preemption at every event; a release that finds the
-last cycle unfinished is missed, the cycle goes on with the deadline of the period that
-it uses up, and one that had not begun is dropped. Nothing is run twice to catch up.
-Completions go before releases at one instant.
+The rules are the runtime's: releases on the grid of the period, tasks ranked by
+`urgency`, preemption at every event; a release that finds the last cycle unfinished is
+missed, the cycle continues with the deadline of the period that it uses up, and one that
+had not started is dropped. Nothing is run twice to catch up. Completions go before
+releases at one instant.
 
 Soft tasks and servers (Stewart 1994, 6.4, 6.5) have a reserve of CPU time at their own
 criticality and a lower one for when that is used up. Events arrive at servers only.
@@ -300,7 +300,7 @@ class Core:
             self._plan(max(now, job.dl - job.least) + 1, _LATEST, job)
 
     def _give_up(self, job: Job) -> None:
-        """The latest start is over: a cycle that has not begun is not begun."""
+        """The latest start is over: a cycle that has not started is not started."""
         if not job.active or job.begun or self.now_ns + job.least <= job.dl:
             return
         account = job.account

@@ -106,8 +106,8 @@ class Profile(Struct, frozen=True):
     def on_time_share(self, effective_ns: int) -> float:
         """Return the share of all periods in which a cycle begins and ends, at worst.
 
-        A cycle that overruns E loses its own period and those it goes on into; so this
-        is below Psi(E), which counts cycles (`docs/decisions/0092`).
+        A cycle that overruns E loses its own period and those it continues into; so
+        this is below Psi(E), which counts cycles (`docs/decisions/0092`).
 
         Args:
             effective_ns: E, CPU nanoseconds, above zero.

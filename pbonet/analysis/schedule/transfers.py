@@ -1,7 +1,7 @@
 """Cost of moving data between the table and local tables (equations 6, 7, 27).
 
 The thesis locks its table; this table has no lock (`pbonet.svar`). Both are here: the
-equations as they stand in Stewart 1994, and what becomes of them without a lock.
+equations as they now exist in Stewart 1994, and what becomes of them without a lock.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Judging files where they stand: no agent is asked and nothing is run.
+"""Check files on this machine, without agents and without running anything.
 
 A ``.job`` is judged as a master would judge it, with the modules of the libraries on
 this machine; the other files are read, and what they name is looked up.
@@ -84,12 +84,12 @@ class Findings(Struct, kw_only=True):
 def check_file(
     path: str | Path, libraries: Iterable[str | Path] = (), host: str = ""
 ) -> Findings:
-    """Return what is wrong with a file of any kind.
+    """Return the faults of a file of any kind.
 
     Args:
         path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job`` or ``.toml`` file.
         libraries: Folders with modules beside those that pbonet brings.
-        host: The machine whose saved profiles count; this one if empty.
+        host: The machine whose saved profiles are used; this one if empty.
     """
     found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
     library = Library(libraries)
@@ -148,19 +148,19 @@ def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
 
 
 def _local(rmod: Rmod) -> str:
-    """Return the place where parameters that are missing should stand."""
+    """Return the place for missing parameters."""
     return str(rmod.places.get("LOCAL", rmod.file))
 
 
 def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]:
-    """Return what becomes of a job, and what is wrong with its parts.
+    """Return the verdict on a job, and the faults of its parts.
 
     Args:
         files: Its files.
-        host: The machine whose saved profiles count.
+        host: The machine whose saved profiles are used.
 
     Returns:
-        None in place of the verdict where a part is so wrong that there is none.
+        None instead of the verdict if a part is too faulty for one.
     """
     job = files.read_job()
     found = Findings(file=job.file, kind="job")

@@ -17,7 +17,7 @@ class Clock(Protocol):
         ...
 
     def wait(self, seconds: float, until: Event) -> bool:
-        """Let time pass until it is over or an event is set; tell whether it is."""
+        """Let time pass until it is over or an event is set; return whether it is."""
         ...
 
 
@@ -29,5 +29,5 @@ class RealClock:
         return time.monotonic()
 
     def wait(self, seconds: float, until: Event) -> bool:
-        """Let time pass until it is over or an event is set; tell whether it is."""
+        """Let time pass until it is over or an event is set; return whether it is."""
         return until.wait(seconds)

@@ -26,14 +26,14 @@ _TRIES: Final = 50
 
 
 class Asked(Struct, frozen=True):
-    """One condition, and whose it is."""
+    """One condition, and its job."""
 
     keyword: str
     job: str
     condition: Condition
 
     def text(self, outcome: legality.Outcome) -> str:
-        """Return what came of it."""
+        """Return its result."""
         word = "holds" if outcome.holds else "does not hold"
         seen = f" (seen: {outcome.seen})" if outcome.seen else ""
         return f"{self.keyword} of {self.job} {word}: {self.condition.text}{seen}"
@@ -53,7 +53,7 @@ def must_be_answerable(job: JobFile, variables: Sequence[Variable]) -> None:
 def must_hold(
     asked: Sequence[Asked], variables: Sequence[Variable], look: Look
 ) -> list[str]:
-    """Return what is seen of conditions that all hold.
+    """Return conditions that all hold, with their measured values.
 
     Args:
         asked: The conditions.

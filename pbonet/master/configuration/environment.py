@@ -34,7 +34,7 @@ def told(
     connect: Sequence[str] | None,
     libraries: Sequence[str | Path] | None,
 ) -> Told:
-    """Return what is given, else what the environment says, as for all commands.
+    """Return the given values, else those of the environment, as for all commands.
 
     Args:
         domain: None for PBONET_DOMAIN, else ``default``.

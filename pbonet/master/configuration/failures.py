@@ -23,7 +23,7 @@ _ANEW = {
 
 
 def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
-    """Raise the errors of a stop; they say what was stopped all the same.
+    """Raise the errors of a stop; they include what was stopped nevertheless.
 
     Raises:
         SeveralError: An RTPU did not confirm; the parts say which, and why.
@@ -65,9 +65,9 @@ def stuck(
     Args:
         items: All items.
         done: How many were carried out.
-        error: What came of the next one.
-        unsure: How many from there on were sent without an answer.
-        remarks: What else is known of items that were not sent.
+        error: The error of the next one.
+        unsure: How many further items were sent without an answer.
+        remarks: Remarks on items that were not sent.
     """
     task, signal = items[done]
     rest = done + max(unsure, 1)

@@ -33,7 +33,7 @@ class RecordingPlan:
     Attributes:
         mode: Of tasks that are not named.
         last: Seconds that are kept until something goes wrong; 0: all is written.
-        run: The run's name; empty before it has begun.
+        run: The run's name; empty before it has started.
     """
 
     def __init__(self, mode: str | None = None) -> None:
@@ -58,7 +58,8 @@ class RecordingPlan:
         """Record the next run as a job says.
 
         Raises:
-            ConfigError: It names what is neither one of its tasks nor a variable.
+            ConfigError: It names something that is neither one of its tasks nor a
+                variable.
         """
         self._job, self._tasks, self._hidden = job, {}, []
         tasks = {

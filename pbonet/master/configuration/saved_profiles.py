@@ -1,9 +1,9 @@
-"""Saved execution profiles: what a task was measured to need, kept for later starts.
+"""Saved execution profiles: measured execution times, kept for later starts.
 
-A profile stands in ``profiles/HOST/RMOD.json`` beside the ``.sbs`` file: a time holds
-on the machine it was measured on. It names the module, its version, and a digest of
-the configuration that the module had; where one of them is another today, the profile
-is told and not used (Stewart 1994, section 6.7).
+A profile stands in ``profiles/HOST/RMOD.json`` beside the ``.sbs`` file: a time is
+valid on the machine where it was measured. It names the module, its version, and a
+digest of the configuration that the module had; where one of them is another today, the
+profile is told and not used (Stewart 1994, section 6.7).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ENOUGH = 100
 """Cycles from which on a profile says something."""
 FORMAT = 1
 RUNS = 16
-"""So many runs are kept apart; what is older is joined."""
+"""Number of runs kept separately; older ones are combined."""
 Bins: TypeAlias = tuple[tuple[int, int], ...]
 
 
@@ -50,7 +50,7 @@ class Run(Struct, frozen=True, kw_only=True):
     bins: Bins
 
     def continues(self, earlier: Run) -> bool:
-        """Tell whether this is a later look at the same process."""
+        """Return whether this is a later look at the same process."""
         now = dict(self.bins)
         return self.tid == earlier.tid != 0 and all(
             now.get(index, 0) >= count for index, count in earlier.bins
@@ -165,7 +165,7 @@ class Store:
     """The saved profiles of a subsystem.
 
     Args:
-        sbs: Its ``.sbs`` file; the folder stands beside it.
+        sbs: Its ``.sbs`` file; the folder is beside it.
         table: Its table, for the sizes of variables.
     """
 
@@ -187,12 +187,12 @@ class Store:
     def find(
         self, rmod: Rmod, host: str, info: ModuleInfo | None
     ) -> tuple[Saved | None, str]:
-        """Return the profile of an RMOD on a machine, and what is to be said about it.
+        """Return the profile of an RMOD on a machine, and the message about it.
 
         Args:
             rmod: The RMOD as it is today.
             host: The machine.
-            info: Its module as it is today; None where that is not known.
+            info: Its present module; None if that is not known.
         """
         path = self.folder / host / f"{rmod.name}.json"
         if not path.is_file():
@@ -311,7 +311,7 @@ def read(path: Path) -> Saved:
 
 
 def with_times(task: legality.Task, saved: Saved | None) -> legality.Task:
-    """Return a task with what was measured of it; the RMOD's own times go first."""
+    """Return a task with its measured times; the RMOD's own times take precedence."""
     if saved is None:
         return task
     return structs.replace(

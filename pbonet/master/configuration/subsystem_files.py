@@ -1,7 +1,7 @@
-"""Where the master finds its files, and what it reads from them.
+"""The master's files and their contents.
 
-Files travel by content (DESIGN, section 4): the master reads them where it stands and
-sends their text. An RMOD is looked for beside the ``.job``, then beside the ``.sbs``,
+Files travel by content (DESIGN, section 4): the master reads them on its machine and
+sends their text. An RMOD is searched for beside the ``.job``, then beside the ``.sbs``,
 then in the library.
 """
 
@@ -47,7 +47,7 @@ class Files:
 
     Args:
         path: The ``.sbs`` file, or a ``.job`` file that names it.
-        library: Where RMODs are found that stand beside neither.
+        library: The library for RMODs that are beside neither.
 
     Raises:
         ConfigError: One of the files is missing or wrong.
@@ -81,12 +81,12 @@ class Files:
         return Store(self.path, self.table)
 
     def read_job(self, path: str | Path | None = None) -> JobFile:
-        """Return a job of this subsystem; its RMODs are looked for beside it first.
+        """Return a job of this subsystem; its RMODs are searched for beside it first.
 
         Args:
-            path: The file; a name without a folder is looked for beside the ``.sbs``
-                too, and ``.job`` may be left out. None means the job that the
-                subsystem was opened with.
+            path: The file; a name without a folder is searched for beside the ``.sbs``
+                too, and ``.job`` may be left out. None means the job that the subsystem
+                was opened with.
 
         Raises:
             ConfigError: It is missing, wrong, of another subsystem, or not named.
@@ -132,7 +132,7 @@ class Files:
         return config.Section(load(path), str(path))
 
     def is_own(self, path: Path) -> bool:
-        """Tell whether a file stands beside the subsystem's own, not in a library."""
+        """Return whether a file is beside the subsystem's own, not in a library."""
         return path.parent in self._folders
 
     def must_have(self, variable: str) -> None:
@@ -176,7 +176,7 @@ class Files:
         return self._writers
 
     def jobs(self) -> list[str]:
-        """Return the jobs that stand beside the ``.sbs``, sorted."""
+        """Return the jobs that are beside the ``.sbs``, sorted."""
         return sorted(path.stem for path in self.path.parent.glob("*.job"))
 
     def likely_rtpu(self, task: str) -> str:
@@ -207,7 +207,7 @@ class Files:
         )
 
     def _look_in(self, folder: Path) -> None:
-        """Make `folder` the first in which RMODs are looked for."""
+        """Make `folder` the first in which RMODs are searched for."""
         self._folders = [folder, *(f for f in self._folders if f != folder)]
         self.library.beside = tuple(self._folders)
 
@@ -255,7 +255,7 @@ def _named(path: Path, by: str, keyword: str) -> str:
 
 
 def _is_there(path: Path) -> bool:
-    """Tell whether a file is there; a name that no file can have is none."""
+    """Return whether a file is there; a name that no file can have is none."""
     try:
         return path.is_file()
     except OSError:

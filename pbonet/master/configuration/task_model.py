@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Member(Struct, kw_only=True):
-    """A task of the subsystem, standing or planned."""
+    """A task of the subsystem, existing or planned."""
 
     source: RmodSource
     rtpu: str
@@ -36,7 +36,7 @@ class Member(Struct, kw_only=True):
     saved: Saved | None = None
     """Its saved profile on its machine, if there is one."""
     fallback_of: str = ""
-    """The task that it stands by for."""
+    """The task for which it stands by."""
 
     @property
     def name(self) -> str:
@@ -55,7 +55,7 @@ class Member(Struct, kw_only=True):
 
     @property
     def task(self) -> legality.Task:
-        """The task as verification looks at it."""
+        """The task in the form that verification uses."""
         from .saved_profiles import with_times
 
         task = legality.Task(
@@ -70,7 +70,7 @@ class Member(Struct, kw_only=True):
 
     @property
     def variables(self) -> set[str]:
-        """The variables behind all its ports."""
+        """The variables of all its ports."""
         task = self.task
         return {*task.inputs, *task.outputs, *task.needs, *task.gives}
 

@@ -61,9 +61,10 @@ def ask(
     """Send a command to the port of a master, and return its reply.
 
     Raises:
-        UnreachableError: Nobody serves the port, or it has gone.
+        UnreachableError: The port is not served, or no longer.
         NoAnswerError: The master does not answer.
-        PbonetError: The command failed; the error is of the class the master says.
+        PbonetError: The command failed; the error has the class that the master
+            reports.
     """
     order = Order(
         id=os.urandom(8).hex(),

@@ -38,7 +38,7 @@ def start(session: SessionState, given: Given) -> Data:
 
 
 def check(session: SessionState, given: Given) -> Data:
-    """Judge a job or what stands; an illegal one is an answer here, not a failure."""
+    """Verify a job or the present tasks; being illegal is a result, not an error."""
     job: str | None = given.get("job")
     found: Data = {"legal": True, "warnings": [], "rtpus": []}
     try:

@@ -106,7 +106,7 @@ class CommandSession(SessionState):
         return None if call is None else self.perform(call)
 
     def call(self, name: str, args: Mapping[str, object]) -> Reply:
-        """Carry out a command whose arguments come by name.
+        """Carry out a command with arguments by name.
 
         Raises:
             PbonetError: An argument is wrong, or the command failed.
@@ -156,7 +156,7 @@ class CommandSession(SessionState):
     def _with_default(self, command: Command, given: dict[str, Any]) -> dict[str, Any]:
         """Return the arguments that are not empty, with the tasks a command is for.
 
-        The default stands in for a task that is not named; the one named becomes it.
+        The default is used if no task is named; a named task becomes the default.
 
         Raises:
             UnknownTaskError: A task must be named, and there is no default.
@@ -206,7 +206,7 @@ def split_name(words: list[str]) -> tuple[Command, list[str]]:
 def bind(
     command: Command, words: list[str], knows: Callable[[str], bool]
 ) -> dict[str, Any]:
-    """Return a command's arguments out of the words of its line.
+    """Return a command's arguments from the words of its line.
 
     A task that may be left out is there when the word names one, or when there would
     be words too many otherwise. What may be left out can be given by name too, so that
@@ -246,7 +246,7 @@ def bind(
 def _left_out(
     arg: Arg, words: list[str], rest: list[Arg], knows: Callable[[str], bool]
 ) -> bool:
-    """Tell whether the next word is not meant for an optional task."""
+    """Return whether the next word is not meant for an optional task."""
     if arg.kind is not Kind.TASK or arg.need or not rest:
         return False
     room = any(one.many for one in rest) or len(words) <= len(rest)
@@ -295,7 +295,7 @@ def _must_be_complete(command: Command, given: dict[str, Any]) -> None:
 
 
 def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by its kind
-    """Return what a word stands for."""
+    """Return the value of a word."""
     if len(word) > _LONGEST:
         raise _usage(command, f"{arg.name.upper()} has {len(word)} characters")
     if arg.kind in {Kind.NUMBER, Kind.COUNT, Kind.SECONDS}:

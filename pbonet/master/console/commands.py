@@ -40,7 +40,7 @@ class Kind(StrEnum):
     NUMBER = "number"
     COUNT = "count"
     SECONDS = "seconds"
-    """A number, with ``s`` or ``ms`` behind it if one likes."""
+    """A number, optionally followed by ``s`` or ``ms``."""
     FLAG = "yes"
     """Yes or no: ``name=yes`` at the prompt, ``--name`` alone else."""
 
@@ -67,7 +67,7 @@ class Arg(Struct, frozen=True):
     doc: str
     use: Use = Use.ONE
     last: bool = False
-    """The task last used stands in where an interface has one."""
+    """The task used last is the default if the interface has one."""
     commas: bool = False
     """It is several names in one word, with commas between them."""
 
@@ -94,7 +94,7 @@ class Scope(StrEnum):
     SESSION = "session"
     """Only where one interface gives several commands: prompt, script, network."""
     PROMPT = "prompt"
-    """Only where commands stand in a row: what waits here keeps nobody else waiting."""
+    """Only where commands are sequential, so that a wait delays no other client."""
 
 
 class Command(Struct, frozen=True):
@@ -109,7 +109,7 @@ class Command(Struct, frozen=True):
     shows: str = ""
     """The name that the method's result has in the data; empty: it is the data."""
     points: str = ""
-    """The argument whose last task is the default of the next command."""
+    """The argument whose last task becomes the default of the next command."""
     changes: bool = False
     """It needs a master that holds the claim."""
     judged: bool = False

@@ -24,7 +24,7 @@ _STATES: Final = {
 
 
 def complete(session: CommandSession, text: str) -> list[str]:
-    """Return the words that may stand in the place of the last one in `text`.
+    """Return the words that may replace the last one in `text`.
 
     Args:
         session: The interface.

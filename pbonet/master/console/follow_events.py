@@ -1,7 +1,8 @@
-"""Events as they happen, none left out: ``pbonet events --follow``.
+"""Events as they happen, without omissions: ``pbonet events --follow``.
 
-What is published only wakes; the events themselves are asked for by their numbers, so
-that a sample which the network drops, or an agent that is restarted, costs nothing.
+Publications only wake this program; the events themselves are requested by their
+numbers, so a sample that the network drops, or an agent that is restarted, loses
+nothing.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class Follower:
         self._next: dict[str, int] = {}
         self._time: dict[str, int] = {}
         self._silent: dict[str, str] = {}
-        """RTPUs that do not answer, and why; each is told once."""
+        """RTPUs that do not answer, and why; each is reported once."""
         self.left_out = 0
         """Events that an RTPU had forgotten before they could be asked for."""
         self.doubt: str | None = None
@@ -84,10 +85,10 @@ class Follower:
             self._time[rtpu] = events[-1].time
 
     def _ask(self, rtpu: str, since: int) -> list[m.Event]:
-        """Return events from number `since` on, of an RTPU begun anew from its first.
+        """Return events from number `since` on, of a restarted RTPU from its first.
 
-        The event before the first one wanted is asked for too: an RTPU that has
-        another one under its number, or none, is another process.
+        The event before the first one is requested too: an RTPU that has another one
+        under its number, or none, is another process.
         """
         clients = self._subsystem.clients
         request = m.Events(since=max(since - 1, 0))
@@ -120,7 +121,7 @@ def follow(
 
     Raises:
         PbonetError: An argument is wrong, or no agent can be reached.
-        BrokenPipeError: Nobody reads any more.
+        BrokenPipeError: The output is closed.
     """
     wanted = EventFilter.of(given)
     subsystem = Subsystem(
@@ -163,7 +164,7 @@ def _must_be_read() -> None:
 
 
 def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
-    """Tell beside the events which RTPUs have fallen silent, and what is missing."""
+    """Report RTPUs that do not answer, and missing events."""
     now = follower.complaints()
     for rtpu in now.keys() - told.keys():
         render.print_error(render.warning(now[rtpu]))

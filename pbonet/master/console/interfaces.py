@@ -42,7 +42,7 @@ def run(
     as_data: bool = False,
     debug: bool = False,
 ) -> int:
-    """Be a subsystem's master for as long as its interfaces run.
+    """Act as a subsystem's master while its interfaces run.
 
     Args:
         path: The ``.sbs`` file, or a ``.job`` file that names it.
@@ -53,7 +53,7 @@ def run(
         leave: Leave the tasks as they are in the end, in place of stopping them.
         keep_going: Go on with a script after a command that failed.
         as_data: Print what scripts give as JSON, one object a line.
-        debug: Show the stack behind an error.
+        debug: Show the stack of an error.
 
     Returns:
         The exit status: 1 when a command of a script failed.
@@ -89,7 +89,7 @@ def run(
 
 
 def serve(subsystem: Subsystem, portname: str) -> None:
-    """Let a program on the network steer until it ends (`sbsNetwork`)."""
+    """Let a program on the network take control until it ends (`sbsNetwork`)."""
     with Port(subsystem, portname, told=render.print_error) as port:
         render.print_error(f"port {portname} waits for a client")
         port.serve(threading.Event())
@@ -100,9 +100,9 @@ class Script:
 
     Args:
         subsystem: It is open.
-        keep_going: Go on after a command that failed.
+        keep_going: Continue after a command that failed.
         as_data: Print JSON, one object a command.
-        debug: Show the stack behind an error.
+        debug: Show the stack of an error.
     """
 
     def __init__(

@@ -129,7 +129,7 @@ class Screen:
 
 
 class Plain:
-    """Lines for a log: what is said, each event, and a line a task now and then."""
+    """Lines for a log: messages, each event, and a line per task now and then."""
 
     def __init__(self) -> None:
         self._window = Window()
@@ -170,7 +170,7 @@ class Plain:
 
 
 class Quiet:
-    """Nothing but what goes wrong, on standard error; data has standard output."""
+    """Only errors, on standard error; data goes to standard output."""
 
     def say(self, line: str) -> None:
         """Print a line on standard error."""

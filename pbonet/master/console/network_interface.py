@@ -1,8 +1,8 @@
-"""The network interface: programs elsewhere steer the subsystem (Stewart 1994, 4.4.2).
+"""The network interface: control by other programs (Stewart 1994, 4.4.2).
 
 A master that serves a port answers msgpack maps on ``pbonet/DOMAIN/net/PORT``. Any
-zenoh client can send them; `docs/commands.md` says how, and nothing of pbonet is needed
-for it. A request is ``{"v": 1, "id", "client", "command", "args": {...}}`` or has
+zenoh client can send them; `docs/commands.md` describes how; they need nothing of
+pbonet. A request is ``{"v": 1, "id", "client", "command", "args": {...}}`` or has
 ``"line"``, a command line as at the prompt, in place of command and arguments; the
 answer is that of an agent (`pbonet.xm.net.messages.Answer`).
 
@@ -70,10 +70,10 @@ _ORDER: Final = msgspec.msgpack.Decoder(Order)
 
 
 class Port:
-    """A port at which programs on the network steer a subsystem.
+    """A port at which programs on the network control a subsystem.
 
     Args:
-        subsystem: What they steer; it is open.
+        subsystem: The subsystem, which is open.
         name: The port's name.
         handover: Whether one client takes control and holds it until it ends. Without,
             every client may command, one after the other.
@@ -102,8 +102,8 @@ class Port:
         self._lock = threading.Condition()
         self._holder = ""
         self._living: set[str] = set()
-        """Clients whose tokens are seen. Asking for the tokens from a session that
-        also subscribes to them misses some now and then."""
+        """Clients with a token. Asking for the tokens from a session that also
+        subscribes to them misses some now and then."""
         self._sessions: OrderedDict[str, CommandSession] = OrderedDict()
         """By client, the one that asked last at the end."""
         self._answers: OrderedDict[tuple[str, str], bytes] = OrderedDict()
@@ -164,7 +164,7 @@ class Port:
         self._arrived.put(None)
         for thread in self._threads:
             if thread.is_alive():
-                thread.join(1.0)  # a command that hangs is left behind
+                thread.join(1.0)  # a command that hangs is abandoned
         self._declared = []
 
     def serve(self, stopped: threading.Event) -> None:
@@ -189,7 +189,7 @@ class Port:
     # -- in our own -------------------------------------------------------------------
 
     def _sort(self) -> None:
-        """Answer what needs no waiting, queue the rest behind the other commands."""
+        """Answer requests that need no waiting; queue the rest after other commands."""
         while (query := self._arrived.get()) is not None:
             data = query.payload.to_bytes() if query.payload is not None else b""
             try:

@@ -1,9 +1,9 @@
 """One command from outside a master: the verbs of the command line.
 
 A verb that only shows something claims nothing. A verb that changes something is a
-master for a moment: it claims the subsystem, acts, and leaves, and the tasks go on.
-Where a master lives that serves the port of the subsystem's name (``pbonet run`` does),
-that master carries it out.
+master for a moment: it claims the subsystem, acts, and leaves, and the tasks continue.
+If a living master serves the port with the subsystem's name (``pbonet run`` does), that
+master carries it out.
 """
 
 from __future__ import annotations

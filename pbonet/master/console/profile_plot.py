@@ -1,4 +1,4 @@
-"""Execution profiles as curves: text for a terminal, a picture for a page (6.4)."""
+"""Execution profiles as curves: text for a terminal, or a plot file (6.4)."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def _cell(part: float) -> str:
 
 
 def draw(path: str | Path, tasks: Sequence[Data]) -> None:
-    """Draw the profiles of tasks into a picture, one curve each.
+    """Plot the profiles of tasks into a file, one curve each.
 
     Args:
-        path: Its suffix says what kind of picture: ``.png``, ``.svg`` or ``.pdf``.
+        path: Its suffix sets the format: ``.png``, ``.svg`` or ``.pdf``.
         tasks: As `profile` gives them; with E of soft tasks as a mark.
 
     Raises:
-        NodeError: There is nothing to draw, or nothing to draw with.
+        NodeError: There is no profile, or no package to draw with.
         ConfigFileError: The file cannot be written.
     """
     path = Path(path)

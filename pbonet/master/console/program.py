@@ -1,4 +1,4 @@
-"""The autonomous interface: a program steers a subsystem (Stewart 1994, 4.4.4)."""
+"""The autonomous interface: control by a program (Stewart 1994, 4.4.4)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .interfaces import serve
 
 
 class Subsystem(subsystem.Subsystem):
-    """A subsystem of tasks on one or more RTPUs, steered by this program.
+    """A subsystem of tasks on one or more RTPUs, controlled by this program.
 
     It has a method for every command; `help` lists them. Arguments and errors are those
     of its base class.

@@ -58,7 +58,7 @@ class Prompt:
 
     Args:
         subsystem: It is open, and not in virtual time.
-        debug: Show the stack behind an error.
+        debug: Show the stack of an error.
         source: Where keys come from; the terminal by default.
         screen: Where the prompt goes; the terminal by default.
         history: Where lines are kept; by default a file in the user's state folder.
@@ -130,7 +130,7 @@ class Prompt:
         self._watch_keys(lambda: self.execute("stop" if line == _STOP else line))
 
     def execute(self, line: str) -> None:
-        """Carry out one line and print what it gave; an error is printed too."""
+        """Carry out one line and print its result or error."""
         try:
             reply = self._commands.execute(line)
         except PbonetError as error:
@@ -152,7 +152,7 @@ class Prompt:
     # -- while a command runs ---------------------------------------------------------
 
     def _watch_keys(self, command: Callable[[], None]) -> None:
-        """Run a command in a thread and look after the stop key meanwhile."""
+        """Run a command in a thread and watch the stop key meanwhile."""
         self._back.clear()
         worker = threading.Thread(target=command, name="command", daemon=True)
         worker.start()
@@ -177,7 +177,7 @@ class Prompt:
         store_typeahead(self._input, ahead)
 
     def _hand_over(self, portname: str) -> None:
-        """Let a program on the network steer until it ends, or Ctrl-C takes it back."""
+        """Let a program on the network take control until it ends, or until Ctrl-C."""
         with Port(self._subsystem, portname, told=self._say) as port:
             self._say(f"port {portname} waits for a client; Ctrl-C takes control back")
             port.serve(self._back)
@@ -255,7 +255,7 @@ class _Toolbar:
 def summary(
     rtpus: list[m.RtpuStatus], errors: list[PbonetError], window: Window
 ) -> str:
-    """Return one line on how a subsystem stands; loads are those of the window."""
+    """Return one line on the state of a subsystem; loads are those of the window."""
     states = [task.state for rtpu in rtpus for task in rtpu.tasks]
     counts = [f"{states.count(s)} {s}" for s in ("ON", "OFF", "ERROR") if s in states]
     causes = [cause for rtpu in rtpus for cause in rtpu.illegal]

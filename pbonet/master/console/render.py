@@ -27,7 +27,7 @@ _BELOW: Final = {
     "TIMING": "timing",
     "ERROR": "error",
 }
-"""Marks of lines below a task, and the texts behind them."""
+"""Marks of lines below a task, and their texts."""
 
 
 def text(command: str, data: Data) -> str:
@@ -41,7 +41,7 @@ def warning(message: str) -> str:
 
 
 def error(fault: PbonetError, *, debug: bool = False) -> str:
-    """Return an error's lines; with `debug`, those of its cause behind it."""
+    """Return an error's lines; with `debug`, followed by those of its cause."""
     lines = f"ERROR> {fault}"
     return f"{lines}\n{fault.debug.rstrip()}" if debug and fault.debug else lines
 
@@ -78,7 +78,7 @@ def _short(value: float) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return columns, padded to their widest cell; numbers stand to the right."""
+    """Return columns, padded to their widest cell; numbers are right-aligned."""
     cells = [list(head), *map(list, rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     numeric = [
@@ -379,7 +379,7 @@ def _transition(data: Data) -> str:
 def event(one: Event) -> str:
     """Return an event as one line, or more if its text has more.
 
-    The line of code behind it, where one is known, ends the first of them.
+    The line of code, if known, ends the first of them.
     """
     clock = time.strftime("%H:%M:%S", time.localtime(one.wall))
     clock += f".{int(one.wall % 1 * 1000):03d}"

@@ -1,4 +1,4 @@
-"""How a run of a job ends: what came of it, and the signals that end it."""
+"""The end of a run of a job: its outcome, and the signals that end it."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupts:
-    """Turns SIGINT and SIGTERM into the wish to end; a second one stops at once.
+    """Turn SIGINT and SIGTERM into a request to end; a second one stops at once.
 
     Args:
-        once: A second one acts as if nobody caught signals, which ends a module that
+        once: A second one acts as if signals were not caught, which ends a module that
             hangs in this very process.
     """
 

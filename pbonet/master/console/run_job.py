@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .live_status import View
 
 _PERIOD: Final = 0.5
-"""Seconds between two looks at the status."""
+"""Seconds between two readings of the status."""
 _PATIENCE: Final = 10
 """For so many looks an RTPU may be out of reach: its agent may be restarted."""
 _ELSEWHERE: Final = "stopped from elsewhere"
@@ -41,9 +41,9 @@ class Run:
     Args:
         path: The ``.job`` file.
         place: Domain, endpoints, libraries.
-        view: Where it is shown.
+        view: The display.
         seconds: How long; None: until interrupted, or stopped from elsewhere.
-        embed: Start agents for RTPUs that nobody runs.
+        embed: Start agents for RTPUs without one.
         wait: Wait so many seconds for these instead; None: not at all.
         record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
         runs: Folder of the logs of embedded agents; None for theirs.
@@ -113,7 +113,7 @@ class Run:
         ]
         for error in self._unfinished:
             if error.where in ours and error.where not in killed:
-                # Its agent has ended, which turns off and gives back what is there.
+                # Its agent has ended, which turns off its tasks and releases the RTPU.
                 self._view.say(render.warning(str(error)))
             else:
                 outcome.faults.append(str(error))
@@ -149,7 +149,7 @@ class Run:
             begin = self._start(subsystem, infos)
             statuses = self._watch(subsystem, begin, listener)
         except BaseException:
-            with contextlib.suppress(PbonetError):  # the first error is the one to tell
+            with contextlib.suppress(PbonetError):  # the first error counts
                 subsystem.finish()
             raise
         passed = time.monotonic() - begin
@@ -185,7 +185,7 @@ class Run:
             self._view.say(render.warning(text))
 
     def _save_profiles(self, subsystem: Subsystem) -> None:
-        """Save what was measured; that it cannot be is no fault of the run."""
+        """Save the measured profiles; a failure here is not a failure of the run."""
         try:
             saved = profiling.save(subsystem.task_set, [])
         except PbonetError as error:
@@ -208,7 +208,7 @@ class Run:
     def _tell_loads(
         self, reports: list[legality.RtpuReport], infos: dict[str, m.AgentInfo]
     ) -> None:
-        """Say what is promised of each RTPU, and of those that share a core."""
+        """Report the verdict for each RTPU, and for those that share a core."""
         cores: dict[tuple[str, int], list[legality.RtpuReport]] = {}
         for one in reports:
             self._view.say(legality.report_head(one))
@@ -301,7 +301,7 @@ class Run:
         return statuses
 
     def _over(self, statuses: list[RtpuStatus], passed: float) -> bool:
-        """Tell whether the run is over, and note why."""
+        """Return whether the run is over, and note why."""
         if self._reason:
             return True
         if self._interrupts.wished.is_set():
@@ -326,14 +326,14 @@ def run(
     profile: bool = False,
     quiet: bool = False,
 ) -> Outcome:
-    """Run a job, in real or virtual time, and say what it came to.
+    """Run a job, in real or virtual time, and say the result.
 
     Args:
         path: The ``.job`` file.
         place: Domain, endpoints, libraries.
         seconds: How long; None: until interrupted, or 10 s of virtual time.
         sim: In virtual time.
-        embed: Start agents for RTPUs that nobody runs.
+        embed: Start agents for RTPUs without one.
         wait: Wait so many seconds for these instead; None: not at all.
         record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _SECONDS: Final = 10.0
 _SLICE: Final = 0.05
-"""Seconds of virtual time between two looks at whether to end."""
+"""Seconds of virtual time between two checks whether to end."""
 
 
 def recorded(
@@ -38,7 +38,7 @@ def recorded(
     Args:
         path: The ``.job`` file.
         place: Where RMODs and modules are found.
-        view: Where it is shown.
+        view: The display.
         seconds: How much virtual time passes; None: 10 s.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says.
@@ -64,7 +64,7 @@ def simulate(
     Args:
         path: The ``.job`` file.
         place: Where RMODs and modules are found.
-        view: Where it is shown.
+        view: The display.
         seconds: How much virtual time passes; None: 10 s.
         log: Where it is recorded; without, every cycle is kept in memory.
 

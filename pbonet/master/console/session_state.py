@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 class SessionState:
-    """The subsystem that an interface steers, its default task, and its columns.
+    """The subsystem of an interface, its default task, and its columns.
 
     Args:
         subsystem: The subsystem that the commands are for.
-        hand_over: Called with a port name to let a program on the network steer; None
-            where this interface cannot do that.
+        hand_over: Called with a port name to let a program on the network take control;
+            None where this interface cannot do that.
     """
 
     def __init__(

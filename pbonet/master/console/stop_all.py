@@ -45,7 +45,7 @@ def stop(
         timeout: Seconds that each RTPU gives its tasks.
 
     Returns:
-        What went off, what was ended by force, and which RTPUs were asked.
+        Tasks turned off, tasks terminated by force, and the RTPUs asked.
 
     Raises:
         UnreachableError: No agent can be reached.
@@ -56,7 +56,7 @@ def stop(
         session.client(domain, connect=connect), domain, client_name("stop")
     )
     try:
-        # An agent of this machine that is not heard must be said not to have stopped.
+        # An agent of this machine that does not answer counts as not stopped.
         rtpus = sorted({*client.rtpus(), *run_folder.live_agents(domain)})
         requests: dict[str, m.Request] = {
             rtpu: m.Stop(subsystem=name or "", timeout=timeout) for rtpu in rtpus

@@ -35,7 +35,7 @@ class Seen:
         self._tasks: dict[str, TaskStatus] = {}
 
     def look(self, rtpus: Iterable[RtpuStatus]) -> None:
-        """Take note of how the tasks stand now, wherever each was before."""
+        """Note the present state of the tasks, wherever each was before."""
         rtpus = list(rtpus)
         self._rtpus |= {rtpu.rtpu: rtpu for rtpu in rtpus}
         there = [task for rtpu in rtpus for task in rtpu.tasks]
@@ -46,7 +46,7 @@ class Seen:
         """Return the last status of each RTPU, with the last one of each task there.
 
         Args:
-            killed: Tasks that were killed by order: what they had failed in is settled.
+            killed: Tasks that were killed by order: their failures are settled.
         """
         tasks = [
             msgspec.structs.replace(task, state=State.NOT_CREATED, error="")

@@ -39,9 +39,9 @@ _LEAST: Final = {
 
 
 class Listener:
-    """Hears the events of a subsystem's RTPUs and keeps those that are displayed.
+    """Receive the events of a subsystem's RTPUs and keep those to display.
 
-    What is displayed is what ERRPRINT of the RTPU says; `least` overrides it.
+    ERRPRINT of the RTPU selects the events; `least` overrides it.
 
     Args:
         subsystem: It is open.
@@ -63,7 +63,7 @@ class Listener:
         self._declared: list[zenoh.Subscriber[None]] = []
 
     def open(self) -> None:
-        """Hear from now on."""
+        """Receive events from now on."""
         client = self._subsystem.clients.client
         for rtpu in self._subsystem.clients.names:
             self._declared.append(
@@ -74,7 +74,7 @@ class Listener:
             )
 
     def close(self) -> None:
-        """Hear no more."""
+        """Stop receiving."""
         for subscriber in self._declared:
             if not self._subsystem.clients.client.session.is_closed():
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
@@ -99,7 +99,7 @@ class Listener:
             self._heard(event)
 
     def wants(self, event: m.Event) -> bool:
-        """Tell whether an event is of the subsystem and is to be displayed."""
+        """Return whether an event is of the subsystem and is to be displayed."""
         if event.subsystem not in {"", self._subsystem.name}:
             return False
         least = self._least

@@ -134,7 +134,7 @@ class VirtualRtpu(Rtpu):
         """Do nothing: there is nothing to be cleaned away."""
 
     def watch_life(self, task: Task) -> None:
-        """Do nothing: nobody dies here."""
+        """Do nothing: no process dies here."""
 
     def _open_tables(self) -> Tables:
         return VirtualTables(self.world, changed=self.tell_claims)
@@ -171,20 +171,20 @@ class VirtualCore(rt.CoreTable):
         """Do nothing: others of this process use it, too."""
 
     def end(self) -> None:
-        """Give the table back: nobody uses it any more."""
+        """Release the table, which is no longer used."""
         super().close()
 
     def request(self, i: int, *, last: bool = False) -> None:
-        """Tell a task that a message waits for it."""
+        """Notify a task that a message is waiting."""
         del last
         self.asked(i)
 
     def snapshot(self, i: int) -> SlotStatus:
-        """Return how a task stands; nothing of its times was measured."""
+        """Return a task's status; its times were not measured."""
         return structs.replace(super().snapshot(i), jitter=[])
 
     def status(self) -> CoreStatus:
-        """Return how the dispatcher stands."""
+        """Return the dispatcher's status."""
         return structs.replace(super().status(), backend="inline")
 
 
@@ -235,7 +235,7 @@ class VirtualOverview(SharedMemoryStatus):
         self._snapshots = rtpu_snapshot.SnapshotPublisher(rtpu)
 
     def refresh(self) -> None:
-        """Learn what has changed."""
+        """Process changes."""
         tables = self._state.tables
         opened = {name: tables.need(name) for name in tables.subsystems()}
         self._tables = {name: (one.table, one.keep) for name, one in opened.items()}
@@ -384,7 +384,7 @@ class VirtualTask(Host):
                 self.drain()
 
     def _go_on(self) -> None:
-        """Do what there is to do at this instant."""
+        """Do the work of this instant."""
         while self.executor.state is State.ON and self._cycle() != rt.IDLE:
             pass
         if self._over:
@@ -425,7 +425,7 @@ class VirtualTask(Host):
         """Do nothing: this process is that of many tasks."""
 
     def record(self, told: TaskAbout) -> Ring:
-        """Return a ring that nobody else can open."""
+        """Return a ring that no other process can open."""
         variables = [*told.invar, *told.outvar, *told.inconst, *told.outconst]
         size = RECORD.size + HEAD_DTYPE.itemsize + _HEARD
         size += sum(16 + var_bytes(one) for one in variables)

@@ -65,7 +65,7 @@ class _Recorder(Recorder):
         self.end()
 
     def _look(self) -> None:
-        """Do nothing: every ring is told."""
+        """Do nothing: every ring is reported."""
 
     def _slots(self) -> dict[str, object]:
         """Return the counts; in virtual time nothing is late and no CPU used."""

@@ -92,7 +92,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return False
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
-        """Have an error that nobody takes come out of `run`."""
+        """Let an unhandled error propagate out of `run`."""
         self._failed = self._failed or context.get("exception")
 
     def _timer_handle_cancelled(self, handle: asyncio.TimerHandle) -> None:
@@ -120,7 +120,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         return math.ceil(self._timers[0][0] * 1e9) if self._timers else 0
 
     def run(self) -> None:
-        """Run what is to be done at this instant."""
+        """Run the work of this instant."""
         while 0 < self.due_ns <= self.now_ns:
             self._ready.append(heapq.heappop(self._timers)[2])
         if not self._ready:
@@ -137,7 +137,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
 def make_loop(now_ns: int) -> VirtualLoop:
     """Return a loop whose time begins at an instant."""
-    make: Any = VirtualLoop  # the many methods of a loop that nobody calls are missing
+    make: Any = VirtualLoop  # the many unused methods of a loop are missing
     made: VirtualLoop = make(now_ns)
     return made
 
@@ -206,13 +206,13 @@ class Channel:
         return bool(self.messages)
 
     def close(self) -> None:
-        """Close this end; the other one hears of it."""
+        """Close this end; the other one is notified."""
         self.closed = True
         self.wake()
         self.other.wake()
 
     def wake(self) -> None:
-        """Have who waits for a message go on."""
+        """Wake the reader that waits for a message."""
         if self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(None)
 

@@ -1,7 +1,7 @@
 """The RTPUs of a subsystem in virtual time: no processes, no network, no devices.
 
 Each is the RTPU of `pbonet.node` in this process, and answers every request that its
-agent would answer. So a program that steers a `Subsystem` runs unchanged in virtual
+agent would answer. So a program that controls a `Subsystem` runs unchanged in virtual
 time, and comes to the same result each time. What only time itself can do to tasks is
 not there: nothing is late, nothing hangs, no execution time is measured.
 """
@@ -173,7 +173,7 @@ class VirtualRtpus:
     # -- time --------------------------------------------------------------------------
 
     def pass_time(self, seconds: float, until: Event) -> bool:
-        """Let virtual time pass, or an event be set; tell whether it is."""
+        """Let virtual time pass, or an event be set; return whether it is."""
         end_ns = self.now_ns + round(seconds * 1e9)
         while not until.is_set():
             with self._lock, no_devices(REASON):
@@ -299,7 +299,7 @@ class VirtualClient(rpc.Client):
         return results, errors
 
     def announce(self, key: str) -> rpc.Declared:
-        """Show nothing: nobody could see it."""
+        """Show nothing."""
         del key
         return _Heard([], lambda: None)
 
@@ -327,5 +327,5 @@ class VirtualClock:
         return self._rtpus.now_ns * 1e-9
 
     def wait(self, seconds: float, until: Event) -> bool:
-        """Let time pass until it is over or an event is set; tell whether it is."""
+        """Let time pass until it is over or an event is set; return whether it is."""
         return self._rtpus.pass_time(seconds, until)

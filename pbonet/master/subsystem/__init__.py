@@ -1,4 +1,4 @@
-"""A subsystem, steered: its tasks and RTPUs, and each change of them (4.4.4)."""
+"""Control of a subsystem: its tasks and RTPUs, and each change of them (4.4.4)."""
 
 from pbonet.lazy import attach
 

@@ -46,7 +46,7 @@ def collected() -> Generator[list[str]]:
 
 
 def collector() -> Callable[[str], None] | None:
-    """Return who collects the warnings of this thread's command, if somebody does."""
+    """Return the collector of warnings of this thread's command, if any."""
     return _collector.get()
 
 
@@ -81,10 +81,10 @@ def check_rate(task: str, hz: float) -> None:
 
 
 def check_time(seconds: float | None) -> None:
-    """Refuse a number that nobody can wait for; None is as long as it takes.
+    """Refuse an invalid waiting time; None means no limit.
 
     Raises:
-        StateError: It is negative, too long, or no number.
+        StateError: It is negative, too long, or not a number.
     """
     if seconds is not None and not 0 <= seconds <= threading.TIMEOUT_MAX:
         raise StateError(
@@ -102,7 +102,7 @@ def names_of(given: str | Iterable[str]) -> list[str]:
 
 
 def is_sequence(value: object) -> TypeGuard[Sequence[object]]:
-    """Tell whether a value is a list or a tuple."""
+    """Return whether a value is a list or a tuple."""
     return isinstance(value, (list, tuple))
 
 

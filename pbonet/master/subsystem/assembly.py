@@ -252,7 +252,7 @@ class Done:
     def give(
         self, name: str, replaces: Sequence[str], leaving: Collection[str]
     ) -> None:
-        """Let a task that stands give constants in the place of others; as `spawn`."""
+        """Let an existing task give constants in the place of others; as `spawn`."""
         self._task_set.control(name, "reinit", "", replaces)
         self._robbed |= dict.fromkeys(replaces, name)
         constants.given(self._task_set, name, leaving)
@@ -292,7 +292,7 @@ class Done:
 
 
 def stands(task_set: SubsystemTasks, member: Member) -> bool:
-    """Tell whether the task is there already, made from the same RMOD on its RTPU.
+    """Return whether the task is there already, made from the same RMOD on its RTPU.
 
     Raises:
         StateError: A task of that name is there, but another one, or in ERROR.
@@ -316,10 +316,10 @@ def stands(task_set: SubsystemTasks, member: Member) -> bool:
 
 
 def go_on(stopped: threading.Event) -> None:
-    """Go on, unless a stop came in between.
+    """Continue, unless a stop was requested.
 
     Raises:
-        StateError: One did.
+        StateError: A stop was requested.
     """
     if stopped.is_set():
         raise StateError(

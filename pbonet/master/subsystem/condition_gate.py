@@ -1,7 +1,7 @@
 """PRE and POST: what must hold before a job is entered or left (section 3.2).
 
-Whoever goes over to a job asks first: POST of the job that stands, PRE of the one to
-come. The answer rests on values of one instant. Where it is no, nothing is changed.
+Before a change to a job, POST of the present job and PRE of the new one are checked on
+values of one instant. If one does not hold, nothing is changed.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class ConditionGate:
                 self._asked[:0] = _posts(stands)
 
     def must_hold(self) -> list[str]:
-        """Return what is seen of the conditions.
+        """Return the conditions with their measured values.
 
         Raises:
             ConditionError: One does not hold.
@@ -65,7 +65,7 @@ class ConditionGate:
         return must_hold(self._asked, self._table, self._look)
 
     def entered(self) -> None:
-        """Note for whoever comes later that the job stands now."""
+        """Record that the job is the present one, for later masters."""
         job = self._job
         posts = [(one.text, *_at(one)) for one in job.post]
         stands = m.Standing(name=job.name, file=job.file, post=posts)
@@ -99,15 +99,15 @@ def _posts(stands: m.Standing) -> list[Asked]:
 def in_time(
     attempt: Callable[[], T], seconds: float | None, clock: Clock, stopped: Event
 ) -> T:
-    """Return what an attempt returns, once conditions let it.
+    """Return the result of an attempt once its conditions hold.
 
-    Nothing is held between two attempts, so other commands go on meanwhile.
+    Nothing is held between two attempts, so other commands continue meanwhile.
 
     Args:
         attempt: Raises `ConditionError` while they do not.
-        seconds: How long to go on trying; None or 0: once.
-        clock: Whose seconds.
-        stopped: Ends the waiting.
+        seconds: How long to retry; None or 0: try once.
+        clock: The clock of `seconds`.
+        stopped: Ends the wait.
 
     Raises:
         ConditionError: The time is over, and they still do not hold.

@@ -1,8 +1,8 @@
-"""Constants that change under tasks that stand (Stewart 1994, section 3.5).
+"""Constants that change while tasks exist (Stewart 1994, section 3.5).
 
 A task takes its in-consts in when it is created. When another task gives them later, or
-when their value changes, whoever took the old one is re-initialized, in the order that
-constants demand, so that all tasks deal with the same constants.
+when their value changes, every task that took the old one is re-initialized, in the
+order that constants demand, so that all tasks deal with the same constants.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def renew(
     """Re-initialize every task that has these constants as in-consts.
 
     Tasks that give constants themselves are followed further where a value of theirs
-    changes. One that fails keeps nobody else from the new values.
+    changes. A failure does not keep the others from the new values.
 
     Args:
         task_set: The subsystem's tasks.
@@ -240,7 +240,7 @@ def _changed(
 
 
 def _unrenewed(error: PbonetError, why: str, held: Collection[str]) -> PbonetError:
-    """Return an error that also says what its task goes on believing."""
+    """Return an error that also says what its task continues believing."""
     told = f"{why} all the same, and this task has the old {' and '.join(sorted(held))}"
     error.remedy = f"{error.remedy}; {told}" if error.remedy else told
     return error

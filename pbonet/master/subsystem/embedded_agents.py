@@ -1,4 +1,4 @@
-"""Agents that a master starts itself, for RTPUs that nobody runs.
+"""Agents that a master starts itself, for RTPUs without one.
 
 They are child processes that live as long as the master: when it ends, also by a kill,
 they turn their tasks off in order and end. Of domain, endpoints and libraries they have
@@ -103,7 +103,7 @@ class Embedded:
         given_up: Event,
         tell: Callable[[str], None],
     ) -> None:
-        """Wait until somebody runs all of these RTPUs.
+        """Wait until all of these RTPUs have an agent.
 
         Args:
             rtpus: Their names.

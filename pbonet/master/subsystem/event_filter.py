@@ -86,7 +86,7 @@ class EventFilter(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def __call__(self, event: m.Event) -> bool:
-        """Tell whether an event is wanted."""
+        """Return whether an event is wanted."""
         return (
             event.severity >= self.least
             and self.code in {None, event.code, str(event.errnum)}

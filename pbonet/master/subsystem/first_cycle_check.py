@@ -63,7 +63,7 @@ def prove(
 
 
 def _begins(task_set: SubsystemTasks, task: m.TaskStatus) -> bool:
-    """Tell whether a task has its first cycle, which time brings soon, before it."""
+    """Return whether a task has its first cycle, which time brings soon, before it."""
     member = task_set.model.get(task.task)
     periodic = member is not None and member.rmod.tasktype is TaskType.PERIODIC
     soon = task.ref_f * PATIENCE >= 1.0

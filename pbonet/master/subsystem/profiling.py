@@ -60,7 +60,7 @@ def ask(task_set: SubsystemTasks, tasks: Sequence[str]) -> list[TaskProfile]:
 def save(task_set: SubsystemTasks, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
     """Save profiles beside the ``.sbs`` file, for later starts; return them.
 
-    Where no task is named, those that have run too few cycles are told as warnings.
+    Where no task is named, those that have run too few cycles are reported as warnings.
 
     Raises:
         UnknownTaskError: There is no such task.

@@ -32,7 +32,7 @@ class RecordingControl(RecordingPlan):
         mode: As for `RecordingPlan`.
 
     Attributes:
-        paths: The log of each RTPU, on its machine, once the run has begun.
+        paths: The log of each RTPU, on its machine, once the run has started.
     """
 
     def __init__(self, mode: str | None = None) -> None:
@@ -73,7 +73,7 @@ class RecordingControl(RecordingPlan):
         self.run = ""
 
     def finish(self, clients: RtpuClients) -> Log | None:
-        """Have the logs finished while tasks go on; return the run as recorded here.
+        """Have the logs finished while tasks continue; return the run as recorded here.
 
         Raises:
             PbonetError: An agent did not answer, or a log cannot be read.
@@ -99,7 +99,7 @@ class RecordingControl(RecordingPlan):
         return Log(there[0].parent)
 
     def _is_done(self, path: Path) -> bool:
-        """Tell whether a recording is written whole, or need not be there."""
+        """Return whether a recording is written whole, or need not be there."""
         from pbonet.log import is_complete
 
         newest = _newest(path)

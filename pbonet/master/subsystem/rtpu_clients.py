@@ -85,7 +85,7 @@ class RtpuClients:
         return self._agents[rtpu]
 
     def share_a_machine(self, one: str, other: str) -> bool:
-        """Tell whether two RTPUs are known to be on one machine, with one table."""
+        """Return whether two RTPUs are known to be on one machine, with one table."""
         if one == other:
             return True
         agents = [self._agents.get(rtpu) for rtpu in (one, other)]
@@ -220,7 +220,7 @@ class RtpuClients:
         return errors
 
     def give_back(self, claims: dict[str, m.Claimed]) -> None:
-        """Undo a claim in vain; RTPUs with tasks of the subsystem stay as they were."""
+        """Undo a failed claim; RTPUs with tasks of the subsystem stay as they were."""
         free = [name for name, claimed in claims.items() if not claimed.tasks]
         if free:
             _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
@@ -231,7 +231,7 @@ class RtpuClients:
     def drop(self) -> None:
         """Stop being a master without telling the agents; claims stand open to others.
 
-        The agents go on; the next master of the subsystem finds the tasks running.
+        The agents continue; the next master of the subsystem finds the tasks running.
         """
         self.epochs = {}
         if self._token is not None:

@@ -175,7 +175,7 @@ class _Sending:
         answers: dict[str, m.Reconfigured],
         errors: dict[str, PbonetError],
     ) -> None:
-        """Take in what was done; raise when that is not all."""
+        """Enter what was done; raise an error if that is not all."""
         unheard = {
             rtpu: error
             for rtpu, error in errors.items()
@@ -246,7 +246,7 @@ class _Sending:
 
 
 def _without(items: Sequence[Item], left: Sequence[Item]) -> list[Item]:
-    """Return what was done of items: those that are left came last."""
+    """Return the items that were done: the rest came last."""
     undone = Counter(left)
     found: list[Item] = []
     for item in reversed(items):

@@ -79,7 +79,7 @@ def _predecessors(
 def _direct(
     model: TaskModel, items: Sequence[tuple[str, str]], task: str, olds: list[str]
 ) -> bool:
-    """Tell whether a task can stand by for others that call it."""
+    """Return whether a task can stand by for others that call it."""
     names = [name for name, _ in items]
     first = names.index(olds[0])
     return (

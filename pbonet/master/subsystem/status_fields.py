@@ -131,10 +131,10 @@ class Baselines:
 
 
 def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
-    """Return what happened to a task between two looks at it.
+    """Return what happened to a task between two readings of its status.
 
     Args:
-        now: The later look.
+        now: The later status.
         before: The earlier one; None, or one from before the task was last turned on,
             means since it was turned on.
     """
@@ -194,9 +194,9 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
 
 
 def _spawned_before(now: TaskStatus, before: TaskStatus | None) -> TaskStatus | None:
-    """Return the earlier look if it was at the same process.
+    """Return the earlier status if it is of the same process.
 
-    What is counted since the task was spawned goes on when it is turned on again.
+    What is counted since the task was spawned continues when it is turned on again.
     """
     return before if before is not None and before.tid == now.tid else None
 
@@ -233,7 +233,7 @@ def _failures(now: TaskStatus, since: TaskStatus | None) -> dict[str, int]:
 
 
 def _standby_text(now: TaskStatus) -> str:
-    """Return whose fallback a task is; empty for none."""
+    """Return the task whose fallback it is; empty for none."""
     if now.stands_by:
         return f"stands by for {now.fallback_of}"
     return f"the fallback of {now.fallback_of}" if now.fallback_of else ""
@@ -260,7 +260,7 @@ def _timing_text(now: TaskStatus, before: TaskStatus | None) -> str:
 
 
 def _continues(now: TaskStatus, before: TaskStatus) -> bool:
-    """Tell whether the counters of `now` go on from those of `before`."""
+    """Return whether the counters of `now` continue from those of `before`."""
     return (
         now.tid == before.tid
         and now.on_ns == before.on_ns
@@ -303,7 +303,7 @@ def columns(words: list[str]) -> tuple[str, ...]:
 
 
 class Window:
-    """Remembers statuses, to tell rates over the last second."""
+    """Keep statuses, to compute rates over the last second."""
 
     def __init__(self) -> None:
         self._seen: dict[str, deque[TaskStatus]] = {}

@@ -1,4 +1,4 @@
-"""The autonomous interface: control of a subsystem by a program (Stewart 1994, 4.4.4).
+"""The autonomous interface: control by a program (Stewart 1994, 4.4.4).
 
 The other interfaces (prompt, script, network, one-shot verbs) call only these methods,
 so every command is available in all of them.

@@ -1,7 +1,7 @@
 """The tasks of an open subsystem, and the steps that commands are made of.
 
-Everything that changes a task goes through here and keeps the picture true, so that the
-next judgement rests on what is, not on what was asked for.
+Everything that changes a task goes through here and keeps the task model up to date, so
+that the next verification uses the real state, not the requested one.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ T = TypeVar("T")
 
 
 class SubsystemTasks:
-    """The tasks of a subsystem and the RTPUs they stand on.
+    """The tasks of a subsystem and their RTPUs.
 
     Args:
         files: The subsystem's files.
@@ -88,13 +88,13 @@ class SubsystemTasks:
         self._unwritten = UnwrittenInputs(
             lambda flag: clients.call(files.sbs.keeper, flag, list[str]), self.say
         )
-        self._noted: set[str] = set()  # told already, of saved profiles
+        self._noted: set[str] = set()  # reported already, of saved profiles
         self._modules: dict[str, Any] = {}  # that tasks run, as claims describe them
         self._fresh: dict[str, m.RtpuStatus] = {}  # for the next `refresh`
         self._whole = False  # the tasks of every RTPU were asked for
         self._priorities: dict[str, int] = {}  # as the RTPUs have them
 
-    # -- the picture ------------------------------------------------------------------
+    # -- the task model ----------------------------------------------------------------
 
     @property
     def model(self) -> TaskModel:
@@ -105,7 +105,7 @@ class SubsystemTasks:
         return self._model
 
     def take(self, *, take_over: bool, partly: bool, task: str = "") -> None:
-        """Claim the RTPUs, open the table, and take in the tasks that stand there.
+        """Claim the RTPUs, open the table, and take in the existing tasks there.
 
         Args:
             take_over: Replace a master that lives; then every RTPU is claimed.
@@ -147,7 +147,7 @@ class SubsystemTasks:
         )
 
     def _take_in(self, claims: dict[str, m.Claimed]) -> None:
-        """Take in the tasks that stand on RTPUs that were claimed."""
+        """Take in the existing tasks on RTPUs that were claimed."""
         for rtpu, claimed in claims.items():
             for task in claimed.tasks:
                 source = self._source(task, claimed.rmods.get(task))
@@ -219,8 +219,8 @@ class SubsystemTasks:
 
         Args:
             strict: Whether every RTPU must answer, because a judgement is to rest on
-                it. Else those that do not are told as warnings, and their tasks stay
-                as they were last seen.
+                it. Else those that do not are reported as warnings, and their tasks
+                stay as they were last seen.
             rtpus: Which are asked; None: all.
 
         Raises:
@@ -254,7 +254,7 @@ class SubsystemTasks:
         return statuses
 
     def note(self, status: m.TaskStatus) -> None:
-        """Take a task's status into the picture, and its signals."""
+        """Enter a task's status and signals into the task model."""
         self._inbox.note(status)
         self._priorities[status.task] = status.priority
         if status.task in self._model:
@@ -357,7 +357,7 @@ class SubsystemTasks:
         self.say(self.legal(change))
 
     def legal(self, change: legality.Change | None = None) -> Problems:
-        """Return the warnings for a change, or for the tasks as they stand.
+        """Return the warnings for a change, or for the present tasks.
 
         Raises:
             VerificationError: It would be, or is, illegal.
@@ -389,7 +389,7 @@ class SubsystemTasks:
         return legality.report(legality.judge(now, change).after if change else now)
 
     def configuration(self) -> legality.Configuration:
-        """Return the subsystem as it stands."""
+        """Return the present subsystem."""
         return legality.Configuration(
             svar=self.files.table,
             tasks=tuple(member.task for member in self.model),
@@ -410,7 +410,7 @@ class SubsystemTasks:
                 self._describe(member)
 
     def say(self, problems: Problems) -> None:
-        """Tell those that are not told already; `settle` follows."""
+        """Report warnings that were not reported yet; `settle` follows."""
         self.tell(self._standing.say(problems))
 
     def tell(self, warnings: Iterable[str]) -> None:
@@ -421,7 +421,7 @@ class SubsystemTasks:
     def create(
         self, member: Member, freq: float | None, replaces: Sequence[str] = ()
     ) -> m.TaskStatus:
-        """Spawn one task and take it into the picture.
+        """Spawn one task and enter it into the task model.
 
         Args:
             member: The task.
@@ -470,7 +470,7 @@ class SubsystemTasks:
         """Send one signal.
 
         Args:
-            task: To whom.
+            task: The receiving task.
             signal: Which.
             arg: Text for the module.
             replaces: For ``reinit``: tasks that leave, whose constants it takes over.
@@ -519,9 +519,10 @@ class SubsystemTasks:
         return states
 
     def settle(self) -> None:
-        """After a change: tell priorities, raise or clear the flag of equation 2.
+        """After a change: send priorities, raise or clear the flag of equation 2.
 
-        Inputs that have no writer any more are told. What goes wrong here is a warning
+        Inputs that have no writer any more are reported. What goes wrong here is a
+        warning
         too: the change has its own outcome.
         """
         try:
@@ -589,7 +590,7 @@ class SubsystemTasks:
                 logger("pbonet.master").debug("off %s: %s", name, error)
 
     def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
-        """Stop every RTPU at once; return what it did and what went wrong."""
+        """Stop every RTPU at once; return the results and the errors."""
         order = self.order_of_off()
         results, errors = self.clients.each(
             lambda _: m.Stop(timeout=STOP_TIME, order=order),

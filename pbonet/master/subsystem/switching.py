@@ -1,4 +1,4 @@
-"""From one configuration to another while it runs (Stewart 1994, section 3.10).
+"""Change from one configuration to another while it runs (Stewart 1994, section 3.10).
 
 What is to be done follows from the two configurations: tasks that both have stay ON, as
 A and D do in Figure 3.1; tasks that only the new one has are spawned first, which takes
@@ -51,7 +51,7 @@ class Transition(Struct, kw_only=True):
     conditions: list[str] = []
     """Values seen for the conditions under which jobs are left and entered."""
     states: dict[str, str] = {}
-    """Where the tasks concerned stand behind it; empty while nothing was done."""
+    """The states of the tasks concerned afterwards; empty while nothing was done."""
 
 
 def carry_out(
@@ -148,7 +148,7 @@ class Plan:
 
     @contextmanager
     def supposed(self) -> Generator[None]:
-        """Set in the model which tasks stand by; undo it if nothing is begun."""
+        """Set in the model which tasks stand by; undo it if nothing is started."""
         before = [(member, member.fallback_of) for member, _ in self._originals]
         _set_fallbacks(self._originals)
         try:
@@ -162,7 +162,7 @@ class Plan:
         self._killed = [name for name in self._going if name not in but]
 
     def transition(self) -> Transition:
-        """Return what is to be done."""
+        """Return the plan."""
         model = self._task_set.model
         stays = [one for one in model if one.is_on and one.name not in self._going]
         wanted = {**self._coming, **self._standbys}
@@ -207,7 +207,7 @@ class Plan:
         stopped: threading.Event,
         gate: ConditionGate | None,
     ) -> None:
-        """Create the tasks that do not stand; a failure leaves none of them.
+        """Create the tasks that do not exist; a failure leaves none of them.
 
         Those that give constants in the place of others do so from here on.
 

@@ -30,7 +30,7 @@ LOOK_TIME = 0.5
 """Seconds after which a wait looks at the counts though no event has come."""
 LATE_NS = 60_000_000_000
 """A status is late by less than this; an older one is of a machine that was booted
-anew, whose clock begins at 0."""
+again, whose clock begins at 0."""
 _FIRST = ("SHUTDOWN", "ERROR")
 """Signals that are handed out before others."""
 
@@ -63,14 +63,14 @@ class _Life(Struct):
     """It was killed, or is to be."""
 
     def is_late(self, status: m.TaskStatus) -> bool:
-        """Tell whether a status is from before its spawn or, if it died, its death."""
+        """Return whether a status is older than the task's spawn or death."""
         if self.seen - status.now > LATE_NS:
             return False
         before = bool(self.died and status.tid and status.tid == self.tid)
         return before or status.now < self.since
 
     def is_other(self, status: m.TaskStatus) -> bool:
-        """Tell whether a status is that of a task that was spawned anew."""
+        """Return whether a status is that of a task that was spawned again."""
         if self.seen - status.now > LATE_NS:
             return True
         if status.tid:
@@ -83,7 +83,7 @@ class _Life(Struct):
 class Inbox:
     """Which signals of the tasks are pending: those counted, less those taken.
 
-    It looks at each status that comes, so that a task which dies and is spawned anew
+    It looks at each status that comes, so that a task which dies and is spawned again
     between two waits takes nothing with it.
     """
 

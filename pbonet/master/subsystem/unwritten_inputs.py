@@ -20,9 +20,9 @@ class UnwrittenInputs:
     """Warnings given about a subsystem's inputs without a writer.
 
     Args:
-        ask: Has the keeper of the table raise or withdraw an entry; returns the causes
-            that stand.
-        say: Called with problems that stand, to warn of those not told yet.
+        ask: Has the keeper of the table raise or withdraw an entry; returns the present
+            causes.
+        say: Called with problems that stand, to warn of those not reported yet.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class UnwrittenInputs:
         self._causes: set[str] = set()  # that this subsystem's masters have raised
 
     def seen(self, causes: Iterable[str]) -> None:
-        """Take note of the causes that stand, as RTPUs tell them."""
+        """Take note of the present causes, as RTPUs tell them."""
         self._causes = {
             cause.partition(" (")[0]  # behind it stands who raised it
             for cause in causes
@@ -43,10 +43,10 @@ class UnwrittenInputs:
         }
 
     def settle(self, problems: Sequence[legality.Problem]) -> None:
-        """Have the flag up for these inputs and no others; tell of those not told yet.
+        """Raise the flag for these inputs and no others; report new ones.
 
-        They are such as the master knows of. The keeper sees in the table who writes,
-        and may know of a fallback that has come on since: then nothing is told.
+        They are those that the master knows. The keeper sees in the table who writes,
+        and may know of a fallback that was turned on since: then nothing is reported.
 
         Args:
             problems: All of them have the code NO_WRITER.

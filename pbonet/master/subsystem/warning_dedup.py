@@ -1,4 +1,4 @@
-"""Warnings of what stands: each is told once for as long as it holds."""
+"""Warnings about present conditions: each is reported once while it holds."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class WarningDedup:
         self._told: set[str] = set()
 
     def new(self, problems: Iterable[legality.Problem]) -> list[legality.Problem]:
-        """Return what is not said already."""
+        """Return the warnings that were not given yet."""
         return [one for one in problems if legality.as_text(one) not in self._told]
 
     def say(self, problems: Iterable[legality.Problem]) -> list[str]:
-        """Return what is new, as texts; from here on it is said."""
+        """Return new warnings as texts, and mark them as given."""
         new = list(map(legality.as_text, self.new(problems)))
         self._told |= set(new)
         return new
 
     def keep(self, problems: Sequence[legality.Problem]) -> None:
-        """Forget what does not hold any more: should it come back, it is said again."""
+        """Forget warnings that no longer hold, so that they can be given again."""
         self._told &= set(map(legality.as_text, problems))
 
 

@@ -45,7 +45,7 @@ _EXTRAS: Final = {
 _WAYS_TIME: Final = 10.0
 """Seconds in which an agent measures the ways to all others."""
 _QUIET: Final = 1.0
-"""A link whose last record is older, in seconds, is told."""
+"""A link whose last record is older, in seconds, is reported."""
 _SLOW: Final = 0.05
 """A round trip to an agent of one machine should take no longer, in seconds."""
 
@@ -59,7 +59,7 @@ class Level(StrEnum):
 
 
 class Finding(Struct, frozen=True):
-    """One thing that was looked at."""
+    """One check and its result."""
 
     level: Level
     what: str
@@ -131,7 +131,7 @@ def examine(
 
 
 def versions() -> Iterator[Finding]:
-    """Look at what is installed."""
+    """Check the installed packages."""
     parts = [f"pbonet {pbonet.__version__}", f"Python {platform.python_version()}"]
     parts += [f"{name} {version(name)}" for name in _PACKAGES if _installed(name)]
     kernel = f"{platform.system()} {platform.release()}"
@@ -153,7 +153,7 @@ def _installed(name: str) -> bool:
 
 
 def rights(probe: Probe) -> Iterator[Finding]:
-    """Look at real-time rights and cores."""
+    """Check real-time permissions and cores."""
     if probe.fifo:
         yield Finding(Level.PASS, f"real time by SCHED_FIFO, kernel {probe.preempt}")
         share = 1.0
@@ -181,7 +181,7 @@ def rights(probe: Probe) -> Iterator[Finding]:
 
 
 def memory() -> Iterator[Finding]:
-    """Look at shared memory and the runtime folder."""
+    """Check shared memory and the runtime folder."""
     folder = shm.folder()
     try:
         free = shutil.disk_usage(folder).free
@@ -268,7 +268,7 @@ def _tbufs(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding
     """Tell the links between subsystems, those of each machine once."""
     machines = {info.machine: info for info in infos}
     asked: dict[str, m.Request] = {info.name: m.Status() for info in machines.values()}
-    found, _ = client.call_all(asked, m.RtpuStatus)  # who is silent was told before
+    found, _ = client.call_all(asked, m.RtpuStatus)  # silent agents are reported
     for rtpu, status in sorted(found.items()):
         for link in status.tbufs:
             text = f"{rtpu}: link {render.link_line(msgspec.to_builtins(link))}"
@@ -276,7 +276,7 @@ def _tbufs(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding
 
 
 def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
-    """Return what is to be thought of a link."""
+    """Return the verdict on a link."""
     if not link.writer:
         return Level.WARN, text, f"start the writer of {link.name}, or its agent"
     if not link.reader:
@@ -330,7 +330,7 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
 
 
 def _pair(one: str, other: str, way: m.Way | None) -> Finding:
-    """Return what was found about the way between two agents."""
+    """Return the findings about the connection between two agents."""
     if way is None:
         return Finding(
             Level.FAIL,
@@ -355,7 +355,7 @@ def _pair(one: str, other: str, way: m.Way | None) -> Finding:
 
 
 def losses(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
-    """Tell which machines have lost sight of each other, and since when."""
+    """Report which machines no longer see each other, and since when."""
     for info in infos:
         for lost, more in out.grouped(info.lost):
             behind = ", ".join(f"{one.rtpu} of {one.host}" for one in more)
@@ -403,7 +403,7 @@ def _term(whose: str, left: float, remedy: str) -> Finding:
 
 
 def own_keys() -> Iterator[Finding]:
-    """Look at the key folder that the environment names."""
+    """Check the key folder that the environment names."""
     folder = credentials.named()
     if folder is None:
         return
@@ -458,7 +458,7 @@ def _shared(
 
 
 def clean() -> list[str]:
-    """Remove shared memory that nobody uses; return what was removed."""
+    """Remove unused shared memory; return what was removed."""
     removed: list[str] = []
     for path in abandoned():
         path.unlink(missing_ok=True)

@@ -55,7 +55,7 @@ class Viewer:
         self._sdk = _sdk()
         self._context = self._sdk.Context()
         self._fresh: set[str] = set()
-        """Topics that a viewer has just begun to look at."""
+        """Topics that a viewer has just started to look at."""
         self._seen: dict[str, tuple[str | None, int]] = {}
         """The writer and the number of the value that was sent last."""
         self._follower = Follower(subsystem, EventFilter.of({}))
@@ -160,7 +160,7 @@ class _Listener:
         self._fresh.add(channel.topic)
 
     def on_unsubscribe(self, _client: object, _channel: object) -> None:
-        """Nothing is sent to nobody anyway."""
+        """Without viewers nothing is sent anyway."""
 
 
 def view(

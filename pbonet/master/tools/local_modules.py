@@ -17,14 +17,14 @@ Data = dict[str, Any]
 
 
 def is_subsystem(word: str | None) -> bool:
-    """Tell whether a word is the file of a subsystem, not a module."""
+    """Return whether a word is the file of a subsystem, not a module."""
     return word is not None and Path(word).suffix in {".sbs", ".job"}
 
 
 def describe(
     what: str | None, more: str | None, folders: Sequence[str]
 ) -> tuple[Data, list[str]]:
-    """Return what there is to show of one module or of all, and warnings.
+    """Return the descriptions of one module or of all, and warnings.
 
     Args:
         what: A module's name or an ``.rmod`` file; None for all modules.

@@ -80,7 +80,7 @@ def scaffold(
 
 
 def in_own_tree(folder: Path) -> bool:
-    """Tell whether `folder` belongs to a project that has pbonet's source in it."""
+    """Return whether `folder` belongs to a project that has pbonet's source in it."""
     for parent in (folder.absolute(), *folder.absolute().parents):
         if (parent / "pyproject.toml").is_file():
             return (parent / "pbonet").is_dir() or (parent / "src/pbonet").is_dir()

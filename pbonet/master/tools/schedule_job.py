@@ -53,7 +53,7 @@ def simulate(
         path: The ``.job`` file.
         seconds: How much virtual time passes, above 0.
         folders: Of module libraries.
-        host: The machine whose saved profiles count; this one if empty.
+        host: The machine whose saved profiles are used; this one if empty.
         times: Which execution times cycles take.
         seed: Of random ones.
         assume: Share of its period that a cycle of unknown MAXC takes.
