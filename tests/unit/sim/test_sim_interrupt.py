@@ -47,7 +47,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
 
     def start(*words: object) -> subprocess.Popen[str]:
-        command = [sys.executable, "-c", RUN, "run", "--sim", "--seconds", "inf"]
+        command = [sys.executable, "-c", RUN, "run", "--sim", "--seconds", "1e6"]
         process = subprocess.Popen(
             [*command, *map(str, words)],
             cwd=PUMA.parents[1],
