@@ -62,7 +62,7 @@ def test_a_cut_and_its_healing(lab, lan):
     assert "pbonet agent --name" not in text
     lost = "WARN arm2 of host-c has not seen arm1 of host-b for "
     (line,) = [one for one in doctor(lab, "c") if one.startswith(lost)]
-    assert "s, to which it had a link, and with it arm0 of host-a; look at " in line
+    assert "s, to which it had a link, and with it arm0 of host-a; check " in line
     lan.heal("b", "c")
     lab.wait_reached("arm2", "a")
     lab.wait_reached("arm0", "c")
