@@ -141,7 +141,7 @@ def _foreign(
     if line.keyword not in reader.keywords:
         return reader.unknown(line, expected)
     return fault(
-        f"{line.keyword} cannot stand here",
+        f"{line.keyword} is not allowed here",
         line.place,
         expected=" or ".join(expected),
         remedy=f"the order is {grammar.text}, then {' or '.join(grammar.after)}",
@@ -161,7 +161,7 @@ def _late(line: Line, grammar: Grammar, block: Block, stage: int) -> ConfigError
         )
     former = next(k for k in grammar.stages[stage].keywords if k in block)
     return fault(
-        f"wrong order: {line.keyword} stands behind {former}",
+        f"wrong order: {line.keyword} follows {former}",
         line.place,
         expected=f"{line.keyword} before {former}",
         remedy=f"the order is {grammar.text}",
@@ -174,7 +174,7 @@ def _refuse_missing(grammar: Grammar, stage: int, until: int, line: Line) -> Non
         if not needed.optional:
             wanted = needed.text.replace("|", " or ")
             raise fault(
-                f"wrong order: {line.keyword} stands where {wanted} must",
+                f"wrong order: {line.keyword} is where {wanted} must be",
                 line.place,
                 expected=wanted,
                 got=line.keyword,

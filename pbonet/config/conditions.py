@@ -256,7 +256,7 @@ def _call(condition: Parsed, node: ast.Call) -> None:
             node.col_offset,
             f"{len(node.args)} arguments",
             expected=FUNCTIONS[name],
-            remedy="name what it is of",
+            remedy="name the variable before it",
         )
 
 

@@ -134,7 +134,7 @@ class Constants:
                 remedy=_without_unit(text) or "write numbers as in 2.5, -3 or 1e-3",
             )
         name = match[2][:LONGEST_QUOTE]
-        behind = "" if text == word.text else f", which {quote(word.text)} stands for"
+        behind = "" if text == word.text else f", the value of {quote(word.text)}"
         later = re.search(
             rf"^[ \t]*DEFINE[ \t]+{name}(?![^\s])", self._text, re.MULTILINE
         )

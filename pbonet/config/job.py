@@ -191,7 +191,7 @@ def _record(line: Line) -> RecordLine:
             line.words[0].place if line.words else line.place,
             expected="RECORD off|outputs|all [task or variable]..., or last SECONDS",
             got=quote(mode) if mode else "nothing",
-            remedy=did_you_mean(mode, MODES) or "say how to record first",
+            remedy=did_you_mean(mode, MODES) or "give the recording mode first",
         )
     names = tuple(word.text for word in line.words[1:])
     if mode == LAST and not (len(names) == 1 and last_seconds(names[0])):

@@ -232,7 +232,7 @@ class Library:
         for folder in self.beside:
             if (folder / f"{name}.py").is_file():
                 place = folder.absolute()
-                return f"{name}.py stands in {place}; give --library {place}"
+                return f"{name}.py is in {place}; give --library {place}"
         return ""
 
     def _of_rmod(self, name: str) -> str:
@@ -253,11 +253,11 @@ class Library:
         if found is not None and found[0].folder in self.folders:
             place = found[0].folder.absolute()
             return (
-                f"{name}.py stands in {place}; the agent {rtpu} needs it, too: "
+                f"{name}.py is in {place}; the agent {rtpu} needs it, too: "
                 f"pbonet agent --name {rtpu} --library {place}"
             )
         told = self._forgotten(name)
-        return told and f"{told}, also to the agent {rtpu} where it was started before"
+        return told and f"{told}, also to the agent {rtpu} if it was started before"
 
     def _places(self) -> str:
         return " or ".join(str(shelf.folder) for shelf in self.shelves)

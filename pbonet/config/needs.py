@@ -45,7 +45,7 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             info,
             "timing_failure",
             f"HANDLER {rmod.handler}",
-            "write there what is to be done, or take HANDLER out of the .rmod file",
+            "implement the reaction there, or take HANDLER out of the .rmod file",
         )
 
 

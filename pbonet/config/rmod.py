@@ -79,7 +79,7 @@ def _parse(
         text,
         file,
         (*GRAMMAR.keywords, "LOCAL"),
-        stray="correct it; a parameter of the module stands below a line LOCAL",
+        stray="correct it; parameters of the module are below the line LOCAL",
     )
     name = _name(file)
     block = read_block(reader, GRAMMAR)
@@ -276,8 +276,8 @@ def _refuse_collision(
         variable = aliases.get(word.text, word.text)
         if first := user.get(variable):
             raise fault(
-                f"the ports {quote(first.text)} and {quote(word.text)} both stand for "
-                f"the variable {quote(variable)}",
+                f"the ports {quote(first.text)} and {quote(word.text)} are both "
+                f"connected to the variable {quote(variable)}",
                 word.place,
                 expected=f"one port of {' and '.join(direction)} for each variable",
                 remedy="give one of them another variable by SVARALIAS",

@@ -232,7 +232,7 @@ def _check_range(block: Block, low: _Values, high: _Values, nelem: int) -> None:
             raise fault(
                 f"element {index} has a MIN above its MAX",
                 word.place,
-                expected=f"at most {most}, as MAX says",
+                expected=f"at most {most}, the value of MAX",
                 got=f"{least}",
                 remedy="exchange the values or correct one",
             )

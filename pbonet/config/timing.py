@@ -96,7 +96,7 @@ def _freq(reader: Reader, block: Block, tasktype: TaskType) -> float | None:
             raise fault(
                 f"a {tasktype.value} task without FREQ and PERIOD",
                 block["TASKTYPE"].place,
-                expected="FREQ in Hz or PERIOD in seconds behind TASKTYPE",
+                expected="FREQ in Hz or PERIOD in seconds after TASKTYPE",
                 got="neither",
                 remedy="add the period after which its capacity is restored"
                 if tasktype in _SERVERS

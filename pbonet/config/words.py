@@ -217,7 +217,7 @@ def _no_number(reader: Reader, word: Word, text: str, wanted: str) -> ConfigErro
 def _outside(
     word: Word, text: str, wanted: str, remedy: str = "correct the value"
 ) -> ConfigError:
-    stands = f", which stands for {quote(text)}" if text != word.text else ""
+    stands = f", whose value is {quote(text)}" if text != word.text else ""
     return fault(
         f"{word.keyword} cannot be {quote(word.text)}{stands}",
         word.place,

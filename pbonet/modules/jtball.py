@@ -95,7 +95,7 @@ class JtBall(PortBasedObject[Steering]):
         axes = np.array(k.axes[:n])
         if len(axes) < n or not axes.all() or k.dead >= k.full:
             raise ParameterError(
-                "the ball's axes cannot steer the joints",
+                "the ball's axes cannot control the joints",
                 expected=f"{n} AXES out of 1 to {AXES}, and DEAD below FULL",
                 got=f"AXES {k.axes}, DEAD {k.dead:g}, FULL {k.full:g}",
                 remedy="give each joint an axis, and FULL more than DEAD",

@@ -377,7 +377,7 @@ def _refuse_params(body: Declaring, hint: object) -> None:
     name = getattr(hint, "__name__", str(hint))
     raise body.error(
         "params",
-        "the class of the parameters stands in brackets behind the base class",
+        "the class of the parameters follows the base class in brackets",
         expected=f"class {body.cls.__name__}(PortBasedObject[{name}])",
         got=f"params: {name}",
     )
@@ -403,14 +403,14 @@ def _check_symbols(body: Declaring, port: Port, ports: dict[str, Port]) -> None:
         if other and not (other.kind.is_const and other.type == "int"):
             raise body.error(
                 port.attr,
-                f"the shape names port {word}, which is no integer constant",
+                f"the shape names port {word}, which is not an integer constant",
                 expected=f"{word}: A[int, InConst(...)] or a name that is no port",
                 got=f"{other.kind} of type {other.type}",
             )
         if not other and word.lower() in names:
             raise body.error(
                 port.attr,
-                f"the shape names {word}, which is no attribute",
+                f"the shape names {word}, which is not an attribute",
                 remedy=f"write the attribute: {names[word.lower()]}",
             )
 
@@ -432,7 +432,7 @@ def _methods(cls: type, body: Declaring, *, abstract: bool) -> tuple[str, ...]:
             "the module has no method cycle",
             expected="def cycle(self, dt: float) -> None",
             remedy=did_you_mean("cycle", written)
-            or "or say `abstract=True` behind the base class",
+            or "or say `abstract=True` after the base class",
         )
     return own
 

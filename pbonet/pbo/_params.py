@@ -424,7 +424,7 @@ def _declare(body: Declaring, attr: str, hint: object) -> Param:
     if get_origin(hint) is not A or len(marks) != 1:
         raise body.error(
             attr,
-            "a parameter says its unit and meaning",
+            "a parameter declares its unit and meaning",
             expected=f'{attr}: A[type, param("unit", "doc")]',
             got=hint.__name__ if isinstance(hint, type) else str(hint),
         )

@@ -151,7 +151,7 @@ def name_fault(name: str) -> str:
     fits = _NAME.fullmatch(name) and len(name) <= NAME_LENGTH
     if fits and name.lower() != "none":
         return ""
-    return "the port's name cannot stand in an .rmod file"
+    return "the port's name is not allowed in an .rmod file"
 
 
 def _counted(name: str) -> str:

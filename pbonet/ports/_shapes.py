@@ -175,7 +175,7 @@ def _compare(sizes: _Sizes, port: Port, count: int, origin: str) -> None:
             if isinstance(dim, str)
         )
         raise PortError(
-            f"{origin} has another size than its shape says",
+            f"{origin} has another size than its shape declares",
             where=sizes.where,
             expected=f"{_elements(product)} for shape {shape_text(port.shape)}{known}",
             got=_elements(count),

@@ -145,7 +145,7 @@ def stuck(where: str) -> SvarError:
     return SvarError(
         "the lock between claimers was not free for 2 s",
         where=where,
-        remedy="look for a stopped process (state T) that was changing ownership",
+        remedy="check for a stopped process (state T) that was changing ownership",
     )
 
 

@@ -141,7 +141,7 @@ def _text(log: Log, name: str) -> str:
     """
     if name not in log.attached:
         raise LogError(
-            "the log does not carry what the simulation was made of",
+            "the log does not contain the files of the simulation",
             where=str(log.path),
             expected=f"{name} among its attachments",
             got=", ".join(log.attached) or "none",

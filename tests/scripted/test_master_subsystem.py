@@ -167,8 +167,8 @@ def test_unknown_module_is_found_by_asking_the_agent(arm, puma):
     with pytest.raises(ModuleLoadError) as caught:
         arm.spawn("mine")
     assert caught.value.remedy == (
-        f"no_such.py stands in {puma.parent}; give --library {puma.parent}, also to "
-        "the agent arm0 where it was started before"
+        f"no_such.py is in {puma.parent}; give --library {puma.parent}, also to "
+        "the agent arm0 if it was started before"
     )
 
 

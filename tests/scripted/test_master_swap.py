@@ -296,7 +296,7 @@ def test_switch_refuses_a_namesake(arm, files, world):
     (files.parent / "follow.job").write_text(
         OTHER_JOB.replace("grav_comp  arm1", "grav_comp  arm0")
     )
-    with pytest.raises(StateError, match="stands in the way"):
+    with pytest.raises(StateError, match="is in the way"):
         arm.switch("follow")
     assert steps(world) == []
 

@@ -74,7 +74,7 @@ def _beyond(task: Task, keywords: tuple[str, ...]) -> Iterator[Problem]:
 def _soften(keyword: str) -> str:
     if keyword != "MAXC":
         return ""
-    return "; with SOFTNESS a cycle may go on into the next periods"
+    return "; with SOFTNESS a cycle may continue into the next periods"
 
 
 def _understated(task: Task) -> Iterator[Problem]:

@@ -29,7 +29,7 @@ class Basis(StrEnum):
     GIVEN = "given"
     MEASURED = "measured"
     ASSUMED = "assumed"
-    """Nothing is known but the worst time, which stands for it."""
+    """Nothing is known but the worst time, whose value is it."""
 
 
 class Effective(Struct, frozen=True):

@@ -336,7 +336,7 @@ COMMANDS: Final = (
     ),
     Command(
         "quit",
-        "End this interface; the master goes on to its next one.",
+        "End this interface; the master continues with its next one.",
         scope=Scope.SESSION,
         run=command_handlers.quit_,
     ),

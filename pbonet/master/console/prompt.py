@@ -171,7 +171,7 @@ class Prompt:
                 threading.Thread(target=self.execute, args=("stop",)).start()
             elif press.key == Keys.ControlC:
                 self._back.set()
-                self._say("the command goes on; F12 stops the subsystem")
+                self._say("the command continues; F12 stops the subsystem")
             else:
                 ahead.append(press)
         store_typeahead(self._input, ahead)

@@ -147,7 +147,7 @@ def end(task_set: SubsystemTasks, name: str) -> list[PbonetError]:
     errors += [error for error in task_set.leave() if str(error) not in told]
     hung = [forced(one) for one in still_on if one.name in stopped.killed]
     if errors:
-        what = f"the end of subsystem {name} left something behind"
+        what = f"the end of subsystem {name} is incomplete"
         rpc.raise_all(what, [*errors, *hung])
     return hung
 
@@ -225,7 +225,7 @@ class Done:
                 raise SeveralError(
                     f"{what}, and not all could be undone",
                     [error, *left],
-                    remedy="'stop' ends what is left",
+                    remedy="'stop' ends the remaining tasks",
                 ) from error
             raise
 
@@ -304,7 +304,7 @@ def stands(task_set: SubsystemTasks, member: Member) -> bool:
     if same and old.rtpu == member.rtpu and old.state is not State.ERROR:
         return True
     raise StateError(
-        f"the task {old.name} stands in the way",
+        f"the task {old.name} is in the way",
         where=f"{old.rtpu}/{old.name}",
         expected=f"none, or one of the same RMOD on {member.rtpu} without error",
         got=f"state {old.state}, {'the same' if same else 'another'} RMOD "

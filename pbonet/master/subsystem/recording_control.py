@@ -1,6 +1,6 @@
 """The master's part in recording: which run this is, and what is recorded of it.
 
-Recording never stands in the way of a run: what cannot be recorded is a warning.
+Recording never is in the way of a run: what cannot be recorded is a warning.
 """
 
 from __future__ import annotations

@@ -331,7 +331,7 @@ def _must_run_at(standing: Member, wanted: Member) -> None:
         raise StateError(
             f"the task {standing.name} has another frequency",
             where=f"{standing.rtpu}/{standing.name}",
-            expected=f"{wanted.freq:g} Hz, as the job says",
+            expected=f"{wanted.freq:g} Hz, as in the job",
             got=f"{standing.freq:g} Hz",
             remedy=f"'freq {standing.name} {wanted.freq:g}' first",
         )

@@ -165,7 +165,7 @@ def rights(probe: Probe) -> Iterator[Finding]:
         yield Finding(
             Level.WARN,
             "no SCHED_FIFO: tasks are ranked without real-time guarantees",
-            "the next lines say why",
+            "the next lines explain why",
         )
     for reason in probe.reasons:
         yield Finding(Level.WARN, reason)
@@ -244,7 +244,7 @@ def agents(
             where = f"at {' '.join(connect)}" if connect else "on this machine"
             yield Finding(
                 Level.FAIL,
-                f"who answers {where} has no agent of domain {domain}",
+                f"the program at {where} has no agent of domain {domain}",
                 "name the domain of its agents with --domain",
             )
         for name in names:
@@ -396,7 +396,7 @@ def _term(whose: str, left: float, remedy: str) -> Finding:
     """Judge how long keys are good for."""
     if left <= 0:
         return Finding(Level.FAIL, f"{whose} have expired", remedy)
-    text = f"{whose} are good for {credentials.days(left)}"
+    text = f"{whose} are valid for {credentials.days(left)}"
     if left < credentials.SOON:
         return Finding(Level.WARN, text, remedy)
     return Finding(Level.PASS, text)

@@ -219,7 +219,7 @@ def _doc(port: NewPort) -> str:
 
 
 _HANDLER = '''    def timing_failure(self, kind: TimingFailure) -> Recovery:
-        """Give up a cycle that misses its deadline; `on` begins anew behind it."""
+        """Abort a cycle that misses its deadline; `on` then starts again."""
         return Recovery.ABORT if kind is TimingFailure.DEADLINE else Recovery.CONTINUE
 '''
 

@@ -74,7 +74,7 @@ def new_svar(
             ports.setdefault(variable, []).append(port)
     names = sorted(ports, key=lambda name: not ports[name][0].kind.is_const)
     told = [
-        f"no module says the unit of {name}: correct UNITS none"
+        f"no module declares the unit of {name}: correct UNITS none"
         for name in names
         if {port.unit for port in ports[name]} == {"any"}
     ]
@@ -99,7 +99,7 @@ def _type(name: str, port: Port) -> str:
     word = port.type.removesuffix("[]")
     if word == "void":
         raise ConfigError(
-            f"nothing says how long the structure {name} is",
+            f"the length of the structure {name} is unknown",
             where=f"port {port.attr} ({port.name})",
             expected="TYPE struct[BYTES]",
             remedy=f"write the .svar file by hand, with {name} in it",
@@ -190,7 +190,7 @@ def _unknown(
 ) -> ConfigError:
     names = list(dict.fromkeys(one for use in left for one in _open(use, nelem, known)))
     return ConfigError(
-        f"no port says what size {' and '.join(names)} is",
+        f"no port determines the size of {' and '.join(names)}",
         where=" and ".join(use.rmod.name for use in left),
         expected=f"a size for {' and '.join(names)}",
         remedy=f"say {' '.join(f'--size {name}=6' for name in names)}",

@@ -129,7 +129,7 @@ class RtpuLink:
                 raise NodeError(
                     "the RTPU process does not answer",
                     where=self._config.name,
-                    remedy="start the agent again; --debug shows what it wrote",
+                    remedy="start the agent again; --debug shows its output",
                     debug=start_rtpu.log_tail(self._places),
                 )
         else:

@@ -81,7 +81,7 @@ def _wait_until_ready(
             "the RTPU process did not start",
             got=f"exit code {code}",
             debug=log_tail(places),
-            remedy="--debug shows what it wrote",
+            remedy="--debug shows its output",
         )
     ready = msgspec.msgpack.decode(data, type=rtpu_messages.Ready)
     if ready.error is not None:

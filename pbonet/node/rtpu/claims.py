@@ -146,7 +146,7 @@ class Claims:
                 "a claim needs the names of the subsystem and of its master",
                 where=self._rtpu,
                 got=f"subsystem {request.subsystem!r}, client {request.client!r}",
-                remedy="fill in both, as docs/protocol.md says",
+                remedy="fill in both, as docs/protocol.md describes",
             )
         if not 0 < request.minfreq < request.maxfreq < float("inf"):
             raise ClaimError(

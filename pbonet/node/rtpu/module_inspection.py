@@ -88,7 +88,7 @@ async def _result(child: Child, name: str | None) -> Inspected:
         raise ModuleLoadError(
             f"loading {what} does not finish",
             got=f"no result after {PATIENCE:g} s",
-            remedy="look for code at the top of a module that waits",
+            remedy="check for code at the top of a module that waits",
             debug=child.crash_text(),
         ) from None
     if code != 0:
@@ -96,7 +96,7 @@ async def _result(child: Child, name: str | None) -> Inspected:
 
         raise ModuleLoadError(
             f"loading {what} ended the process: {describe_end(code)}",
-            remedy="look for native code that a module imports",
+            remedy="check native code that a module imports",
             debug=child.crash_text(),
         )
     return msgspec.msgpack.decode(child.result(), type=Inspected)

@@ -523,7 +523,7 @@ class Rtpu:
                 self.events.add(
                     Severity.ERROR,
                     "TABLE_TRUNCATED" if cut else "TABLE_REMOVED",
-                    cut or "the table's file was removed; tasks that run go on",
+                    cut or "the table's file was removed; running tasks continue",
                     subsystem=subsystem,
                 )
             self.heard()

@@ -105,7 +105,7 @@ class Tables:
             raise SvarMissingError(
                 "the table's file was removed while it was in use",
                 where=str(opened.table.path),
-                remedy="tasks that run go on; stop the subsystem and start it again "
+                remedy="running tasks continue; stop the subsystem and start it again "
                 "before spawning more",
             )
         return opened

@@ -130,7 +130,7 @@ cdef class Shared:
     cdef int fail(self, int code) except -1:
         if code == XM_STUCK:
             raise XmError("its lock was not free for 2 s", where=self.name,
-                          remedy="look for a stopped process (state T) that uses it")
+                          remedy="check for a stopped process (state T) that uses it")
         if code == XM_CROWDED:
             raise XmFullError("too many processes use it, or threads wait for it", where=self.name,
                               expected=f"at most {XM_MEMBERS} processes and {XM_SLOTS} "

@@ -253,8 +253,8 @@ def test_a_handler_needs_its_method() -> None:
     assert texts(configuration(task("a", outvar="X", handler=6))) == []
     assert texts(configuration(task("a", outvar="X", info=info, handler=6))) == [
         "a.rmod: module mod has no timing_failure(), which HANDLER 6 counts on "
-        "(expected def timing_failure(self, kind) in mod); write there what is to be "
-        "done, or take HANDLER out of the .rmod file"
+        "(expected def timing_failure(self, kind) in mod); implement the reaction "
+        "there, or take HANDLER out of the .rmod file"
     ]
 
 

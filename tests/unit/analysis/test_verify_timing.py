@@ -246,7 +246,7 @@ def test_the_traffic_of_equations_6_and_7() -> None:
 @pytest.mark.parametrize(
     ("given", "keyword", "more"),
     [
-        ({"maxc": 0.02}, "MAXC", "; with SOFTNESS a cycle may go on into the next "),
+        ({"maxc": 0.02}, "MAXC", "; with SOFTNESS a cycle may continue into the next "),
         ({"maxc": 0.05, "effc": 0.02, "softness": 0.1}, "EFFC", ""),
         ({"minc": 0.02}, "MINC", ""),
         ({"capacity": 0.02, "tasktype": TaskType.SPORADIC}, "CAPACITY", ""),

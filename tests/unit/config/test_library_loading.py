@@ -214,15 +214,15 @@ def test_a_module_that_is_not_there(folder):
 def test_a_module_beside_the_files_that_want_it_is_told_with_its_folder(folder):
     library = Library()
     library.beside = (folder / "other", folder)
-    told = f"ramp.py stands in {folder}; give --library {folder}"
+    told = f"ramp.py is in {folder}; give --library {folder}"
     with pytest.raises(ModuleLoadError) as caught:
         library.load("ramp")
     assert caught.value.remedy == told
     assert library.for_agent("ramp", "arm0") == (
-        f"{told}, also to the agent arm0 where it was started before"
+        f"{told}, also to the agent arm0 if it was started before"
     )
     assert Library([folder]).for_agent("ramp", "arm0") == (
-        f"ramp.py stands in {folder}; the agent arm0 needs it, too: "
+        f"ramp.py is in {folder}; the agent arm0 needs it, too: "
         f"pbonet agent --name arm0 --library {folder}"
     )
     assert not library.for_agent("rmap", "arm0")

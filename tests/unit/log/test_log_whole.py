@@ -197,6 +197,6 @@ def test_a_simulation_without_its_files_says_which_is_missing(simulation) -> Non
     of = Log(log)
     kept = {name: one for name, one in of.attached.items() if name != "x.svar"}
     of.attached = kept
-    with pytest.raises(LogError, match="does not carry") as caught:
+    with pytest.raises(LogError, match="does not contain") as caught:
         rerun(of)
     assert caught.value.expected == "x.svar among its attachments"

@@ -226,7 +226,7 @@ def test_what_an_event_takes_is_no_reserve_of_a_server(folder):
     found, warnings = adopt.adopt(folder / "puma.sbs", ["vel"])
     assert found == []
     assert warnings == [
-        f"{path}: not adopted: what is reserved for the server vel is its CAPACITY, "
+        f"{path}: not adopted: the reserve of the server vel is its CAPACITY, "
         "whatever one event takes"
     ]
     assert path.read_text() == text

@@ -97,7 +97,8 @@ def test_a_size_that_no_port_has_is_asked_for_and_taken(call, write):
     status, _, err = call("new", "svar", "arm", "law")
     assert status == 1
     assert err == (
-        "pbonet: law: no port says what size NDOF is (expected a size for NDOF); say "
+        "pbonet: law: no port determines the size of NDOF (expected a size for "
+        "NDOF); say "
         "--size NDOF=6\n"
     )
     status, _, err = call("new", "svar", "arm", "law", "--size", "NDFO=3")
@@ -107,7 +108,9 @@ def test_a_size_that_no_port_has_is_asked_for_and_taken(call, write):
     assert status == 0
     told = json.loads(out)
     assert told["files"] == ["arm.svar"]
-    assert told["warnings"] == ["no module says the unit of Q_MEZ: correct UNITS none"]
+    assert told["warnings"] == [
+        "no module declares the unit of Q_MEZ: correct UNITS none"
+    ]
     sizes = {one.name: one.nelem for one in read_svar("arm.svar").variables}
     assert sizes == {"NDOF": 1, "Q_MEZ": 3, "T_REF": 3, "JAC": 9}
 
@@ -150,5 +153,5 @@ def test_a_structure_has_no_length_that_a_module_knows(call, write):
     write("camera", port, outvar="RAW")
     status, _, err = call("new", "svar", "cam", "camera", "--size", "n=1")
     assert status == 1
-    assert "nothing says how long the structure RAW is" in err
+    assert "the length of the structure RAW is unknown" in err
     assert "(expected TYPE struct[BYTES]); write the .svar file by hand" in err

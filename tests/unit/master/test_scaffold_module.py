@@ -238,7 +238,7 @@ REFUSED = [
     ),
     (
         lambda: read_port("A-B:6:rad", IV),
-        "A-B:6:rad: the port's name cannot stand in an .rmod file (expected a letter "
+        "A-B:6:rad: the port's name is not allowed in an .rmod file (expected a letter "
         "or _, then letters, digits and any of _ ^ ' ., at most 15 in all, got "
         '"A-B"); choose another name',
     ),

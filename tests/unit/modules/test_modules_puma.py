@@ -417,9 +417,9 @@ def test_enable_button_must_be_held() -> None:
         ({"trace": "", "device": ""}, "either a device or a trace"),
         ({"device": "/dev/ttyS0"}, "either a device or a trace"),
         ({"trace": "nobody"}, "no such operator trace"),
-        ({"axes": (1, 2, 3)}, "axes cannot steer the joints"),
-        ({"axes": (1, 2, 3, 0, 5, 6)}, "axes cannot steer the joints"),
-        ({"dead": 500.0}, "axes cannot steer the joints"),
+        ({"axes": (1, 2, 3)}, "axes cannot control the joints"),
+        ({"axes": (1, 2, 3, 0, 5, 6)}, "axes cannot control the joints"),
+        ({"dead": 500.0}, "axes cannot control the joints"),
         ({"speed": (1.0, 2.0)}, "speed has the wrong number of values"),
     ],
 )

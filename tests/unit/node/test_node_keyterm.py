@@ -1,4 +1,4 @@
-"""How long keys are good for, as agents and doctor tell it."""
+"""How long keys are valid for, as agents and doctor tell it."""
 
 from __future__ import annotations
 
@@ -159,8 +159,8 @@ def test_times_are_said_as_people_do(seconds, said):
 @pytest.mark.parametrize(
     ("days", "line"),
     [
-        (100.5, "PASS your keys in {} are good for 100 days"),
-        (5.2, "WARN your keys in {} are good for 5 days; make others with "),
+        (100.5, "PASS your keys in {} are valid for 100 days"),
+        (5.2, "WARN your keys in {} are valid for 5 days; make others with "),
         (-0.01, "FAIL {}/cert.pem: the certificate has expired; `pbonet keys "),
     ],
 )

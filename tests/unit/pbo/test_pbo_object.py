@@ -118,7 +118,7 @@ def alone(self):
 def test_cycle_must_be_there():
     assert refuse({}) == (
         "somewhere.Made (source unknown): the module has no method cycle (expected "
-        "def cycle(self, dt: float) -> None); or say `abstract=True` behind the base "
+        "def cycle(self, dt: float) -> None); or say `abstract=True` after the base "
         "class"
     )
     assert refuse({"cylce": cycle}).endswith("did you mean cylce?")
@@ -175,7 +175,7 @@ def test_parameters_stand_in_brackets():
                 pass
 
     assert str(caught.value).endswith(
-        "the class of the parameters stands in brackets behind the base class "
+        "the class of the parameters follows the base class in brackets "
         "(expected class Wrong(PortBasedObject[Gains]), got params: Gains)"
     )
 

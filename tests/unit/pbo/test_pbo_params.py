@@ -277,13 +277,13 @@ DECLARATIONS = [
     (
         float,
         {},
-        "a parameter says its unit and meaning (expected "
+        "a parameter declares its unit and meaning (expected "
         'kp: A[type, param("unit", "doc")], got float)',
     ),
     (
         A[float, "gain"],
         {},
-        "a parameter says its unit and meaning (expected "
+        "a parameter declares its unit and meaning (expected "
         'kp: A[type, param("unit", "doc")], got typing.Annotated[float, \'gain\'])',
     ),
     (A[float, param("", "gain")], {}, "the parameter has no unit (got '')"),

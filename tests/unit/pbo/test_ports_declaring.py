@@ -149,7 +149,7 @@ FAULTS = [
         "q",
         Vector,
         ("MUCH_TOO_LONG_NAME", "n", "rad", "position"),
-        "the port's name cannot stand in an .rmod file (expected a letter or _, then "
+        "the port's name is not allowed in an .rmod file (expected a letter or _, then "
         "letters, digits and any of _ ^ ' ., at most 15 in all, "
         'got "MUCH_TOO_LONG_NAME" (18 characters))',
     ),
@@ -157,7 +157,7 @@ FAULTS = [
         "q",
         Vector,
         ("none", "n", "rad", "position"),
-        "the port's name cannot stand in an .rmod file (expected a letter or _, then "
+        "the port's name is not allowed in an .rmod file (expected a letter or _, then "
         "letters, digits and any of _ ^ ' ., at most 15 in all, "
         'got "none" (4 characters))',
     ),
@@ -208,7 +208,7 @@ FAULTS = [
         "q",
         Vector,
         ("Q", "Q", "rad", "position"),
-        "the shape names port q, which is no integer constant (expected "
+        "the shape names port q, which is not an integer constant (expected "
         "q: A[int, InConst(...)] or a name that is no port, got in-var of type "
         "float64[])",
     ),
@@ -404,7 +404,7 @@ def test_a_size_is_named_by_attribute_not_by_port():
             q: A[Vector, InVar("Q", "NDOF", "rad", "position")]
 
     assert str(caught.value).endswith(
-        "the shape names NDOF, which is no attribute; write the attribute: ndof"
+        "the shape names NDOF, which is not an attribute; write the attribute: ndof"
     )
 
 

@@ -88,7 +88,7 @@ FAULTS = [
         "q:n p:m j:m,n",
         {"Q": 6, "P": 2, "J": 13},
         {},
-        "port j (J) has another size than its shape says (expected 12 elements for "
+        "port j (J) has another size than its shape declares (expected 12 elements for "
         "shape m,n, m is 2 from port p (P), n is 6 from port q (Q), got 13 elements); "
         "correct NELEM of the variable, or the shape of j",
     ),
@@ -96,14 +96,14 @@ FAULTS = [
         "w:3",
         {"W": 4},
         {},
-        "port w (W) has another size than its shape says (expected 3 elements for "
+        "port w (W) has another size than its shape declares (expected 3 elements for "
         "shape 3, got 4 elements); correct NELEM of the variable, or the shape of w",
     ),
     (
         "ndof:1",
         {"NDOF": 2},
         {},
-        "port ndof (NDOF) has another size than its shape says (expected 1 element "
+        "port ndof (NDOF) has another size than its shape declares (expected 1 element "
         "for shape 1, got 2 elements); correct NELEM of the variable, or the shape of "
         "ndof",
     ),
