@@ -113,7 +113,7 @@ def adopt(
 
 def _no_cycle(rmod: Rmod) -> str:
     return (
-        f"{rmod.file}: not adopted: what is reserved for the server {rmod.name} is its "
+        f"{rmod.file}: not adopted: the reserve of the server {rmod.name} is its "
         "CAPACITY, whatever one event takes"
     )
 
