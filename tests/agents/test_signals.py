@@ -227,7 +227,7 @@ class TestSigwait:
         stopping = threading.Thread(target=stop)
         stopping.start()
         try:
-            with pytest.raises(StateError, match="stopped while a signal"):
+            with pytest.raises(StateError, match="stopped during the wait"):
                 program.sigwait(["FINISH"], timeout=30.0)
         finally:
             ended.set()
