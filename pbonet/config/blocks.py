@@ -33,7 +33,7 @@ class Grammar:
     Args:
         text: The order as people read it.
         after: Keywords that may follow the block.
-        either: Groups of keywords of which only one may be given; whoever reads the
+        either: Groups of keywords of which only one may be given; the reader of the
             block refuses two, here they are not offered.
     """
 

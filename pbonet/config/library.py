@@ -74,7 +74,7 @@ class Library:
     Args:
         folders: Folders beside the modules that pbonet brings and those of installed
             packages; earlier ones win, and all of them win over those. One that does
-            not exist is an error when a name is searched for that nobody else has.
+            not exist is an error when a name is searched for that no other folder has.
     """
 
     def __init__(self, folders: Iterable[str | Path] = ()) -> None:

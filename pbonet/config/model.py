@@ -1,7 +1,7 @@
 """Configuration files as typed records (Stewart 1994, 3.8, 4.3, 5.5.2).
 
 The readers in this package make these records from text and the writer makes text from
-them; nothing else in pbonet looks at the text. Places are kept where a later step may
+them; nothing else in pbonet reads the text. Places are kept where a later step may
 still find a fault, so that it can name file, line and column.
 """
 

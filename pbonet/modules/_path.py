@@ -29,7 +29,7 @@ class PosePath:
         time: When the poses are reached, s; 0 first.
         position: x y z of each pose, m, pose by pose.
         angles: Roll pitch yaw of each, rad: turned by Rz(yaw) Ry(pitch) Rx(roll).
-        repeat: Whether the path begins anew at its end.
+        repeat: Whether the path starts again at its end.
 
     Raises:
         ParameterError: They are no path.

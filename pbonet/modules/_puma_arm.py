@@ -3,7 +3,7 @@
 Such an arm has its second and third axis parallel, an elbow offset, and three wrist
 axes that meet in one point. The steps are those of Paul, Shimano and Mayer 1981
 ("Kinematic control equations for simple manipulators", IEEE Trans. SMC-11), worked out
-anew for the signs of the table in `pbonet.io.puma560`: the wrist's point gives the
+again for the signs of the table in `pbonet.io.puma560`: the wrist's point gives the
 first three joints, two shoulders and two elbows; the orientation that is left gives the
 wrist, two ways more.
 """

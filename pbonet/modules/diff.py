@@ -41,7 +41,7 @@ class Diff(PortBasedObject[Smoothing]):
 
     def on(self) -> None:
         self._before[:] = self.z
-        self._once[:] = self.z_dot  # whoever wrote it before: no step at a swap
+        self._once[:] = self.z_dot  # by any writer: no step at a swap
 
     def cycle(self, dt: float) -> None:
         tau = self.params.tau

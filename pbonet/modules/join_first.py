@@ -13,7 +13,7 @@ class JoinFirst(PortBasedObject[Params]):
     Two modules that produce the same variable get different ones by SVARALIAS, the
     better one Z1, and this module makes the one that others read out of the two. It
     warns when it changes from one to the other, and fails when neither is valid, so
-    that nobody takes an old value for a new one. Joins can be chained.
+    that no reader takes an old value for a new one. Joins can be chained.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]

@@ -51,7 +51,7 @@ class JtBall(PortBasedObject[Steering]):
         self._ball = self._find_ball()
         self._fault = False
         self._take_parameters()
-        self._poll()  # a ball that is missing is told at once
+        self._poll()  # a missing ball is reported at once
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - nearly all at once
         if name in {"device", "trace", "repeat"}:

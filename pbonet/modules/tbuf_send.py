@@ -15,7 +15,7 @@ class Outgoing(Params):
 class TbufSend(PortBasedObject[Outgoing]):
     """Send z in every cycle, with the time; not while z is stale (its MAXAGE).
 
-    So what the receiver has is never older than it seems. It waits for nobody: not for
+    So what the receiver has is never older than it seems. It never waits: not for
     a receiver, nor for a network. In a simulation nothing is sent.
     """
 

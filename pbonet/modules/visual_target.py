@@ -46,7 +46,7 @@ class VisualTarget(PortBasedObject[Sight]):
 
     def off(self) -> None:
         if not self.task.handover:
-            self.v[:] = 0.0  # a target that nobody sees any more moves no hand
+            self.v[:] = 0.0  # a target that is out of sight moves no hand
 
     def _look(self) -> None:
         seen = self._time - self.params.delay

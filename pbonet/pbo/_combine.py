@@ -84,7 +84,7 @@ class Combination(NamedTuple):
     """The interface of a combination."""
 
     ports: tuple[Port, ...]
-    """Named by their variables; each is transferred once, whoever uses it."""
+    """Named by their variables; each is transferred once, however many parts use it."""
     within: tuple[Port, ...]
     """Ports of the parts that are none of it: inner ones, and more users of one
     variable. They count where sizes are solved."""

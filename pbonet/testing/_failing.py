@@ -110,7 +110,7 @@ class Failing:
 
     def _tell(self) -> None:
         """Call the handler, which must return the recorded answer."""
-        assert self._came is not None  # noqa: S101 - who calls this has looked
+        assert self._came is not None  # noqa: S101 - the caller has checked
         (kind, place, now), self._came = self._came, None
         if place:
             self.unsure = (

@@ -248,7 +248,7 @@ def _go(parts: list[_Part]) -> None:
     while waiting:
         due, number = heapq.heappop(waiting)
         part = parts[number]
-        if part.due_ns == due:  # else somebody has needed it before
+        if part.due_ns == due:  # else it was needed before
             part.advance()
         if (following := part.due_ns) is not None:
             heapq.heappush(waiting, (following, number))

@@ -389,7 +389,7 @@ def _bounds(node: ast.expr, size: int) -> tuple[int, int]:
 
 
 def _product(left: str, right: str, sign: str) -> str:
-    """Return the unit of a product or quotient; any where it cannot be told."""
+    """Return the unit of a product or quotient; any if it cannot be determined."""
     units = ["none" if unit == ANY else unit for unit in (left, right)]
     if left == right == ANY or not all(map(known_unit, units)):
         return ANY

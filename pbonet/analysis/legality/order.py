@@ -134,10 +134,10 @@ def change_order(
 ) -> list[tuple[str, str]]:
     """Return the signals that lead from one configuration to another (section 3.10).
 
-    Tasks are turned on in the order of `on_order`. Whoever wrote an output of one of
+    Tasks are turned on in the order of `on_order`. The writer of an output of one of
     them is turned off directly before it, and the other successors of that one follow
     directly, so that a variable is without a writer for as short a time as can be.
-    Tasks without a successor go off at the end: until then somebody may read them.
+    Tasks without a successor go off at the end: until then other tasks may read them.
 
     Args:
         going: The tasks that are turned off.

@@ -144,7 +144,7 @@ def _variables(
         if variable is None and (task.info is None or elsewhere(task, name)):
             yield _unknown(table, task, keyword, name)
         elif variable is None:
-            continue  # the module has no such port, which is told
+            continue  # the module has no such port, which is reported
         elif port := ports.get(name):
             yield from _type(task, keyword, port, variable)
             yield from _unit(task, keyword, port, variable)

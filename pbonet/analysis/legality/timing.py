@@ -196,7 +196,7 @@ def _by_rule(tasks: Sequence[Task], levels: dict[str, int], inside: set[str]) ->
     """Return whether the set has one criticality and all others a lower one.
 
     A CRIT in an RMOD may make it otherwise, and measured times may be more than what
-    the set was made for; then each level has to be looked at.
+    the set was made for; then each level has to be examined.
     """
     if any(t.measured is not None for t in tasks):
         return False

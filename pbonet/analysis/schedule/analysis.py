@@ -442,7 +442,7 @@ def largest_server(
     """Return the greatest capacity with which all tasks still keep their deadlines.
 
     Args:
-        server: Gives kind and period; its capacity is not looked at.
+        server: Gives kind and period; its capacity is not used.
         tasks: The tasks below it: the critical set of MUF, or all tasks under RM.
         rm: RM schedules the tasks, not EDF.
         limit: Share of the core that tasks and server may use together.

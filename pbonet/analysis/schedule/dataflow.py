@@ -76,7 +76,7 @@ def run(
 
     Args:
         chain: The tasks.
-        seconds: How long is looked at.
+        seconds: Length of the analyzed time.
         settle: Seconds before that, so that the beginning does not count.
         signal: The sensor's value at instants in seconds.
 
@@ -150,7 +150,7 @@ def errors(
     Args:
         periods_b_ns: T_b; T_a is 50 ms and both cycles take 5 ms.
         a_first: The priority of task a is the greater one.
-        seconds: How long each is looked at.
+        seconds: Length of the analyzed time of each.
     """
     return np.array([
         run(Chain(period_b_ns=period, a_first=a_first), seconds).error

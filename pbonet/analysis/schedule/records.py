@@ -183,7 +183,7 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
     takeovers: int
     """How often a standby took over from a leader that died."""
     spared: int
-    """Looks at running cycles that were taken back because none ran any more."""
+    """Checks of running cycles that were cancelled because none ran any more."""
 
 
 class Histograms(Struct, frozen=True, kw_only=True):

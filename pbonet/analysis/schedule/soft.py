@@ -213,7 +213,7 @@ def effective(
 ) -> Effective:
     """Return what to reserve for a soft task in each period: E of section 6.4.
 
-    What somebody declared goes first, then what the profile says for this softness,
+    A declared value comes first, then what the profile says for this softness,
     but never more than the worst time; without both the worst time stands for E,
     which reserves more than is needed.
 

@@ -199,7 +199,7 @@ def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]
         producers=files.producers(),
         limit=PLANNED,
     )
-    if len(tasks) < len(lines):  # else one fault would be told as many
+    if len(tasks) < len(lines):  # else one fault would be reported as many
         return None, found
     return legality.judge(empty, legality.job(tasks)), found
 

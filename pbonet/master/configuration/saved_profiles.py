@@ -3,7 +3,7 @@
 A profile stands in ``profiles/HOST/RMOD.json`` beside the ``.sbs`` file: a time is
 valid on the machine where it was measured. It names the module, its version, and a
 digest of the configuration that the module had; where one of them is another today, the
-profile is told and not used (Stewart 1994, section 6.7).
+profile is reported and not used (Stewart 1994, section 6.7).
 """
 
 from __future__ import annotations

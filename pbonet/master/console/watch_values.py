@@ -91,7 +91,7 @@ class Listener:
         try:
             event = _EVENT.decode(sample.payload.to_bytes())
         except codec.MALFORMED:
-            return  # of another version; `events` tells of it
+            return  # of another version; `events` reports it
         if not self.wants(event):
             return
         self._kept.append(event)

@@ -2,7 +2,7 @@
 
 It is the RTPU of `pbonet.node` itself: the same requests, the same state, the same
 tasks. What a process of its own, shared memory and a dispatcher's thread are to that is
-here a channel in memory, tables that nobody else can open, and turns as time passes.
+here a channel in memory, tables that no other can open, and turns as time passes.
 """
 
 from __future__ import annotations

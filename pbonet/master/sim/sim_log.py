@@ -30,7 +30,7 @@ UNTIL_STOPPED: Final = -1.0
 
 
 class _Recorder(Recorder):
-    """Records one RTPU: a recorder that is told which rings there are.
+    """Records one RTPU: a recorder that gets the list of rings.
 
     Args:
         wanted: What, and where to.

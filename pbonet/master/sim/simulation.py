@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _TOLD = frozenset({"WARNING", "SIGNAL", "HANDLED", "METHOD", "FALLBACK"})
-"""Codes of the events that are told when the simulation has ended."""
+"""Codes of the events that are reported when the simulation has ended."""
 
 
 class Simulation(VirtualRtpus):
@@ -252,7 +252,7 @@ class Simulation(VirtualRtpus):
             self.stop()
         return self.recording
 
-    # -- what can be looked at --------------------------------------------------------
+    # -- state ----------------------------------------------------------------------
 
     def display(self, names: Sequence[str]) -> list[m.VarValue]:
         """Return values of variables, of this instant."""

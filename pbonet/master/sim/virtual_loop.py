@@ -1,7 +1,7 @@
 """An event loop whose time is virtual, and sockets within it: nothing ever waits.
 
 The code of an RTPU process is asynchronous, as it waits for tasks and for time. In
-virtual time its coroutines run on this loop, in the thread of whoever lets time pass.
+virtual time its coroutines run on this loop, in the thread that lets time pass.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class Channel:
     """One end of a pair of sockets in memory; `pair` makes both.
 
     Args:
-        loop: Wakes who waits for a message.
+        loop: Wakes the coroutine that waits for a message.
     """
 
     def __init__(self, loop: VirtualLoop) -> None:

@@ -256,7 +256,7 @@ class VirtualClient(rpc.Client):
 
     Args:
         rtpus: Who answers.
-        domain: The domain's name, for keys that nobody sees.
+        domain: The domain's name, for keys, which no other process sees.
         name: The master's own name.
         warned: As for `rpc.Client`.
     """

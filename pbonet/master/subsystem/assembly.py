@@ -112,7 +112,7 @@ def start(
                 done.spawn(by_name[name])
         task_set.rank()
         gate.must_hold()
-        pair(task_set, wanted)  # before a task may fail for which somebody stands by
+        pair(task_set, wanted)  # before a task that has a standby may fail
         for name in legality.on_order([one for one in tasks if not one.fallback_of]):
             go_on(stopped)
             if not task_set.model.find(name).is_on:

@@ -52,7 +52,7 @@ def given(task_set: SubsystemTasks, task: str, leaving: Collection[str] = ()) ->
         leaving: Tasks that are about to be killed, and need not know.
 
     Raises:
-        SeveralError: As `renew`; the task gives them all the same.
+        SeveralError: As `renew`; the task still gives them.
     """
     giver = task_set.model.find(task)
     gives = dict.fromkeys(giver.task.gives, giver.rtpu)

@@ -39,7 +39,7 @@ def prove(
         items: What was carried out.
         kills: What is to be done behind it.
         clock: By which first cycles are waited for.
-        stopped: When it is set nobody waits any more.
+        stopped: Ends the wait when it is set.
 
     Raises:
         ReconfigError: One of them has failed, or an RTPU does not say how its tasks

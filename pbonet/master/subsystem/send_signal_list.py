@@ -2,7 +2,7 @@
 
 Tasks that take over from tasks on another RTPU stand by before the first signal is
 sent. Those that end engage them, or on another machine the agent does, with the news
-that the others have ended. Nobody waits for this master in between.
+that the others have ended. No task waits for this master in between.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class _Sending:
         self._handover = signal_list_split.handed_over(model, items)
         self._calls: dict[str, list[m.Call]] = {}
         self.successors: dict[str, list[str]] = {}
-        """Tasks that stand by, and who calls each."""
+        """Tasks that stand by, and the callers of each."""
         self.states: dict[str, str] = {}
 
     def have_successors_stand_by(self) -> None:

@@ -2,8 +2,8 @@
 
 What is to be done follows from the two configurations: tasks that both have stay ON, as
 A and D do in Figure 3.1; tasks that only the new one has are spawned first, which takes
-longest and disturbs nobody; then one list of signals exchanges the others, and at the
-end those are killed that nobody wants any more.
+longest and disturbs no task; then one list of signals exchanges the others, and at the
+end the tasks that are no longer wanted are killed.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ class Plan:
             if gate is not None:
                 if transition.spawns:
                     gate.must_hold()
-                # Before a task may fail for which somebody stands by.
+                # Before a task that has a standby may fail.
                 free = self._standbys.keys() - self._kept
                 assembly.pair(self._task_set, [self._standbys[name] for name in free])
                 gate.entered()

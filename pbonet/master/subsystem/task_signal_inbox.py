@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 LOOK_TIME = 0.5
-"""Seconds after which a wait looks at the counts though no event has come."""
+"""Seconds after which a wait checks the counts without an event."""
 LATE_NS = 60_000_000_000
 """A status is late by less than this; an older one is of a machine that was booted
 again, whose clock begins at 0."""
@@ -83,7 +83,7 @@ class _Life(Struct):
 class Inbox:
     """Which signals of the tasks are pending: those counted, less those taken.
 
-    It looks at each status that comes, so that a task which dies and is spawned again
+    It reads each status that comes, so that a task which dies and is spawned again
     between two waits takes nothing with it.
     """
 

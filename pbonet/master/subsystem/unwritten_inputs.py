@@ -45,7 +45,7 @@ class UnwrittenInputs:
     def settle(self, problems: Sequence[legality.Problem]) -> None:
         """Raise the flag for these inputs and no others; report new ones.
 
-        They are those that the master knows. The keeper sees in the table who writes,
+        They are those that the master knows. The keeper sees the writers in the table,
         and may know of a fallback that was turned on since: then nothing is reported.
 
         Args:

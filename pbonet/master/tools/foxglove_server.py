@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Place
 
 STATES: Final = 0.5
-"""Seconds between two looks at the tasks' states and the events."""
+"""Seconds between two checks of the tasks' states and the events."""
 _STATUS_SCHEMA: Final = {"type": "object", "title": "pbonet.TaskStatus"}
 
 
@@ -99,7 +99,7 @@ class Viewer:
         self._server.stop()
 
     def values(self) -> None:
-        """Send what is new of the variables that somebody looks at.
+        """Send new values of the variables that have a viewer.
 
         Raises:
             PbonetError: The keeper does not answer.
@@ -178,7 +178,7 @@ def view(
         path: The ``.sbs`` file, or a ``.job`` file that names it.
         place: Where the subsystem is.
         where: Where viewers find it.
-        hz: How often values are looked at.
+        hz: How often values are read.
         insecure: Serve beyond this machine; nothing protects it.
         as_data: Print where it is as JSON.
 

@@ -1,7 +1,7 @@
 """Recorded outputs of chosen tasks in a live table, while the other tasks run.
 
 Each of them has a local table here, as the task had, and owns its variables as long as
-it plays: nobody else may write them then, and it cannot take what a task owns.
+it plays: no other task may write them then, and it cannot take what a task owns.
 """
 
 from __future__ import annotations

@@ -413,7 +413,7 @@ def _can_be_compared(port: NewPort) -> bool:
 
 
 def _bench_values(ports: Sequence[NewPort]) -> Mapping[str, str]:
-    """Return what a bench must be told: sizes, in-consts, structures."""
+    """Return what a bench needs: sizes, in-consts, structures."""
     values: dict[str, str] = {}
     for port in ports:
         dims = parse_shape(port.shape)

@@ -143,7 +143,7 @@ class Timed(Simulation):
 
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
         """Run a cycle on the inputs of this instant; its outputs are held."""
-        del now_ns  # a cycle is told its release, as on an RTPU
+        del now_ns  # a cycle gets its release time, as on an RTPU
         if self.states()[task] is not State.ON:
             return False
         self._pass(BEGIN_NS + release_ns)
@@ -174,7 +174,7 @@ class Timed(Simulation):
         return next(host for host in hosts if host.spec.task == task)
 
     def _judged(self, change: legality.Change) -> legality.Verdict:
-        """Judge the job but for its load; its warnings are told by `simulate`."""
+        """Judge the job but for its load; its warnings are reported by `simulate`."""
         verdict = without_loads(super()._judged(change))
         return structs.replace(verdict, problems=verdict.refused)
 

@@ -161,7 +161,7 @@ def _remove_table(name: str) -> list[str]:
 
 
 def _sweep_mail(places: run_folder.Places) -> list[str]:
-    """Remove semaphores and queues that nobody uses; return what was done."""
+    """Remove unused semaphores and queues; return what was done."""
     swept = sweep(places.name, places.domain)
     return [f"express mail {places.name}:{name} was removed" for name in swept]
 

@@ -231,7 +231,7 @@ class Fallbacks:
         return slot.mode in {Mode.OFF, Mode.STANDS} and not slot.comes
 
     def _unfallen(self, original: Task, *, coming: bool) -> bool:
-        """Tell whether who stands by for a task is not engaged by what has been."""
+        """Return whether the standby of a task was not engaged by a past failure."""
         slot = self._rtpu.core.snapshot(original.facts.slot)
         if original.state is State.ON:
             return not slot.dead

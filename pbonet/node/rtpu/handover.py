@@ -183,7 +183,7 @@ class Exchange:
             finally:
                 timer.cancel()
         self._abandon()
-        # First, for one that was engaged all the same finds its variables free then.
+        # First, for a task that was engaged nevertheless finds its variables free then.
         await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
         for task in self._news:
             if not self._has_come(task):
@@ -234,7 +234,7 @@ class Exchange:
         """Let the task's next cycle be its last.
 
         For successors on other machines it gives its variables up: an owner is known to
-        have ended there by the news that nobody owns them any more.
+        have ended there by the news that they have no owner.
         """
         await self._rtpu.successors.withdraw(task)
         cede, calls = not self._is_far(task), self._near(task)

@@ -220,7 +220,7 @@ class Flags:
         self._events.add(severity, code, text, subsystem=subsystem)
 
     def glance(self) -> None:
-        """Evaluate anew if variables have changed hands since, on whichever RTPU."""
+        """Evaluate again if variables have changed owners since, on any RTPU."""
         for (subsystem, *_), entry in self._entries.items():
             if self._tables.sound(subsystem) is not entry.opened or (
                 entry.generation != entry.opened.table.generation

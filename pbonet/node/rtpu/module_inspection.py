@@ -61,7 +61,7 @@ class ModuleInspection:
 
     async def _next(self, name: str | None) -> Found:
         async with self._turn:
-            del self._waiting[name]  # who asks from now on may mean other files
+            del self._waiting[name]  # requests from now on may mean other files
             return await self._inspect(name)
 
     async def _inspect(self, name: str | None) -> Found:

@@ -63,7 +63,7 @@ def _leave(path: Path, recording: Recording, pid: int) -> bool:
     name = f"{plain}{_LEFT}{recording.rtpu}.{pid}{_ENDING}"
     try:
         with path.open("rb") as file:
-            # Whoever follows it holds this lock, and takes the rest without its name.
+            # Its follower holds this lock, and needs no name for the rest.
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.rename(path.with_name(name))
     except OSError:

@@ -82,7 +82,7 @@ class Rtpu:
         self.flags = Flags(config.name, self.tables, events)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}
-        """The last status of tasks that died, until they are killed or spawned anew."""
+        """The last status of tasks that died, until they are killed or respawned."""
         self.told: dict[Key, tuple[int | None, int]] = {}
         """Criticality and priority as the master gave them."""
         self.spawned: dict[Key, tuple[int | None, int]] = {}

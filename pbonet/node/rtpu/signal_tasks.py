@@ -70,7 +70,7 @@ async def control(
     """
     event = event_of(signal, task.name)
     if event is lifecycle.Event.KILL:
-        task.stopping = True  # from here on nobody gets ready for it
+        task.stopping = True  # from here on no task gets ready for it
         await rtpu.fallbacks.spare(task)
         rtpu.fallbacks.dismiss(task)  # nothing is asked of it: it may hang in `on`
         rtpu.successors.dismiss(task)
@@ -104,7 +104,7 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     """Kill a task, by force if it does not go by itself; return warnings.
 
     Raises:
-        PbonetError: Its `off` or its `kill` failed; it is gone all the same.
+        PbonetError: Its `off` or its `kill` failed; it is gone nevertheless.
     """
     start = time.monotonic()
     failed: PbonetError | None = None

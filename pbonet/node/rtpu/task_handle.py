@@ -115,7 +115,7 @@ class Task:
         self.ending = ""
         """How its process ended, once that is known."""
         self.left = False
-        """It was ON and turned itself off, which nobody had asked for."""
+        """It was ON and turned itself off, which was not requested."""
         self.last_status: TaskStatus | None = None
         """Its status as it ended."""
         self.stands_by = ""
