@@ -183,34 +183,109 @@ class Bench(Generic[M]):
         return self.executor.state
 
     def on(self, arg: str = "") -> State:
-        """Send on; see `pbonet.node.task.executor.Executor.signal` for errors."""
+        """Turn the task on: copy in, ``on``, copy out.
+
+        Args:
+            arg: Text for the module, as ``self.task.arg``.
+
+        Returns:
+            ON, or OFF if the module answered that it cannot start yet.
+
+        Raises:
+            StateError: The task is not OFF; nothing was done.
+            SvarOwnerError: Another task writes an out-var; nothing was done.
+            MethodError: ``on`` failed and the error was not corrected.
+        """
         self._skips, self._passed = False, 0.0
         return self.executor.signal("on", arg)
 
     def off(self, *, handover: bool = False) -> State:
-        """Send off."""
+        """Turn the task off: ``off``, copy out.
+
+        Args:
+            handover: Whether a successor takes over the outputs, as in a swap
+                (``self.task.handover``).
+
+        Returns:
+            The state afterwards.
+
+        Raises:
+            StateError: The task is not ON; nothing was done.
+            MethodError: ``off`` failed and the error was not corrected.
+        """
         return self.executor.signal("off", handover=handover)
 
     def kill(self) -> State:
-        """Send kill."""
+        """End the task; ``kill`` runs, after ``off`` if it is ON.
+
+        Returns:
+            NOT-CREATED.
+
+        Raises:
+            StateError: The task does not exist any more; nothing was done.
+            MethodError: A method failed; the task has ended nevertheless.
+        """
         return self.executor.signal("kill")
 
     def clear(self) -> State:
-        """Send clear, as an operator does."""
+        """Run ``clear`` of a task in ERROR, as an operator does.
+
+        Returns:
+            OFF, or ERROR if the module could not clear the error.
+
+        Raises:
+            StateError: The task is not in ERROR; nothing was done.
+            MethodError: ``clear`` failed; the task is still in ERROR.
+        """
         return self.executor.signal("clear")
 
     def reinit(self, **constants: Any) -> State:  # noqa: ANN401 - numbers and arrays
-        """Change in-consts, by attribute, and send reinit."""
+        """Change in-consts and run ``reinit``.
+
+        Args:
+            **constants: New values by the port's attribute, in its unit and of its
+                shape.
+
+        Returns:
+            The state afterwards.
+
+        Raises:
+            StateError: The signal is not valid in this state; nothing was done.
+            PortError: A value does not fit its port, or a size changed; the old
+                constants remain.
+            MethodError: ``reinit`` failed and the error was not corrected.
+        """
         for attr, value in constants.items():
             setattr(self.inputs, attr, value)
         return self.executor.signal("reinit")
 
     def set(self, name: str, value: Any) -> object:  # noqa: ANN401 - of any parameter
-        """Change a parameter between two cycles, and return its new value."""
+        """Change a parameter between two cycles.
+
+        Args:
+            name: The parameter.
+            value: Its new value, in its unit, or the words of a LOCAL line.
+
+        Returns:
+            The value as the module has it.
+
+        Raises:
+            ParameterError: There is no such parameter, or the value is out of bounds.
+            MethodError: The module's ``set`` refused it; the old value remains.
+            StateError: The task does not exist any more.
+        """
         return self.executor.set(name, tuple(local_text(value).split()))
 
     def get(self, name: str) -> object:
-        """Return a parameter."""
+        """Return a parameter.
+
+        Args:
+            name: The parameter.
+
+        Raises:
+            ParameterError: There is no such parameter.
+            MethodError: The module's ``get`` failed.
+        """
         return self.executor.get(name)
 
     def step(self, dt: float | None = None, n: int = 1, *, check: bool = True) -> State:
@@ -296,7 +371,14 @@ class Bench(Generic[M]):
         return wanted
 
     def sync(self) -> State:
-        """Run the module's `sync`, as a task does that waits for its event."""
+        """Run the module's ``sync``, as a task does that waits for its event.
+
+        Returns:
+            ON when the event came, otherwise the state that ``error`` chose.
+
+        Raises:
+            StateError: The task is not ON; nothing was done.
+        """
         return self.executor.sync()
 
     # -- what can be inspected --------------------------------------------------------
