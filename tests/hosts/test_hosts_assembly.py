@@ -21,7 +21,7 @@ import json, sys
 from pbonet.master import Subsystem
 told = json.loads(sys.argv[1])
 sys.path.append(told["tests"])
-import patience, pytest
+import long_limits, pytest
 long_limits.be_patient(pytest.MonkeyPatch())
 arm = Subsystem(told["job"], domain=told["domain"], connect=told["way"]).open()
 arm.start()
