@@ -8,6 +8,7 @@ from .part import Part as Part
 from .reader import (
     Life as Life,
     Log as Log,
+    Lost as Lost,
     Message as Message,
     files_of as files_of,
     last_run as last_run,

@@ -1,7 +1,8 @@
 """One file of a run: its channels, and the messages of selected channels.
 
 A finished file has an index at its end, so that opening it reads neither cycles nor
-events. In a truncated file, each chunk is read.
+events. In a truncated file, each chunk is read. Whatever is read has a checksum: what
+does not fit it is left out and reported as damage.
 """
 
 from __future__ import annotations
@@ -15,22 +16,30 @@ import numpy as np
 from pbonet.errors import LogError
 
 from . import scan
-from .records import ATTACHED, FORMAT, METADATA, Attached, RunAbout
+from .records import (
+    ATTACHED,
+    CHECKSUM,
+    FORMAT,
+    METADATA,
+    Attached,
+    RunAbout,
+    checksum_of,
+    is_ours,
+)
 from .rows import Rows, gathered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Container, Iterable, Iterator
     from pathlib import Path
     from typing import BinaryIO
 
     from numpy.typing import NDArray
 
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")
-_CHUNK_HEAD: Final = struct.Struct("<QQQ")
 _PLACES: Final = np.dtype([("channel", "<u2"), ("at", "<u8")])
-_ENTRIES: Final = np.dtype([("time", "<u8"), ("at", "<u8")])
 _WHERE: Final = struct.Struct("<QQ")
-_ENTRY: Final = _ENTRIES.itemsize
+_TYPE, _CHANNEL, _AT, _SIZE = range(4)
+"""Columns of `scan.records`."""
 
 
 class Schema(NamedTuple):
@@ -61,27 +70,51 @@ class Channel(NamedTuple):
     metadata: dict[str, str]
 
 
+class Damage(NamedTuple):
+    """A part of a file that cannot be read."""
+
+    what: str
+    """``chunk``, ``attachment``, ``description``, or ``region`` of the file."""
+    at: int
+    """Its offset in the file."""
+    size: int
+    """Its size in bytes."""
+    begin_ns: int | None
+    """The time of the first message that may be missing, in nanoseconds since 1970;
+    None: none is missing, or no message is known before it."""
+    end_ns: int | None
+    """The time of the last one; None: no message is known after it."""
+
+
 class _Chunk:
     """A group of messages, compressed together.
 
     Args:
         at: Offset of the content of its record.
         size: Size of the content.
-        first_ns: The least time of a message.
-        last_ns: The greatest time of a message.
+        lost: Whether it is a region in which no record was found.
     """
 
-    __slots__ = ("at", "base", "first_ns", "index", "last_ns", "own", "size")
+    __slots__ = (
+        *("at", "base", "channels", "first_ns", "last_ns", "lost", "size", "sound"),
+    )
 
-    def __init__(self, at: int, size: int, first_ns: int, last_ns: int) -> None:
-        self.at, self.size = at, size
-        self.first_ns, self.last_ns = first_ns, last_ns
+    def __init__(self, at: int, size: int, *, lost: bool = False) -> None:
+        self.at, self.size, self.lost = at, size, lost
+        self.first_ns: int | None = None
+        """The least time of a message; None: it has none, or it is not known."""
+        self.last_ns: int | None = None
+        """The greatest time of a message."""
         self.base = 0
         """Offset of its first byte among the uncompressed chunks of the file."""
-        self.index: dict[int, int] = {}
-        """Offset of the file's list of a channel's messages, by channel."""
-        self.own: dict[int, list[int]] = {}
-        """Offsets in the chunk of messages that the file does not list, by channel."""
+        self.channels: Container[int] | None = None
+        """Channels of its messages; None: not known."""
+        self.sound: bool | None = None
+        """Whether it has the right checksum; None: it was not read yet."""
+
+    def may_have(self, keys: Iterable[int]) -> bool:
+        """Return whether it can have a message of one of these channels."""
+        return self.channels is None or any(key in self.channels for key in keys)
 
 
 class Part:
@@ -91,7 +124,8 @@ class Part:
         path: The file.
 
     Raises:
-        LogError: It is not a log, or of a newer version.
+        LogError: It is not a log, or of a newer version, or its description is
+            damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -102,27 +136,32 @@ class Part:
         self.metadata: dict[str, dict[str, str]] = {}
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[_Chunk] = []
-        self._sound: dict[int, bool] = {}
+        self._damage: list[Damage] = []
+        """What is not a chunk."""
         self._attachments: list[tuple[int, int]] = []
         self._rows: dict[int, Rows] = {}
         with scan.open_log(path) as file:
             self.size = file.seek(0, 2)
             summary = scan.summary(file, str(path))
             self.complete = summary is not None
-            """Whether the file was finished."""
+            """Whether the file was finished, and its index is not damaged."""
             if summary is not None:
                 self._take_summary(file, summary)
             else:
                 self._take_scan(file, scan.scan(file, str(path)))
+            self.attached = dict(self._attached(file))
+            """The attached files, by name."""
         self.sources = list(_sources(self.metadata, path))
         """The files that were merged into it; if it was not merged, itself."""
         self.about = self.sources[0].about if METADATA in self.metadata else None
+        if self.about is None:
+            self._must_be_foreign()
 
     # -- opening -----------------------------------------------------------------------
 
-    def _take_summary(self, file: BinaryIO, data: memoryview) -> None:
-        base = 0
-        for opcode, at, size in scan.inside(data):
+    def _take_summary(self, file: BinaryIO, data: bytes) -> None:
+        rows, base = scan.records(data), 0
+        for opcode, _, at, size in () if rows is None else rows.tolist():
             content = data[at : at + size]
             if opcode in {scan.SCHEMA, scan.CHANNEL}:
                 self._define(opcode, content)
@@ -135,73 +174,56 @@ class Part:
                 self._attachments.append((where + scan.HEAD, length - scan.HEAD))
             elif opcode == scan.METADATA_INDEX:
                 where, length = _WHERE.unpack_from(content)
-                self._tell(_read(file, where + scan.HEAD, length - scan.HEAD))
-        for chunk in self._chunks:
-            if not chunk.index:  # from another program
-                self._learn(file, chunk)
+                self._describe(file, where + scan.HEAD, length - scan.HEAD)
 
-    def _add_indexed(self, content: memoryview, base: int) -> int:
+    def _add_indexed(self, content: bytes, base: int) -> int:
         """Add a chunk; return its uncompressed size."""
         first, last, where, length, size = _CHUNK_INDEX.unpack_from(content)
         at = _CHUNK_INDEX.size
-        chunk = _Chunk(where + scan.HEAD, length - scan.HEAD, first, last)
+        chunk = _Chunk(where + scan.HEAD, length - scan.HEAD)
+        chunk.first_ns, chunk.last_ns, chunk.base = first, last, base
         places = np.frombuffer(content[at : at + size], _PLACES)
-        names, wheres = places["channel"].tolist(), places["at"].tolist()
-        chunk.index = dict(zip(names, wheres, strict=True))
-        chunk.base = base
+        if size:  # other programs may leave it out
+            chunk.channels = frozenset(places["channel"].tolist())
         self._chunks.append(chunk)
         return int.from_bytes(content[-8:], "little")
 
     def _take_scan(self, file: BinaryIO, content: scan.Content) -> None:
-        base = 0
         for opcode, at, size in content.records:
-            if opcode == scan.CHUNK:
-                head = _CHUNK_HEAD.unpack(_read(file, at, _CHUNK_HEAD.size))
-                chunk = _Chunk(at, size, head[0], head[1])
-                chunk.base = base
-                base += head[2]
-                self._chunks.append(chunk)
-            elif opcode == scan.MESSAGE_INDEX and self._chunks:
-                (channel,) = struct.unpack("<H", _read(file, at, 2))
-                self._chunks[-1].index[channel] = at - scan.HEAD
-            elif opcode in {scan.SCHEMA, scan.CHANNEL}:  # perhaps without messages
-                self._define(opcode, memoryview(_read(file, at, size)))
-            elif opcode == scan.ATTACHMENT:
+            if opcode == scan.ATTACHMENT:
                 self._attachments.append((at, size))
             elif opcode == scan.METADATA:
-                self._tell(_read(file, at, size))
+                self._describe(file, at, size)
+            elif opcode in {scan.CHUNK, scan.LOST}:
+                self._chunks.append(_Chunk(at, size, lost=opcode == scan.LOST))
+        base = 0
         for chunk in self._chunks:
-            self._learn(file, chunk)
+            chunk.base = base
+            base += self._learn(file, chunk)
 
-    def _learn(self, file: BinaryIO, chunk: _Chunk) -> None:
-        """Find the channels and messages of a chunk that the file does not list."""
-        data = self._unpacked(file, chunk)
-        if data is None:
-            return
-        each = [self._places(file, chunk, key) for key in chunk.index]
-        listed = np.sort(np.concatenate([*each, np.zeros(0, np.int64)]))
-        self.count += len(listed)
-        sizes = gathered(data, listed + 1, "<u8").astype(np.int64)
-        begins = np.concatenate([[0], listed + scan.HEAD + sizes])
-        ends = np.concatenate([listed, [len(data)]])
-        for gap in np.flatnonzero(ends > begins):
-            begin = int(begins[gap])
-            for opcode, at, size in scan.inside(data[begin : int(ends[gap])]):
-                content = data[begin + at : begin + at + size]
-                if opcode == scan.MESSAGE:
-                    place = begin + at - scan.HEAD
-                    chunk.own.setdefault(scan.message(content), []).append(place)
-                    self.count += 1
-                elif opcode in {scan.SCHEMA, scan.CHANNEL}:
-                    self._define(opcode, content)
+    def _learn(self, file: BinaryIO, chunk: _Chunk) -> int:
+        """Find the channels and messages of a chunk; return its uncompressed size."""
+        data, records = self._unpacked(file, chunk)
+        kinds = records[:, _TYPE]
+        messages = records[kinds == scan.MESSAGE]
+        for opcode, _, at, size in records[kinds != scan.MESSAGE].tolist():
+            if opcode in {scan.SCHEMA, scan.CHANNEL}:
+                self._define(opcode, data[at : at + size])
+        self.count += len(messages)
+        if len(messages):
+            times = gathered(data, messages[:, _AT] + scan.TIME_AT, "<u8")
+            chunk.first_ns, chunk.last_ns = int(times.min()), int(times.max())
+        if chunk.sound:
+            chunk.channels = frozenset(messages[:, _CHANNEL].tolist())
+        return max(len(data), 1)
 
-    def _define(self, opcode: int, content: memoryview) -> None:
+    def _define(self, opcode: int, content: bytes) -> None:
         """Add a schema or a channel."""
         number = int.from_bytes(content[:2], "little")
         if opcode == scan.SCHEMA:
             (name, encoding), at = _texts(content, 2, 2)
             size = int.from_bytes(content[at : at + 4], "little")
-            data = bytes(content[at + 4 : at + 4 + size])
+            data = content[at + 4 : at + 4 + size]
             self._schemas[number] = Schema(name, encoding, data)
             return
         schema = int.from_bytes(content[2:4], "little")
@@ -210,10 +232,46 @@ class Part:
             topic, encoding, self._schemas.get(schema, _NONE), _map(content, at)
         )
 
-    def _tell(self, content: bytes) -> None:
-        data = memoryview(content)
-        (name,), at = _texts(data, 0, 1)
-        self.metadata[name] = _map(data, at)
+    def _describe(self, file: BinaryIO, at: int, size: int) -> None:
+        """Add a metadata record; one of pbonet must have its checksum."""
+        (name,), begin = _texts(content := _read(file, at, size), 0, 1)
+        fields = _map(content, begin)
+        checksum = fields.pop(CHECKSUM, "")
+        if checksum == checksum_of(name, fields):
+            self.metadata[name] = fields
+            return
+        if checksum or is_ours(name):
+            self._damage.append(Damage("description", at, size, None, None))
+        if not checksum:
+            self.metadata.setdefault(name, fields)
+
+    def _attached(self, file: BinaryIO) -> Iterator[tuple[str, Attached]]:
+        for at, size in self._attachments:
+            content = scan.attachment(_read(file, at, size))
+            if content is None:
+                self._damage.append(Damage("attachment", at, size, None, None))
+            else:
+                one = _attachment(content)
+                yield one.name, one
+
+    def _must_be_foreign(self) -> None:
+        """Refuse a log of pbonet without a description: its times have no meaning.
+
+        Raises:
+            LogError: The description was there and is damaged.
+        """
+        regions = [
+            Damage("region", c.at, c.size, None, None) for c in self._chunks if c.lost
+        ]
+        lost = [one for one in (*self._damage, *regions) if one.what != "attachment"]
+        if lost:
+            raise LogError(
+                "the description of the run is damaged",
+                where=f"{self.path}, byte {lost[0].at}",
+                expected=f"one of the metadata records {METADATA} with its checksum",
+                got="none",
+                remedy="other MCAP tools show the messages, with raw times",
+            )
 
     # -- content -----------------------------------------------------------------------
 
@@ -223,28 +281,51 @@ class Part:
         return len(self._chunks)
 
     @property
-    def damaged(self) -> int:
-        """Number of chunks that cannot be decompressed; unread ones are checked now."""
+    def damage(self) -> list[Damage]:
+        """What cannot be read; chunks that were not read yet are checked now."""
         with scan.open_log(self.path) as file:
             for chunk in self._chunks:
-                if chunk.at not in self._sound:
+                if chunk.sound is None:
                     self._unpacked(file, chunk)
-        return sum(not sound for sound in self._sound.values())
+        found = list(self._damage)
+        for number, chunk in enumerate(self._chunks):
+            if not chunk.sound:
+                what = "region" if chunk.lost else "chunk"
+                span = self._span_of(number)
+                found.append(Damage(what, chunk.at, chunk.size, *span))
+        return sorted(found, key=lambda one: one.at)
+
+    def gaps(self, keys: Iterable[int]) -> list[int]:
+        """Return where messages of some channels may be missing.
+
+        Returns:
+            Places among all messages of the file, ascending.
+        """
+        wanted = list(keys)
+        return [
+            chunk.base
+            for chunk in self._chunks
+            if chunk.sound is False and chunk.may_have(wanted)
+        ]
+
+    def _span_of(self, number: int) -> tuple[int | None, int | None]:
+        """Return the time of a chunk, or that between its neighbours."""
+        chunk = self._chunks[number]
+        if chunk.first_ns is not None:
+            return chunk.first_ns, chunk.last_ns
+        before = [one.last_ns for one in self._chunks[:number]]
+        after = [one.first_ns for one in self._chunks[number:]]
+        return (
+            max((one for one in before if one is not None), default=None),
+            min((one for one in after if one is not None), default=None),
+        )
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
         """The least and the greatest time of a message; None if there are none."""
-        if not self._chunks:
-            return None
-        firsts = [chunk.first_ns for chunk in self._chunks]
-        return min(firsts), max(chunk.last_ns for chunk in self._chunks)
-
-    @property
-    def attached(self) -> dict[str, Attached]:
-        """The attached files, by name."""
-        with scan.open_log(self.path) as file:
-            each = [_attachment(_read(file, *where)) for where in self._attachments]
-        return {one.name: one for one in each}
+        firsts = [one.first_ns for one in self._chunks if one.first_ns is not None]
+        lasts = [one.last_ns for one in self._chunks if one.last_ns is not None]
+        return (min(firsts), max(lasts)) if firsts else None
 
     def load(self, keys: Iterable[int] | None = None) -> None:
         """Read the messages of some channels, or all, in one pass through the file."""
@@ -255,12 +336,13 @@ class Part:
         found: dict[int, list[Rows]] = {key: [] for key in wanted}
         with scan.open_log(self.path) as file:
             for chunk in self._chunks:
-                there = [k for k in wanted if k in chunk.index or k in chunk.own]
-                data = self._unpacked(file, chunk) if there else None
-                if data is not None:
-                    for key in there:
-                        places = self._places(file, chunk, key)
-                        found[key].append(Rows.of(data, places, chunk.base))
+                if not chunk.may_have(wanted):
+                    continue
+                data, records = self._unpacked(file, chunk)
+                messages = records[records[:, _TYPE] == scan.MESSAGE]
+                for key, each in found.items():
+                    own = messages[messages[:, _CHANNEL] == key]
+                    each.append(Rows.of(data, own[:, _AT], own[:, _SIZE], chunk.base))
         self._rows |= {key: Rows.joined(each) for key, each in found.items()}
 
     def rows(self, key: int) -> Rows:
@@ -268,22 +350,15 @@ class Part:
         self.load([key])
         return self._rows[key]
 
-    def _unpacked(self, file: BinaryIO, chunk: _Chunk) -> memoryview | None:
-        """Return the content of a chunk; None if it is damaged."""
-        data = scan.unpacked(_read(file, chunk.at, chunk.size))
-        self._sound[chunk.at] = data is not None
-        return data
-
     @staticmethod
-    def _places(file: BinaryIO, chunk: _Chunk, key: int) -> NDArray[np.int64]:
-        """Return the offsets of a channel's messages in a chunk, ascending."""
-        own = np.array(chunk.own.get(key, []), np.int64)
-        if key not in chunk.index:
-            return own
-        at = chunk.index[key] + scan.HEAD
-        (size,) = struct.unpack("<I", _read(file, at + 2, 4))
-        entries = np.frombuffer(_read(file, at + 6, size // _ENTRY * _ENTRY), _ENTRIES)
-        return np.sort(np.concatenate([own, entries["at"].astype(np.int64)]))
+    def _unpacked(file: BinaryIO, chunk: _Chunk) -> tuple[bytes, NDArray[np.int64]]:
+        """Return a chunk's content and its records; nothing if it is damaged."""
+        data = None if chunk.lost else scan.unpacked(_read(file, chunk.at, chunk.size))
+        records = None if data is None else scan.records(data)
+        chunk.sound = records is not None
+        if data is None or records is None:
+            return b"", np.zeros((0, 4), np.int64)
+        return data, records
 
 
 def _sources(metadata: dict[str, dict[str, str]], path: Path) -> Iterator[Source]:
@@ -324,18 +399,18 @@ def _read(file: Any, at: int, size: int) -> bytes:  # noqa: ANN401 - a file
     return cast("bytes", file.read(size))
 
 
-def _texts(data: memoryview, at: int, count: int) -> tuple[list[str], int]:
+def _texts(data: bytes, at: int, count: int) -> tuple[list[str], int]:
     """Return texts with their lengths before them, and the offset after them."""
     texts: list[str] = []
     for _ in range(count):
         size = int.from_bytes(data[at : at + 4], "little")
-        texts.append(bytes(data[at + 4 : at + 4 + size]).decode(errors="replace"))
+        texts.append(data[at + 4 : at + 4 + size].decode(errors="replace"))
         at += 4 + size
     return texts, at
 
 
-def _map(data: memoryview, at: int) -> dict[str, str]:
-    end = at + 4 + int.from_bytes(data[at : at + 4], "little")
+def _map(data: bytes, at: int) -> dict[str, str]:
+    end = min(at + 4 + int.from_bytes(data[at : at + 4], "little"), len(data))
     at += 4
     found: dict[str, str] = {}
     while at < end:
@@ -345,7 +420,6 @@ def _map(data: memoryview, at: int) -> dict[str, str]:
 
 
 def _attachment(content: bytes) -> Attached:
-    data = memoryview(content)
-    (name, kind), at = _texts(data, 16, 2)
-    size = int.from_bytes(data[at : at + 8], "little")
-    return Attached(name, bytes(data[at + 8 : at + 8 + size]), kind)
+    (name, kind), at = _texts(content, 16, 2)
+    size = int.from_bytes(content[at : at + 8], "little")
+    return Attached(name, content[at + 8 : at + 8 + size], kind)

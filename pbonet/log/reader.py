@@ -49,6 +49,34 @@ class Message(NamedTuple):
     data: bytes
 
 
+class Lost(msgspec.Struct, kw_only=True):
+    """A part of a log that cannot be read, because its checksum does not fit."""
+
+    path: str
+    """The file."""
+    what: str
+    """``chunk`` (a group of messages), ``attachment``, ``description`` of the run, or
+    ``region`` (of the file, in which there is no record)."""
+    at: int
+    """Its offset in the file."""
+    size: int
+    """Its size in bytes."""
+    begin: float | None
+    """When the first message that may be missing was recorded, in seconds of the run;
+    None: not known."""
+    end: float | None
+    """When the last one was."""
+
+    def __str__(self) -> str:
+        """Return a sentence about it."""
+        text = f"{self.path}: damaged {self.what}, {self.size} bytes at {self.at}"
+        if self.what in {"attachment", "description"}:
+            return text
+        begin = "the beginning" if self.begin is None else f"{self.begin:.3f} s"
+        end = "the end" if self.end is None else f"{self.end:.3f} s"
+        return f"{text}: what was recorded from {begin} to {end} of the run is missing"
+
+
 class Life:
     """One life of a task, from spawn to kill; its messages are read on demand.
 
@@ -98,14 +126,27 @@ class Life:
     @cached_property
     def records(self) -> list[bytes]:
         """All its messages, in the order in which they were recorded."""
+        return self._records[0]
+
+    @property
+    def gaps(self) -> list[int]:
+        """Places in `records` before which messages may be missing: damaged chunks."""
+        return self._records[1]
+
+    @cached_property
+    def _records(self) -> tuple[list[bytes], list[int]]:
         found: list[bytes] = []
+        gaps: list[int] = []
         for part, keys in self._pieces:
             part.load(keys)
             each = [part.rows(key) for key in keys]
             places = np.concatenate([rows.places for rows in each])
             messages = [one for rows in each for one in rows.all()]
-            found += [messages[i] for i in np.argsort(places)]
-        return found
+            order = np.argsort(places)
+            lost = np.searchsorted(places[order], part.gaps(keys))
+            gaps += (lost + len(found)).tolist()
+            found += [messages[i] for i in order]
+        return found, gaps
 
 
 class Log(Cycles):
@@ -224,6 +265,35 @@ class Log(Cycles):
         for name in ("release_ns", "start_ns", "end_ns"):
             arrays[name] += life.moves.of(arrays[name]) - self.epoch_ns
         return arrays
+
+    @property
+    def complete(self) -> bool:
+        """Whether all its files were finished."""
+        return all(part.complete for part in self.parts)
+
+    @cached_property
+    def damage(self) -> list[Lost]:
+        """What cannot be read; checks all its files."""
+        begin = self.span_ns[0]
+        found: list[Lost] = []
+        for part, clock in zip(self.parts, self.clocks, strict=True):
+            for one in part.damage:
+                each = (one.begin_ns, one.end_ns)
+                span = [
+                    None if t is None else (t + clock.shift(t) - begin) * 1e-9
+                    for t in each
+                ]
+                found.append(
+                    Lost(
+                        path=str(part.path),
+                        what=one.what,
+                        at=one.at,
+                        size=one.size,
+                        begin=span[0],
+                        end=span[1],
+                    )
+                )
+        return found
 
     @property
     def epoch_ns(self) -> int:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import zlib
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+import msgspec
 from msgspec import Struct
 
 from pbonet.config import Variable
@@ -20,6 +22,9 @@ FORMAT = 1
 """The version of pbonet's log format."""
 METADATA = "pbonet"
 """Name of the metadata record that describes the run."""
+CHECKSUM = "checksum"
+"""Field of a metadata record with the CRC-32 of its name and other fields: MCAP itself
+has none for it."""
 CLOCKS = "pbonet clocks"
 """Name of the metadata record of a merged log that describes the time conversions."""
 EPOCH = "epoch_ns"
@@ -177,6 +182,22 @@ class Attached(Struct, frozen=True):
     name: str
     data: bytes
     media_type: str = "text/plain"
+
+
+def checksum_of(name: str, fields: Mapping[str, str]) -> str:
+    """Return the checksum of a metadata record."""
+    return f"{zlib.crc32(msgspec.json.encode([name, sorted(fields.items())])):08x}"
+
+
+def checked(name: str, fields: Mapping[str, str]) -> dict[str, str]:
+    """Return the fields of a metadata record with their checksum."""
+    return {**fields, CHECKSUM: checksum_of(name, fields)}
+
+
+def is_ours(name: str) -> bool:
+    """Return whether a metadata record describes the run of a file."""
+    first, _, rest = name.partition(" ")
+    return first == METADATA and (not rest or rest.isdecimal())
 
 
 def free_name(name: str, content: T, taken: Mapping[str, T]) -> str:

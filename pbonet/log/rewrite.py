@@ -12,7 +12,17 @@ from pbonet.errors import LogError
 from .clocks import Clock, common
 from .part import Part
 from .reader import goes_on, parts_of
-from .records import ATTACHED, CLOCKS, EPOCH, MACHINE, METADATA, RUN, free_name
+from .records import (
+    ATTACHED,
+    CLOCKS,
+    EPOCH,
+    MACHINE,
+    METADATA,
+    RUN,
+    checked,
+    free_name,
+    is_ours,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -84,7 +94,8 @@ def _write(
     writer = McapWriter(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
     writer.start(profile="", library="pbonet")
     for name, values in _metadata(parts, clocks, _attach(parts, writer)):
-        writer.add_metadata(name, values)
+        for _ in range(2 if is_ours(name) else 1):  # one of them may be damaged
+            writer.add_metadata(name, checked(name, values))
     numbers = _channels(parts, clocks, writer)
     count = 0
     messages = [
@@ -121,7 +132,7 @@ def _metadata(
     taken: dict[str, dict[str, str]] = {}
     for part in parts:
         for name, values in part.metadata.items():
-            if not _ours(name):
+            if not is_ours(name):
                 free = free_name(name, values, taken)
                 if free not in taken:
                     yield free, values
@@ -130,12 +141,6 @@ def _metadata(
         each = [f"{n} {part.path.name}" for n, part in enumerate(parts, 1)]
         told = dict(zip(each, map(str, clocks), strict=True))
         yield free_name(CLOCKS, told, taken), told
-
-
-def _ours(name: str) -> bool:
-    """Return whether a metadata record describes the run of a file."""
-    first, _, rest = name.partition(" ")
-    return first == METADATA and (not rest or rest.isdecimal())
 
 
 def _attach(parts: Sequence[Part], writer: Writer) -> list[dict[str, str]]:

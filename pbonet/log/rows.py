@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -12,13 +12,8 @@ from . import scan
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_TIME: Final = scan.HEAD + 6
-"""Offset of the time in a message's record."""
 
-
-def gathered(
-    data: bytes | memoryview, places: NDArray[np.int64], dtype: str
-) -> NDArray[Any]:
+def gathered(data: bytes, places: NDArray[np.int64], dtype: str) -> NDArray[Any]:
     """Return the numbers at some offsets of a buffer."""
     kind = np.dtype(dtype)
     at = places[:, None] + np.arange(kind.itemsize)
@@ -50,18 +45,23 @@ class Rows(Sequence[bytes]):
         self.places = places
 
     @classmethod
-    def of(cls, chunk: memoryview, places: NDArray[np.int64], base: int) -> Rows:
-        """Return the messages that begin at these offsets of a chunk.
+    def of(
+        cls,
+        chunk: bytes,
+        places: NDArray[np.int64],
+        sizes: NDArray[np.int64],
+        base: int,
+    ) -> Rows:
+        """Return the messages with these contents in a chunk.
 
         Args:
             chunk: The uncompressed chunk.
-            places: Offsets in it, ascending.
+            places: Offsets of the contents in it, ascending, shape ``(n,)``.
+            sizes: Their sizes in bytes, shape ``(n,)``.
             base: Offset of the chunk among those of the file.
         """
-        head = scan.HEAD + scan.MESSAGE_HEAD
-        sizes = gathered(chunk, places + 1, "<u8").astype(np.int64)
-        sizes -= scan.MESSAGE_HEAD
-        begins = places + head
+        sizes = sizes - scan.MESSAGE_HEAD
+        begins = places + scan.MESSAGE_HEAD
         if len(sizes) and (sizes == sizes[0]).all():
             at = begins[:, None] + np.arange(int(sizes[0]))
             data = np.frombuffer(chunk, np.uint8)[at].tobytes()
@@ -69,7 +69,7 @@ class Rows(Sequence[bytes]):
             ends = (begins + sizes).tolist()
             pairs = zip(begins.tolist(), ends, strict=True)
             data = b"".join([chunk[begin:end] for begin, end in pairs])
-        times = gathered(chunk, places + _TIME, "<u8").astype(np.int64)
+        times = gathered(chunk, places + scan.TIME_AT, "<u8").astype(np.int64)
         return cls(data, sizes, times, places + base)
 
     @classmethod

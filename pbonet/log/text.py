@@ -10,6 +10,7 @@ import numpy as np
 
 from pbonet.errors import LogError
 
+from .reader import Lost
 from .records import CLOCKS
 from .states import ON, timelines
 
@@ -41,10 +42,11 @@ def info(log: Log) -> JsonObject:
                 "complete": part.complete,
                 "messages": part.count,
                 "chunks": part.chunks,
-                "damaged": part.damaged,
+                "damaged": len(part.damage),
             }
             for part in log.parts
         ],
+        "damage": [msgspec.to_builtins(one) for one in log.damage],
         "clocks": [
             {"file": str(part.path), **clock.plain()}
             for part, clock in zip(log.parts, log.clocks, strict=True)
@@ -147,11 +149,12 @@ def info_text(data: JsonObject) -> str:
     ]
     for file in data["files"]:
         state = "complete" if file["complete"] else "not finished: see `log recover`"
-        damaged = f", {file['damaged']} damaged chunks" if file["damaged"] else ""
+        damaged = f", {file['damaged']} damaged parts" if file["damaged"] else ""
         lines.append(
             f"{file['path']}: {file['bytes'] / 1e6:.2f} MB, "
             f"{file['messages']} messages in {file['chunks']} chunks{damaged}, {state}"
         )
+    lines += [str(Lost(**one)) for one in data["damage"]]
     lines += _sources_text(data["sources"])
     lines += [one["text"] for one in data["clocks"] if one["matters"]]
     lines += [f"merged: {text}" for text in data["merged"]]

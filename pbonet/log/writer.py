@@ -28,6 +28,7 @@ from .records import (
     RunAbout,
     Step,
     TaskAbout,
+    checked,
     free_name,
 )
 from .schema import StepSchema, TaskSchema, record_size, times
@@ -134,8 +135,11 @@ class LogWriter:
             self.attach(file)
 
     def _tell(self) -> None:
-        fields = msgspec.to_builtins(self.about)
-        self._writer.add_metadata(METADATA, {k: str(v) for k, v in fields.items()})
+        """Describe the run, twice: one of them may be damaged."""
+        about = msgspec.to_builtins(self.about)
+        fields = checked(METADATA, {name: str(value) for name, value in about.items()})
+        for _ in range(2):
+            self._writer.add_metadata(METADATA, fields)
 
     def lasted(self, seconds: float) -> None:
         """Correct the elapsed virtual time, if it differs from the planned one.

@@ -121,7 +121,7 @@ def test_a_log_cut_anywhere_opens_up_to_its_last_whole_chunk(tmp_path) -> None:
         log = Log(cut)
         (part,) = log.parts
         assert not part.complete
-        assert part.damaged == 0
+        assert not part.damage
         whole_ones = sum(end <= at for end in ends)
         assert part.chunks == whole_ones
         if whole_ones:
@@ -196,7 +196,7 @@ def test_a_damaged_chunk_is_left_out_and_counted(tmp_path) -> None:
     data[chunk.at + chunk.size - 9] ^= 0xFF
     path.write_bytes(data)
     log = Log(path)
-    assert log.parts[0].damaged == 1
+    assert len(log.parts[0].damage) == 1
     numbers = log.arrays("pid")["cycle"].tolist()
     assert numbers == [*range(1, 201), *range(301, 501)]
     assert text.info(log)["files"][0]["damaged"] == 1
