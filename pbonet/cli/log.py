@@ -77,6 +77,7 @@ def cat(
     form = export.form_of(out) if out is not None else None
     log = Log(file)
     table = text.columns(log, task, variables or ())
+    options.warn(log.damage)
     if out is not None and form is not None:
         export.write_file(table, out, form, log, task)
         _written(out, json_)
@@ -112,7 +113,9 @@ def events(
     from pbonet.xm.net import Event
 
     wanted = EventFilter.of({"task": task, "code": code, "severity": severity})
-    found = [msgspec.convert(one, Event) for one in Log(file or last_run()).events()]
+    log = Log(file or last_run())
+    found = [msgspec.convert(one, Event) for one in log.events()]
+    options.warn(log.damage)
     chosen = [event for event in found if wanted(event)]
     if doubt := wanted.doubt(found):
         render.print_error(render.warning(doubt))
@@ -145,6 +148,7 @@ def commands(
 
     log = Log(file or last_run())
     found = log.commands()
+    options.warn(log.damage)
     chosen = orders.chosen(found, task=task, op=op, refused=refused)
     if not (chosen or json_):
         sys.stderr.write(f"{orders.none_of(log.about, found)}\n")
@@ -170,7 +174,9 @@ def plot(
     from pbonet.log import Log
     from pbonet.master.tools import log_plot
 
-    log_plot.draw(Log(file), variables, out)
+    log = Log(file)
+    log_plot.draw(log, variables, out)
+    options.warn(log.damage)
     _written(out, json_)
 
 
@@ -193,7 +199,9 @@ def diff(
     """
     from pbonet.log import Log, text
 
-    rows = text.diff(Log(one), Log(other), task or ())
+    logs = Log(one), Log(other)
+    rows = text.diff(*logs, task or ())
+    options.warn([*logs[0].damage, *logs[1].damage])
     options.show(text.diff_text(rows), rows, as_data=json_)
     return int(any(row["first"] is not None for row in rows))
 
@@ -215,6 +223,7 @@ def merge(
     from pbonet.log import merge as do
 
     done = do(files, out)
+    options.warn(done.damage)
     _written(
         out, json_, done.messages, [str(one) for one in done.clocks if one.matters]
     )
@@ -222,11 +231,11 @@ def merge(
 
 def recover(
     *,
-    file: A[Path, Argument("A log that was cut short.")],
+    file: A[Path, Argument("A log that is damaged or was cut short.")],
     out: Out,
     json_: options.Json = False,
 ) -> None:
-    """Repair a log that was cut short, as by a power failure.
+    """Repair a log that is damaged, or cut short by a power failure.
 
     Examples:
         Write what can be read into a new log:
@@ -236,7 +245,9 @@ def recover(
     """
     from pbonet.log import recover as do
 
-    _written(out, json_, do(file, out))
+    done = do(file, out)
+    options.warn(done.damage)
+    _written(out, json_, done.messages)
 
 
 COMMANDS = (info, cat, events, commands, plot, diff, merge, recover)

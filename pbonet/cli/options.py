@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated as A, NamedTuple
 
@@ -102,6 +102,12 @@ def show(text: str, data: object, *, as_data: bool) -> None:
         print(text)
 
 
+def warn(warnings: Iterable[object]) -> None:
+    """Print warnings."""
+    for warning in warnings:
+        sys.stderr.write(f"WARNING> {warning}\n")
+
+
 def show_warned(
     text: str,
     data: Mapping[str, object],
@@ -110,8 +116,7 @@ def show_warned(
     as_data: bool,
 ) -> None:
     """Print a text and its warnings, or data that has both."""
-    for warning in () if as_data else warnings:
-        sys.stderr.write(f"WARNING> {warning}\n")
+    warn(() if as_data else warnings)
     show(text, {**data, "warnings": warnings}, as_data=as_data)
 
 

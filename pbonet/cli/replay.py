@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
-from typing import Annotated as A
+from typing import Annotated as A, Final
 
 from . import options
 from .parser import Argument, Option
+
+UNPROVEN: Final = 3
+"""The status if nothing differs, but not everything could be run again."""
 
 
 def command(
@@ -42,6 +45,9 @@ def command(
     subsystem: A[
         str, Option("The subsystem of --play; that of the log if left out.", "NAME")
     ] = "",
+    strict: A[
+        bool, Option("Count a log that was not finished as one that proves nothing.")
+    ] = False,
     domain: options.Domain = "default",
     library: options.Library = None,
     json_: options.Json = False,
@@ -49,7 +55,8 @@ def command(
     """Run recorded tasks again and compare, or play back their values.
 
     Without an option the tasks run together, as they did; with --verify each one runs
-    alone. The status is 1 if a value differs from the recorded one.
+    alone. The status is 1 if a value differs from the recorded one, and 3 if none
+    does, but something could not be run again: records are lost or damaged.
 
     Examples:
         Check whether changed code still gives what was recorded:
@@ -59,11 +66,12 @@ def command(
     """
     from pbonet import testing
     from pbonet.errors import StateError
+    from pbonet.log import Log
     from pbonet.master.tools import playback
 
     span = playback.Span(rate=rate, start=start, end=end, loop=loop)
     names = [name for task in (play or "").split(",") if (name := task.strip())]
-    if play is not None and (verify or tasks or out or not names):
+    if play is not None and (verify or tasks or out or strict or not names):
         raise StateError(
             "--play takes only a rate and a part of the run",
             expected="pbonet replay RUN --play TASK,...",
@@ -81,21 +89,32 @@ def command(
             expected="pbonet replay RUN --out FILE, or pbonet replay RUN --verify",
             remedy=f"pbonet replay {run} --out {out}",
         )
-    libraries = library or ()
-    result: object
-    status = 0
     if play is not None:
         for one in (signal.SIGINT, signal.SIGTERM):  # a shell may have ignored one
             signal.signal(one, signal.default_int_handler)
-        result = playback.play(run, names, span, domain=domain, subsystem=subsystem)
-    elif verify:
-        result = testing.verify(run, tasks or (), libraries=libraries, rtol=rtol)
-        status = int(not all(one.good for one in result))
+        played = playback.play(run, names, span, domain=domain, subsystem=subsystem)
+        options.show(str(played), played, as_data=json_)
+        return 0
+    libraries, log = library or (), Log(run)
+    result: list[testing.Verdict] | testing.Replayed
+    if verify:
+        result = testing.verify(log, tasks or (), libraries=libraries, rtol=rtol)
     else:
         result = testing.rerun(
-            run, tasks or (), libraries=libraries, rtol=rtol, out=out
+            log, tasks or (), libraries=libraries, rtol=rtol, out=out
         )
-        status = int(not result.good)
+    verdicts = result if isinstance(result, list) else result.tasks
     text = "\n".join(map(str, result if isinstance(result, list) else [result]))
     options.show(text, result, as_data=json_)
-    return status
+    damage = log.check()
+    warnings = list(map(str, damage))
+    if not log.complete:
+        warnings.append(
+            f"{log.path} was not finished: what happened after its last record is not "
+            "verified"
+        )
+    options.warn(warnings)
+    if any(one.divergence for one in verdicts):
+        return 1
+    proven = all(one.good for one in verdicts) and not damage
+    return 0 if proven and (log.complete or not strict) else UNPROVEN

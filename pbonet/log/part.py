@@ -137,7 +137,7 @@ class Part:
         self._schemas: dict[int, Schema] = {}
         self._chunks: list[_Chunk] = []
         self._damage: list[Damage] = []
-        """What is not a chunk."""
+        """Damage outside of chunks."""
         self._attachments: list[tuple[int, int]] = []
         self._rows: dict[int, Rows] = {}
         with scan.open_log(path) as file:
@@ -280,16 +280,19 @@ class Part:
         """Number of chunks."""
         return len(self._chunks)
 
-    @property
-    def damage(self) -> list[Damage]:
-        """What cannot be read; chunks that were not read yet are checked now."""
+    def check(self) -> None:
+        """Check the chunks that were not read yet."""
         with scan.open_log(self.path) as file:
             for chunk in self._chunks:
                 if chunk.sound is None:
                     self._unpacked(file, chunk)
+
+    @property
+    def damage(self) -> list[Damage]:
+        """Parts that cannot be read, as far as the file was read or checked."""
         found = list(self._damage)
         for number, chunk in enumerate(self._chunks):
-            if not chunk.sound:
+            if chunk.sound is False:
                 what = "region" if chunk.lost else "chunk"
                 span = self._span_of(number)
                 found.append(Damage(what, chunk.at, chunk.size, *span))

@@ -271,29 +271,16 @@ class Log(Cycles):
         """Whether all its files were finished."""
         return all(part.complete for part in self.parts)
 
-    @cached_property
+    @property
     def damage(self) -> list[Lost]:
-        """What cannot be read; checks all its files."""
-        begin = self.span_ns[0]
-        found: list[Lost] = []
-        for part, clock in zip(self.parts, self.clocks, strict=True):
-            for one in part.damage:
-                each = (one.begin_ns, one.end_ns)
-                span = [
-                    None if t is None else (t + clock.shift(t) - begin) * 1e-9
-                    for t in each
-                ]
-                found.append(
-                    Lost(
-                        path=str(part.path),
-                        what=one.what,
-                        at=one.at,
-                        size=one.size,
-                        begin=span[0],
-                        end=span[1],
-                    )
-                )
-        return found
+        """Parts that cannot be read, as far as the log was read or checked (`check`)."""
+        return lost_in(self.parts, self.clocks)
+
+    def check(self) -> list[Lost]:
+        """Read what was not read yet; return all that is damaged."""
+        for part in self.parts:
+            part.check()
+        return self.damage
 
     @property
     def epoch_ns(self) -> int:
@@ -415,6 +402,33 @@ class Log(Cycles):
             if count:
                 found[life.name] = found.get(life.name, 0) + count
         return found
+
+
+def lost_in(parts: Sequence[Part], clocks: Sequence[Clock]) -> list[Lost]:
+    """Return the damage in files, with times of the run by the first file's clock."""
+    spans = [
+        part.span_ns[0] + clock.shift(part.span_ns[0])
+        for part, clock in zip(parts, clocks, strict=True)
+        if part.span_ns is not None
+    ]
+    begin = min(spans, default=0)
+    found: list[Lost] = []
+    for part, clock in zip(parts, clocks, strict=True):
+        for one in part.damage:
+            since, until = (
+                None if at is None else (at + clock.shift(at) - begin) * 1e-9
+                for at in (one.begin_ns, one.end_ns)
+            )
+            lost = Lost(
+                path=str(part.path),
+                what=one.what,
+                at=one.at,
+                size=one.size,
+                begin=since,
+                end=until,
+            )
+            found.append(lost)
+    return found
 
 
 def parts_of(paths: Sequence[Path]) -> list[Part]:

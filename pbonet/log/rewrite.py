@@ -11,7 +11,7 @@ from pbonet.errors import LogError
 
 from .clocks import Clock, common
 from .part import Part
-from .reader import goes_on, parts_of
+from .reader import Lost, goes_on, lost_in, parts_of
 from .records import (
     ATTACHED,
     CLOCKS,
@@ -39,6 +39,8 @@ class Merged(NamedTuple):
     messages: int
     clocks: list[Clock]
     """Conversion of each file's times to those of the first."""
+    damage: list[Lost]
+    """Parts that could not be read, and are missing."""
 
 
 def merge(paths: Sequence[Path], out: Path) -> Merged:
@@ -53,7 +55,7 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
         out: The new file.
 
     Returns:
-        The number of messages, and the conversions of times.
+        The number of messages, the conversions of times, and what is damaged.
 
     Raises:
         LogError: One of them is not a log, or the new file exists or cannot be written.
@@ -62,7 +64,7 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
     clocks = common(parts)
     try:
         with out.open("xb") as file:
-            return Merged(_write(parts, clocks, file), clocks)
+            return Merged(_write(parts, clocks, file), clocks, lost_in(parts, clocks))
     except OSError as error:
         raise LogError(
             "the log cannot be written",
@@ -72,16 +74,16 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
         ) from None
 
 
-def recover(path: Path, out: Path) -> int:
-    """Write a complete log with what a truncated log still contains.
+def recover(path: Path, out: Path) -> Merged:
+    """Write a complete log with what a truncated or damaged log still contains.
 
     Returns:
-        The number of messages.
+        The number of messages, and what is damaged.
 
     Raises:
         LogError: It is not a log, or the new file exists or cannot be written.
     """
-    return merge([path], out).messages
+    return merge([path], out)
 
 
 def _write(

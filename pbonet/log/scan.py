@@ -50,7 +50,7 @@ class Content(NamedTuple):
     """The result of `scan`."""
 
     records: list[Found]
-    """Those of `LOST` are damaged regions."""
+    """Records of type `LOST` are damaged regions."""
     whole: bool
     """Whether all records are there, up to the index at the end of the file."""
 

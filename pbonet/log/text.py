@@ -29,6 +29,7 @@ JsonObject = dict[str, Any]
 def info(log: Log) -> JsonObject:
     """Return the content of a log: files, duration, and each task's figures."""
     log.load()
+    damage = log.check()
     begin, end = log.span_ns
     lost, missed, states = log.lost(), log.missed(), timelines(log)
     events = log.events()
@@ -46,7 +47,7 @@ def info(log: Log) -> JsonObject:
             }
             for part in log.parts
         ],
-        "damage": [msgspec.to_builtins(one) for one in log.damage],
+        "damage": [msgspec.to_builtins(one) for one in damage],
         "clocks": [
             {"file": str(part.path), **clock.plain()}
             for part, clock in zip(log.parts, log.clocks, strict=True)

@@ -126,6 +126,10 @@ class Run:
         """The record of the first method with an answer that did not fit."""
         self._aborted: dict[int, bytes] = {}
         """Inputs of cycles that were not recorded, by the record with the reason."""
+        self._gaps: set[int] = set()
+        """Records before which others may be missing."""
+        self._doubt = ""
+        """Why the module may have another state than it had then."""
         self._records = self._listen(life)
         self._at = 0
         self._verdict = verdict
@@ -147,11 +151,14 @@ class Run:
     def _listen(self, life: Life) -> list[bytes]:
         """Take the recorded answers from outside; return the other records."""
         if self._player is None:
+            self._gaps = set(life.gaps)
             return life.records
         rest: list[bytes] = []
         began = 0
         heard: bytes = b""
-        for one in life.records:
+        for place, one in enumerate(life.records):
+            if place in life.gaps:
+                self._gaps.add(len(rest))
             if kind_of(one) == Step.HEARD:
                 self._hear(heard, began)
                 heard = StepSchema.data(one)
@@ -168,6 +175,8 @@ class Run:
             elif done is not None and done.what != "refused":
                 began = len(rest) - 1
         self._hear(heard, began)
+        if len(life.records) in life.gaps:
+            self._gaps.add(len(rest))
         return rest
 
     def _hear(self, heard: bytes, began: int) -> None:
@@ -245,11 +254,18 @@ class Run:
                 begun = time.perf_counter()
                 while self._at < len(self._records):
                     self.step()
+                self.end()
         except Stop as stop:
             if self._verdict.divergence is None:
                 self._verdict.gaps.append(str(stop))
         finally:
             self._verdict.took += time.perf_counter() - begun
+
+    def end(self) -> None:
+        """Check whether records are missing after the last one."""
+        if self._at in self._gaps:
+            self._verdict.gaps.append(f"{self._place()}: the next records are damaged")
+            self._verdict.missing = True
 
     def step(self) -> None:
         """Run the step of the next record.
@@ -274,9 +290,7 @@ class Run:
         if self._at == self._unheard and self._player is not None:
             self._player.lost = True
         head = HEAD.unpack_from(message, len(CDR))
-        if head[8] != self._lost:
-            count, self._lost = head[8] - self._lost, head[8]
-            raise Stop(f"{count} records were lost after cycle {self._cycle}")
+        self._check_gap(head)
         if head[10] == Step.CYCLE:
             self._at += 1
             self._run_cycle(message, head)
@@ -287,16 +301,40 @@ class Run:
         elif head[10] == Step.SYNC:
             self._at += 1
             self._wait(StepSchema.data(message), head[1])
+        elif self._doubt:
+            self._at += 1  # of a method whose beginning is missing
         else:
             why = f": {self._failed}" if self._failed else ""
             self._diverged(f"the module did not get to {Step(head[10]).name}{why}")
+
+    def _check_gap(self, head: tuple[int, ...]) -> None:
+        """Go on in doubt if records are missing before one."""
+        if head[8] != self._lost:
+            count, self._lost = head[8] - self._lost, head[8]
+            self.doubt(f"{count} records were lost after cycle {self._cycle}")
+        elif self._at in self._gaps:
+            self.doubt(f"{self._place()}: the next records are damaged")
+        elif head[10] == Step.CYCLE and head[0] > self._cycle + 1:
+            self.doubt(f"cycles {self._cycle + 1} to {head[0] - 1} are not recorded")
+        self._gaps.discard(self._at)
+
+    def doubt(self, why: str) -> None:
+        """Go on, though the module may have another state than it had then.
+
+        From here on, equal values count, and others prove nothing.
+        """
+        self._verdict.gaps.append(why)
+        self._verdict.missing = True
+        self._doubt = why
 
     def _run_cycle(self, message: bytes, head: tuple[int, ...]) -> None:
         number, release, _, _, dt, _, register, commit, _, flags, _ = head
         self._cycle, self._where, self._key = number, "cycle", (register, commit)
         consumed, inputs, heard = self._schema.rest(message)
         if why := self._inputs.bring(consumed, inputs):
-            raise Stop(f"cycle {number}: {why}")
+            if not self._doubt:
+                raise Stop(f"cycle {number}: {why}")
+            return  # it read a commit that is missing, too
         self._feed(heard)
         self._source.release = release
         instance = self._instance
@@ -426,10 +464,10 @@ class Run:
             Stop: They are not.
         """
         found = self.differ(variables, recorded, made)
-        if found is not None:
+        if found is not None and not self._doubt:
             self._verdict.divergence = found
             raise Stop
-        return True
+        return found is None
 
     def differ(
         self, variables: Sequence[Variable], recorded: bytes, made: bytes
@@ -447,7 +485,8 @@ class Run:
                 continue
             other = np.flatnonzero(~alike(then, now, self._rtol))
             if len(other):
-                self._may_differ(variable.name)
+                if not self._doubt:
+                    self._may_differ(variable.name)
                 element = int(other[0])
                 return Divergence(
                     cycle=self._cycle,
@@ -474,8 +513,8 @@ class Run:
             )
 
     def _diverged(self, reason: str) -> None:
-        if self._failing.unsure:
-            raise Stop(f"{self._place()}: {reason}, but {self._failing.unsure}")
+        if unsure := self._failing.unsure or self._doubt:
+            raise Stop(f"{self._place()}: {reason}, but {unsure}")
         self._verdict.divergence = Divergence(
             cycle=self._cycle, where=self._where, reason=reason
         )

@@ -69,6 +69,8 @@ class Verdict(Struct, kw_only=True):
     divergence: Divergence | None = None
     gaps: list[str] = []
     """Why some cycles could not be run again."""
+    missing: bool = False
+    """Whether records are missing: lost for lack of room, or damaged."""
     changed: list[Changed] = []
     seconds: float = 0.0
     """Of the run that were verified."""
@@ -80,7 +82,8 @@ class Verdict(Struct, kw_only=True):
     @property
     def good(self) -> bool:
         """Whether every recorded cycle was run again and gave the same."""
-        return self.divergence is None and self.cycles == self.recorded
+        same = self.divergence is None and self.cycles == self.recorded
+        return same and not self.missing
 
     def __str__(self) -> str:
         """Return it in a few lines."""

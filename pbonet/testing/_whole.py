@@ -133,6 +133,15 @@ class _Part(Run):
         while self._at <= place and not (self._busy or self.stopped):
             self.advance()
 
+    def doubt(self, why: str) -> None:
+        """Stop: the other tasks read what was recorded from here on.
+
+        Raises:
+            Stop: Always.
+        """
+        self._verdict.missing = True
+        raise Stop(why)
+
     def given(self, name: str) -> tuple[bytes, bytes] | None:
         """Return a variable as this task gave it last: recorded, and made."""
         return self._last.get(name)
@@ -252,6 +261,9 @@ def _go(parts: list[_Part]) -> None:
             part.advance()
         if (following := part.due_ns) is not None:
             heapq.heappush(waiting, (following, number))
+    for part in parts:
+        if not part.stopped:
+            part.end()
 
 
 def _sum_up(found: Replayed, parts: list[_Part]) -> None:

@@ -210,12 +210,13 @@ class Shop:
             self.a.cycle()
             self.b.cycle()
 
-    def log(self, *, hidden=(), without="", attached=True, files=(), **more):
-        """Write what there is; return the log."""
+    def log(self, *, hidden=(), without="", attached=True, files=(), slices=1, **more):
+        """Write what there is, in so many groups of messages; return the log."""
         named = {"run": "r", "job": "j", "subsystem": "arm", "rtpu": "arm0"}
         about = RunAbout(domain="d", **(named | more))
         path = self.folder / "run.mcap"
         writer = LogWriter(path, about)
+        written = []
         for task in self.tasks:
             one = task.about
             each = (one.inconst, one.invar, one.outconst, one.outvar)
@@ -223,7 +224,12 @@ class Shop:
             task.about.subsystem = about.subsystem
             task.about.hidden = [name for name in hidden if name in names]
             if task.task != without:
-                writer.add(writer.add_task(task.about), b"".join(task.records))
+                written.append((writer.add_task(task.about), task.records))
+        for n in range(slices):
+            for number, records in written:
+                begin, end = (len(records) * k // slices for k in (n, n + 1))
+                writer.add(number, b"".join(records[begin:end]))
+            writer.flush()
         for name, content in dict(files).items():
             writer.attach(Attached(name, content))
         if attached:
