@@ -273,7 +273,7 @@ class Log(Cycles):
 
     @property
     def damage(self) -> list[Lost]:
-        """Parts that cannot be read, as far as the log was read or checked (`check`)."""
+        """Parts that cannot be read, as far as it was read or checked (`check`)."""
         return lost_in(self.parts, self.clocks)
 
     def check(self) -> list[Lost]:
