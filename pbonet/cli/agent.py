@@ -76,7 +76,7 @@ def command(
         Be one that other machines reach, as its file says:
         pbonet agent --config agent.toml --listen tcp/0.0.0.0:7447 --keys keys/arm0
     """
-    from pbonet.config import told_agent
+    from pbonet.config import agent_settings
     from pbonet.node.agent import agent_main
     from pbonet.node.wire import process_setup
 
@@ -104,5 +104,5 @@ def command(
         "awake": awake or None,
     }
     given = {key: value for key, value in told.items() if value is not None}
-    read = partial(told_agent, config, given)
+    read = partial(agent_settings, config, given)
     return agent_main.main(read(), backend=backend, again=read)

@@ -93,7 +93,7 @@ def command(
         for one in (signal.SIGINT, signal.SIGTERM):  # a shell may have ignored one
             signal.signal(one, signal.default_int_handler)
         played = playback.play(run, names, span, domain=domain, subsystem=subsystem)
-        options.show(str(played), played, as_data=json_)
+        options.show("\n".join(map(str, played)), played, as_data=json_)
         return 0
     libraries, log = library or (), Log(run)
     result: list[testing.Verdict] | testing.Replayed

@@ -1,8 +1,8 @@
 from .agent import (
+    agent_settings as agent_settings,
     agent_text as agent_text,
     parse_agent as parse_agent,
     read_agent as read_agent,
-    told_agent as told_agent,
 )
 from .any_file import read_any as read_any
 from .bundle import Section as Section, bundled as bundled

@@ -47,7 +47,7 @@ def read_agent(path: str | Path) -> AgentConfig:
     return parse_agent(load(path), str(path))
 
 
-def told_agent(path: Path | None, told: Mapping[str, Any]) -> AgentConfig:
+def agent_settings(path: Path | None, told: Mapping[str, Any]) -> AgentConfig:
     """Return an agent's settings: an ``agent.toml``, and what overrides it.
 
     Args:

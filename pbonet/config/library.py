@@ -181,7 +181,7 @@ class Library:
         """
         wanted = name.removesuffix(".rmod")
         located = wanted != Path(wanted).name or wanted in {"", ".", ".."}
-        found = None if located else self._look_for(f"{wanted}.rmod")
+        found = None if located else self._first_with(f"{wanted}.rmod")
         if found is not None:
             return found[1]
         raise ConfigFileError(
@@ -207,7 +207,7 @@ class Library:
         }
         return tuple(sorted(names))
 
-    def _look_for(self, file: str) -> tuple[Shelf, Path] | None:
+    def _first_with(self, file: str) -> tuple[Shelf, Path] | None:
         """Return the first folder that has a file of that name, and its path."""
         for shelf in self._search():
             path = shelf.folder / file
@@ -216,7 +216,7 @@ class Library:
         return None
 
     def _find(self, name: str) -> tuple[Shelf, Path]:
-        if found := self._look_for(f"{name}.py"):
+        if found := self._first_with(f"{name}.py"):
             return found
         raise ModuleLoadError(
             no_module(name),
@@ -249,7 +249,7 @@ class Library:
         Returns:
             Nothing where this library, and the folders beside, do not have it either.
         """
-        found = self._look_for(f"{name}.py")
+        found = self._first_with(f"{name}.py")
         if found is not None and found[0].folder in self.folders:
             place = found[0].folder.absolute()
             return (

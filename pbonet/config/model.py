@@ -209,7 +209,7 @@ class JobTask(Struct, frozen=True, kw_only=True):
     place: Place | None = None
 
     @property
-    def told(self) -> dict[str, Place]:
+    def job_places(self) -> dict[str, Place]:
         """Where the job says what an RMOD could say too."""
         return {"RTPU": self.place} if self.rtpu and self.place else {}
 

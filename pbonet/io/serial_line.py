@@ -108,7 +108,7 @@ class SerialLine:
             raise self._refused(error) from None
         self._port = cast("_Port", port)
         try:
-            _tell_silence_from_hangup(self._port.fd)
+            _distinguish_hangup(self._port.fd)
         except (OSError, termios.error) as error:
             self._close()
             raise self._refused(error) from None
@@ -228,7 +228,7 @@ class SerialLine:
         )
 
 
-def _tell_silence_from_hangup(fd: int) -> None:
+def _distinguish_hangup(fd: int) -> None:
     """Make an empty line raise EAGAIN, so that zero bytes mean that it hung up.
 
     pyserial sets VMIN to 0, with which a read gives zero bytes in both cases.

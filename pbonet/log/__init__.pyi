@@ -6,10 +6,10 @@ from .fields import field_name as field_name, variable_name as variable_name
 from .groups import pack as pack, size as size, unpack as unpack
 from .part import Part as Part
 from .reader import (
-    Life as Life,
     Log as Log,
     Lost as Lost,
     Message as Message,
+    TaskLife as TaskLife,
     files_of as files_of,
     last_run as last_run,
     log_name as log_name,

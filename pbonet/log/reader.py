@@ -77,7 +77,7 @@ class Lost(msgspec.Struct, kw_only=True):
         return f"{text}: what was recorded from {begin} to {end} of the run is missing"
 
 
-class Life:
+class TaskLife:
     """One life of a task, from spawn to kill; its messages are read on demand.
 
     Args:
@@ -189,11 +189,11 @@ class Log(Cycles):
         """Return the name of a subsystem's task in this log."""
         return self._names.get((subsystem, task), task)
 
-    def all_lives(self) -> list[Life]:
+    def all_lives(self) -> list[TaskLife]:
         """Return each life of every task."""
         return list(self._lives)
 
-    def lives(self, task: str) -> list[Life]:
+    def lives(self, task: str) -> list[TaskLife]:
         """Return each life of a task, by file, in order.
 
         Raises:
@@ -259,7 +259,7 @@ class Log(Cycles):
                     self._arrays[task][name] = values
         return self._arrays[task]
 
-    def _in_time(self, life: Life) -> dict[str, NDArray[Any]]:
+    def _in_time(self, life: TaskLife) -> dict[str, NDArray[Any]]:
         """Return the arrays of a life, with times by the first file's clock."""
         arrays = life.schema.arrays(life.commits)
         for name in ("release_ns", "start_ns", "end_ns"):
@@ -505,7 +505,7 @@ def _place_of(part: Part) -> tuple[bool, str, str, str, int, str]:
     return False, one.run, one.subsystem, one.rtpu, one.part, part.path.name
 
 
-def _name(lives: list[Life]) -> dict[tuple[str, str], str]:
+def _name(lives: list[TaskLife]) -> dict[tuple[str, str], str]:
     """Add subsystems to names of tasks that are not unique; return all names."""
     homes: dict[str, set[str]] = {}
     for life in lives:
@@ -516,12 +516,12 @@ def _name(lives: list[Life]) -> dict[tuple[str, str], str]:
     return {(one.about.subsystem, one.about.task): one.name for one in lives}
 
 
-def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
+def _lives(parts: list[Part], clocks: list[Clock]) -> list[TaskLife]:
     """Return the lives of the tasks of all files."""
-    found: list[Life] = []
-    before: list[tuple[Part, Life]] = []
+    found: list[TaskLife] = []
+    before: list[tuple[Part, TaskLife]] = []
     for part, clock in zip(parts, clocks, strict=True):
-        here: list[tuple[Part, Life]] = []
+        here: list[tuple[Part, TaskLife]] = []
         for about, keys in _tasks(part):
             life = next(
                 (
@@ -533,7 +533,7 @@ def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
             )
             if life is None:
                 told = part.channels[keys[0]].metadata.get(EPOCH)
-                life = Life(about, part, keys, clock.moved(told))
+                life = TaskLife(about, part, keys, clock.moved(told))
                 found.append(life)
             else:
                 life.go_on(part, keys)

@@ -130,11 +130,11 @@ class LogWriter:
         self._names: dict[str, bytes] = {}
         """Digests of attachments by name."""
         self._writer.start(profile="", library=f"pbonet {about.pbonet}")
-        self._tell()
+        self._describe()
         for file in attached:
             self.attach(file)
 
-    def _tell(self) -> None:
+    def _describe(self) -> None:
         """Describe the run, twice: one of them may be damaged."""
         about = msgspec.to_builtins(self.about)
         fields = checked(METADATA, {name: str(value) for name, value in about.items()})
@@ -149,7 +149,7 @@ class LogWriter:
         """
         if seconds != self.about.seconds:
             self.about = msgspec.structs.replace(self.about, seconds=seconds)
-            self._tell()
+            self._describe()
 
     @property
     def size(self) -> int:

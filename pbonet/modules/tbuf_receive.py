@@ -49,7 +49,7 @@ class TbufReceive(PortBasedObject[Incoming]):
         if limit := self.params.maxage:
             age = (self.task.now - (link.time_ns or self._began)) * 1e-9
             if age > limit and not self._old:
-                self._tell(age)
+                self._warn_of_age(age)
             self._old = age > limit
 
     def kill(self) -> None:
@@ -61,7 +61,7 @@ class TbufReceive(PortBasedObject[Incoming]):
             self.z[:] = link.value
         self.task.stamp_ns = link.time_ns or NEVER
 
-    def _tell(self, age: float) -> None:
+    def _warn_of_age(self, age: float) -> None:
         text = f"link {self.params.link}: nothing arrived for {age:.3g} s"
         if self.params.fail:
             self.task.fail(f"{text}; check its sender and the network")

@@ -38,17 +38,17 @@ class VisualTarget(PortBasedObject[Sight]):
 
     def on(self) -> None:
         self._time = 0.0
-        self._look()
+        self._project()
 
     def cycle(self, dt: float) -> None:
         self._time += dt
-        self._look()
+        self._project()
 
     def off(self) -> None:
         if not self.task.handover:
             self.v[:] = 0.0  # a target that is out of sight moves no hand
 
-    def _look(self) -> None:
+    def _project(self) -> None:
         seen = self._time - self.params.delay
         self.x[:], self.v[:] = self._path.at(max(seen, 0.0))
 

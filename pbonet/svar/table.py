@@ -189,7 +189,7 @@ class Table(shm.Closeable):
         Raises:
             UnknownVariableError: There is no variable of that name or index.
         """
-        return self._look(self._number(which))[0]
+        return self._read_raw(self._number(which))[0]
 
     def info(self, which: str | int) -> VarInfo:
         """Return who wrote a variable, when, and who owns it now."""
@@ -203,7 +203,7 @@ class Table(shm.Closeable):
         """Return the newest value of a variable and its `info`, of one instant."""
         number = self._number(which)
         variable = self._variables[number]
-        value, (_, live, time_ns, cycle, uid, seq, task) = self._look(number)
+        value, (_, live, time_ns, cycle, uid, seq, task) = self._read_raw(number)
         age = self._now() - time_ns if time_ns else None
         stale = variable.maxage is not None and (
             age is None or age > variable.maxage * 1e9
@@ -479,7 +479,7 @@ class Table(shm.Closeable):
             remedy="index(NAME) returns the index of a variable",
         )
 
-    def _look(
+    def _read_raw(
         self, number: int
     ) -> tuple[NDArray[Any], tuple[int, bool, int, int, int, int, str]]:
         variable = self._variables[number]

@@ -27,11 +27,11 @@ def seen(domain: str, links: Iterable[str]) -> list[TbufStatus]:
     found: list[TbufStatus] = []
     for text in links:
         with contextlib.suppress(XmError):  # removed meanwhile, or not a link
-            found.append(_look(text, domain))
+            found.append(_status_of(text, domain))
     return found
 
 
-def _look(text: str, domain: str) -> TbufStatus:
+def _status_of(text: str, domain: str) -> TbufStatus:
     place, _, resource = text.partition(":")
     name = names.Name(domain, place, resource)
     fd, size = shm_object_files.open_file(name, places.KIND)

@@ -203,7 +203,7 @@ class StandingLinks:
 
     def names(self) -> list[str]:
         """Return their names; the folder is read only when it has changed."""
-        if self._changes.look():
+        if self._changes.changed():
             self._found = standing(self.domain)
         return self._found
 

@@ -75,7 +75,7 @@ class Failing:
             call(*args)
             return
         while self._came is not None and not self._came[1]:
-            self._tell()  # it came before the method had begun
+            self._call_handler()  # it came before the method had begun
         try:
             self._watched(call, *args)
         except BrokenOffError:
@@ -86,7 +86,7 @@ class Failing:
     def rest(self) -> None:
         """Call the handler for a failure that is not reported yet."""
         while self._next():
-            self._tell()
+            self._call_handler()
 
     def aborted(self, cycle: int, calls: Sequence[int]) -> None:
         """Be where an aborted cycle was left: its handler has answered, no more."""
@@ -108,7 +108,7 @@ class Failing:
             self._came = TimingFailure(kind), place, now
         return self._came is not None
 
-    def _tell(self) -> None:
+    def _call_handler(self) -> None:
         """Call the handler, which must return the recorded answer."""
         assert self._came is not None  # noqa: S101 - the caller has checked
         (kind, place, now), self._came = self._came, None
@@ -138,27 +138,27 @@ class Failing:
             return
         self._lines = 0
         before = sys.gettrace()
-        sys.settrace(self._look)
+        sys.settrace(self._on_line)
         try:
             call(*args)
         finally:
             sys.settrace(before)
 
-    def _look(self, frame: FrameType, event: str, _arg: object) -> Any:  # noqa: ANN401
+    def _on_line(self, frame: FrameType, event: str, _arg: object) -> Any:  # noqa: ANN401
         if event != "line" or self._came is None:
-            return self._look if self._came is not None else None
+            return self._on_line if self._came is not None else None
         self._lines += 1
         place = self._came[1]
         if self._lines > _MOST_LINES:
             message = f"its timing failure came at {place}, where it does not get now"
             raise NotRecordedError(message)
         if f":{frame.f_lineno} in " in place and _tail(line_of(frame)) == _tail(place):
-            self._watch.when_free(self._told_here)
-        return self._look
+            self._watch.when_free(self._due_here)
+        return self._on_line
 
-    def _told_here(self) -> None:
+    def _due_here(self) -> None:
         if self._came is not None:
-            self._tell()
+            self._call_handler()
             self._next()
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.log import Life, Log, Table, TaskAbout
+    from pbonet.log import Log, Table, TaskAbout, TaskLife
 
 Key = tuple[int, int]
 """Register and number of a commit."""
@@ -47,7 +47,7 @@ class Commits:
     """Whether commits may be other ones than were recorded."""
 
     def __init__(self, log: Log, table: Table) -> None:
-        self._found: dict[Key, tuple[Life, int]] = {}
+        self._found: dict[Key, tuple[TaskLife, int]] = {}
         for life in log.all_lives():
             if life.table != table:
                 continue
@@ -55,7 +55,7 @@ class Commits:
             keys = zip(head["register"].tolist(), head["number"].tolist(), strict=True)
             self._found |= {key: (life, row) for row, key in enumerate(keys)}
 
-    def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
+    def find(self, key: Key) -> tuple[TaskLife, bytes, bool] | None:
         """Return a commit's task, its group, and whether that has every variable.
 
         Returns:
@@ -141,7 +141,7 @@ class Inputs:
             to[:] = group[at : at + size]
         return ""
 
-    def _learn(self, key: int, life: Life) -> None:
+    def _learn(self, key: int, life: TaskLife) -> None:
         """Find out which variables of a task are inputs here."""
         outvar = life.about.outvar
         ours = {variable.name for variable in self._about.invar}

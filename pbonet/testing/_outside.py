@@ -152,7 +152,7 @@ class _Guard:
     @contextmanager
     def on(self) -> Generator[None]:
         if not self._hooked:  # a hook stays as long as its process
-            sys.addaudithook(self._look)
+            sys.addaudithook(self._on_audit)
             self._hooked = True
         before, self._thread = self._thread, threading.get_ident()
         try:
@@ -160,7 +160,7 @@ class _Guard:
         finally:
             self._thread = before
 
-    def _look(self, event: str, args: tuple[Any, ...]) -> None:
+    def _on_audit(self, event: str, args: tuple[Any, ...]) -> None:
         if not self._thread or self._thread != threading.get_ident():
             return
         if event == "open":

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.log import Life, Log
+    from pbonet.log import Log, TaskLife
 
     from ._verdict import Verdict
 
@@ -38,7 +38,7 @@ def did(message: bytes) -> Did | None:
     return DID.decode(StepSchema.data(message))
 
 
-def not_again(life: Life) -> str:
+def not_again(life: TaskLife) -> str:
     """Return why a task cannot be run again; empty: it can."""
     if not life.about.rmod:
         return "its RMOD is not recorded"
@@ -50,13 +50,13 @@ def not_again(life: Life) -> str:
     return ""
 
 
-def _from_birth(life: Life) -> bool:
+def _from_birth(life: TaskLife) -> bool:
     first = next((one for one in life.records if kind_of(one) != Step.HEARD), None)
     done = None if first is None else did(first)
     return done is not None and done.what == "spawn"
 
 
-def cycles_of(life: Life) -> int:
+def cycles_of(life: TaskLife) -> int:
     """Return how many cycles of a task are on record."""
     return int((life.schema.arrays(life.commits)["kind"] == Step.CYCLE).sum())
 

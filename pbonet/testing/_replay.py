@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pbonet.log import Life, Table
+    from pbonet.log import Table, TaskLife
 
 
 class DivergedError(AssertionError):
@@ -77,7 +77,7 @@ def verify(
 
 
 def _again(
-    life: Life,
+    life: TaskLife,
     commits: Commits,
     libraries: Sequence[str | Path],
     verdict: Verdict,

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pbonet.config import Variable
-    from pbonet.log import Did, Life
+    from pbonet.log import Did, TaskLife
 
 
 class Stop(BaseException):
@@ -113,7 +113,7 @@ class Run:
 
     def __init__(
         self,
-        life: Life,
+        life: TaskLife,
         commits: Commits,
         libraries: Sequence[str | Path],
         verdict: Verdict,
@@ -148,7 +148,7 @@ class Run:
         self._limited = [v for v in self.about.outvar if v.limit is Limit.CLIP]
         self._make(libraries)
 
-    def _listen(self, life: Life) -> list[bytes]:
+    def _listen(self, life: TaskLife) -> list[bytes]:
         """Take the recorded answers from outside; return the other records."""
         if self._player is None:
             self._gaps = set(life.gaps)
@@ -160,26 +160,26 @@ class Run:
             if place in life.gaps:
                 self._gaps.add(len(rest))
             if kind_of(one) == Step.HEARD:
-                self._hear(heard, began)
+                self._take_answers(heard, began)
                 heard = StepSchema.data(one)
                 continue
             done = did(one)
             if heard and done is not None and done.what in {"abort", "fault"}:
                 self._aborted[len(rest)] = heard  # by the cycle that it ended
             else:
-                self._hear(heard, began)
+                self._take_answers(heard, began)
             heard = b""
             rest.append(one)
             if kind_of(one) in {Step.CYCLE, Step.SYNC}:
                 began = len(rest)
             elif done is not None and done.what != "refused":
                 began = len(rest) - 1
-        self._hear(heard, began)
+        self._take_answers(heard, began)
         if len(life.records) in life.gaps:
             self._gaps.add(len(rest))
         return rest
 
-    def _hear(self, heard: bytes, began: int) -> None:
+    def _take_answers(self, heard: bytes, began: int) -> None:
         """Take the answers of a method, of which this is the first record."""
         if not heard or self._player is None:
             return

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.config import Variable
-    from pbonet.log import Life, Table
+    from pbonet.log import Table, TaskLife
 
     from ._inputs import Key
 
@@ -54,7 +54,7 @@ class _Made(Commits):
         self.consts: dict[str, _Part] = {}
         """The task that gave a constant last."""
 
-    def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
+    def find(self, key: Key) -> tuple[TaskLife, bytes, bool] | None:
         """Return a commit, once its task has reached it."""
         found = self._found.get(key)
         if found is None:
@@ -82,7 +82,7 @@ class _Part(Run):
 
     def __init__(
         self,
-        life: Life,
+        life: TaskLife,
         made: _Made,
         libraries: Sequence[str | Path],
         verdict: Verdict,
@@ -292,13 +292,13 @@ def _write(log: Log, each: dict[Table, dict[Key, bytes]], out: Path) -> None:
     writer.close()
 
 
-def _partly(life: Life, made: dict[Key, bytes]) -> bool:
+def _partly(life: TaskLife, made: dict[Key, bytes]) -> bool:
     """Return whether some commits of a task are the recorded ones."""
     heads = map(head, life.commits)
     return any((int(row["register"]), int(row["number"])) not in made for row in heads)
 
 
-def _records(life: Life, made: dict[Key, bytes]) -> list[bytes]:
+def _records(life: TaskLife, made: dict[Key, bytes]) -> list[bytes]:
     parts: list[bytes] = []
     for message in life.commits:
         row = np.frombuffer(message, HEAD_DTYPE, 1, len(CDR))[0]

@@ -110,7 +110,7 @@ def test_what_comes_while_it_starts_anew_is_heeded(program, tmp_path):
 LEAVES = """
 import os, signal, sys, threading
 from pathlib import Path
-from pbonet.node.agent.agent_main import Life
+from pbonet.node.agent.agent_main import AgentRun
 
 class Agent:
     name = "arm0"
@@ -122,7 +122,7 @@ def pending():
     return mask >> signal.SIGTERM - 1 & 1
 
 threading.Thread(target=threading.Event().wait, daemon=True).start()
-life = Life(Agent())
+life = AgentRun(Agent())
 life.heed_signals()
 if "before" in sys.argv:
     os.kill(os.getpid(), signal.SIGTERM)

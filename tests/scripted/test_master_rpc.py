@@ -45,7 +45,7 @@ def test_threads_that_zenoh_started_stay_known_to_python(client):
         counts.append((threading.get_ident(), own.count))
 
     key = f"{client.domain}/test/told"
-    heard, other = client.hear(key, told), session.client(client.domain)
+    heard, other = client.subscribe(key, told), session.client(client.domain)
     try:
         wait_for(lambda: other.put(key, b"") or len(counts) > 11, "twelve calls")
     finally:

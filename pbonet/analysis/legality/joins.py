@@ -132,7 +132,7 @@ def _joined(configuration: Configuration, task: Task) -> Iterator[tuple[str, _Jo
         if (known := configuration.table.get(variable)) and known.units != ANY
     }
     if task.rmod.module in CONNECTORS:
-        yield from _told(
+        yield from _joined_here(
             task.name, behind, {behind[port]: units[port] for port in units}
         )
     elif task.info:
@@ -152,13 +152,13 @@ def _within(
     for one in info.parts:
         name = f"{path}.{one.name}"
         if one.info.name in CONNECTORS:
-            yield from _told(name, one.variables, units)
+            yield from _joined_here(name, one.variables, units)
         else:
             ports = {p: units[v] for p, v in one.variables.items() if v in units}
             yield from _within(name, one.info, ports)
 
 
-def _told(
+def _joined_here(
     name: str, behind: Mapping[str, str], units: Mapping[str, str]
 ) -> Iterator[tuple[str, _Joined]]:
     joined = {

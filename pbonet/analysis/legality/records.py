@@ -111,7 +111,7 @@ class Task(Struct, frozen=True, kw_only=True):
     """Its name, when that is not the RMOD's."""
     fallback_of: str = ""
     """The task that it stands by for, OFF until that one fails."""
-    told: Mapping[str, Place] = {}
+    job_places: Mapping[str, Place] = {}
     """Where a job says something in place of the RMOD, such as its RTPU."""
 
     @property
@@ -163,7 +163,7 @@ class Task(Struct, frozen=True, kw_only=True):
 
     def place(self, keyword: str) -> str:
         """Return where the job or the RMOD says `keyword`, or the RMOD's file."""
-        said = self.told.get(keyword) or self.rmod.places.get(keyword)
+        said = self.job_places.get(keyword) or self.rmod.places.get(keyword)
         return str(said or self.rmod.file)
 
 

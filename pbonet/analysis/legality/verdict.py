@@ -180,11 +180,11 @@ def judge(current: Configuration, change: Change) -> Verdict:
     final = {problem.key for problem in end}
     problems = [problem for problem in problems if problem.key not in final] + end
     if not {sent for _, sent in change.items} & _STARTING:
-        problems = [_told(problem) for problem in problems]
+        problems = [_as_warning(problem) for problem in problems]
     elif not change.whole:
         before = {problem.key for problem in check(current)}
         problems = [
-            _told(p) if p.key in before or p.code is Code.NO_WRITER else p
+            _as_warning(p) if p.key in before or p.code is Code.NO_WRITER else p
             for p in problems
         ]
     problems = _unsettled(problems, current, change.replaced - after.on)
@@ -217,7 +217,7 @@ def _unsettled(
     return [p for p in problems if p.code is not Code.TWO_CONSTANTS or not settled(p)]
 
 
-def _told(problem: Problem) -> Problem:
+def _as_warning(problem: Problem) -> Problem:
     return structs.replace(problem, severity=Severity.WARN)
 
 

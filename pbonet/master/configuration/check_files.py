@@ -188,7 +188,7 @@ def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]
             info=loaded.info,
             rtpu=rtpu,
             freq=wanted.freq,
-            told=wanted.told,
+            job_places=wanted.job_places,
             fallback_of=original,
         )
         tasks.append(with_times(task, saved))

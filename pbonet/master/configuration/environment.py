@@ -29,7 +29,7 @@ class Told(NamedTuple):
     libraries: Sequence[str | Path]
 
 
-def told(
+def or_environment(
     domain: str | None,
     connect: Sequence[str] | None,
     libraries: Sequence[str | Path] | None,

@@ -69,9 +69,9 @@ class Files:
         self._folders: list[Path] = []
         self._stamps: dict[str, int] | None = None
         self._writers: dict[str, tuple[str, ...]] = {}
-        self._look_in(path.parent)
+        self._search_first_in(path.parent)
         if self.job is not None:
-            self._look_in(Path(self.job.file).parent)
+            self._search_first_in(Path(self.job.file).parent)
 
     @cached_property
     def profiles(self) -> Store:
@@ -106,7 +106,7 @@ class Files:
                 got=f"SBS {named}",
                 remedy="start it with its own subsystem",
             )
-        self._look_in(folder)
+        self._search_first_in(folder)
         return job
 
     def rmod(self, name: str) -> RmodSource:
@@ -206,7 +206,7 @@ class Files:
             remedy=f"there are: {jobs}" if jobs else f"write one beside {self.path}",
         )
 
-    def _look_in(self, folder: Path) -> None:
+    def _search_first_in(self, folder: Path) -> None:
         """Make `folder` the first in which RMODs are searched for."""
         self._folders = [folder, *(f for f in self._folders if f != folder)]
         self.library.beside = tuple(self._folders)

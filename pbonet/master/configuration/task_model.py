@@ -31,7 +31,7 @@ class Member(Struct, kw_only=True):
     state: State = State.NOT_CREATED
     info: ModuleInfo | None = None
     """Of its module; None while no agent was asked."""
-    told: Mapping[str, Place] = {}
+    job_places: Mapping[str, Place] = {}
     """As in `verify.Task`."""
     saved: Saved | None = None
     """Its saved profile on its machine, if there is one."""
@@ -63,7 +63,7 @@ class Member(Struct, kw_only=True):
             info=self.info,
             rtpu=self.rtpu,
             freq=self.freq or None,
-            told=self.told,
+            job_places=self.job_places,
             fallback_of=self.fallback_of,
         )
         return with_times(task, self.saved)

@@ -129,7 +129,7 @@ class Script:
             lines: The commands.
         """
         place = "standard input" if name == STDIN else name
-        listener = Listener(self._subsystem, heard=_heard)
+        listener = Listener(self._subsystem, heard=_print_event)
         listener.open()
         failed = False
         try:
@@ -138,7 +138,7 @@ class Script:
                     reply = self._session.execute(line)
                 except PbonetError as error:
                     failed = True
-                    self._tell(error, f"{place}:{number}")
+                    self._report(error, f"{place}:{number}")
                     if not self._keep_going:
                         return failed
                     continue
@@ -159,7 +159,7 @@ class Script:
         if text := render.text(reply.command, reply.data):
             render.print_line(text)
 
-    def _tell(self, error: PbonetError, place: str) -> None:
+    def _report(self, error: PbonetError, place: str) -> None:
         if self._as_data:
             fault = {"place": place, "error": error.to_wire()}
             render.print_line(msgspec.json.encode(fault).decode())
@@ -167,7 +167,7 @@ class Script:
             render.print_error(f"{place}: {render.error(error, debug=self._debug)}")
 
 
-def _heard(event: Event) -> None:
+def _print_event(event: Event) -> None:
     render.print_error(render.event(event))
 
 

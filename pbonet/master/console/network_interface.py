@@ -146,7 +146,7 @@ class Port:
                 ),
                 session.liveliness().declare_subscriber(
                     key_expressions.network_client(self._domain, self.name, "*"),
-                    direct(self._heard),
+                    direct(self._on_token),
                     history=True,
                 ),
                 session.liveliness().declare_token(self._key),
@@ -175,7 +175,7 @@ class Port:
 
     # -- in zenoh's threads -----------------------------------------------------------
 
-    def _heard(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, sample: zenoh.Sample) -> None:
         """Notice which clients live, and the loss of the one that has control."""
         client = key_expressions.last(str(sample.key_expr))
         with self._lock:

@@ -93,7 +93,7 @@ class Prompt:
         self._back = threading.Event()
         self._commands = CommandSession(subsystem, hand_over=self._hand_over)
         self._bar = _Toolbar(subsystem)
-        self._listener = Listener(subsystem, heard=self._heard)
+        self._listener = Listener(subsystem, heard=self._print_event)
         self._input_line: PromptSession[str] = PromptSession(
             completer=_Completer(self._commands),
             complete_while_typing=False,
@@ -161,10 +161,10 @@ class Prompt:
             return
         with self._input.raw_mode():
             while worker.is_alive():
-                self._look_for_keys()
+                self._read_keys()
                 worker.join(_LOOK)
 
-    def _look_for_keys(self) -> None:
+    def _read_keys(self) -> None:
         ahead: list[KeyPress] = []
         for press in self._input.read_keys():
             if press.key in STOP_KEYS:
@@ -182,7 +182,7 @@ class Prompt:
             self._say(f"port {portname} waits for a client; Ctrl-C takes control back")
             port.serve(self._back)
 
-    def _heard(self, event: m.Event) -> None:
+    def _print_event(self, event: m.Event) -> None:
         """Print an event above the prompt; called in zenoh's thread."""
         self._say(render.event(event))
 

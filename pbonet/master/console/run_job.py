@@ -139,7 +139,7 @@ class Run:
         )
         self._recordings = subsystem.recordings
         subsystem.open()
-        infos = self._tell_limits(subsystem)
+        infos = self._report_limits(subsystem)
         statuses: list[RtpuStatus] = []
         begin = time.monotonic()
         listener = Listener(subsystem)
@@ -194,7 +194,7 @@ class Run:
         for one, path in saved:
             self._view.say(f"profile of {one.rmod}, {one.cycles} cycles: {path}")
 
-    def _tell_limits(self, subsystem: Subsystem) -> dict[str, m.AgentInfo]:
+    def _report_limits(self, subsystem: Subsystem) -> dict[str, m.AgentInfo]:
         """Say what the RTPUs cannot guarantee, each thing once; return who they are."""
         infos, _ = subsystem.clients.each(lambda _: m.Hello(), m.AgentInfo)
         lacking: dict[str, list[str]] = {}
@@ -205,7 +205,7 @@ class Run:
             self._view.say(render.warning(f"{', '.join(rtpus)}: {limit}"))
         return infos
 
-    def _tell_loads(
+    def _report_loads(
         self, reports: list[legality.RtpuReport], infos: dict[str, m.AgentInfo]
     ) -> None:
         """Report the verdict for each RTPU, and for those that share a core."""
@@ -233,7 +233,7 @@ class Run:
         watcher = threading.Thread(target=give_up, daemon=True)
         watcher.start()
         try:
-            self._tell_loads(subsystem.report(), infos)
+            self._report_loads(subsystem.report(), infos)
             statuses = subsystem.start()
         finally:
             done.set()
@@ -255,8 +255,8 @@ class Run:
         with self._port(subsystem), self._view:
             while True:
                 passed = time.monotonic() - begin
-                statuses = self._look(subsystem)
-                seen.look(statuses)
+                statuses = self._status(subsystem)
+                seen.update(statuses)
                 events = listener.take()
                 self._view.show(passed, statuses, events)
                 fatal = [e.text for e in events if e.severity >= Severity.FATAL]
@@ -285,7 +285,7 @@ class Run:
         finally:
             port.close()
 
-    def _look(self, subsystem: Subsystem) -> list[RtpuStatus]:
+    def _status(self, subsystem: Subsystem) -> list[RtpuStatus]:
         """Return the status; an RTPU that stays away ends the run."""
         try:
             statuses = subsystem.rtpu_status()

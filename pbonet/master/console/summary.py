@@ -34,7 +34,7 @@ class Seen:
         self._rtpus: dict[str, RtpuStatus] = {}
         self._tasks: dict[str, TaskStatus] = {}
 
-    def look(self, rtpus: Iterable[RtpuStatus]) -> None:
+    def update(self, rtpus: Iterable[RtpuStatus]) -> None:
         """Note the present state of the tasks, wherever each was before."""
         rtpus = list(rtpus)
         self._rtpus |= {rtpu.rtpu: rtpu for rtpu in rtpus}

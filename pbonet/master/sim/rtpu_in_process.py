@@ -30,7 +30,7 @@ from pbonet.node.rtpu import (
     Tables,
     rtpu_snapshot,
 )
-from pbonet.node.task import Host, Voice, inspect
+from pbonet.node.task import Host, RtpuChannel, inspect
 from pbonet.node.wire import rtpu_messages
 from pbonet.outside import using
 from pbonet.pbo import State
@@ -137,7 +137,7 @@ class VirtualRtpu(Rtpu):
         """Do nothing: no process dies here."""
 
     def _open_tables(self) -> Tables:
-        return VirtualTables(self.world, changed=self.tell_claims)
+        return VirtualTables(self.world, changed=self.publish_claims)
 
     def _make_spawner(self, forks: object) -> Spawner:
         del forks
@@ -240,7 +240,7 @@ class VirtualOverview(SharedMemoryStatus):
         opened = {name: tables.need(name) for name in tables.subsystems()}
         self._tables = {name: (one.table, one.keep) for name, one in opened.items()}
         if news := self._snapshots.news():
-            self.learn(msgspec.msgpack.decode(news, type=rtpu_snapshot.Known))
+            self.learn(msgspec.msgpack.decode(news, type=rtpu_snapshot.SnapshotChanges))
 
 
 class VirtualSpawner(Spawner):
@@ -318,7 +318,7 @@ class VirtualTask(Host):
         child: VirtualChild,
         channel: Channel,
     ) -> None:
-        super().__init__(spec, Voice(channel), rtpu.core)  # type: ignore[arg-type]
+        super().__init__(spec, RtpuChannel(channel), rtpu.core)  # type: ignore[arg-type]
         self._rtpu, self._child, self._channel = rtpu, child, channel
         self._made = self._stands = False
         self._batch = self._left = 1
@@ -353,7 +353,7 @@ class VirtualTask(Host):
                 done = rtpu_messages.Done(
                     n=0, state=State.NOT_CREATED, error=error.to_wire()
                 )
-                self.voice.say(done)
+                self.to_rtpu.say(done)
                 self._over = True
                 self._close()
             else:

@@ -41,11 +41,11 @@ class _Recorder(Recorder):
     def __init__(
         self, wanted: rtpu_messages.Recording, by: Time, faults: list[str]
     ) -> None:
-        def tell(message: rtpu_messages.FromRecorder) -> None:
+        def report(message: rtpu_messages.FromRecorder) -> None:
             if isinstance(message, rtpu_messages.Note):
                 faults.append(f"{message.code}: {message.text}")
 
-        super().__init__(wanted, tell, by)
+        super().__init__(wanted, report, by)
         self._hosts: dict[str, VirtualTask] = {}
 
     def follow(self, host: VirtualTask, about: TaskAbout) -> None:
@@ -64,7 +64,7 @@ class _Recorder(Recorder):
         self._files.write(lambda writer: writer.lasted(seconds))
         self.end()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Do nothing: every ring is reported."""
 
     def _slots(self) -> dict[str, object]:

@@ -300,7 +300,11 @@ class Simulation(VirtualRtpus):
         must_be_simulated(record, freq, self.simulated, where)
         info = self.library.load_rmod(record).info
         return Member(
-            source=source, rtpu=rtpu, freq=freq or 0.0, info=info, told=wanted.told
+            source=source,
+            rtpu=rtpu,
+            freq=freq or 0.0,
+            info=info,
+            job_places=wanted.job_places,
         )
 
     def _members(self, task: JobTask) -> list[Member]:

@@ -303,7 +303,7 @@ class VirtualClient(rpc.Client):
         del key
         return _Heard([], lambda: None)
 
-    def hear(self, key: str, told: Callable[[], None]) -> rpc.Declared:
+    def subscribe(self, key: str, told: Callable[[], None]) -> rpc.Declared:
         """Have a function called whenever something happens."""
         del key
         return _Heard(self._rtpus.told, told)

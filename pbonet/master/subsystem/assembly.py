@@ -193,7 +193,7 @@ def part(task_set: SubsystemTasks, pairs: Sequence[tuple[Member, str]]) -> None:
         except UnknownTaskError:
             continue  # it has died, or a stop was quicker
         except PbonetError as error:
-            task_set.tell([
+            task_set.warn([
                 f"{member.name} is still the fallback of {original}: {error}"
             ])
 

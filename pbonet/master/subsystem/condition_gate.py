@@ -62,7 +62,7 @@ class ConditionGate:
         Raises:
             ConditionError: One does not hold.
         """
-        return must_hold(self._asked, self._table, self._look)
+        return must_hold(self._asked, self._table, self._values)
 
     def entered(self) -> None:
         """Record that the job is the present one, for later masters."""
@@ -73,7 +73,7 @@ class ConditionGate:
             _keeper(self._task_set), m.Job(told=stands), list[m.Standing]
         )
 
-    def _look(self, names: list[str]) -> list[m.VarValue]:
+    def _values(self, names: list[str]) -> list[m.VarValue]:
         request = m.Display(names=names)
         return self._task_set.clients.call(
             _keeper(self._task_set), request, list[m.VarValue]

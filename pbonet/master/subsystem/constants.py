@@ -105,7 +105,7 @@ def followed(
         try:
             renew(task_set, why, _changed(task_set, constants, before))
         except PbonetError as error:
-            task_set.tell([str(error)])
+            task_set.warn([str(error)])
         raise
     renew(task_set, why, _changed(task_set, constants, before), done)
 
@@ -180,7 +180,7 @@ def renew(
         except PbonetError as error:
             errors.append(_unrenewed(error, why, held))
     if renewed:
-        task_set.tell([f"{why}: re-initialized {', '.join(renewed)}"])
+        task_set.warn([f"{why}: re-initialized {', '.join(renewed)}"])
     rpc.raise_all(f"{why}, and {len(errors)} tasks did not take it in", errors)
 
 

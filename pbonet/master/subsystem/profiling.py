@@ -52,7 +52,7 @@ def ask(task_set: SubsystemTasks, tasks: Sequence[str]) -> list[TaskProfile]:
     for task in tasks:
         task_set.model.find(task)
     results, errors = task_set.clients.each(lambda _: m.Profile(), list[TaskProfile])
-    task_set.tell(map(str, errors))
+    task_set.warn(map(str, errors))
     found = [one for name in task_set.clients.names for one in results.get(name, [])]
     return [one for one in found if not tasks or one.status.task in tasks]
 

@@ -110,7 +110,9 @@ class Subsystem:
         warned: Callable[[str], None] = log_warning,
         record: str | None = None,
     ) -> None:
-        domain, connect, libraries = environment.told(domain, connect, libraries)
+        domain, connect, libraries = environment.or_environment(
+            domain, connect, libraries
+        )
         self.files: Files = Files(path, Library(libraries))
         self.domain = domain
         self.warned = warned
@@ -1079,7 +1081,7 @@ class Subsystem:
 
     def news(self) -> AbstractContextManager[threading.Event]:
         """Return a context in which an event is set whenever an RTPU publishes one."""
-        return task_signal_inbox.heard(self.clients)
+        return task_signal_inbox.wake_on_events(self.clients)
 
     def signals(self) -> list[Sent]:
         """Return the pending signals, without taking them."""

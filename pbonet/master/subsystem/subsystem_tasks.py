@@ -123,7 +123,7 @@ class SubsystemTasks:
             name for name in self.clients.names if name not in self.clients.epochs
         ]
         claims, errors = self._claim(others, take_over=take_over, partly=partly)
-        self.tell(map(str, errors))
+        self.warn(map(str, errors))
         self._take_in(claims)
 
     def _take_home(self, task: str) -> bool:
@@ -238,7 +238,7 @@ class SubsystemTasks:
         results |= found
         if strict or not results:
             rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
-        self.tell(map(str, errors))
+        self.warn(map(str, errors))
         statuses = [results[name] for name in self.clients.names if name in results]
         there = [task for rtpu in statuses for task in rtpu.tasks]
         for status in there:
@@ -411,9 +411,9 @@ class SubsystemTasks:
 
     def say(self, problems: Problems) -> None:
         """Report warnings that were not reported yet; `settle` follows."""
-        self.tell(self._standing.say(problems))
+        self.warn(self._standing.say(problems))
 
-    def tell(self, warnings: Iterable[str]) -> None:
+    def warn(self, warnings: Iterable[str]) -> None:
         """Hand on warnings."""
         for text in warnings:
             self.warned(text)
@@ -559,7 +559,7 @@ class SubsystemTasks:
         )
         for rtpu in ranked:
             self._priorities |= {task: rank[1] for task, rank in ranks[rtpu].items()}
-        self.tell(map(str, errors))
+        self.warn(map(str, errors))
 
     # -- ending -----------------------------------------------------------------------
 

@@ -74,7 +74,7 @@ def carry_out(
         if gate is not None:
             transition.conditions = gate.must_hold()
     if dry_run:
-        task_set.tell(map(legality.as_text, problems))
+        task_set.warn(map(legality.as_text, problems))
         return transition
     try:
         task_set.say(problems)

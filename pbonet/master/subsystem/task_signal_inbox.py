@@ -45,7 +45,7 @@ class Sent(Struct, frozen=True):
     rtpu: str
 
 
-class _Life(Struct):
+class _SeenTask(Struct):
     """Signals and events of one task since its spawn."""
 
     tid: int
@@ -88,7 +88,7 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        self._lives: dict[tuple[str, str], _Life] = {}
+        self._lives: dict[tuple[str, str], _SeenTask] = {}
         self._busy = Lock()
 
     def begin(self, statuses: Iterable[m.TaskStatus]) -> None:
@@ -164,7 +164,7 @@ class Inbox:
             return
         if life is None or life.is_other(status):
             pending = life.pending if life is not None and life.died else {}
-            life = _Life(status.tid, status.now, {}, pending)
+            life = _SeenTask(status.tid, status.now, {}, pending)
             self._lives[key] = life
         life.seen = max(life.seen, status.now)
         for name, count in status.signals.items():
@@ -176,14 +176,14 @@ class Inbox:
 
 
 @contextmanager
-def heard(clients: RtpuClients) -> Generator[Event]:
+def wake_on_events(clients: RtpuClients) -> Generator[Event]:
     """Have an event set whenever an RTPU publishes one of its own."""
     news = Event()
     client = clients.client
     with ExitStack() as declared:
         for rtpu in clients.names:
             key = key_expressions.rtpu(client.domain, rtpu, "event")
-            declared.callback(_take_back, client.hear(key, news.set))
+            declared.callback(_take_back, client.subscribe(key, news.set))
         yield news
 
 
@@ -219,6 +219,6 @@ def must_be_known(
             )
 
 
-def _take_back(heard: rpc.Declared) -> None:
+def _take_back(wake_on_events: rpc.Declared) -> None:
     with suppress(zenoh.ZError):  # the session was closed meanwhile
-        heard.undeclare()
+        wake_on_events.undeclare()

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pbonet.config import Variable
-    from pbonet.log import Life
+    from pbonet.log import TaskLife
 
 PREFIX: Final = "replay:"
 """Prefix of a task's name in the table while its record is played."""
@@ -96,7 +96,7 @@ class _Source:
                 remedy="see `pbonet log info`",
             )
 
-    def _add(self, life: Life) -> None:
+    def _add(self, life: TaskLife) -> None:
         arrays = life.schema.arrays(life.commits)
         first = len(self._lives)
         self._lives.append(arrays)
@@ -111,7 +111,7 @@ class _Source:
                 self._sent.append((at, life.about.outconst, data))
 
     @staticmethod
-    def _moved(life: Life, times: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _moved(life: TaskLife, times: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return instants as nanoseconds since 1970, by the clock of all."""
         return times + life.moves.of(times)
 

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.config import AgentConfig
-    from pbonet.node.rtpu import Known
+    from pbonet.node.rtpu import SnapshotChanges
 
 log = logging.getLogger("pbonet.node")
 
@@ -191,7 +191,7 @@ class Agent:
         )
         self._duplicates.start()
         self._ways = PeerLatencies(
-            self._session, self.info, self._recorders.tell, self._note
+            self._session, self.info, self._recorders.send, self._note
         )
         self._ways.start()
         where = self._session, self.config.domain
@@ -426,7 +426,7 @@ class Agent:
 
     def published(self, data: bytes) -> None:
         """Publish an event, and record it."""
-        self._recorders.tell(rtpu_messages.Happened(data))
+        self._recorders.send(rtpu_messages.Happened(data))
         if self._server is not None:
             self._server.publish(data)
 
@@ -442,7 +442,7 @@ class Agent:
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)
 
-    def learned(self, news: Known) -> None:
+    def learned(self, news: SnapshotChanges) -> None:
         """Store the RTPU process's report of its state."""
         self._overview.learn(news)
 

@@ -29,7 +29,7 @@ ENDS = (signal.SIGTERM, signal.SIGINT)
 HEEDED = (*ENDS, signal.SIGHUP)
 
 
-class Life:
+class AgentRun:
     """One agent, until it ends or restarts.
 
     Args:
@@ -132,18 +132,18 @@ def main(
         The exit status: 0, or 1 if it ended by itself or a process had to be killed.
     """
     agent = Agent(config, backend=backend)
-    life = Life(agent, again)
+    life = AgentRun(agent, again)
     life.heed_signals()
     agent.start()
     for text in absent(config.libraries):
         log.warning("%s: %s", agent.name, text)
     announce(agent.info())
-    systemd_notify.tell("READY=1")
+    systemd_notify.notify("READY=1")
     if life.wait():
         log.warning("%s: restarts", agent.name)
         agent.abandon()
         life.leave_signals()
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - itself
-    systemd_notify.tell("STOPPING=1")
+    systemd_notify.notify("STOPPING=1")
     in_order = agent.stop()
     return 0 if in_order and not agent.reason else 1

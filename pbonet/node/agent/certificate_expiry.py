@@ -86,11 +86,11 @@ class KeyTerm:
                 self._say(left)
                 told = days
             if left > 0:
-                self._look_at_links()
+                self._check_links()
             if self._over.wait(min(LOOK, LINK_LOOK, max(left, 0.0) or LOOK)):
                 return
 
-    def _look_at_links(self) -> None:
+    def _check_links(self) -> None:
         """Report links that the keys of two agents prevent."""
         if self._folder is None:
             return

@@ -81,9 +81,9 @@ class DuplicateAgents:
             self._linked.wait()
             self._linked.clear()
             if not self._over.wait(SETTLE_TIME):
-                self._look()
+                self._ask_identities()
 
-    def _look(self) -> None:
+    def _ask_identities(self) -> None:
         """Ask all agents of that name for their identity."""
         try:
             replies = self._session.get(

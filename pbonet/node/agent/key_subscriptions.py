@@ -69,28 +69,30 @@ class KeySubscriptions:
         self._thread.join()
 
     def _listener(self, queue: str) -> Callable[[zenoh.Sample], None]:
-        def heard(sample: zenoh.Sample) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
             size = len(sample.payload)
             if size > LONGEST:
                 self._refuse(queue, size)
                 return
             if more := self._too_long.pop(queue, 1) - 1:
-                self._tell(f"{more} more messages for the queue {queue} were too long")
+                self._report(
+                    f"{more} more messages for the queue {queue} were too long"
+                )
             self._put(rtpu_messages.Arrived(queue, bytes(sample.payload)))
 
-        return heard
+        return on_sample
 
     def _refuse(self, queue: str, size: int) -> None:
         """Count a message that is too long for any queue; report the first one."""
         self._too_long[queue] += 1
         if self._too_long[queue] == 1:
-            self._tell(
+            self._report(
                 f"a message for the queue {queue} is too long and was dropped "
                 f"(expected at most {LONGEST} bytes) (got {size}); let its sender "
                 "divide it"
             )
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self._put(rtpu_messages.Note(int(Severity.WARNING), "XM_TOO_LONG", text))
 
     def _put(self, message: rtpu_messages.Arrived | rtpu_messages.Note) -> None:

@@ -142,7 +142,7 @@ class Receiver:
         if self._over:
             return
         if now > self._again:
-            self._look(now)
+            self._update_clocks(now)
         message = sample.payload.to_bytes()
         try:
             if not self._end.take(message, now, self._ahead):
@@ -152,7 +152,7 @@ class Receiver:
                 self._told = True
                 self._misfit(error)
 
-    def _look(self, now: int) -> None:
+    def _update_clocks(self, now: int) -> None:
         """Update the offset of the clocks; raise this thread's priority."""
         self._again = now + CLOCKS_NS
         self._ahead = self._offset()

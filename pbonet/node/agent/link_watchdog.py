@@ -38,7 +38,7 @@ MOST = 256
 _CREDENTIALS = struct.Struct("3i")
 
 
-class Known(NamedTuple):
+class Neighbour(NamedTuple):
     """An agent of the domain that has answered."""
 
     name: str
@@ -56,7 +56,7 @@ class LinkWatchdog:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
-        self._known: dict[str, Known] = {}
+        self._known: dict[str, Neighbour] = {}
         """By zenoh identity."""
         self._missed: dict[str, int] = {}
         """Number of checks in which a neighbour was not seen; negative: a pause."""
@@ -64,11 +64,11 @@ class LinkWatchdog:
     def met(self, info: AgentInfo, *, here: bool) -> None:
         """Store the identity of an agent that has answered."""
         self._known.pop(info.zid, None)
-        self._known[info.zid] = Known(info.name, info.pid, here)
+        self._known[info.zid] = Neighbour(info.name, info.pid, here)
         while len(self._known) > MOST:
             self._known.pop(next(iter(self._known)))
 
-    def unseen(self, seen: Iterable[str]) -> dict[str, Known]:
+    def unseen(self, seen: Iterable[str]) -> dict[str, Neighbour]:
         """Return the neighbours that have a link but are not seen."""
         there = set(seen)
         linked = (str(zid) for zid in self._session.info.routers_zid())
@@ -78,7 +78,7 @@ class LinkWatchdog:
             if (known := self._known.get(zid)) and known.name not in there
         }
 
-    def look(self, seen: Iterable[str]) -> list[str]:
+    def cut_silent(self, seen: Iterable[str]) -> list[str]:
         """Cut links that transfer no declarations; to be called every second.
 
         Args:
@@ -102,7 +102,7 @@ class LinkWatchdog:
                     again.append(known.name)
         return again
 
-    def _cut(self, zid: str, known: Known) -> bool:
+    def _cut(self, zid: str, known: Neighbour) -> bool:
         """Shut down the sockets of a neighbour's links; return whether it had any."""
         ends = {
             (plain(str(one.src)), plain(str(one.dst)))
@@ -124,7 +124,7 @@ def _sockets() -> Iterator[socket.socket]:
                 yield one
 
 
-def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Known) -> bool:
+def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Neighbour) -> bool:
     """Return whether a socket carries one of the links to a neighbour."""
     if one.family not in {socket.AF_INET, socket.AF_INET6, socket.AF_UNIX}:
         return False

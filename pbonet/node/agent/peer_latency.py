@@ -125,7 +125,7 @@ class PeerLatencies:
         """Start to ask every second."""
         self._subscriber = self._session.declare_subscriber(
             key_expressions.all_rtpus(self._me().domain, _END),
-            direct(self._heard_end),
+            direct(self._on_end),
         )
         self._thread.start()
 
@@ -167,7 +167,7 @@ class PeerLatencies:
             if now - at < LOST_TIME
         ]
 
-    def _heard_end(self, sample: zenoh.Sample) -> None:
+    def _on_end(self, sample: zenoh.Sample) -> None:
         """Record the orderly end of an agent; runs in zenoh's own thread."""
         name = key_expressions.rtpu_name(str(sample.key_expr))
         with self._guard:
@@ -202,13 +202,13 @@ class PeerLatencies:
         """Measure now, and return what is known."""
         me = self._me()
         for _ in range(TRIES):
-            self._look(me.name)
+            self._measure(me.name)
         for _ in range(AGAIN):
             with self._guard:
                 left = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
             if not left or self._over.wait(PAUSE):
                 break
-            self._look(me.name, left)
+            self._measure(me.name, left)
         counts = dialling.links(self._session)
         with self._guard:
             peers = sorted(self._peers.items())
@@ -225,7 +225,7 @@ class PeerLatencies:
     def _watch(self) -> None:
         while not self._over.wait(PERIOD):
             try:
-                self._look(self._me().name)
+                self._measure(self._me().name)
                 self._relink_unseen()
             except (zenoh.ZError, OSError) as error:
                 log.debug("the connections cannot be measured: %s", error)
@@ -236,7 +236,7 @@ class PeerLatencies:
         """Reopen links through which neighbours are not seen."""
         with self._guard:
             peers = list(self._peers.items())
-        for name in self._watchdog.look(_seen(peers)):
+        for name in self._watchdog.cut_silent(_seen(peers)):
             text = f"the link to agent {name} transferred nothing; it is opened again"
             log.warning("%s: %s", self._me().name, text)
             if self._note is not None:
@@ -257,7 +257,7 @@ class PeerLatencies:
                 and not peer.error
             ]
 
-    def _look(self, me: str, wanted: Container[str] | None = None) -> None:
+    def _measure(self, me: str, wanted: Container[str] | None = None) -> None:
         """Make one round trip to each agent that is seen, or to those in `wanted`."""
         domain, machine = self._me().domain, self._me().machine
         names = [n for n in session.rtpus(self._session, domain) if n != me]

@@ -56,10 +56,10 @@ class _Child:
         self,
         wanted: rtpu_messages.Recording,
         before: Iterable[rtpu_messages.Commanded],
-        tell: Callable[[rtpu_messages.FromRecorder], None],
+        send: Callable[[rtpu_messages.FromRecorder], None],
     ) -> None:
         self.wanted = wanted
-        self._tell = tell
+        self._tell = send
         self._guard = threading.Lock()
         self._ending = threading.Event()
         self._lost: list[float] = []
@@ -108,7 +108,7 @@ class _Child:
         self._feed.begin(feed)
         return process
 
-    def tell(self, message: rtpu_messages.ToRecorder) -> None:
+    def send(self, message: rtpu_messages.ToRecorder) -> None:
         """Send a message; a recorder that does not read is restarted."""
         self._feed.put(rtpu_messages.frame(message))
 
@@ -138,10 +138,10 @@ class _Child:
         again = True
         while again:
             with os.fdopen(self._said, "rb") as said:
-                self._hear(said)
+                self._read_output(said)
             again = self._again(self._process.wait())
 
-    def _hear(self, said: BinaryIO) -> None:
+    def _read_output(self, said: BinaryIO) -> None:
         decoder = msgspec.msgpack.Decoder(rtpu_messages.FromRecorder)
         head = rtpu_messages.LENGTH.size
         while len(data := said.read(head)) == head:
@@ -198,8 +198,8 @@ class Recorders:
         config: The machine's configuration; each log contains it.
     """
 
-    def __init__(self, tell: Tell, config: AgentConfig) -> None:
-        self._tell = tell
+    def __init__(self, send: Tell, config: AgentConfig) -> None:
+        self._tell = send
         self._limits = rtpu_messages.LogLimits(
             config.log_mb, config.log_minutes, config.runs_mb
         )
@@ -266,12 +266,12 @@ class Recorders:
         else:
             self._tell(message)
 
-    def tell(self, message: rtpu_messages.ToRecorder) -> None:
+    def send(self, message: rtpu_messages.ToRecorder) -> None:
         """Send a message to all recorders."""
         with self._guard:
             children = list(self._children.values())
         for child in children:
-            child.tell(message)
+            child.send(message)
 
     def commanded(
         self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
@@ -285,7 +285,7 @@ class Recorders:
             if child is None:
                 self._keep(told.subsystem, lambda: told)
         if child is not None:
-            child.tell(told)
+            child.send(told)
 
     def noted(
         self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int

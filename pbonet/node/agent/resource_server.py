@@ -114,7 +114,7 @@ class ResourceServer:
             r.Await: self._await,
             r.Put: self._put,
             r.Give: self._give,
-            r.Look: self._look,
+            r.Look: self._state_of,
             r.Settle: self._settle,
             r.Interrupt: self._interrupt,
             **fileserver.operations,
@@ -122,7 +122,7 @@ class ResourceServer:
         self._pool = ThreadPoolExecutor(WAITS + OTHERS, "pbonet office")
         self._subscriber = session.liveliness().declare_subscriber(
             key_expressions.customer(domain, "*"),
-            direct(self._heard),
+            direct(self._on_token),
             history=True,
         )
 
@@ -141,7 +141,7 @@ class ResourceServer:
 
     # -- clients -----------------------------------------------------------------------
 
-    def _heard(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, sample: zenoh.Sample) -> None:
         """Record a token; runs in zenoh's thread, which must not be blocked."""
         client = key_expressions.last(str(sample.key_expr))
         with self._change:
@@ -375,7 +375,7 @@ class ResourceServer:
         finally:
             self._end(request, held)
 
-    def _look(self, request: r.Look) -> r.Seen:
+    def _state_of(self, request: r.Look) -> r.Seen:
         held = self._begin(request)
         try:
             thing = held.thing

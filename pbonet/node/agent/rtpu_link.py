@@ -22,7 +22,7 @@ import msgspec
 
 import pbonet
 from pbonet.errors import NodeError, ProtocolError
-from pbonet.node.rtpu import Known, cleanup
+from pbonet.node.rtpu import SnapshotChanges, cleanup
 from pbonet.node.wire import rtpu_messages
 
 from . import start_rtpu
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-FromRtpu = rtpu_messages.FromRtpu | Known
+FromRtpu = rtpu_messages.FromRtpu | SnapshotChanges
 
 SEND_TIME = 2.0
 """Seconds after which an RTPU process that does not receive counts as lost."""
@@ -64,7 +64,7 @@ class Listener(Protocol):
     def informed(self, info: rtpu_messages.RtpuInfo) -> None:
         """Process the changed identity of the RTPU process."""
 
-    def learned(self, news: Known) -> None:
+    def learned(self, news: SnapshotChanges) -> None:
         """Process the RTPU process's report of its state."""
 
     def broke(self, reason: str) -> None:
@@ -448,7 +448,7 @@ class RtpuLink:
             case rtpu_messages.RtpuInfo():
                 self.info = message
                 self._listener.informed(message)
-            case Known():
+            case SnapshotChanges():
                 self._listener.learned(message)
             case rtpu_messages.Ending():
                 pass

@@ -18,8 +18,8 @@ from pbonet import tbuf
 from pbonet.errors import NodeError, Severity, SvarError
 from pbonet.node import rt
 from pbonet.node.rtpu import (
-    Known,
-    KnownTask,
+    SnapshotChanges,
+    TaskSnapshot,
     claims,
     no_table,
     remove_unused,
@@ -56,7 +56,7 @@ HANDLED = (m.Status, m.Profile, m.Display, m.Write)
 class Seen(NamedTuple):
     """A task, and its entries in the core table at one time."""
 
-    task: KnownTask
+    task: TaskSnapshot
     slot: SlotStatus
     signals: tuple[int, ...]
 
@@ -86,12 +86,12 @@ class SharedMemoryStatus:
         )
         self._news = threading.Condition()
         self._told = 0
-        self._known = Known()
+        self._known = SnapshotChanges()
         self._core: rt.CoreTable | None = None
         self._tables: dict[str, tuple[Table, bool]] = {}
         self._do: dict[type[m.Request], Callable[[Any], object]] = {
             m.Status: lambda request: self._status(
-                request, self._look(), self._links.names()
+                request, self._read_slots(), self._links.names()
             ),
             m.Profile: self._profile,
             m.Display: self._display,
@@ -110,7 +110,7 @@ class SharedMemoryStatus:
             if subsystem not in self._tables:
                 self._attach(subsystem, keep=keep)
 
-    def learn(self, news: Known) -> None:
+    def learn(self, news: SnapshotChanges) -> None:
         """Store the changed parts of the state."""
         with self._news:
             for name in news.__struct_fields__:
@@ -124,7 +124,7 @@ class SharedMemoryStatus:
         for subsystem in list(self._tables):
             self._let_go(subsystem)
         with self._news:  # wake the waiters: there will be no more reports
-            core, self._core, self._known = self._core, None, Known()
+            core, self._core, self._known = self._core, None, SnapshotChanges()
             self._told += 1
             self._news.notify_all()
         if core is not None:
@@ -218,7 +218,7 @@ class SharedMemoryStatus:
 
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
         while True:
-            found, core = self._of(request, self._look()), self._open()
+            found, core = self._of(request, self._read_slots()), self._open()
             with contextlib.suppress(NodeError):  # a task has ended: read again
                 return [
                     status.task_profile(
@@ -244,7 +244,7 @@ class SharedMemoryStatus:
 
     # -- reading -----------------------------------------------------------------------
 
-    def _look(self) -> list[Seen]:
+    def _read_slots(self) -> list[Seen]:
         """Return all tasks with their entries in the core table.
 
         A slot with an unexpected task was reused just now: the RTPU process is about to
@@ -268,7 +268,7 @@ class SharedMemoryStatus:
         with self._news:
             return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
 
-    def _match(self, tasks: list[KnownTask]) -> list[Seen]:
+    def _match(self, tasks: list[TaskSnapshot]) -> list[Seen]:
         core = self._open()
         found: list[Seen] = []
         owner = f"{self._domain}/{self._rtpu}"

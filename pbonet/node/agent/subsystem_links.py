@@ -96,7 +96,7 @@ class Links:
         self._over = False
         self._subscriber = session.liveliness().declare_subscriber(
             key_expressions.all_links(domain),
-            direct(self._heard),
+            direct(self._on_token),
             history=True,
         )
         self._thread = threading.Thread(
@@ -117,7 +117,7 @@ class Links:
 
     # -- declarations of other agents --------------------------------------------------
 
-    def _heard(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, sample: zenoh.Sample) -> None:
         """Record that a token appeared or disappeared; runs in zenoh's own thread."""
         parts = key_expressions.link_parts(str(sample.key_expr))
         if parts is None:
@@ -147,12 +147,12 @@ class Links:
         while not self._over:
             self._news.clear()
             try:
-                self._look()
+                self._scan()
             except OSError:  # for example if the shared memory folder is removed
                 log.exception("%s: links cannot be served", self._name)
             self._news.wait(LOOK)
 
-    def _look(self) -> None:
+    def _scan(self) -> None:
         standing = self._standing.names()
         for text in standing:
             if text not in self._cares:

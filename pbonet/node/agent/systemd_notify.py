@@ -10,7 +10,7 @@ VARIABLE = "NOTIFY_SOCKET"
 """Variable with the manager's socket; not set if there is no manager."""
 
 
-def tell(state: str) -> bool:
+def notify(state: str) -> bool:
     """Report `state` to the service manager, if there is one.
 
     The protocol is one datagram to a Unix socket; a name that begins with `@` is in the

@@ -182,7 +182,7 @@ class TaskGateway:
             )
         request.client = letter.client
         if not letter.wait:
-            self._client.tell(letter.rtpu, request)
+            self._client.post(letter.rtpu, request)
             return b""
         result = self._client.call(letter.rtpu, request, object, timeout=letter.timeout)
         return self._codec.pack(m.Answer(ok=True, result=result))

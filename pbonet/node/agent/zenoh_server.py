@@ -104,14 +104,14 @@ class _Waiting(NamedTuple):
     begun_ns: int
 
 
-class Mail(Protocol):
+class ResourceRequests(Protocol):
     """Handler of requests about semaphores and queues."""
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Start a request, which is answered when it is done; returns at once."""
 
 
-class Book(Protocol):
+class CommandRecorder(Protocol):
     """Recorder of commands."""
 
     def commanded(
@@ -146,9 +146,9 @@ class Server:
         name: str,
         *,
         node: Node,
-        mail: Mail,
+        mail: ResourceRequests,
         overview: SharedMemoryStatus,
-        book: Book,
+        book: CommandRecorder,
     ) -> None:
         self._session = session
         self._domain = domain
@@ -207,7 +207,7 @@ class Server:
             one = self._pending.pop(n, None)
         if one is None:
             return
-        self._tell(one.request, data, one.begun_ns)
+        self._record(one.request, data, one.begun_ns)
         if isinstance(one.request, m.Claim):
             self._looks.submit(self._claimed, one.query, one.request, data)
         else:
@@ -226,7 +226,7 @@ class Server:
             take=isinstance(request, m.Claim),
         )
 
-    def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
+    def _record(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Record a command once, even if it was repeated."""
         if roles.only_looks(request):
             return
@@ -250,7 +250,7 @@ class Server:
                 remedy="'status' shows what was done; then repeat it",
             )
             data = self._codec.pack(codec.failure(error, request.id))
-            self._tell(request, data, begun_ns)
+            self._record(request, data, begun_ns)
             self._reply(query, data)
 
     def _arrive(self, query: zenoh.Query) -> None:

@@ -130,7 +130,7 @@ class MirroredTable:
         look = now >= self._flag
         if look:
             self._flag = now + FLAG
-        packet = mirror.tell(full=now >= self._beat, look=look)
+        packet = mirror.next_packet(full=now >= self._beat, look=look)
         if packet is not None:
             self._put(packet, now)
         self._pace(now)
@@ -200,7 +200,7 @@ class MirroredTable:
             self._publisher,
             session.declare_subscriber(
                 key("news"),
-                direct(self._heard),
+                direct(self._on_packet),
                 allowed_origin=zenoh.Locality.REMOTE,
             ),
             session.declare_queryable(
@@ -237,9 +237,9 @@ class MirroredTable:
 
     # -- zenoh's threads ---------------------------------------------------------------
 
-    def _heard(self, sample: zenoh.Sample) -> None:
+    def _on_packet(self, sample: zenoh.Sample) -> None:
         machine = key_expressions.last(str(sample.key_expr))
-        self.incoming.heard(machine, sample.payload.to_bytes())
+        self.incoming.put(machine, sample.payload.to_bytes())
 
     def _met(self, sample: zenoh.Sample) -> None:
         machine = key_expressions.last(str(sample.key_expr))
@@ -311,7 +311,7 @@ class MirroredTable:
         asker = ""
         if query.payload is not None:
             asker = self._take(query.payload.to_bytes())
-        packet = self.mirror.tell(full=True, machine=asker)
+        packet = self.mirror.next_packet(full=True, machine=asker)
         self.next = 0.0  # the others may lack what the asker is sent
         key = key_expressions.svar(
             self._owner.domain, self.subsystem, "sync", self._owner.machine
@@ -323,7 +323,7 @@ class MirroredTable:
         self, done: Callable[[], None] | None = None, calls: Sequence[bytes] = ()
     ) -> None:
         """Send this machine's state to all others, and process theirs."""
-        packet = self.mirror.tell(full=True) if self.mirror is not None else None
+        packet = self.mirror.next_packet(full=True) if self.mirror is not None else None
         if packet is not None:
             packet.calls = list(calls)
         self._get("sync", "*", packets.pack(packet) if packet else b"", done)

@@ -35,7 +35,7 @@ class PacketQueue:
         self.lost: Counter[str] = Counter()
         """Number of dropped packets by machine."""
 
-    def heard(self, machine: str, data: bytes) -> None:
+    def put(self, machine: str, data: bytes) -> None:
         """Add a packet; runs in zenoh's threads."""
         with self._guard:
             if len(self._waiting) >= self._room:

@@ -190,7 +190,7 @@ class TableCarrier:
         found: list[m.TableNews] = []
         done = threading.Event()
 
-        def look() -> None:
+        def check_ends() -> None:
             for subsystem, carried in self._carried.items():
                 others = carried.mirror.others if carried.mirror is not None else {}
                 lost = carried.incoming.lost
@@ -207,7 +207,7 @@ class TableCarrier:
                 )
             done.set()
 
-        self.do(look)
+        self.do(check_ends)
         return found if done.wait(limit) else []
 
     def late(self, machine: str, sent_ns: int) -> int | None:

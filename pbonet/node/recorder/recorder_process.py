@@ -78,7 +78,7 @@ class Recorder:
         by: Time | None = None,
     ) -> None:
         self._wanted = wanted
-        self._tell = tell
+        self._send = tell
         self._files = LogFiles(wanted, self._say, self._enter_all, by)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
@@ -102,7 +102,7 @@ class Recorder:
         """Take one pass."""
         now = self._files.by.clock()
         self._files.turn()
-        self._look()
+        self._poll()
         for key, followed in list(self._rings.items()):
             try:
                 self._take(followed)
@@ -126,9 +126,9 @@ class Recorder:
             followed.ring.close()
         self._files.close()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Follow new rings, and close those that were removed."""
-        if not (self._changes.look() or self._waiting):
+        if not (self._changes.changed() or self._waiting):
             return
         there = dict(self._found())
         for key in [key for key in self._rings if key not in there]:
@@ -284,12 +284,12 @@ class Recorder:
         if (path, lost) != self._told:
             self._told = (path, lost)
             subsystem = self._wanted.subsystem
-            self._tell(
+            self._send(
                 rtpu_messages.Recorder(subsystem=subsystem, path=path, lost=lost)
             )
 
     def _say(self, severity: Severity, code: str, text: str) -> None:
-        self._tell(rtpu_messages.Note(int(severity), code, text))
+        self._send(rtpu_messages.Note(int(severity), code, text))
 
 
 def hide(about: TaskAbout, names: Iterable[str]) -> None:
@@ -368,7 +368,7 @@ def main(argv: list[str]) -> int:
         file.seek(0)
         wanted = msgspec.msgpack.decode(file.read(), type=rtpu_messages.Recording)
     os.sched_setaffinity(0, process_setup.housekeeping_cores(wanted.core))
-    recorder, pipe = Recorder(wanted, _tell), Pipe(sys.stdin.fileno())
+    recorder, pipe = Recorder(wanted, _send), Pipe(sys.stdin.fileno())
     recorder.turn()
     for told in wanted.before:
         recorder.take(told)
@@ -380,7 +380,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _tell(message: rtpu_messages.FromRecorder) -> None:
+def _send(message: rtpu_messages.FromRecorder) -> None:
     with contextlib.suppress(OSError):
         os.write(sys.stdout.fileno(), rtpu_messages.frame(message))
 

@@ -8,7 +8,10 @@ from . import (
 from .fallbacks import LIMIT as LIMIT, Pair as Pair
 from .fork_client import Child as Child, Spawner as Spawner
 from .request_handlers import RequestHandlers as RequestHandlers
-from .rtpu_snapshot import Known as Known, KnownTask as KnownTask
+from .rtpu_snapshot import (
+    SnapshotChanges as SnapshotChanges,
+    TaskSnapshot as TaskSnapshot,
+)
 from .rtpu_state import Rtpu as Rtpu
 from .tables import (
     Opened as Opened,

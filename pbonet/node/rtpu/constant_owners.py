@@ -37,9 +37,9 @@ class ConstantOwner(Struct):
 
     task: Task
     olds: list[str]
-    heard: float
+    master_seen: float
     """The time of the master's last message."""
-    told: bool = False
+    reported: bool = False
 
 
 class ConstantOwners:
@@ -64,20 +64,20 @@ class ConstantOwners:
                 ConstantOwner(task, list(olds), time.monotonic())
             )
 
-    def heard(self, subsystem: str) -> None:
+    def note_master(self, subsystem: str) -> None:
         """Note that the master of a subsystem continues."""
         for giver in self._owned_constants:
             if giver.task.facts.subsystem == subsystem:
-                giver.heard = time.monotonic()
+                giver.master_seen = time.monotonic()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raise the flag where no master continues, and withdraw it once one does."""
         for giver in list(self._owned_constants):
             left = self._on(giver)
             if giver.task.gone.is_set() or not left:
                 self._end(giver)
-            elif not giver.told and time.monotonic() - giver.heard > PATIENCE:
-                giver.told = True
+            elif not giver.reported and time.monotonic() - giver.master_seen > PATIENCE:
+                giver.reported = True
                 verb = "is" if len(left) == 1 else "are"
                 cause = f"{giver.task.name} gives the constants of {' and '.join(left)}"
                 cause += f", which {verb} still ON: no master continues the exchange"
@@ -96,5 +96,5 @@ class ConstantOwners:
 
     def _end(self, giver: ConstantOwner) -> None:
         self._owned_constants.remove(giver)
-        if giver.told:
+        if giver.reported:
             self._rtpu.flags.down(giver.task.facts.subsystem, RAISER)

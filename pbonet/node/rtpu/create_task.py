@@ -213,8 +213,8 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         facts,
         child,
         wake=lambda last: rtpu.core.request(slot, last=last),
-        tell=rtpu.told_by,
-        heard=rtpu.heard,
+        tell=rtpu.take_notice,
+        changed=rtpu.notify_changed,
         ended=rtpu.ended,
     )
     task.freq = freq

@@ -156,7 +156,7 @@ class Fallbacks:
                 with contextlib.suppress(PbonetError):  # reported when the task is ON
                     await self._arrange(pair, after, coming=True)
 
-    def look(self, task: Task) -> None:
+    def update(self, task: Task) -> None:
         """Arrange or dissolve pairs, as the state of one of the two has changed."""
         for pair in list(self._pairs.values()):
             if task.facts.subsystem == pair.subsystem and task.name in {
@@ -165,7 +165,7 @@ class Fallbacks:
             }:
                 self._later(pair)
 
-    def look_again(self) -> None:
+    def update_all(self) -> None:
         """Update every pair, because what was in the way may be gone."""
         for pair in list(self._pairs.values()):
             self._later(pair)
@@ -183,7 +183,7 @@ class Fallbacks:
         except PbonetError as error:
             if str(error) != pair.told:
                 pair.told = str(error)
-                self._tell(Severity.WARNING, pair, f"cannot stand by: {error}")
+                self._report(Severity.WARNING, pair, f"cannot stand by: {error}")
 
     def _due(self, pair: Pair, *, coming: bool = False) -> bool:
         """Return whether the standby should stand by now, and does not.
@@ -380,7 +380,7 @@ class Fallbacks:
         dead = original is None or self._rtpu.core.snapshot(original.facts.slot).dead
         why = "has died" if dead else "is in ERROR"
         good = task.state is State.ON
-        self._tell(
+        self._report(
             Severity.WARNING if good else Severity.ERROR,
             pair,
             f"{pair.original} {why}: its fallback {task.name} was released by the "
@@ -389,7 +389,7 @@ class Fallbacks:
             + (f"; {task.name} will not stand by again" * (pair.engaged >= LIMIT)),
         )
 
-    def _tell(self, severity: Severity, pair: Pair, text: str) -> None:
+    def _report(self, severity: Severity, pair: Pair, text: str) -> None:
         self._rtpu.events.add(
             severity,
             "FALLBACK",

@@ -193,7 +193,7 @@ class Exchange:
         """Call `slow` unless all new tasks are armed by then."""
         core, tasks = self._rtpu.core, (*self._news, *self._olds)
 
-        def look() -> None:
+        def report_late() -> None:
             there = [t for t in tasks if not t.gone.is_set()]  # others have no slot
             modes = {t: core.snapshot(t.facts.slot).mode for t in there}
             if any(modes.get(t) is not Mode.ON for t in self._news) or any(
@@ -202,7 +202,7 @@ class Exchange:
                 slow()
 
         limit = longest_period(self._olds) + shortest_period(self._olds + self._news)
-        return asyncio.get_running_loop().call_later(limit, look)
+        return asyncio.get_running_loop().call_later(limit, report_late)
 
     async def _each(self, tasks: Sequence[Task], do: Step) -> None:
         errors = await asyncio.gather(

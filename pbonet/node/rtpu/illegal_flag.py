@@ -64,7 +64,7 @@ class Flags:
         self._entries: dict[tuple[str, str, str], _Entry] = {}
         """By subsystem, name and, where a name has several, a cause or a variable."""
         self.waits = asyncio.Event()
-        """Set while an entry goes when a task writes: call `glance` now and then."""
+        """Set while an entry goes when a task writes: `evaluate_if_changed` is due."""
 
     def up(
         self, subsystem: str, name: str, cause: str, outputs: Collection[str] = ()
@@ -219,7 +219,7 @@ class Flags:
     def _add(self, severity: Severity, code: str, text: str, subsystem: str) -> None:
         self._events.add(severity, code, text, subsystem=subsystem)
 
-    def glance(self) -> None:
+    def evaluate_if_changed(self) -> None:
         """Evaluate again if variables have changed owners since, on any RTPU."""
         for (subsystem, *_), entry in self._entries.items():
             if self._tables.sound(subsystem) is not entry.opened or (

@@ -51,7 +51,7 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
         files=request.files,
         last=request.last,
     )
-    rtpu.tell_claims()
+    rtpu.publish_claims()
     path = str(folder / f"{request.file}.mcap")
     return Recorded(path=path, machine=run_folder.machine())
 
@@ -59,7 +59,7 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
 def end(rtpu: Rtpu, subsystem: str) -> None:
     """Let the recording of a subsystem be finished."""
     if rtpu.recordings.pop(subsystem, None) is not None:
-        rtpu.tell_claims()
+        rtpu.publish_claims()
 
 
 def _check(request: Record) -> None:

@@ -150,7 +150,7 @@ class RequestHandlers:
         if isinstance(request, m.Sigmask | m.Job) and not request.changes:
             return
         self._rtpu.claims.check(request)
-        self._rtpu.owned_constants.heard(request.subsystem)
+        self._rtpu.owned_constants.note_master(request.subsystem)
         if request.subsystem in self._rtpu.stopping:
             raise being_stopped(self._rtpu.name, request.subsystem)
 
@@ -168,7 +168,7 @@ class RequestHandlers:
                 rtpu.claims.restore(request.subsystem, before)
                 raise
         rtpu.rank()
-        rtpu.tell_claims()
+        rtpu.publish_claims()
         if before is None or before.epoch != entry.epoch:
             rtpu.events.add(
                 Severity.INFO,
@@ -206,7 +206,7 @@ class RequestHandlers:
         self._rtpu.tables.close(request.subsystem)
         self._rtpu.claims.release(request.subsystem)
         record_request.end(self._rtpu, request.subsystem)
-        self._rtpu.tell_claims()
+        self._rtpu.publish_claims()
         self._rtpu.events.add(
             Severity.INFO,
             "RELEASE",

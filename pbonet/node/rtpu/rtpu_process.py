@@ -243,7 +243,7 @@ async def _serve(
         await rtpu.start()
         link = AgentLink(rtpu, end)
         await link.listen(places)
-        _tell_ready(rtpu.config.ready_fd, rtpu_messages.Ready())
+        _report_ready(rtpu.config.ready_fd, rtpu_messages.Ready())
         reason = await end
         rtpu.events.add(Severity.INFO, "ENDING", f"the RTPU process ends: {reason}")
         await signal_tasks.stop(rtpu, sorted(rtpu.busy()), link.end_time)
@@ -265,7 +265,7 @@ def _remove_dead_agent(places: run_folder.Places) -> None:
         lock.release()
 
 
-def _tell_ready(fd: int, message: rtpu_messages.Ready) -> None:
+def _report_ready(fd: int, message: rtpu_messages.Ready) -> None:
     if fd >= 0:
         with contextlib.suppress(OSError):
             os.write(fd, rtpu_messages.encode(message))
@@ -282,7 +282,7 @@ def main(argv: list[str]) -> int:
         process_setup.set_title("pbonet-rtpu")
         return asyncio.run(run(config, forks))
     except PbonetError as error:
-        _tell_ready(config.ready_fd, rtpu_messages.Ready(error=error.to_wire()))
+        _report_ready(config.ready_fd, rtpu_messages.Ready(error=error.to_wire()))
         print(error, file=sys.stderr)  # noqa: T201 - the log in the runtime folder
         return 1
 

@@ -43,7 +43,7 @@ class Home(Protocol):
     fallbacks: Fallbacks
 
 
-class KnownTask(Struct, kw_only=True):
+class TaskSnapshot(Struct, kw_only=True):
     """One task; the names are those of `TaskStatus`."""
 
     subsystem: str
@@ -67,10 +67,10 @@ class KnownTask(Struct, kw_only=True):
     stands_by: bool
 
 
-class Known(Struct, tag="known", kw_only=True):
-    """Changes; None where there is none."""
+class SnapshotChanges(Struct, tag="known", kw_only=True):
+    """SnapshotChanges; None where there is none."""
 
-    tasks: list[KnownTask] | None = None
+    tasks: list[TaskSnapshot] | None = None
     """In the order in which they were spawned."""
     tombs: list[tuple[str, TaskStatus]] | None = None
     """Subsystem and last status of tasks that died."""
@@ -98,7 +98,7 @@ class SnapshotPublisher:
         self._told.clear()
 
     def news(self) -> bytes:
-        """Return a packed `Known` with what has changed; nothing if nothing has."""
+        """Return a packed `SnapshotChanges`; empty if nothing has changed."""
         rtpu = self._rtpu
         parts: dict[str, Any] = {
             "tasks": [of(rtpu, task) for task in rtpu.tasks.values()],
@@ -118,11 +118,11 @@ class SnapshotPublisher:
         })
 
 
-def of(rtpu: Home, task: Task) -> KnownTask:
+def of(rtpu: Home, task: Task) -> TaskSnapshot:
     """Return what an RTPU process knows of one of its tasks."""
     facts, ready = task.facts, task.ready
     rank = rtpu.ranks.get((facts.subsystem, facts.name), _UNRANKED)
-    return KnownTask(
+    return TaskSnapshot(
         subsystem=facts.subsystem,
         task=facts.name,
         slot=facts.slot,

@@ -115,7 +115,7 @@ class Rtpu:
         """Called when something that `rtpu_snapshot` reports may have changed."""
 
     def _open_tables(self) -> Tables:
-        return Tables(self.config.domain, changed=self.tell_claims)
+        return Tables(self.config.domain, changed=self.publish_claims)
 
     def _make_spawner(self, forks: Server | None) -> Spawner:
         return Spawner(self.config.core, forks, self._forks_died)
@@ -206,7 +206,7 @@ class Rtpu:
         except PbonetError as error:
             self.events.add(Severity.ERROR, error.code, str(error))
 
-    def tell_claims(self) -> None:
+    def publish_claims(self) -> None:
         """Write down and pass on that claims or tables have changed."""
         self.save()
         if self.claims_changed is not None:
@@ -317,12 +317,12 @@ class Rtpu:
 
     # -- what happens unasked ----------------------------------------------------------
 
-    def heard(self) -> None:
+    def notify_changed(self) -> None:
         """Note that a task has sent something, or has ended."""
         if self.changed is not None:
             self.changed()
 
-    def told_by(self, task: Task, notice: rtpu_messages.Notice) -> None:
+    def take_notice(self, task: Task, notice: rtpu_messages.Notice) -> None:
         """Process a task's report: an event, and perhaps an error or a warning."""
         severity = Severity(notice.severity)
         for code, count in notice.lost.items():
@@ -348,8 +348,8 @@ class Rtpu:
             where = task.facts.subsystem
             self.events.count(notice.code, subsystem=where, task=task.name)
             return
-        self.signals.told(task, notice.bits)
-        if held := task.budget.told():
+        self.signals.reported(task, notice.bits)
+        if held := task.budget.take_suppressed():
             notice.text = f"[{held} notices held back before this one] {notice.text}"
         self.events.add(
             severity,
@@ -394,7 +394,7 @@ class Rtpu:
             task.error = ""
             if not (task.left or task.gone.is_set()):
                 self.flags.down(task.facts.subsystem, task.name)
-        self.fallbacks.look(task)
+        self.fallbacks.update(task)
 
     def _raise_flag(self, task: Task, how: str) -> None:
         """Raise the flag for a task if others may depend on it."""
@@ -422,7 +422,7 @@ class Rtpu:
             # The flag is up before the task's own entries go.
             self._died(task, code, slot)
         self._reap(task)
-        self.fallbacks.look(task)
+        self.fallbacks.update(task)
         self.rank()
         self.save()
 
@@ -503,7 +503,7 @@ class Rtpu:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self.flags.waits.wait(), left)
                 await asyncio.sleep(GLANCE)
-                self.flags.glance()
+                self.flags.evaluate_if_changed()
 
     async def _watch_quietly(self) -> None:
         """Check what is not reported."""
@@ -512,10 +512,10 @@ class Rtpu:
             await self._pause()
             self.core.reap()
             self.flags.evaluate()
-            self.owned_constants.look()
-            self.fallbacks.look_again()
-            self.signals.look(self.core, self.tasks.values())
-            self._timing_failures.look(
+            self.owned_constants.check()
+            self.fallbacks.update_all()
+            self.signals.report_missing(self.core, self.tasks.values())
+            self._timing_failures.report_new(
                 self.core.status(),
                 [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
             )
@@ -526,7 +526,7 @@ class Rtpu:
                     cut or "the table's file was removed; running tasks continue",
                     subsystem=subsystem,
                 )
-            self.heard()
+            self.notify_changed()
             if led and not self.dispatcher.running:
                 led = False
                 self.events.add(

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pbonet.analysis.schedule import CoreStatus, Histograms, SlotStatus
     from pbonet.node.wire import Recorder
 
-    from .rtpu_snapshot import KnownTask
+    from .rtpu_snapshot import TaskSnapshot
 
 TICK = 1e-9
 """Resolution of the profile in seconds: the CPU clock counts nanoseconds."""
@@ -35,7 +35,7 @@ _NS = 1e-9
 
 
 def task_status(
-    rtpu: str, task: KnownTask, slot: SlotStatus, signals: Sequence[int]
+    rtpu: str, task: TaskSnapshot, slot: SlotStatus, signals: Sequence[int]
 ) -> TaskStatus:
     """Return everything that is known of a task.
 

@@ -88,7 +88,7 @@ class Task:
         wake: Notifies the task, through its slot, that a message waits; optionally that
             it must be read after the next cycle.
         tell: Takes what the task reports unasked, and what it prints.
-        heard: Called when the task has said anything, or has ended.
+        changed: Called when the task has said anything, or has ended.
         ended: Called once, with the exit code, when the process is gone.
     """
 
@@ -99,7 +99,7 @@ class Task:
         *,
         wake: Callable[[bool], None],
         tell: Callable[[Task, rtpu_messages.Notice], None],
-        heard: Callable[[], None],
+        changed: Callable[[], None],
         ended: Callable[[Task, int], None],
     ) -> None:
         self.facts = facts
@@ -132,7 +132,7 @@ class Task:
         self._lock = asyncio.Lock()
         self._wake = wake
         self._tell = tell
-        self._heard = heard
+        self._changed = changed
         self._ended = ended
         self._count = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[rtpu_messages.Done]] = {}
@@ -340,7 +340,7 @@ class Task:
             if not data:
                 break
             self._take(data)
-            self._heard()
+            self._changed()
         code = await self.child.exited
         loop.remove_reader(self.child.out)
         self._read_output()
@@ -350,7 +350,7 @@ class Task:
             self._ended(self, code)
         finally:
             self._bury(code)
-            self._heard()
+            self._changed()
 
     def _bury(self, code: int) -> None:
         """Notify all waiters that the task is gone, and close its files."""
@@ -423,7 +423,7 @@ class Task:
                     asyncio.get_running_loop().remove_reader(self.child.out)
                     return
                 self._lines.feed(data)
-                self._heard()
+                self._changed()
 
     def _printed(self, line: str) -> None:
         self._tell(

@@ -39,7 +39,7 @@ def by_name(counts: Iterable[int], own: dict[str, int]) -> dict[str, int]:
     }
 
 
-class _Told(Struct):
+class _Reported(Struct):
     """How many of a task's signals became events, by bit."""
 
     counts: list[int] = field(default_factory=lambda: [0] * SIGNALS)
@@ -57,7 +57,7 @@ class Signals:
     def __init__(self, events: EventLog) -> None:
         self._events = events
         self._masks: dict[tuple[str, str], list[str]] = {}
-        self._told: dict[Task, _Told] = {}
+        self._told: dict[Task, _Reported] = {}
 
     # -- masks -------------------------------------------------------------------------
 
@@ -89,38 +89,40 @@ class Signals:
 
     # -- counts ------------------------------------------------------------------------
 
-    def told(self, task: Task, bits: int) -> None:
+    def reported(self, task: Task, bits: int) -> None:
         """Note that signals have become an event."""
-        told = self._told.setdefault(task, _Told())
+        reported = self._told.setdefault(task, _Reported())
         for k in range(SIGNALS):
-            told.counts[k] += bits >> k & 1
+            reported.counts[k] += bits >> k & 1
 
-    def look(self, core: CoreTable, tasks: Iterable[Task]) -> None:
+    def report_missing(self, core: CoreTable, tasks: Iterable[Task]) -> None:
         """Report what was counted and is still not reported at this check."""
         for task in tasks:
-            told = self._told.setdefault(task, _Told())
+            reported = self._told.setdefault(task, _Reported())
             now = [
                 count - known
                 for count, known in zip(
-                    core.signals(task.facts.slot), told.counts, strict=True
+                    core.signals(task.facts.slot), reported.counts, strict=True
                 )
             ]
-            self._tell(task, told, list(map(min, now, told.behind)))
-            told.behind = now
+            self._report(task, reported, list(map(min, now, reported.behind)))
+            reported.behind = now
 
     def end(self, core: CoreTable, task: Task) -> None:
         """Report what is left of a task that has ended, and forget it."""
-        told = self._told.pop(task, _Told())
+        reported = self._told.pop(task, _Reported())
         counts = core.signals(task.facts.slot)
-        rest = [count - known for count, known in zip(counts, told.counts, strict=True)]
-        self._tell(task, told, rest)
+        rest = [
+            count - known for count, known in zip(counts, reported.counts, strict=True)
+        ]
+        self._report(task, reported, rest)
 
-    def _tell(self, task: Task, told: _Told, missing: list[int]) -> None:
+    def _report(self, task: Task, reported: _Reported, missing: list[int]) -> None:
         bits = sum(1 << k for k, count in enumerate(missing) if count > 0)
         if not bits:
             return
         missing = [max(count, 0) for count in missing]
-        told.counts = list(map(sum, zip(told.counts, missing, strict=True)))
+        reported.counts = list(map(sum, zip(reported.counts, missing, strict=True)))
         named = by_name(missing, task.signals).items()
         text = ", ".join(f"{count} {name}" for name, count in named if count)
         self._events.add(

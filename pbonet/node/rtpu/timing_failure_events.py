@@ -38,7 +38,9 @@ class TimingFailureEvents:
         self._stalled_ns = 0
         self._errors = 0
 
-    def look(self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]) -> None:
+    def report_new(
+        self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]
+    ) -> None:
         """Report what has come since the last check."""
         seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
         for task, slot in tasks:
@@ -46,11 +48,11 @@ class TimingFailureEvents:
             seen[key] = (*slot.failures, slot.held_off)
             before = self._failures.get(key, (0,) * len(seen[key]))
             if seen[key] != before:
-                self._tell(task, slot, before, seen[key])
+                self._report(task, slot, before, seen[key])
         self._failures = seen
-        self._look_at_core(core)
+        self._check_core(core)
 
-    def _tell(
+    def _report(
         self,
         task: Task,
         slot: SlotStatus,
@@ -83,7 +85,7 @@ class TimingFailureEvents:
             cycle=slot.cycles - slot.on_cycles,
         )
 
-    def _look_at_core(self, core: CoreStatus) -> None:
+    def _check_core(self, core: CoreStatus) -> None:
         if core.stalls > self._stalls:
             took = (core.stalled_ns - self._stalled_ns) / 1e6
             self._events.add(

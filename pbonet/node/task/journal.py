@@ -55,7 +55,7 @@ class Local(Copies, Protocol):
         ...
 
 
-class Taker(Protocol):
+class RecordSink(Protocol):
     """The destination of records: a ring, or a substitute."""
 
     def put(
@@ -129,7 +129,7 @@ class Journal:
     def __init__(
         self,
         local: Local,
-        ring: Taker,
+        ring: RecordSink,
         about: TaskAbout,
         time: Time,
         tape: Tape,

@@ -54,7 +54,7 @@ def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
     fcntl.fcntl(sock, fcntl.F_SETFL, flags | os.O_ASYNC)
 
 
-class Voice:
+class RtpuChannel:
     """The task's end of its socket.
 
     Answers wait until the RTPU process receives them. What a module sends within a
@@ -89,7 +89,7 @@ class Voice:
             self._owed.clear()  # the RTPU process is gone
         return True
 
-    def hear(self) -> bytes | None:
+    def receive(self) -> bytes | None:
         """Return the next packet, b"" if the other end is closed, or None."""
         try:
             return self.sock.recv(2 * rtpu_messages.LARGEST_PACKET, socket.MSG_DONTWAIT)

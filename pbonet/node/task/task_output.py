@@ -114,17 +114,17 @@ class Lines:
         if self._part:
             self._pass(self._part)
             self._part = b""
-        self._tell_suppressed()
+        self._report_suppressed()
 
     def _pass(self, line: bytes) -> None:
         if not self._budget.take(self._clock_ns()):
             return
-        self._tell_suppressed()
+        self._report_suppressed()
         text = line.decode(errors="backslashreplace").rstrip("\r")
         if len(text) > LONGEST_LINE:
             text = f"{text[:LONGEST_LINE]} ... ({len(text) - LONGEST_LINE} more)"
         self._tell(text)
 
-    def _tell_suppressed(self) -> None:
-        if count := self._budget.told():
+    def _report_suppressed(self) -> None:
+        if count := self._budget.take_suppressed():
             self._tell(f"[{count} lines held back: printed too fast]")

@@ -37,7 +37,7 @@ from .parameters_in_task import get_params, set_param
 from .slot_timing import SlotWatch
 from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused
 from .successor_calls import Found, Successors
-from .task_channel import Context, SlotTime, Voice
+from .task_channel import Context, RtpuChannel, SlotTime
 from .task_flag_causes import TaskFlagCauses
 from .task_ports import ages, check_ports, local_table
 
@@ -57,15 +57,15 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
     os.close(spec_fd)
     spec = msgspec.msgpack.decode(data, type=rtpu_messages.TaskSpec)
-    voice = Voice(sock)
+    to_rtpu = RtpuChannel(sock)
     try:
         core = rt.CoreTable(spec.core, member=False)
-        host = Host(spec, voice, core, orphan_fd)
+        host = Host(spec, to_rtpu, core, orphan_fd)
         host.take_signals()
         host.create()
         host.slot.vow()
     except PbonetError as error:
-        voice.say(
+        to_rtpu.say(
             rtpu_messages.Done(n=0, state=State.NOT_CREATED, error=error.to_wire())
         )
         return 0
@@ -87,12 +87,12 @@ class Host:
     def __init__(
         self,
         spec: rtpu_messages.TaskSpec,
-        voice: Voice,
+        to_rtpu: RtpuChannel,
         core: rt.CoreTable,
         orphan_fd: int = -1,
     ) -> None:
         self.spec = spec
-        self.voice = voice
+        self.to_rtpu = to_rtpu
         self._orphan_fd = orphan_fd
         self._over = False
         self._asked_to_end = ""
@@ -178,13 +178,13 @@ class Host:
             rmod=self.rmod.name,
             freq=spec.freq,
             source=self.time,
-            outbox=self.voice,
+            outbox=self.to_rtpu,
             handler=self.rmod.handler,
             watch=self.watch,
         )
         self.context.slot = self.slot
         self.context.told = self.watch.told = told_of
-        self.voice.own = {one.name: one.bit for one in self.info.signals}
+        self.to_rtpu.own = {one.name: one.bit for one in self.info.signals}
         self.watch.task = self.context
         self.context.on_off = lambda: self.core.request(spec.slot)
         arrays = {
@@ -226,7 +226,7 @@ class Host:
         process_setup.settle_memory()
         self.slot.command_level()
         if self.outside:
-            task_channel.interrupt_waits(self.voice.sock, self._on_message)
+            task_channel.interrupt_waits(self.to_rtpu.sock, self._on_message)
         self.ready(notes)
 
     def ready(self, notes: list[str]) -> None:
@@ -237,7 +237,7 @@ class Host:
             critical_ok=self.info.critical_ok,
             tells="timing_failure" in self.info.methods,
             notes=notes,
-            signals=self.voice.own,
+            signals=self.to_rtpu.own,
             info=msgspec.to_builtins(self.info),
         )
         self._answer(0, ready)
@@ -263,10 +263,10 @@ class Host:
         self._close()
 
     def _wait(self) -> None:
-        sock = self.voice.sock
+        sock = self.to_rtpu.sock
         files = [sock.fileno(), self._orphan_fd, self._wake_read]
-        ready, _, _ = select.select(files, self.voice.owing, [])
-        self.voice.pay()
+        ready, _, _ = select.select(files, self.to_rtpu.owing, [])
+        self.to_rtpu.pay()
         if self._wake_read in ready:
             os.read(self._wake_read, 512)
         if sock.fileno() in ready:
@@ -295,10 +295,10 @@ class Host:
             self.local.take_over_from([])
         if self.executor.state is State.ON:
             self.slot.arm()
-            self.voice.send(self._engaged)
+            self.to_rtpu.send(self._engaged)
             return
         self._after_signal()
-        self.voice.notice(
+        self.to_rtpu.notice(
             Severity.ERROR if failed else Severity.INFO,
             "ENGAGED",
             str(failed or self.executor.state),
@@ -310,7 +310,7 @@ class Host:
         """Cycle until a message waits or something fails; return the reason."""
         instance = self.executor.instance
         reason = 0
-        if not self.voice.pay():
+        if not self.to_rtpu.pay():
             self.core.request(self.spec.slot)  # return after a cycle, to send reports
         self.time.cycling = True
         try:
@@ -350,7 +350,7 @@ class Host:
     def _sync(self) -> None:
         """Wait as the module's `sync` does; a message that arrives ends the wait."""
         self._waiting_outside = True
-        if self.voice.waits() or self._asked_to_end:
+        if self.to_rtpu.waits() or self._asked_to_end:
             raise task_channel.Interrupted  # it came before the wait began
         self.executor.instance.sync()
         self._waiting_outside = False
@@ -373,10 +373,10 @@ class Host:
             with self.journal.doing(Did("abort", calls=self.tape.calls())):
                 self.executor.abort()
         except PbonetError as error:
-            self.voice.report(error, self.executor, self.time.cyclecount)
+            self.to_rtpu.report(error, self.executor, self.time.cyclecount)
         if self.executor.state is not State.ON:
             self._disarm()
-            self.voice.notice(
+            self.to_rtpu.notice(
                 Severity.WARNING,
                 "STATE",
                 f"after a timing failure: {self.executor.state}",
@@ -398,7 +398,7 @@ class Host:
         if self.executor.state is not State.ON:
             self._disarm()
         if not settled:  # else the handler's own event reports it
-            self.voice.report(error, self.executor, self.time.cyclecount)
+            self.to_rtpu.report(error, self.executor, self.time.cyclecount)
 
     def _obey(self, signal: str) -> None:
         """Carry out a signal that no request waits for; report the result."""
@@ -409,7 +409,7 @@ class Host:
         except PbonetError as error:
             failed = error
         self._after_signal()
-        self.voice.notice(
+        self.to_rtpu.notice(
             Severity.ERROR if failed else Severity.INFO,
             "METHOD" if failed else "STATE",
             str(failed or f"{signal}: {self.executor.state}"),
@@ -421,7 +421,7 @@ class Host:
     def _take(self) -> None:
         """Handle all waiting messages."""
         while not self._over:
-            data = self.voice.hear()
+            data = self.to_rtpu.receive()
             if data is None:
                 return
             if not data:
@@ -544,13 +544,13 @@ class Host:
         done = rtpu_messages.Done(n=n, state=state, result=result, error=wired)
         if isinstance(error, MethodError):
             done.errnum, done.place = error.number, error.place
-        self.voice.say(done)
+        self.to_rtpu.say(done)
 
     # -- death -------------------------------------------------------------------------
 
     def end(self, reason: str) -> None:
         """Run `off` and `kill` when the task ends without having received them."""
-        self.voice.notice(
+        self.to_rtpu.notice(
             Severity.WARNING,
             "ENDING",
             f"the task ends: {reason}",

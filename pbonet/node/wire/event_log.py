@@ -156,7 +156,7 @@ class LineBudget:
         self.suppressed += 1
         return False
 
-    def told(self) -> int:
+    def take_suppressed(self) -> int:
         """Return how many lines were suppressed since the last call."""
         count, self.suppressed = self.suppressed, 0
         return count

@@ -104,7 +104,9 @@ class OwnGroup:
             first = looks[0]
             if first is None:
                 continue
-            if all(look is not None and look[4:6] == first[4:6] for look in looks):
+            if all(
+                update is not None and update[4:6] == first[4:6] for update in looks
+            ):
                 data = b"".join(room.tobytes() for room in self._rooms)
                 return News(
                     self.uid, first[5], max(now_ns() - first[2], 0), first[3], data
@@ -135,7 +137,7 @@ class Outbox:
         self._unset: list[tuple[int, NDArray[np.uint8]]] = []
         """Variables that an operator may set and has not set yet."""
 
-    def look(self, epochs: Epochs) -> bool:
+    def update(self, epochs: Epochs) -> bool:
         """Update the owners of variables; return whether they have changed."""
         try:
             self._table.must_be_whole()
@@ -243,7 +245,7 @@ class Outbox:
             heads.add((0, self._kept_seq))
         return heads
 
-    def told(self, epochs: Epochs) -> list[Group]:
+    def groups_to_send(self, epochs: Epochs) -> list[Group]:
         """Return the groups in the form in which they are sent."""
         return [
             Group(
@@ -277,7 +279,7 @@ class Outbox:
         if seen is None or seen[5] == self._kept_seq:
             return False
         looks = [self._table.peek(number, room) for number, room in self._unset]
-        if any(look is None or look[2] for look in looks):
+        if any(update is None or update[2] for update in looks):
             return True
         self._kept_seq = seen[5]
         return False

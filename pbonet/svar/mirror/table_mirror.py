@@ -72,7 +72,7 @@ class Mirror:
         """The flag's change count at the last check."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
 
-    def tell(
+    def next_packet(
         self, *, full: bool = False, look: bool = True, machine: str = ""
     ) -> Packet | None:
         """Return the packet to send; None if nothing is new.
@@ -82,10 +82,10 @@ class Mirror:
             look: Whether to check the causes of the flag, too.
             machine: The only receiver; all by default.
         """
-        changed = self._outbox.look(self._epochs)
+        changed = self._outbox.update(self._epochs)
         if changed:
             self._reconcile()
-        if look and self._look_at_causes():
+        if look and self._read_causes():
             changed = True
         changed, self._news = changed or self._news, False
         self._news = changed and bool(machine)  # the others are still to be notified
@@ -136,7 +136,7 @@ class Mirror:
             self._epochs.there(
                 packet.machine, other.claims(), packet.full.ended, packet.full.fights
             )
-            self._news |= self._outbox.look(self._epochs)
+            self._news |= self._outbox.update(self._epochs)
             self._reconcile()
         return placed
 
@@ -187,7 +187,7 @@ class Mirror:
 
     def _full(self) -> packets.Full:
         return packets.Full(
-            groups=self._outbox.told(self._epochs),
+            groups=self._outbox.groups_to_send(self._epochs),
             ended=list(self._epochs.ended.items()),
             fights=self._fights,
             causes=self._causes,
@@ -243,7 +243,7 @@ class Mirror:
                     self.table.raise_illegal(*cause)
                     self._raised[cause] = None
 
-    def _look_at_causes(self) -> bool:
+    def _read_causes(self) -> bool:
         """Read the causes raised on this machine; return whether they have changed."""
         self._changes = self._glance.arena.changes
         standing = self.table.illegal if self._glance.illegal else []

@@ -25,7 +25,7 @@ class Changes:
         self._since = 0
         self._settled = False
 
-    def look(self) -> bool:
+    def changed(self) -> bool:
         """Return whether the folder must be listed now."""
         stamp = os.stat(self._path).st_mtime_ns  # noqa: PTH116 - three times as fast
         if stamp == self._stamp and self._settled:

@@ -52,14 +52,14 @@ class _Heard:
         path = str(self._inner.path)
         return [path, *(int(getattr(self._inner, one)) for one in self._SETTINGS)]
 
-    def _hear(self, what: str, *args: Any, default: Any, **more: Any) -> Any:  # noqa: ANN401
+    def _recorded(self, what: str, *args: Any, default: Any, **more: Any) -> Any:  # noqa: ANN401
         """Return the recorded result of a method."""
         return self._outside.ask(self._do, what, args, more, default=default)
 
     def _do(self, what: str, args: tuple[Any, ...], more: dict[str, Any]) -> Any:  # noqa: ANN401
         return getattr(self._inner, what)(*args, **more)
 
-    def _look(self, what: str, default: Any = None) -> Any:  # noqa: ANN401
+    def _property(self, what: str, default: Any = None) -> Any:  # noqa: ANN401
         return self._outside.ask(lambda: getattr(self._inner, what), default=default)
 
     def __repr__(self) -> str:
@@ -75,13 +75,13 @@ class _Heard:
 
     @property
     def waiting(self) -> int:
-        return int(self._look("waiting", 0))
+        return int(self._property("waiting", 0))
 
     def close(self) -> None:
-        self._hear("close", default=None)
+        self._recorded("close", default=None)
 
     def destroy(self) -> None:
-        self._hear("destroy", default=None)
+        self._recorded("destroy", default=None)
 
 
 class RecordedSemaphore(_Heard, Semaphore):
@@ -100,11 +100,11 @@ class RecordedSemaphore(_Heard, Semaphore):
 
     @property
     def value(self) -> int:
-        return int(self._look("value", 0))
+        return int(self._property("value", 0))
 
     @property
     def holder(self) -> int | None:
-        return cast("int | None", self._look("holder"))
+        return cast("int | None", self._property("holder"))
 
     def p(
         self,
@@ -114,14 +114,14 @@ class RecordedSemaphore(_Heard, Semaphore):
         still: Callable[[], bool] | None = None,
     ) -> Taken:
         out = Taken.TIMED_OUT
-        got = self._hear("p", until_ns, priority=priority, still=still, default=out)
+        got = self._recorded("p", until_ns, priority=priority, still=still, default=out)
         return Taken(got)
 
     def try_p(self) -> Taken:
-        return Taken(self._hear("try_p", default=Taken.TIMED_OUT))
+        return Taken(self._recorded("try_p", default=Taken.TIMED_OUT))
 
     def v(self) -> bool:
-        return bool(self._hear("v", default=True))
+        return bool(self._recorded("v", default=True))
 
 
 class RecordedQueue(Receiving, _Heard, Queue):
@@ -150,22 +150,22 @@ class RecordedQueue(Receiving, _Heard, Queue):
 
     @property
     def free(self) -> tuple[int, int]:
-        return cast("tuple[int, int]", self._look("free"))
+        return cast("tuple[int, int]", self._property("free"))
 
     @property
     def sent(self) -> int:
-        return int(self._look("sent", 0))
+        return int(self._property("sent", 0))
 
     @property
     def dropped(self) -> int:
-        return int(self._look("dropped", 0))
+        return int(self._property("dropped", 0))
 
     @property
     def last_priority(self) -> int:
         return self._last
 
     def __len__(self) -> int:
-        return int(self._hear("__len__", default=0))
+        return int(self._recorded("__len__", default=0))
 
     def send(
         self,
@@ -178,7 +178,7 @@ class RecordedQueue(Receiving, _Heard, Queue):
         still: Callable[[], bool] | None = None,
     ) -> bool:
         return bool(
-            self._hear(
+            self._recorded(
                 "send",
                 data,
                 priority,
@@ -198,7 +198,7 @@ class RecordedQueue(Receiving, _Heard, Queue):
         most: int = _MOST,
         still: Callable[[], bool] | None = None,
     ) -> tuple[bytes, int] | None:
-        got = self._hear(
+        got = self._recorded(
             "letter",
             until_ns,
             priority=priority,
@@ -218,5 +218,7 @@ class RecordedQueue(Receiving, _Heard, Queue):
         still: Callable[[], bool] | None = None,
     ) -> bool:
         return bool(
-            self._hear("wait", until_ns, priority=priority, still=still, default=False)
+            self._recorded(
+                "wait", until_ns, priority=priority, still=still, default=False
+            )
         )

@@ -55,7 +55,7 @@ class Carrier(Protocol):
         """Return the result of a request; see `pbonet.xm.net.rpc.Client.call`."""
         ...
 
-    def tell(self, rtpu: str, request: Request) -> None:
+    def post(self, rtpu: str, request: Request) -> None:
         """Send a request without waiting for an answer."""
 
     def rtpus(self) -> list[str]:
@@ -94,7 +94,7 @@ class RemoteChannel:
         answer = self._exchange(Letter(self.name, rtpu, timeout, data))
         return read_result(rtpu, self._codec.answer(answer), result)
 
-    def tell(self, rtpu: str, request: Request) -> None:
+    def post(self, rtpu: str, request: Request) -> None:
         """Send a request; the agent passes it on."""
         request.client = self.name
         data = self._codec.pack(request)

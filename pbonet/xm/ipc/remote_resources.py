@@ -129,9 +129,9 @@ class RemoteResource:
 
     def _settle(self, take: str, *, keep: bool) -> None:
         with contextlib.suppress(PbonetError):
-            self._carrier.tell(self.name.rtpu, r.Settle(take=take, keep=keep))
+            self._carrier.post(self.name.rtpu, r.Settle(take=take, keep=keep))
 
-    def look(self) -> r.Seen:
+    def state(self) -> r.Seen:
         """Return the state of the resource."""
         return self.ask(lambda handle: r.Look(handle=handle), r.Seen)
 
@@ -145,7 +145,7 @@ class RemoteResource:
                         lambda handle: r.Detach(handle=handle, destroy=True), type(None)
                     )
                 else:
-                    self._carrier.tell(self.name.rtpu, request)
+                    self._carrier.post(self.name.rtpu, request)
             except XmDestroyedError:
                 pass
             finally:
@@ -214,15 +214,15 @@ class RemoteSemaphore(_There, Semaphore):
 
     @property
     def value(self) -> int:
-        return self._far.look().value
+        return self._far.state().value
 
     @property
     def holder(self) -> int | None:
-        return self._far.look().holder
+        return self._far.state().holder
 
     @property
     def waiting(self) -> int:
-        return self._far.look().waiting
+        return self._far.state().waiting
 
     def p(
         self,
@@ -293,26 +293,26 @@ class RemoteQueue(Receiving, _There, Queue):
 
     @property
     def waiting(self) -> int:
-        return self._far.look().waiting
+        return self._far.state().waiting
 
     @property
     def free(self) -> tuple[int, int]:
-        return self._far.look().free
+        return self._far.state().free
 
     @property
     def sent(self) -> int:
-        return self._far.look().sent
+        return self._far.state().sent
 
     @property
     def dropped(self) -> int:
-        return self._far.look().dropped
+        return self._far.state().dropped
 
     @property
     def last_priority(self) -> int:
         return self._last
 
     def __len__(self) -> int:
-        return self._far.look().value
+        return self._far.state().value
 
     def send(
         self,

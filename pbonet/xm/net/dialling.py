@@ -89,7 +89,7 @@ class Dialled:
         self._settled = False
         named = [session.check_dialled(e, key_folder=key_folder) for e in connect]
         wanted = list(dict.fromkeys([*named, *neighbours(places)]))
-        found = self._look(wanted)
+        found = self._find_agents(wanted)
         mutual = {e for e, behind in found.items() if self._dials_me(behind)}
         vain = mutual | _doubled(found)
         self.dials: list[str] = [one for one in wanted if one not in vain]
@@ -103,7 +103,7 @@ class Dialled:
         """
         begin = time.monotonic()
         while self.dials:
-            found = self._look(self.dials)
+            found = self._find_agents(self.dials)
             passed = time.monotonic() - begin
             back = self._vain(found)
             if back:
@@ -174,12 +174,12 @@ class Dialled:
 
         key = key_expressions.rtpu(self._places.domain, self._places.name, "dials")
 
-        def tell(query: zenoh.Query) -> None:
+        def answer(query: zenoh.Query) -> None:
             said.settled = self._settled
             with contextlib.suppress(zenoh.ZError):
                 query.reply(key, msgspec.msgpack.encode(said))  # pyright: ignore[reportUnknownMemberType]
 
-        self._queryable = link.declare_queryable(key, direct(tell))
+        self._queryable = link.declare_queryable(key, direct(answer))
         return link
 
     def _wait_links(self, routers: set[str]) -> None:
@@ -190,7 +190,7 @@ class Dialled:
             time.sleep(PAUSE)
             missing -= {str(zid) for zid in self.session.info.routers_zid()}
 
-    def _look(self, endpoints: Sequence[str]) -> dict[str, DialledAgent]:
+    def _find_agents(self, endpoints: Sequence[str]) -> dict[str, DialledAgent]:
         """Return the agent now found at each endpoint."""
         if not endpoints:
             return {}

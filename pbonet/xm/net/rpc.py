@@ -180,7 +180,7 @@ class Client:
             raise _refusal(rtpu, answer)
         return read_result(rtpu, answer, result)
 
-    def tell(self, rtpu: str, request: Request) -> None:
+    def post(self, rtpu: str, request: Request) -> None:
         """Send a request without waiting for an answer.
 
         Raises:
@@ -244,14 +244,14 @@ class Client:
             raise no_session(error) from None
         return token
 
-    def hear(self, key: str, told: Callable[[], None]) -> Declared:
+    def subscribe(self, key: str, told: Callable[[], None]) -> Declared:
         """Call a function, in zenoh's thread, for each sample under a key."""
 
-        def heard(_: zenoh.Sample) -> None:
+        def on_sample(_: zenoh.Sample) -> None:
             told()
 
         subscriber: zenoh.Subscriber[None] = self.session.declare_subscriber(
-            key, direct(heard)
+            key, direct(on_sample)
         )
         return subscriber
 

@@ -14,7 +14,7 @@ from pbonet.errors import MethodError, Severity
 from pbonet.master.console import render
 from pbonet.master.subsystem.event_filter import EventFilter
 from pbonet.node.rtpu.task_handle import crash_place
-from pbonet.node.task.task_channel import Voice
+from pbonet.node.task.task_channel import RtpuChannel
 from pbonet.node.wire import rtpu_messages
 from pbonet.node.wire.event_log import EventLog, by_task
 from pbonet.pbo import Notice, State, place_of
@@ -28,7 +28,7 @@ def ends():
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     far.settimeout(0)
     with near, far:
-        yield Voice(near), far
+        yield RtpuChannel(near), far
 
 
 def heard(far):
@@ -43,8 +43,8 @@ def heard(far):
 
 
 def test_what_a_handler_put_right_is_a_warning_with_number_and_line(ends):
-    voice, far = ends
-    voice.put(HANDLED)
+    to_rtpu, far = ends
+    to_rtpu.put(HANDLED)
     (told,) = heard(far)
     assert (told.code, told.severity) == ("HANDLED", Severity.WARNING)
     assert (told.text, told.cycle) == ("too hot: jump", 5)
@@ -52,11 +52,11 @@ def test_what_a_handler_put_right_is_a_warning_with_number_and_line(ends):
 
 
 def test_an_error_is_told_with_number_and_line(ends):
-    voice, far = ends
+    to_rtpu, far = ends
     error = MethodError("too hot", where="servo.cycle")
     error.number, error.place = 7, PLACE
-    voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
-    voice.notice(Severity.INFO, "STATE", "off: OFF")
+    to_rtpu.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
+    to_rtpu.notice(Severity.INFO, "STATE", "off: OFF")
     told, other = heard(far)
     assert (told.errnum, told.place) == (7, PLACE)
     assert (other.errnum, other.place) == (0, "")
@@ -64,51 +64,51 @@ def test_an_error_is_told_with_number_and_line(ends):
 
 @pytest.mark.parametrize("last", ["notice", "answer"])
 def test_in_a_flood_every_notice_is_told_or_counted(ends, last):
-    voice, far = ends
+    to_rtpu, far = ends
     for _ in range(3000):
-        voice.put(HANDLED)
+        to_rtpu.put(HANDLED)
     first = heard(far)
     assert 0 < len(first) < 3000
     if last == "notice":
-        voice.put(HANDLED)
+        to_rtpu.put(HANDLED)
     else:
-        voice.say(rtpu_messages.Done(n=1, state=State.OFF))
+        to_rtpu.say(rtpu_messages.Done(n=1, state=State.OFF))
     (end,) = heard(far)
     assert len(first) + end.lost["HANDLED"] == 3000
-    voice.say(rtpu_messages.Done(n=2, state=State.OFF))
+    to_rtpu.say(rtpu_messages.Done(n=2, state=State.OFF))
     assert heard(far)[0].lost == {}
 
 
 def test_news_of_the_state_wait_for_room_and_come_in_order(ends):
-    voice, far = ends
+    to_rtpu, far = ends
     for _ in range(3000):
-        voice.put(HANDLED)
-    voice.notice(Severity.ERROR, "METHOD", "broken", state=State.ERROR)
-    voice.put(HANDLED)
-    assert voice.owing == [voice.sock]
-    voice.pay()  # there is no room yet
+        to_rtpu.put(HANDLED)
+    to_rtpu.notice(Severity.ERROR, "METHOD", "broken", state=State.ERROR)
+    to_rtpu.put(HANDLED)
+    assert to_rtpu.owing == [to_rtpu.sock]
+    to_rtpu.pay()  # there is no room yet
     chatter = heard(far)
-    voice.pay()
-    assert voice.owing == []
-    voice.notice(Severity.INFO, "STATE", "clear", state=State.OFF)
+    to_rtpu.pay()
+    assert to_rtpu.owing == []
+    to_rtpu.notice(Severity.INFO, "STATE", "clear", state=State.OFF)
     news, clear = heard(far)
     assert (news.state, clear.state) == ("ERROR", "OFF")
     assert len(chatter) + news.lost["HANDLED"] + clear.lost["HANDLED"] == 3001
 
 
 def test_an_answer_comes_behind_the_news_that_are_owed(ends):
-    voice, far = ends
-    while not voice.owing:
-        voice.notice(Severity.ERROR, "METHOD", "broken", state=State.ERROR)
+    to_rtpu, far = ends
+    while not to_rtpu.owing:
+        to_rtpu.notice(Severity.ERROR, "METHOD", "broken", state=State.ERROR)
     answer = threading.Thread(
-        target=voice.say, args=[rtpu_messages.Done(n=1, state="OFF")]
+        target=to_rtpu.say, args=[rtpu_messages.Done(n=1, state="OFF")]
     )
     answer.start()
     far.settimeout(30.0)
     while not isinstance(told := heard_next(far), rtpu_messages.Done):
         assert told.state == "ERROR"
     answer.join()
-    assert voice.owing == []
+    assert to_rtpu.owing == []
 
 
 def heard_next(far):
@@ -117,10 +117,10 @@ def heard_next(far):
 
 
 def test_a_text_of_any_length_is_told(ends):
-    voice, far = ends
+    to_rtpu, far = ends
     error = MethodError("begin " + "\u20ac" * 250_000 + " end", where="servo.cycle")
     error.number, error.place = 7, PLACE
-    voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
+    to_rtpu.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
     (told,) = heard(far)
     assert (told.code, told.state, told.lost) == ("METHOD", "ERROR", {})
     assert (told.errnum, told.place) == (7, PLACE)
@@ -134,10 +134,10 @@ UNREADABLE = "/x/" + b"\xff".decode(errors="surrogateescape")
 
 
 def test_a_text_that_is_no_unicode_is_told_with_escapes(ends):
-    voice, far = ends
+    to_rtpu, far = ends
     error = MethodError(UNREADABLE, where="servo.cycle")
-    voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
-    voice.say(rtpu_messages.Done(n=1, state="OFF", error=error.to_wire()))
+    to_rtpu.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
+    to_rtpu.say(rtpu_messages.Done(n=1, state="OFF", error=error.to_wire()))
     for told in heard(far):
         assert told.error["what"] == "/x/\\udcff"
 
@@ -152,15 +152,15 @@ def test_a_text_that_is_no_unicode_is_told_with_escapes(ends):
     ],
 )
 def test_numbers_of_numpy_are_told_as_python_s(ends, given, told):
-    voice, far = ends
-    voice.say(rtpu_messages.Done(n=1, state="ON", result=given))
+    to_rtpu, far = ends
+    to_rtpu.say(rtpu_messages.Done(n=1, state="ON", result=given))
     assert heard(far)[0].result == told
 
 
 @pytest.mark.parametrize("given", [1 + 2j, np.complex128(1j), 10**30, object()])
 def test_what_cannot_be_told_is_answered_with_an_error(ends, given):
-    voice, far = ends
-    voice.say(rtpu_messages.Done(n=1, state="ON", result=given))
+    to_rtpu, far = ends
+    to_rtpu.say(rtpu_messages.Done(n=1, state="ON", result=given))
     (done,) = heard(far)
     assert (done.n, done.state, done.result) == (1, "ON", None)
     assert done.error["what"] == "the task's answer cannot be sent"

@@ -22,7 +22,7 @@ def variables(monkeypatch, tmp_path):
 
 
 def test_a_program_has_what_the_environment_says(variables):
-    assert environment.told(None, None, None) == (
+    assert environment.or_environment(None, None, None) == (
         "lab",
         ["tcp/10.0.0.5:7447", "tcp/[fd00::5]:7447"],
         [str(variables), str(variables / "mine")],
@@ -34,7 +34,7 @@ def test_a_program_has_what_the_environment_says(variables):
 
 @pytest.mark.usefixtures("variables")
 def test_what_is_given_goes_before_it():
-    assert environment.told("here", (), ("x",)) == ("here", (), ("x",))
+    assert environment.or_environment("here", (), ("x",)) == ("here", (), ("x",))
     arm = Subsystem(PUMA, domain="here", libraries=["x"])
     assert (arm.domain, arm.files.library.folders) == ("here", (Path("x"),))
 
@@ -42,7 +42,7 @@ def test_what_is_given_goes_before_it():
 def test_an_empty_environment_says_nothing(monkeypatch):
     for name in ("DOMAIN", "CONNECT", "LIBRARY"):
         monkeypatch.setenv(f"PBONET_{name}", "")
-    assert environment.told(None, None, None) == ("default", [], [])
+    assert environment.or_environment(None, None, None) == ("default", [], [])
 
 
 @pytest.mark.usefixtures("variables")
@@ -61,4 +61,4 @@ def test_agents_of_a_program_have_what_it_has(monkeypatch, connect, libraries):
     ((_, how),) = started
     for name, value in how["env"].items():
         monkeypatch.setenv(name, value)
-    assert environment.told(None, None, None) == ("here", connect, libraries)
+    assert environment.or_environment(None, None, None) == ("here", connect, libraries)

@@ -23,9 +23,9 @@ def rtpu(*tasks, name="c0"):
 
 def test_each_task_is_in_the_summary_though_it_was_gone_before_the_others():
     seen = summary.Seen()
-    seen.look([rtpu(task("cart", "ON", 10), task("lqr", "ON", 5))])
-    seen.look([rtpu(task("lqr", "ON", 6))])  # it sleeps in its cycle
-    seen.look([rtpu()])
+    seen.update([rtpu(task("cart", "ON", 10), task("lqr", "ON", 5))])
+    seen.update([rtpu(task("lqr", "ON", 6))])  # it sleeps in its cycle
+    seen.update([rtpu()])
     found = summary.summarize(seen.last())
     assert [(one.task, one.state, one.cycles) for one in found] == [
         ("cart", "ON", 10),
@@ -41,19 +41,19 @@ def failures(seen, killed=()):
 
 def test_a_task_that_failed_and_was_spawned_elsewhere_has_not_failed():
     seen = summary.Seen()
-    seen.look([rtpu(task("lqr", "ERROR", 5, "gain")), rtpu(name="c1")])
+    seen.update([rtpu(task("lqr", "ERROR", 5, "gain")), rtpu(name="c1")])
     assert failures(seen) == {("lqr", "c0", "ERROR"): "gain"}
-    seen.look([rtpu(), rtpu(task("lqr", "ON", 9, on="c1"), name="c1")])
+    seen.update([rtpu(), rtpu(task("lqr", "ON", 9, on="c1"), name="c1")])
     assert failures(seen) == {("lqr", "c1", "ON"): ""}
     died = rtpu(task("lqr", "NOT-CREATED", 5, DIED))  # and is still shown there
-    seen.look([rtpu(task("lqr", "ON", 10, on="c1"), name="c1"), died])
+    seen.update([rtpu(task("lqr", "ON", 10, on="c1"), name="c1"), died])
     assert failures(seen) == {("lqr", "c1", "ON"): ""}
 
 
 def test_a_failed_task_that_an_operator_killed_has_not_failed_one_that_vanished_has():
     seen = summary.Seen()
-    seen.look([rtpu(task("lqr", "ERROR", 5, "gain"), task("cart", "ERROR", 7, "x"))])
-    seen.look([rtpu()])  # cart went with a stop
+    seen.update([rtpu(task("lqr", "ERROR", 5, "gain"), task("cart", "ERROR", 7, "x"))])
+    seen.update([rtpu()])  # cart went with a stop
     assert failures(seen, {"lqr"}) == {
         ("lqr", "c0", "NOT-CREATED"): "",
         ("cart", "c0", "ERROR"): "x",

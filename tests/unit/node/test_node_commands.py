@@ -23,7 +23,7 @@ async def late(given):
         *(facts, child),
         wake=lambda _: None,
         tell=lambda *_: None,
-        heard=lambda: None,
+        changed=lambda: None,
         ended=lambda *_: None,
     )
     task._busy.clear()

@@ -28,7 +28,7 @@ class Standing(Host):
         self.time = SimpleNamespace(turned_on=lambda: None)
         self.journal = SimpleNamespace(doing=contextlib.nullcontext)
         self.executor = SimpleNamespace(state=State.OFF, signal=self._come_on)
-        self.voice = SimpleNamespace(send=lambda _: None, notice=self._failed)
+        self.to_rtpu = SimpleNamespace(send=lambda _: None, notice=self._failed)
         self.core = SimpleNamespace()
         self.predecessors = []
         self.meanwhile = lambda: None

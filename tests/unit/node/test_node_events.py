@@ -73,8 +73,8 @@ def test_long_texts_are_cut():
 def test_budget_passes_a_burst_and_then_a_rate():
     budget = LineBudget(rate=10.0, burst=5.0)
     assert [budget.take(SECOND) for _ in range(7)] == [True] * 5 + [False] * 2
-    assert budget.told() == 2
-    assert budget.told() == 0
+    assert budget.take_suppressed() == 2
+    assert budget.take_suppressed() == 0
     assert budget.take(SECOND + SECOND // 10)
     assert not budget.take(SECOND + SECOND // 10)
 

@@ -201,7 +201,7 @@ def restless(home):
     async def obeys(task, what, make):
         task.heard.append(make(1))
         if what == "rest":
-            home.fallbacks.look_again()
+            home.fallbacks.update_all()
         await turns()
 
     for task in (home.second, third):

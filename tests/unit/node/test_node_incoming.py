@@ -11,17 +11,17 @@ def test_taken_in_order_and_rung_once():
     rings = []
     incoming = PacketQueue(lambda: rings.append(1))
     for n in range(3):
-        incoming.heard("a", b"%d" % n)
+        incoming.put("a", b"%d" % n)
     assert (len(rings), incoming.taken()) == (1, [b"0", b"1", b"2"])
     assert incoming.taken() == []
-    incoming.heard("a", b"3")
+    incoming.put("a", b"3")
     assert (len(rings), incoming.taken()) == (2, [b"3"])
 
 
 def test_the_oldest_go_and_are_counted_by_machine():
     incoming = PacketQueue(lambda: None, room=3)
     for machine, n in (("a", 0), ("b", 1), ("a", 2), ("b", 3), ("b", 4)):
-        incoming.heard(machine, b"%d" % n)
+        incoming.put(machine, b"%d" % n)
     assert incoming.taken() == [b"2", b"3", b"4"]
     assert incoming.lost == {"a": 1, "b": 1}
 
@@ -35,7 +35,7 @@ def test_several_threads_of_zenoh():
 
     def hear(machine):
         for _ in range(each):
-            incoming.heard(machine, b"")
+            incoming.put(machine, b"")
 
     threads = [threading.Thread(target=hear, args=(name,)) for name in "ab"]
     for thread in threads:

@@ -13,7 +13,7 @@ from pbonet import tbuf
 from pbonet.node.agent import shared_memory_status, zenoh_server
 from pbonet.node.agent.shared_memory_status import FEW, SharedMemoryStatus
 from pbonet.node.rt import _rt
-from pbonet.node.rtpu.rtpu_snapshot import Known
+from pbonet.node.rtpu.rtpu_snapshot import SnapshotChanges
 from pbonet.node.wire.rtpu_messages import RtpuInfo
 from pbonet.xm.ipc import names
 from pbonet.xm.net import key_expressions, messages as m
@@ -82,10 +82,10 @@ def test_whoever_waits_hears_that_the_process_has_ended(seen, monkeypatch):
 def test_zenohs_thread_neither_waits_nor_looks_at_many_links(seen, monkeypatch):
     monkeypatch.setattr(SharedMemoryStatus, "_more", lambda *_: pytest.fail("it waits"))
     assert seen.at_once(m.Status()) is None, "nothing is known yet"
-    seen.learn(Known(tasks=[]))
+    seen.learn(SnapshotChanges(tasks=[]))
     links = [tbuf.Writer(f"x{n}", "f8") for n in range(FEW)]
     monkeypatch.setattr(
-        SharedMemoryStatus, "_look", lambda _: pytest.fail("it looks again")
+        SharedMemoryStatus, "_read_slots", lambda _: pytest.fail("it looks again")
     )
     assert parsed(seen.at_once(m.Status())).ok
     links.append(tbuf.Writer("more", "f8"))

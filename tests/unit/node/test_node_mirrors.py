@@ -119,7 +119,7 @@ def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
 def test_who_is_alone_still_looks_at_what_the_lost_ones_owned(carrying, monkeypatch):
     """A writer that takes a lost machine's place ends what the flag says of it."""
     looks = []
-    monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
+    monkeypatch.setattr(Mirror, "next_packet", lambda *_, **how: looks.append(how))
     mirrors, _ = carrying
     carried = mirrors._carried["arm"]
     mirrors.spread("arm", lambda: None, take=False)
@@ -133,7 +133,7 @@ def test_a_value_that_is_set_alone_wakes_nobody_and_is_looked_at_once(
     carrying, monkeypatch
 ):
     looks, done = [], []
-    monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
+    monkeypatch.setattr(Mirror, "next_packet", lambda *_, **how: looks.append(how))
     mirrors, _ = carrying
     carried = mirrors._carried["arm"]
     for n in range(3):
@@ -173,7 +173,7 @@ def test_packets_that_come_too_fast_are_told_of(carrying):
     sample = SimpleNamespace(key_expr="pbonet/d/sbs/arm/svar/news/m2", payload=payload)
     carried = mirrors._carried["arm"]
     for _ in range(packet_queue.WAITING + 7):
-        carried._heard(sample)
+        carried._on_packet(sample)
     turn(mirrors)
     (note,) = told
     assert note.code == "TABLE_BEHIND"

@@ -387,7 +387,7 @@ def test_a_death_is_marked_before_it_is_judged_who_counts_on_the_task(rtpu):
         core=SimpleNamespace(died=died, snapshot=core.snapshot, free=core.free),
         signals=SimpleNamespace(end=nothing),
         vigil=SimpleNamespace(forget=nothing),
-        fallbacks=SimpleNamespace(look=nothing),
+        fallbacks=SimpleNamespace(update=nothing),
         tasks={},
         told={},
         spawned={},

@@ -109,9 +109,9 @@ def test_the_link_to_who_is_not_seen_is_cut_and_no_other(made, protocol, host):
     found, _ = watch(link)
     found.met(agent(), here=True)
     for _ in range(link_watchdog.LOOKS - 1):
-        assert found.look([]) == []
+        assert found.cut_silent([]) == []
     assert not link.cut()
-    assert found.look([]) == ["arm1"]
+    assert found.cut_silent([]) == ["arm1"]
     assert link.cut()
     assert not other.cut()
 
@@ -121,16 +121,16 @@ def test_only_neighbours_that_are_not_seen_on_end(made):
     link = made()
     found, said = watch(link)
     for _ in range(5):
-        assert found.look([]) == []  # who it is was never said
+        assert found.cut_silent([]) == []  # who it is was never said
     found.met(agent(), here=False)
     for _ in range(5):
-        assert found.look([]) == []
+        assert found.cut_silent([]) == []
         assert [one.name for one in found.unseen([]).values()] == ["arm1"]
-        assert found.look(["arm1"]) == []
+        assert found.cut_silent(["arm1"]) == []
         assert found.unseen(["arm1"]) == {}
     said.linked = ()
     for _ in range(5):
-        assert found.look([]) == []
+        assert found.cut_silent([]) == []
     assert not link.cut()
 
 
@@ -138,7 +138,7 @@ def test_a_link_has_time_to_come_back(made):
     found, _ = watch(made())
     found.met(agent(), here=False)
     first, pause = link_watchdog.LOOKS, link_watchdog.LOOKS + link_watchdog.PAUSE
-    cut = [n for n in range(1, first + pause + 1) if found.look([])]
+    cut = [n for n in range(1, first + pause + 1) if found.cut_silent([])]
     assert cut == [first, first + pause]
 
 

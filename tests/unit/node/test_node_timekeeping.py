@@ -48,8 +48,8 @@ def test_a_cycle_that_does_not_end_is_told_with_its_time(
         maxc_ns=maxc_ms * MS,
     )
     keeper = TimingFailureEvents(events)
-    keeper.look(CORE, [(TASK, slot)])
-    keeper.look(CORE, [(TASK, slot)])  # nothing new
+    keeper.report_new(CORE, [(TASK, slot)])
+    keeper.report_new(CORE, [(TASK, slot)])  # nothing new
     (event,) = events.since(0)
     assert (event.code, event.task, event.cycle) == ("TIMING_FAILURE", "pid", 2)
     head, _, times = event.text.partition("; ")

@@ -224,15 +224,15 @@ def test_manager_is_told(tmp_path, monkeypatch, abstract):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(f"\0{name[1:]}" if abstract else name)
         monkeypatch.setenv(systemd_notify.VARIABLE, name)
-        assert systemd_notify.tell("READY=1")
+        assert systemd_notify.notify("READY=1")
         assert manager.recv(100) == b"READY=1"
 
 
 def test_manager_that_is_gone_is_no_matter(tmp_path, monkeypatch):
     monkeypatch.setenv(systemd_notify.VARIABLE, str(tmp_path / "nobody"))
-    assert not systemd_notify.tell("READY=1")
+    assert not systemd_notify.notify("READY=1")
     monkeypatch.delenv(systemd_notify.VARIABLE)
-    assert not systemd_notify.tell("READY=1")
+    assert not systemd_notify.notify("READY=1")
 
 
 ANY = "0.0.0.0"  # noqa: S104 - as the containers say it

@@ -145,6 +145,22 @@ def test_comments_name_who_acts() -> None:
     assert found == []
 
 
+def test_functions_are_named_by_what_they_do() -> None:
+    """`look`, `tell` and `heard` say neither what is read nor who receives what."""
+    odd = re.compile(
+        r"^\s*(?:async )?def _?(?:look|tell|heard|told|hear|glance)(?:_\w+)?\("
+    )
+    found = [
+        f"{name}:{number}: {line.strip()}"
+        for path in tracked()
+        if (name := path.relative_to(ROOT).as_posix()).startswith("pbonet/")
+        and path.suffix == ".py"
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if odd.search(line) and line.strip() != "def tell(self) -> int:"  # as a file's
+    ]
+    assert found == []
+
+
 def test_no_merge_was_left_halfway() -> None:
     mark = re.compile(rf"^({'<' * 7}|{'>' * 7}) ", re.MULTILINE)
     found = [

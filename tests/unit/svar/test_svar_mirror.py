@@ -54,7 +54,7 @@ def sides():
 
 def carry(one, *others, full=False):
     """Let one machine tell the others; return the packet."""
-    packet = one.mirror.tell(full=full)
+    packet = one.mirror.next_packet(full=full)
     if packet is not None:
         for other in others:
             copy = packets.unpack(packets.pack(packet))
@@ -138,7 +138,7 @@ def test_an_old_packet_changes_nothing(sides):
     meet(a, b)
     task.array("Q")[:] = 1
     task.commit()
-    early = a.mirror.tell()
+    early = a.mirror.next_packet()
     task.array("Q")[:] = 2
     task.commit()
     carry(a, b)
@@ -171,7 +171,7 @@ def test_the_rate_that_variables_declare(sides):
 
 def carry_to_one(one, other):
     """Let one machine answer another one that asks."""
-    other.mirror.take(one.mirror.tell(full=True, machine=other.name))
+    other.mirror.take(one.mirror.next_packet(full=True, machine=other.name))
 
 
 def test_what_a_task_ends_with_waits_for_no_turn(sides):
@@ -211,11 +211,11 @@ def test_what_one_is_told_is_still_new_to_the_others(sides):
     meet(a, b)
     task.array("Q")[:] = 3
     task.commit()
-    a.mirror.tell(full=True, machine="c")
+    a.mirror.next_packet(full=True, machine="c")
     carry(a, b)
     assert b.table.read("Q").tolist() == [3, 3, 3]
     task.release()
-    a.mirror.tell(full=True, machine="c")
+    a.mirror.next_packet(full=True, machine="c")
     carry(a, b)
     assert b.table.info("Q").owner is None
 
@@ -292,7 +292,7 @@ def test_a_machine_out_of_sight(sides):
     (cause,) = b.table.illegal
     assert cause.cause == "host host-a is unreachable; no task writes Q"
     on(b, "standby", "Q", value=4.0)
-    b.mirror.tell()
+    b.mirror.next_packet()
     assert not b.table.illegal
 
 
@@ -378,7 +378,7 @@ def test_a_carrier_that_was_started_anew(sides):
 def test_news_of_an_unknown_state_are_asked_for(sides):
     a, b = sides
     on(a, "pid", "Q")
-    packet = a.mirror.tell(full=True)
+    packet = a.mirror.next_packet(full=True)
     packet.full = None
     assert not b.mirror.take(packet)
 

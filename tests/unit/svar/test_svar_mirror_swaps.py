@@ -21,7 +21,7 @@ def sides():
 
 def told(one, **how):
     """Return what a machine tells, to be taken later."""
-    return packets.pack(one.mirror.tell(full=True, **how))
+    return packets.pack(one.mirror.next_packet(full=True, **how))
 
 
 def take(one, data):
@@ -56,7 +56,7 @@ def test_what_the_old_writer_wrote_comes_behind_the_new_one(sides):
     meet(*sides)
     old.array("Q")[:] = 2.0
     old.commit()
-    late = packets.pack(a.mirror.tell()), told(a)
+    late = packets.pack(a.mirror.next_packet()), told(a)
     old.array("Q")[:] = 3.0
     old.commit()
     old.release()
@@ -105,9 +105,9 @@ def test_the_end_of_an_owner_is_known_on_all_machines(sides):
     meet(*sides)
     assert [one.table.written("Q") for one in sides] == [True] * 3
     old.cede()
-    news = a.mirror.tell()
+    news = a.mirror.next_packet()
     assert news is not None, "nothing else has changed"
-    assert a.mirror.tell() is None
+    assert a.mirror.next_packet() is None
     data = packets.pack(news)
     generation = b.table.generation
     assert take(b, data)

@@ -33,7 +33,7 @@ def table():
 @pytest.fixture
 def mirror(table):
     made = Mirror(table, "here", 1, keep=True)
-    made.tell(full=True)
+    made.next_packet(full=True)
     yield made
     made.close()
 
@@ -53,7 +53,7 @@ def moved(mirror):
 def heed(mirror):
     """Tell whether something had moved; heed it."""
     found = moved(mirror)
-    mirror.tell()
+    mirror.next_packet()
     return found
 
 
@@ -78,7 +78,7 @@ def test_the_flag(mirror, table):
 
 def test_a_commit_that_was_not_expected(mirror, task):
     task.claim()
-    mirror.tell()
+    mirror.next_packet()
     assert not moved(mirror)
     task.commit(now_ns(), 1)
     assert heed(mirror)
@@ -87,7 +87,7 @@ def test_a_commit_that_was_not_expected(mirror, task):
 
 def test_a_group_that_could_not_be_sent_yet(mirror, task):
     task.claim()
-    mirror._outbox.look(mirror._epochs)
+    mirror._outbox.update(mirror._epochs)
     assert heed(mirror)
     assert not moved(mirror)
 
@@ -102,10 +102,10 @@ def test_what_an_operator_sets(mirror, table):
 
 def test_a_commit_that_is_expected_is_left_to_its_time(mirror, task):
     task.claim()
-    mirror.tell()
+    mirror.next_packet()
     for cycle in range(1, 4):
         task.commit(now_ns(), cycle)
-        mirror.tell()
+        mirror.next_packet()
     assert mirror.due() is not None
     task.commit(now_ns(), 4)
     assert not moved(mirror)
@@ -116,10 +116,10 @@ def test_what_comes_from_another_machine_is_no_news(mirror, table):
     there = Mirror(other, "there", 1, keep=False)
     other_task = other.local("far", ME, outvar=["R"])
     other_task.claim()
-    mirror.take(packets.unpack(packets.pack(there.tell(full=True))))
-    mirror.tell()
+    mirror.take(packets.unpack(packets.pack(there.next_packet(full=True))))
+    mirror.next_packet()
     other_task.commit(now_ns(), 1)
-    mirror.take(packets.unpack(packets.pack(there.tell())))
+    mirror.take(packets.unpack(packets.pack(there.next_packet())))
     assert not moved(mirror)
     there.close()
     other.destroy()

@@ -23,7 +23,7 @@ def clock(monkeypatch):
 
 
 def looks(changes):
-    return [changes.look() for _ in range(3)]
+    return [changes.changed() for _ in range(3)]
 
 
 def test_until_a_tick_is_over_and_then_no_more(tmp_path, clock):
