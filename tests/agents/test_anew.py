@@ -54,7 +54,7 @@ class Program:
     def refusals(self):
         """Return what the agent has said of configurations that are no good."""
         found = self.nodes.client().call("arm0", m.Events(), list[m.Event])
-        return [event.text for event in found if event.code == "NOT_ANEW"]
+        return [event.text for event in found if event.code == "NOT_RESTARTED"]
 
 
 @pytest.fixture

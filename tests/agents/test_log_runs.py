@@ -205,7 +205,7 @@ def test_a_full_disk_is_told_and_felt_by_nobody(small, nodes):
     wait_for(lambda: line.rtpu_status().unlogged > 0, "lost records")
     line.wait_cycles("b", 50)
     fill.unlink()
-    line.wait_event("LOG_AGAIN")
+    line.wait_event("LOG_CONTINUED")
     line.wait_cycles("b", 50)
     assert line.status("b").tid == before.tid
     log = end(line, path)

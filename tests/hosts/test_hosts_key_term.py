@@ -72,7 +72,7 @@ def comes(cell):
     wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src")
 
 
-def told(lab, name, code="KEYS_RUN_OUT"):
+def told(lab, name, code="KEYS_EXPIRE"):
     """Return what an agent has told of its keys, asked on its own machine."""
     host = lab.agents[name][0]
     found = lab.client(host).call(name, m.Events(), list[m.Event])
@@ -143,7 +143,7 @@ def test_keys_that_are_no_good_are_not_taken(lab, keys):
     kept = {name: (lab.keys["a"] / name).read_bytes() for name in FILES}
     keys.agent("a", lab.keys["a"], days=-0.01)
     process.send_signal(signal.SIGHUP)
-    (text,) = wait_for(lambda: told(lab, "arm0", "NOT_ANEW"), "the refusal")
+    (text,) = wait_for(lambda: told(lab, "arm0", "NOT_RESTARTED"), "the refusal")
     assert "the certificate has expired" in text
     assert lab.info("arm0").zid == before
     for name, data in kept.items():

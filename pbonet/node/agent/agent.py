@@ -339,7 +339,7 @@ class Agent:
             why = error if isinstance(error, PbonetError) else repr(error)
             text = f"the agent does not restart: {why}"
             log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
-            self._note(rtpu_messages.Note(int(Severity.ERROR), "NOT_ANEW", text))
+            self._note(rtpu_messages.Note(int(Severity.ERROR), "NOT_RESTARTED", text))
             return False
         for what in restart_check.kept(self.config, config):
             log.warning(restart_check.LATER, self.name, what)

@@ -128,4 +128,4 @@ class KeyTerm:
             text = "the keys have expired: no other machine can be reached; "
             text += remedy
         log.warning("%s: %s", self._name, text)
-        self._tell(rtpu_messages.Note(int(severity), "KEYS_RUN_OUT", text))
+        self._tell(rtpu_messages.Note(int(severity), "KEYS_EXPIRE", text))

@@ -240,7 +240,9 @@ class PeerLatencies:
             text = f"the link to agent {name} transferred nothing; it is opened again"
             log.warning("%s: %s", self._me().name, text)
             if self._note is not None:
-                self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_ANEW", text))
+                self._note(
+                    rtpu_messages.Note(int(Severity.WARNING), "LINK_RENEWED", text)
+                )
 
     def _apart(self) -> list[rtpu_messages.Apart]:
         """Return the offsets of other machines' clocks from this one's."""

@@ -187,7 +187,7 @@ class LogFiles:
             self.put(do, records)
         if lost:
             text = f"{lost} records were lost before {self.writer.path}"
-            self._say(Severity.WARNING, "LOG_AGAIN", text)
+            self._say(Severity.WARNING, "LOG_CONTINUED", text)
 
     def _make(self) -> LogWriter:
         wanted = self._wanted

@@ -305,7 +305,7 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> Non
     ring.put(bytes(16), cycle=2)
     one.end()
     ring.destroy()
-    assert "LOG_AGAIN" in [
+    assert "LOG_CONTINUED" in [
         note.code for note in said if isinstance(note, rtpu_messages.Note)
     ]
     assert Log(blocked / "r").arrays("a")["cycle"].tolist() == [2]

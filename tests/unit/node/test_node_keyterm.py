@@ -66,7 +66,7 @@ def test_it_is_told_once_a_day_and_when_it_is_over(lab, clock):
     ]
     kinds = [Severity.WARNING] * 3 + [Severity.ERROR]
     assert [(note.code, note.severity) for note in told] == [
-        ("KEYS_RUN_OUT", int(kind)) for kind in kinds
+        ("KEYS_EXPIRE", int(kind)) for kind in kinds
     ]
     assert all(f"put them into {folder}, " in note.text for note in told)
 
