@@ -31,7 +31,7 @@ class Event(IntEnum):
     DONE = 6
     """Input: the granted cycle has ended."""
     BEGUN = 7
-    """Input: the granted cycle has started and not ended."""
+    """Input: the granted cycle has started and not ended; arg 1: it hangs."""
     LEAD = 8
     """Input: process a leads from now on; no task is known to hold a level."""
     LIMITS = 9

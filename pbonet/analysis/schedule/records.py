@@ -155,6 +155,8 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     delivery_max_ns: int
     hangs: bool
     """The task ended itself because its failure handler did not return."""
+    hung: bool
+    """Its cycle does not return; until it does, all other tasks go first."""
     sections: tuple[Section, ...]
 
 

@@ -189,8 +189,27 @@ static inline int rt_news(const struct rt_slot *slot)
            atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
 }
 
+/* Whether a periodic task's cycle hangs: it has used up its period, and RT_HUNG_NS of CPU
+ * time since. Its CPU clock is read in those turns only. Until the cycle returns, all other
+ * tasks and commands go first: the task has no level of its own. */
+static inline void rt_latch_hung(struct rt_table *t, int i, struct rt_state *s, int64_t now,
+                                 rt_cpu_fn cpu)
+{
+    if (s->hung || s->kind != RT_PERIODIC || now - s->rel_ns <= s->period)
+        return;
+    int64_t clock = cpu(&t->slots[i]);
+    if (!s->overrun) {
+        s->overrun = 1;
+        s->overrun_mark = clock;
+    } else if (clock - s->overrun_mark >= RT_HUNG_NS) {
+        s->hung = 1;
+        rt_emit(t, RT_BEGUN, i, 1, 0, 0);
+    }
+}
+
 /* Read what happened to slot i; emits inputs. */
-static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64_t now)
+static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64_t now,
+                            rt_cpu_fn cpu)
 {
     struct rt_slot *slot = &t->slots[i];
     /* SYNC POINT: rt_alloc resets a slot before it starts a new life. */
@@ -235,6 +254,8 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     } else if (s->granted && !s->begun && atomic_load(&slot->post.begun) == s->seq) {
         rt_emit(t, RT_BEGUN, i, 0, 0, 0);
         s->begun = 1;
+    } else if (s->begun) {
+        rt_latch_hung(t, i, s, now, cpu);
     }
     if (s->begun || s->owed || s->kind == RT_SYNCHRONOUS)
         rt_latch_watch(t, i, s, now);
@@ -347,8 +368,11 @@ static inline void rt_hold(struct rt_table *t, int i)
 /* Rank the ready tasks: priorities first, then wake-ups, both in order of urgency. */
 static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, int park)
 {
+    int hung = 0;
     muf_sort(ready, n);
-    muf_assign(ready, n, MUF_LOW, MUF_HIGH);
+    for (int k = n; k-- > 0 && t->slots[ready[k].slot].state.hung; hung++)
+        ready[k].level = 0;
+    muf_assign(ready, n - hung, MUF_LOW, MUF_HIGH);
     for (int k = 0; k < n; k++) {
         struct rt_state *s = &t->slots[ready[k].slot].state;
         if (s->level != ready[k].level) {
@@ -397,7 +421,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
         struct rt_state s = t->slots[i].state;
         if (lead)
             s.level = 0;
-        rt_latch(t, i, &s, now);
+        rt_latch(t, i, &s, now, cpu);
         rt_commit(t, i, &s);
     }
     for (int i = 0; i < high; i++) {
@@ -418,7 +442,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
         }
         if (s->ready && ((s->word & 3) == RT_ON || s->engaged))
             ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
-                                           .crit = s->rank, .priority = s->priority,
+                                           .crit = s->hung ? -1 : s->rank, .priority = s->priority,
                                            .level = s->level, .slot = i};
     }
     rt_rank(t, ready, n, park);

@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 9,
+    RT_VERSION = 10,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -43,6 +43,7 @@ enum {
 #define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
 #define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
 #define RT_STALL_NS INT64_C(20000000)
+#define RT_HUNG_NS INT64_C(100000000)    /* CPU time of a cycle after it used up its period */
 #define RT_NEVER INT64_MAX
 
 enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2, RT_STANDS = 3 };
@@ -122,6 +123,7 @@ struct rt_grant {
     _Atomic int32_t level;              /* likewise */
     _Atomic uint32_t life;              /* the life that the dispatcher serves */
     _Atomic uint32_t fell;              /* a standby of this task is engaged at once */
+    _Atomic uint32_t hung;              /* the cycle does not return: other tasks go first */
 };
 
 struct rt_piece {
@@ -137,6 +139,7 @@ struct rt_state {
     /* for failures and reserves; see watch.h */
     uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
     uint8_t engaged, fell;              /* see standby.h */
+    uint8_t overrun, hung;              /* see rt_latch_hung */
     int32_t rank, drop, handler;        /* rank: the current criticality */
     uint32_t told, handled, wish;
     uint32_t heard;                     /* `post.events` of a device, as last read */
@@ -145,6 +148,7 @@ struct rt_state {
     int64_t check_ns;                   /* time of the next check; 0: none */
     int64_t locked_ns;                  /* when a critical section is forced to end */
     int64_t handler_mark;
+    int64_t overrun_mark;               /* CPU clock when the cycle had used up its period */
     int64_t left;                       /* of a server's capacity */
     int64_t event_ns;
     uint64_t failures[RT_FAILURES], overruns, held_off;

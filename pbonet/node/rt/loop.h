@@ -64,7 +64,8 @@ static inline void rt_act(struct rt_table *t, const struct rt_event *e, int back
     switch (e->kind) {
     case RT_LEVEL:
         if (backend == RT_FIFO && slot->state.pid > 0) {
-            int error = rt_set_level(slot->state.pid, (int)e->arg);
+            int error = e->arg ? rt_set_level(slot->state.pid, (int)e->arg)
+                               : rt_take_level(slot->state.pid);
             atomic_fetch_add_explicit(&t->level_changes, 1, memory_order_relaxed);
             if (error)
                 rt_refused(t, e->slot, error);

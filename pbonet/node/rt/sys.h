@@ -126,12 +126,12 @@ static inline int rt_set_level(pid_t pid, int level)
     return sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) ? errno : 0;
 }
 
-/* Remove the real-time priority of an ending process: the kernel frees its memory, for
- * some milliseconds, at the priority that it had. */
-static inline void rt_take_level(pid_t pid)
+/* Remove the real-time priority of a process that ends or hangs: of one that ends the
+ * kernel frees the memory, for some milliseconds, at the priority that it had. */
+static inline int rt_take_level(pid_t pid)
 {
     struct sched_param param = {0};
-    sched_setscheduler(pid, SCHED_OTHER | SCHED_RESET_ON_FORK, &param);
+    return sched_setscheduler(pid, SCHED_OTHER | SCHED_RESET_ON_FORK, &param) ? errno : 0;
 }
 
 /* Let the caller's main thread share `level` with others by time slices, if it has a

@@ -12,7 +12,7 @@ struct rt_section_view {
 
 struct rt_view {
     int life, dead, pid, kind, crit, priority, mode, level;
-    int rank, drop, handler, tells, hangs, comes, called, fell, n_sections;
+    int rank, drop, handler, tells, hangs, hung, comes, called, fell, n_sections;
     int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
     uint64_t aborted, skipped, handlers, stale_failures;
@@ -76,6 +76,7 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     v->overruns = rt_get(&g->overruns);
     v->held_off = rt_get(&g->held_off);
     v->hangs = atomic_load(&slot->post.locked) == RT_HANDLER_HANGS;
+    v->hung = atomic_load(&slot->grant.hung) != 0;
     for (int k = 0; k < RT_FAILURES; k++)
         v->failures[k] = rt_get(&g->failures[k]);
     v->n_sections = (int)atomic_load(&slot->n_sections);

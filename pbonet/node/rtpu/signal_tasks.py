@@ -109,6 +109,8 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     start = time.monotonic()
     failed: PbonetError | None = None
     task.stopping = True
+    if rtpu.core.snapshot(task.facts.slot).hung:
+        limit = min(limit, END_TIME)
     try:
         await task.command(
             "kill", lambda n: rtpu_messages.Signal(n, "kill", arg=arg), limit

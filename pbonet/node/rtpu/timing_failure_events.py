@@ -34,6 +34,8 @@ class TimingFailureEvents:
     def __init__(self, events: EventLog) -> None:
         self._events = events
         self._failures: dict[tuple[str, str, int], tuple[int, ...]] = {}
+        self._hung: set[tuple[str, str, int, int]] = set()
+        """Cycles that do not return, by subsystem, task, process and number."""
         self._stalls = 0
         self._stalled_ns = 0
         self._errors = 0
@@ -43,14 +45,33 @@ class TimingFailureEvents:
     ) -> None:
         """Report what has come since the last check."""
         seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
+        hung: set[tuple[str, str, int, int]] = set()
         for task, slot in tasks:
             key = (task.facts.subsystem, task.name, slot.pid)
+            if slot.hung:
+                hung.add(cycle := (*key, slot.cycles))
+                if cycle not in self._hung:
+                    self._report_hung(task, slot)
             seen[key] = (*slot.failures, slot.held_off)
             before = self._failures.get(key, (0,) * len(seen[key]))
             if seen[key] != before:
                 self._report(task, slot, before, seen[key])
-        self._failures = seen
+        self._failures, self._hung = seen, hung
         self._check_core(core)
+
+    def _report_hung(self, task: Task, slot: SlotStatus) -> None:
+        """Report a cycle that does not return."""
+        self._events.add(
+            Severity.ERROR,
+            "HANGS",
+            f"a cycle of module {task.facts.rmod.module} has taken "
+            f"{slot.cpu_now_ns / 1e9:.2f} s of CPU time and does not return; until it "
+            "does, all other tasks go first; see what it waits for, or kill "
+            f"{task.name}",
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=slot.cycles - slot.on_cycles,
+        )
 
     def _report(
         self,

@@ -5,7 +5,7 @@ import signal
 import threading
 
 import pytest
-from nodekit import CORE, alive, level, wait_gone, wait_hung
+from nodekit import CORE, alive, level, rmod, wait_gone, wait_hung
 from reference import Reference
 from watching import wait_for
 
@@ -17,6 +17,7 @@ from pbonet.errors import (
     StateError,
     TaskDiedError,
 )
+from pbonet.xm.net import messages as m
 
 
 @pytest.fixture
@@ -250,6 +251,58 @@ class TestHanging:
         arm.refused(NoAnswerError, arm.on, "bad", limit=0.3)
         arm.kill("bad", limit=0.3)
         assert "bad" not in arm.status()
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "module", "maxc", "backend"),
+    [
+        ("MUF", "hangs_in_cycle", "", "auto"),
+        ("MUF", "hangs_in_cycle", "", "park"),
+        ("MUF", "hangs_in_c", "MAXC 0.001\n", "auto"),
+        ("EDF", "hangs_in_c", "", "auto"),
+        ("RM", "hangs_in_cycle", "MAXC 0.001\n", "auto"),
+    ],
+)
+def test_a_more_urgent_task_that_hangs_blocks_nobody(
+    nodes, scheduler, module, maxc, backend
+):
+    """It has a higher rate than the other task, so it comes first until it hangs."""
+    nodes.agent("arm0", backend=backend)
+    arm = nodes.master("arm0", "arm", scheduler=scheduler)
+    arm.spawn("good", "counts", out="Y7", freq=40.0)
+    text = rmod(module, freq=200.0).replace("FREQ 200\n", f"FREQ 200\n{maxc}")
+    tid = arm.spawn("bad", module, text=text).tid
+    arm.on("good")
+    arm.on("bad")
+    event = arm.wait_event("HANGS", "bad")
+    assert event.severity == Severity.ERROR
+    assert "does not return" in event.text
+    if arm.rtpu_status().backend == "fifo":
+        assert os.sched_getscheduler(tid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+    arm.wait_cycles("good", 20)
+    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
+    arm.wait_cycles("good", 20)
+    arm.off("good")
+    arm.on("good")
+    arm.spawn("late", "counts", out="Y6", freq=50.0)
+    arm.on("late")
+    arm.wait_cycles("late", 5)
+    arm.kill("bad")
+    assert "did not end within 1 s" in arm.wait_event("FORCED", "bad").text
+    assert not alive(tid)
+    arm.wait_cycles("good", 5)
+    assert len(arm.events("HANGS", "bad")) == 1
+
+
+def test_a_task_that_is_only_slow_gets_its_level_back(arm):
+    """Its tenth cycle takes longer than one may before it counts as hanging."""
+    arm.spawn("slow", "slow_once", out="Y0", freq=200.0)
+    arm.on("slow")
+    arm.wait_event("HANGS", "slow")
+    tid = arm.wait_cycles("slow", 20).tid
+    if arm.rtpu_status().backend == "fifo":
+        assert level(tid) > 1
+    assert len(arm.events("HANGS", "slow")) == 1
 
 
 def test_stop_is_bounded_and_says_what_was_forced(arm):

@@ -18,6 +18,7 @@ The rules (`docs/realtime.md` gives the reasons):
   that it is the fallback of has fallen, or all that hand over to it are off. A fallback
   has its first release at once, as a cycle was lost, and its next one on the first
   point of the grid that is more than half a period away.
+- A task whose cycle hangs comes last, and holds no level, until the cycle ends.
 - Ready tasks are ranked by urgency and hold FIFO levels in that order. Under ``park``
   only the most urgent one is let run.
 """
@@ -151,6 +152,7 @@ class Dispatcher:
                 over(state)
             case Event.BEGUN:
                 state.begun = True
+                state.hung = bool(record.arg)
             case _:
                 self._notice(now, slot, state, event, record)
 
@@ -209,14 +211,15 @@ class Dispatcher:
 
     def _rank(self) -> None:
         ranked = [
-            (-urgency(s.rank, s.dl_ns, s.priority), s.rel_ns, slot)
+            (s.hung, -urgency(s.rank, s.dl_ns, s.priority), s.rel_ns, slot)
             for slot, s in self.slots.items()
             if s.ready and (s.mode is Mode.ON or s.engaged)
         ]
         ranked.sort()
-        order = [slot for _, _, slot in ranked]
+        order = [slot for _, _, _, slot in ranked]
         states = [self.slots[slot] for slot in order]
-        levels = assign_levels([state.level for state in states])
+        levels = assign_levels([state.level for state in states if not state.hung])
+        levels += [0] * (len(states) - len(levels))
         for slot, state, level in zip(order, states, levels, strict=True):
             if state.level != level:
                 state.level = level

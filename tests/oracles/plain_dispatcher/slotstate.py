@@ -24,6 +24,8 @@ class SlotState(Struct):
     granted: bool = False
     """The task was told."""
     begun: bool = False
+    hung: bool = False
+    """The cycle does not end: all others go first."""
     parked: bool = False
     level: int = 0
     seq: int = 0

@@ -74,7 +74,7 @@ def contained(state: SlotState) -> int:
 def over(state: SlotState) -> None:
     """Forget the cycle that has ended, and what was watched about it."""
     state.ready = state.granted = state.begun = state.parked = False
-    state.skip = state.handling = state.owed = False
+    state.skip = state.handling = state.owed = state.hung = False
     state.check_ns = 0
 
 

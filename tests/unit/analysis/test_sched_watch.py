@@ -25,6 +25,31 @@ def core(monkeypatch, tmp_path):
         yield make
 
 
+# -- cycles that do not return -------------------------------------------------------
+
+
+def test_a_cycle_that_uses_100_ms_beyond_its_period_comes_last_until_it_ends(core):
+    one = core()
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True, cpu_ns=5 * MS)
+    one.until(30 * MS)  # the clock is read when the cycle has used up its period
+    one.at(40 * MS, cpu_ns=94 * MS)
+    assert not one.status().hung
+    assert kinds(one.at(50 * MS, cpu_ns=6 * MS), Event.LEVEL) == [(Event.LEVEL, 0)]
+    assert one.status().hung
+    one.at(55 * MS, done=True)
+    assert not one.status().hung
+    assert len(kinds(one.until(60 * MS), Event.LEVEL)) == 1, "it has one again"
+
+
+def test_a_task_that_waits_for_the_core_does_not_hang(core) -> None:
+    one = core()
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True, cpu_ns=5 * MS)
+    one.until(900 * MS)
+    assert not one.status().hung
+
+
 # -- deadlines -----------------------------------------------------------------------
 
 

@@ -39,6 +39,7 @@ def test_a_cycle_that_does_not_end_is_told_with_its_time(
     events = EventLog("arm0")
     slot = Plain(
         pid=7,
+        hung=False,
         failures=(4, 0, 0),
         held_off=0,
         cycles=12,
