@@ -15,12 +15,12 @@ from pathlib import Path
 import nodekit
 import pytest
 from rich.console import Console
+from virtual_job import VirtualJob
 from watching import processes_of, wait_for
 
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_job as run_module
 from pbonet.master.console.live_status import Screen
-from pbonet.master.sim.simulation import Simulation
 from pbonet.master.subsystem import subsystem_tasks
 from pbonet.master.subsystem.embedded_agents import assign_cores
 from pbonet.xm.net import run_folder, session
@@ -299,14 +299,14 @@ def test_first_core_is_left_to_housekeeping():
 
 def test_live_table_shows_every_task(puma):
     """The view of a terminal, drawn into a file."""
-    simulation = Simulation(puma.with_suffix(".job"))
+    simulation = VirtualJob(puma.with_suffix(".job"))
     simulation.start()
     out = io.StringIO()
     with Screen(Console(file=out, width=150, force_terminal=True)) as screen:
         screen.say("begun [not a tag]")
         for _ in range(3):
-            simulation.advance(0.1)
-            screen.show(0.1, simulation.status(), [])
+            simulation.wait(0.1)
+            screen.show(0.1, simulation.rtpu_status(), [])
         screen.show(0.4, [], [])
     simulation.stop()
     text = out.getvalue()

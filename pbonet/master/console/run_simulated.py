@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from pbonet.master.sim import Simulation, sim_log
+from pbonet.master.sim import sim_log
+from pbonet.master.subsystem import Subsystem
 
 from . import summary
 from .run_end import Interrupts, Outcome
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.master.configuration import Place
-    from pbonet.master.sim import SimLog
+    from pbonet.master.sim import SimLog, VirtualRtpus
 
     from .live_status import View
 
@@ -72,30 +73,40 @@ def simulate(
         PbonetError: The job cannot be assembled.
     """
     wanted = _SECONDS if seconds is None else seconds
-    simulation = Simulation(path, place.libraries, log)
+    warnings: list[str] = []
+    subsystem = Subsystem(
+        path, libraries=place.libraries, virtual=True, warned=warnings.append
+    )
+    simulation = subsystem.simulation
+    assert simulation is not None  # noqa: S101 - it is virtual
+    job = subsystem.files.read_job().name
     interrupts = Interrupts(once=True)
     begin, passed = time.monotonic(), 0.0
     try:
         with interrupts.caught():
-            simulation.start()
-            on = ", ".join(n for n, now in simulation.states().items() if now == "ON")
-            view.say(f"job {simulation.job.name} is ON in virtual time: {on}")
+            subsystem.open()
+            if log is not None:
+                simulation.log, simulation.epoch_ns = log, log.epoch_ns
+            subsystem.start()
+            on = ", ".join(task.name for task in subsystem.model if task.is_on)
+            view.say(f"job {job} is ON in virtual time: {on}")
             try:
                 passed = _advance(simulation, wanted, interrupts)
-                statuses = simulation.status()
+                statuses = subsystem.rtpu_status()
             finally:
-                simulation.stop()
+                subsystem.stop()
     finally:
         if log is not None:
             log.end(simulation.now_ns, passed)
+        subsystem.detach()
         simulation.close()
-    for event in simulation.events:
+    events = [*warnings, *simulation.events]
+    for event in events:
         view.say(event)
     view.say(f"{passed:g} s of virtual time took {time.monotonic() - begin:.2f} s")
-    about: dict[str, Any] = {"seconds": passed, "events": simulation.events}
-    simulation.recording.about |= about
+    simulation.recording.about |= {"seconds": passed, "events": events}
     return Outcome(
-        job=simulation.job.name,
+        job=job,
         seconds=passed,
         tasks=summary.summarize(statuses),
         reason="interrupted"
@@ -107,10 +118,11 @@ def simulate(
     )
 
 
-def _advance(simulation: Simulation, seconds: float, interrupts: Interrupts) -> float:
+def _advance(simulation: VirtualRtpus, seconds: float, interrupts: Interrupts) -> float:
     """Let virtual time pass until it is over or interrupted; return how much did."""
     begin_ns = simulation.now_ns
     end_ns = begin_ns + (round(seconds * 1e9) if math.isfinite(seconds) else math.inf)
     while simulation.now_ns < end_ns and not interrupts.wished.is_set():
-        simulation.advance(min(_SLICE, (end_ns - simulation.now_ns) * 1e-9))
+        left = (end_ns - simulation.now_ns) * 1e-9
+        simulation.pass_time(min(_SLICE, left), interrupts.wished)
     return (simulation.now_ns - begin_ns) / 1e9

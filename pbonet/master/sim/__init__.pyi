@@ -1,7 +1,6 @@
 from . import sim_log as sim_log
 from .rtpu_in_process import VirtualTask as VirtualTask
 from .sim_log import SimLog as SimLog
-from .simulation import Simulation as Simulation
 from .virtual_loop import BEGIN_NS as BEGIN_NS
 from .virtual_rtpus import (
     REASON as REASON,

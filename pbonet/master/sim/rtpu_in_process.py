@@ -41,10 +41,10 @@ from .virtual_loop import Channel, pair, running
 if TYPE_CHECKING:
     import signal
     import socket
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Callable, Generator
 
     from pbonet.analysis.schedule import CoreStatus, SlotStatus
-    from pbonet.config import Library, Rmod, SvarFile
+    from pbonet.config import Library, SvarFile
     from pbonet.log import TaskAbout
     from pbonet.node.rtpu import Task
     from pbonet.node.wire import EventLog
@@ -63,7 +63,6 @@ class SharedState:
         loop: Their time.
         library: Where their modules come from.
         domain: A name that no other simulation of this process has.
-        simulated: The types of tasks that can be run.
         record: Takes the ring of each task, and whose it is.
     """
 
@@ -72,11 +71,11 @@ class SharedState:
         loop: VirtualLoop,
         library: Library,
         domain: str,
-        simulated: Sequence[TaskType],
         record: Callable[[VirtualTask, TaskAbout], None],
     ) -> None:
         self.loop, self.library, self.domain = loop, library, domain
-        self.simulated = simulated
+        self.simulated = [TaskType.PERIODIC, TaskType.SYNCHRONOUS]
+        """The types of tasks that can be run."""
         self.record = record
         self.tables: dict[str, Table] = {}
         self.cores: list[VirtualCore] = []
@@ -341,7 +340,16 @@ class VirtualTask(Host):
             PbonetError: As of any task.
         """
         rmod = parse_rmod(self.spec.rmod, self.spec.rmod_name)
-        must_be_simulated(rmod, self.spec.freq, self._rtpu.world.simulated, rmod.file)
+        kind, simulated = rmod.tasktype, self._rtpu.world.simulated
+        timed = self.spec.freq or kind is TaskType.BACKGROUND
+        if kind not in simulated or not timed:
+            raise NodeError(
+                f"a {kind} task cannot be simulated",
+                where=rmod.file,
+                expected=f"{' or '.join(simulated)}, with FREQ or PERIOD",
+                got=f"TASKTYPE {kind}",
+                remedy="run it in real time",
+            )
         super().create()
 
     def begin(self) -> None:
@@ -454,22 +462,3 @@ class VirtualTask(Host):
         del self._rtpu.hosts[self.spec.slot]
         self._child.exited.set_result(0)
         self._channel.close()
-
-
-def must_be_simulated(
-    record: Rmod, freq: float | None, simulated: Sequence[TaskType], where: str
-) -> None:
-    """Refuse a task that the clock alone does not drive.
-
-    Raises:
-        NodeError: It is one.
-    """
-    timed = freq or record.tasktype is TaskType.BACKGROUND
-    if record.tasktype not in simulated or not timed:
-        raise NodeError(
-            f"a {record.tasktype} task cannot be simulated",
-            where=where,
-            expected=f"{' or '.join(simulated)}, with FREQ or PERIOD",
-            got=f"TASKTYPE {record.tasktype}",
-            remedy="run it in real time",
-        )

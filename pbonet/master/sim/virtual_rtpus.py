@@ -14,13 +14,14 @@ import os
 import platform
 import threading
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from pbonet.config import TaskType
 from pbonet.errors import PbonetError, StateError
 from pbonet.io import no_devices
 from pbonet.node.agent import HANDLED
+from pbonet.node.task import placed
 from pbonet.node.wire import EventLog
+from pbonet.pbo import Signal
 from pbonet.xm.net import Codec, failure, machine, messages as m, rpc
 
 from .rtpu_in_process import SharedState, VirtualRtpu
@@ -31,10 +32,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
     from threading import Event
 
-    from pbonet.config import Library
     from pbonet.log import TaskAbout
     from pbonet.master.configuration import Files
-    from pbonet.svar import Table
 
     from .rtpu_in_process import VirtualTask
     from .sim_log import SimLog
@@ -45,6 +44,8 @@ HOST = "virtual"
 """The name of the machine that is none."""
 REASON = "this is a simulation"
 _NUMBERS = itertools.count(1)
+_REPORTED = frozenset({"WARNING", "SIGNAL", "HANDLED", "METHOD", "FALLBACK"})
+"""Codes of events that are reported as text."""
 
 
 class VirtualRtpus:
@@ -55,27 +56,20 @@ class VirtualRtpus:
 
     Args:
         files: The subsystem's files.
-        about: What should be known about the run.
 
     Attributes:
         recording: Every cycle so far, unless there is a log.
+        events: What tasks have reported and what went wrong in them, one text each.
     """
 
-    simulated: ClassVar[tuple[TaskType, ...]] = (
-        TaskType.PERIODIC,
-        TaskType.SYNCHRONOUS,
-    )
-
-    def __init__(
-        self,
-        files: Files,
-        about: Mapping[str, str] | None = None,
-    ) -> None:
-        self.files = files
+    def __init__(self, files: Files) -> None:
         self.log: SimLog | None = None
         """Where it is recorded; without, every cycle is kept in memory."""
-        whose = about or {"subsystem": files.sbs.subsystem}
-        self.recording = Recording({**whose, "mode": "simulation"})
+        about = {"subsystem": files.sbs.subsystem, "mode": "simulation"}
+        if files.job is not None:
+            about |= {"job": files.job.name, "file": files.job.file}
+        self.recording = Recording(about)
+        self.events: list[str] = []
         self.told: list[Callable[[], None]] = []
         """Called whenever something happens."""
         self.epoch_ns = 0
@@ -84,9 +78,7 @@ class VirtualRtpus:
         self._codec = Codec()
         self._loop = make_loop(BEGIN_NS)
         domain = f"virtual{os.getpid()}-{next(_NUMBERS)}"
-        self.world = SharedState(
-            self._loop, files.library, domain, self.simulated, self._record
-        )
+        self.world = SharedState(self._loop, files.library, domain, self._record)
         self.logs = {one.name: self._event_log(one.name) for one in files.sbs.rtpus}
         with running(self._loop):
             self.rtpus = {
@@ -104,19 +96,9 @@ class VirtualRtpus:
         )
 
     @property
-    def library(self) -> Library:
-        """Where the modules come from."""
-        return self.files.library
-
-    @property
     def now_ns(self) -> int:
         """The virtual time."""
         return self._loop.now_ns
-
-    @property
-    def table(self) -> Table:
-        """The subsystem's table, once it is open."""
-        return next(iter(self.world.tables.values()))
 
     def client(
         self, domain: str, name: str, warned: Callable[[str, str], None]
@@ -179,6 +161,8 @@ class VirtualRtpus:
             with self._lock, no_devices(REASON):
                 if not self.step(end_ns):
                     break
+        if self.log is not None:
+            self.log.turn(self.now_ns)
         return until.is_set()
 
     def step(self, end_ns: float) -> bool:
@@ -191,16 +175,17 @@ class VirtualRtpus:
         wanted = [self._loop.due_ns, *(one.core.due_ns for one in self.rtpus.values())]
         due = min(filter(None, wanted), default=math.inf)
         if due > end_ns:
-            self._pass(int(end_ns))
+            self.set_time(int(end_ns))
             return False
-        self._pass(max(self.now_ns, int(due)))
+        self.set_time(max(self.now_ns, int(due)))
         self._loop.run()
         for rtpu in self.rtpus.values():
             if 0 < rtpu.core.due_ns <= self.now_ns:
                 rtpu.turn()
         return True
 
-    def _pass(self, now_ns: int) -> None:
+    def set_time(self, now_ns: int) -> None:
+        """Set the virtual time, and run nothing."""
         self._loop.now_ns = now_ns
         for rtpu in self.rtpus.values():
             rtpu.core.virtual_ns = now_ns
@@ -210,6 +195,10 @@ class VirtualRtpus:
     def _published(self, event: m.Event) -> None:
         if self.log is not None:
             self.log.event(event)
+        if event.code in _REPORTED and not event.bits & Signal.ERROR:
+            text = placed(event.text.removesuffix(f": {event.state}"), event.place)
+            at = (event.time - BEGIN_NS) * 1e-9
+            self.events.append(f"{at:.3f} s {event.task}: {text}")
         for told in self.told:
             told()
 

@@ -242,9 +242,8 @@ class Done:
             replaces: Tasks whose constants it takes over.
             leaving: Tasks that are about to be killed, and need no new constants.
         """
-        freq = member.freq if member.freq != member.rmod.freq else None
         constants.at_hand(self._task_set, member)
-        self._task_set.create(member, freq, replaces)
+        self._task_set.create(member, replaces)
         self._spawned.append(member.name)
         self._robbed |= dict.fromkeys(replaces, member.name)
         constants.given(self._task_set, member.name, leaving)

@@ -248,7 +248,12 @@ class Subsystem:
     def _open(self, client: rpc.Client, task: str, *, once: bool) -> SubsystemTasks:
         clients = RtpuClients(client, self.files.sbs)
         task_set = SubsystemTasks(
-            self.files, clients, self._warn, self.recordings, self.inbox
+            self.files,
+            clients,
+            self._warn,
+            self.recordings,
+            self.inbox,
+            virtual=self.simulation is not None,
         )
         try:
             if not self.watch:
@@ -344,7 +349,7 @@ class Subsystem:
             task_set.judge(legality.spawn(member.task))
             try:
                 constants.at_hand(task_set, member)
-                status = task_set.create(member, hz)
+                status = task_set.create(member)
                 constants.given(task_set, member.name)
                 return status
             finally:

@@ -28,7 +28,7 @@ from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from pbonet.config import Rmod
     from pbonet.master.configuration import Files, Member, RmodSource, TaskModel
@@ -65,6 +65,7 @@ class SubsystemTasks:
         warned: Called with each warning.
         logbook: Has the run recorded.
         inbox: Hears what tasks have sent.
+        virtual: Whether tasks run in this process, with the library of the files.
     """
 
     def __init__(
@@ -74,12 +75,15 @@ class SubsystemTasks:
         warned: Warned,
         recordings: RecordingControl,
         inbox: Inbox,
+        *,
+        virtual: bool = False,
     ) -> None:
         self.files = files
         self.clients = clients
         self.warned = warned
         self.recordings = recordings
         self._inbox = inbox
+        self._virtual = virtual
         self._model = configuration.TaskModel()
         self._unread: dict[str, m.TaskStatus] = {}
         """Of tasks that are not in the model yet, for their files are not read."""
@@ -91,6 +95,8 @@ class SubsystemTasks:
         self._noted: set[str] = set()  # reported already, of saved profiles
         self._modules: dict[str, Any] = {}  # that tasks run, as claims describe them
         self._fresh: dict[str, m.RtpuStatus] = {}  # for the next `refresh`
+        self.accepted: Collection[legality.Code] = ()
+        """Problems for which no change is refused."""
         self._whole = False  # the tasks of every RTPU were asked for
         self._priorities: dict[str, int] = {}  # as the RTPUs have them
 
@@ -306,6 +312,8 @@ class SubsystemTasks:
         Raises:
             ModuleLoadError: The library has no such module, or it does not load.
         """
+        if self._virtual:
+            return self.files.library.load_rmod(rmod).info
         return config.info_of(rmod, partial(self._info, rtpu))
 
     def plan(self, source: RmodSource, rtpu: str | None, freq: float | None) -> Member:
@@ -364,7 +372,8 @@ class SubsystemTasks:
         """
         self.with_infos(self.model)
         problems = self._problems(change)
-        if refused := warning_dedup.refused(problems):
+        refused = warning_dedup.refused(problems)
+        if refused := [one for one in refused if one.code not in self.accepted]:
             raise legality.as_error(refused)
         return problems
 
@@ -418,14 +427,11 @@ class SubsystemTasks:
         for text in warnings:
             self.warned(text)
 
-    def create(
-        self, member: Member, freq: float | None, replaces: Sequence[str] = ()
-    ) -> m.TaskStatus:
+    def create(self, member: Member, replaces: Sequence[str] = ()) -> m.TaskStatus:
         """Spawn one task and enter it into the task model.
 
         Args:
             member: The task.
-            freq: Hz; None: as its RMOD says.
             replaces: Tasks that leave, whose constants it takes over.
 
         Raises:
@@ -437,7 +443,7 @@ class SubsystemTasks:
             task=member.name,
             rmod=member.source.text,
             rmod_name=f"{member.name}.rmod",
-            freq=freq,
+            freq=member.freq or None,
             crit=member.rmod.crit,
             priority=priorities[member.name],
             effc=soft.seconds if soft else None,

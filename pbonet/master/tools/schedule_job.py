@@ -7,8 +7,9 @@ control law meets the delays and missed cycles of its schedule, the same ones ea
 
 from __future__ import annotations
 
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
@@ -17,15 +18,14 @@ from pbonet.config import Library, TaskType
 from pbonet.errors import ConfigFileError, PbonetError, SeveralError
 from pbonet.io import no_devices
 from pbonet.master.configuration import Files, here, planned
-from pbonet.master.sim import BEGIN_NS, REASON, Simulation
+from pbonet.master.sim import BEGIN_NS, REASON
+from pbonet.master.subsystem import Subsystem
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Generator, Iterable
 
-    from pbonet.config import JobTask
-    from pbonet.master.configuration import Member
-    from pbonet.master.sim import VirtualTask
+    from pbonet.master.sim import VirtualRtpus
 
 _LOADS = frozenset({
     legality.Code.OVERLOAD,
@@ -77,24 +77,17 @@ def simulate(
     verdict.check()
     told = [*parts.warnings, *map(legality.as_text, verdict.warnings)]
     told += [_no_work(task) for task in verdict.after.running if _is_idle(task)]
-    run = Timed(path, folders) if code else None
-    with no_devices(REASON):
-        if run is not None:
-            run.start()
-        try:
-            outcome = legality.simulate_job(
-                verdict.after,
-                seconds=seconds,
-                times=times,
-                seed=seed,
-                assume=assume,
-                code=run,
-            )
-        finally:
-            if run is not None:
-                run.stop()
-                run.close()
-    return outcome, [*told, *(run.events if run else [])]
+    modules = _running(path, folders, told) if code else nullcontext()
+    with no_devices(REASON), modules as run:
+        outcome = legality.simulate_job(
+            verdict.after,
+            seconds=seconds,
+            times=times,
+            seed=seed,
+            assume=assume,
+            code=run,
+        )
+    return outcome, told
 
 
 def _is_idle(task: legality.Task) -> bool:
@@ -119,64 +112,83 @@ def without_loads(verdict: legality.Verdict) -> legality.Verdict:
     return structs.replace(verdict, problems=problems)
 
 
-class Timed(Simulation):
-    """The modules of a job, run when the schedule says so; a `verify.ModuleCode`.
+@contextmanager
+def _running(
+    path: str | Path, folders: list[str | Path], told: list[str]
+) -> Generator[ScheduledModules]:
+    """Have a job be ON in virtual time, and give what runs its modules.
+
+    Nothing of a schedule depends on fallbacks, so they are left out.
+
+    Args:
+        path: The ``.job`` file.
+        folders: Of module libraries.
+        told: Takes what is to be said of the run.
+    """
+    subsystem = Subsystem(path, libraries=folders, virtual=True, warned=lambda _: None)
+    simulation = subsystem.simulation
+    assert simulation is not None  # noqa: S101 - it is virtual
+    simulation.world.simulated = list(TaskType)
+    job = subsystem.files.read_job()
+    told += [
+        f"the fallback {task.fallback} of {task.rmod} is not simulated"
+        for task in job.tasks
+        if task.fallback is not None
+    ]
+    tasks = tuple(structs.replace(task, fallback=None) for task in job.tasks)
+    subsystem.files.job = structs.replace(job, tasks=tasks)
+    try:
+        subsystem.open()
+        subsystem.task_set.accepted = _LOADS
+        subsystem.start()
+        try:
+            yield ScheduledModules(simulation)
+        finally:
+            subsystem.stop()
+    finally:
+        subsystem.detach()
+        simulation.close()
+        told += simulation.events
+
+
+class ScheduledModules:
+    """The modules of a job, run when the schedule says so; a `legality.ModuleCode`.
 
     A server's cycle runs for each event that the schedule has, and that of a background
     task for each piece of work; its `sync`, as that of a synchronous task, waits for
     nothing here and is not called.
     """
 
-    simulated: ClassVar[tuple[TaskType, ...]] = (
-        *Simulation.simulated,
-        TaskType.DEFERRABLE,
-        TaskType.SPORADIC,
-        TaskType.BACKGROUND,
-    )
-
-    def _members(self, task: JobTask) -> list[Member]:
-        """Return a task; nothing of a schedule depends on its fallback."""
-        if task.fallback is not None:
-            told = f"the fallback {task.fallback} of {task.rmod} is not simulated"
-            self.events.append(told)
-        return [self._member(task)]
+    def __init__(self, rtpus: VirtualRtpus) -> None:
+        self._rtpus = rtpus
+        self._hosts = {
+            host.spec.task: host
+            for rtpu in rtpus.rtpus.values()
+            for host in rtpu.hosts.values()
+        }
 
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
         """Run a cycle on the inputs of this instant; its outputs are held."""
         del now_ns  # a cycle gets its release time, as on an RTPU
-        if self.states()[task] is not State.ON:
+        host = self._hosts[task]
+        if host.executor.state is not State.ON:
             return False
-        self._pass(BEGIN_NS + release_ns)
-        host = self._host(task)
+        self._rtpus.set_time(BEGIN_NS + release_ns)
         host.local.held = True
-        periodic = self.task(task).freq > 0
-        host.core.grant(host.slot.index, self.now_ns, periodic=periodic)
+        host.core.grant(
+            host.slot.index, self._rtpus.now_ns, periodic=host.spec.freq > 0
+        )
         host.run()
-        self._loop.run()
-        on = self.states()[task] is State.ON
+        self._rtpus.world.loop.run()
+        on = host.executor.state is State.ON
         if not on:
             host.local.publish()
         return on
 
     def end(self, task: str, now_ns: int) -> None:
         """Publish the outputs of the cycle that ends."""
-        self._pass(BEGIN_NS + now_ns)
-        self._host(task).local.publish()
-
-    def step(self, end_ns: float) -> bool:
-        """Let nothing come of time itself: the schedule says when cycles run."""
-        del end_ns
-        self._loop.run()
-        return False
-
-    def _host(self, task: str) -> VirtualTask:
-        hosts = self.rtpus[self.task(task).rtpu].hosts.values()
-        return next(host for host in hosts if host.spec.task == task)
-
-    def _judged(self, change: legality.Change) -> legality.Verdict:
-        """Judge the job but for its load; its warnings are reported by `simulate`."""
-        verdict = without_loads(super()._judged(change))
-        return structs.replace(verdict, problems=verdict.refused)
+        self._rtpus.set_time(BEGIN_NS + now_ns)
+        self._hosts[task].local.publish()
 
 
 def write_svg(outcome: legality.JobOutcome, path: Path, show_ns: int = 0) -> list[Path]:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_job import simulate
 from watching import wait_for
 
 from pbonet.errors import ParameterError
-from pbonet.master.sim.simulation import simulate
 from pbonet.master.subsystem.subsystem import Subsystem
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "servoing"

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_job import simulate
 
 from pbonet.log import COLUMNS, Cycles, Log
 from pbonet.master import Subsystem
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
-from pbonet.master.sim.simulation import simulate
 from pbonet.shm import folder
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_job import VirtualJob, simulate
 
-from pbonet import State
 from pbonet.log import STABLE
 from pbonet.master.sim.sim_recording import Recording
-from pbonet.master.sim.simulation import Simulation, simulate
 
 ROOT = Path(__file__).parents[3]
 JOB = ROOT / "examples" / "puma" / "puma.job"
@@ -87,7 +86,7 @@ def test_two_runs_are_equal_bit_for_bit_even_in_two_processes(
     recording: Recording,
 ) -> None:
     script = (
-        f"import sys; sys.path[:0] = [r'{Path(__file__).parent}', r'{ROOT}']\n"
+        f"import sys; sys.path[:0] = {sys.path}\n"
         "from test_sim_puma import JOB, digest, simulate\n"
         "print(digest(simulate(JOB, 2.0)))\n"
     )
@@ -108,22 +107,22 @@ def test_two_runs_are_equal_bit_for_bit_even_in_two_processes(
 
 
 def test_robot_interface_holds_the_arm_when_gravity_compensation_fails() -> None:
-    simulation = Simulation(JOB)
+    simulation = VirtualJob(JOB)
     simulation.start()
-    simulation.advance(3.0)
+    simulation.wait(3.0)
     assert not simulation.table.illegal
-    simulation.signal("grav_comp", "off")
+    simulation.control("grav_comp", "off")
     causes = [one.cause for one in simulation.table.illegal]
-    assert causes == ["puma_pidg reads T_GRAV, which no task writes"]
-    simulation.advance(2.0)
+    assert causes == ["equation 2: no task writes T_GRAV for puma_pidg"]
+    simulation.wait(2.0)
     stood = simulation.table.read("Q_MEZ")
-    simulation.advance(2.0)
+    simulation.wait(2.0)
     assert simulation.table.read("Q_MEZ") == pytest.approx(stood, abs=5e-3)
-    simulation.signal("grav_comp", "on")
-    simulation.advance(3.0)
+    simulation.control("grav_comp", "on")
+    simulation.wait(3.0)
     assert not simulation.table.illegal
     simulation.stop()
-    assert set(simulation.states().values()) == {State.NOT_CREATED}
+    assert simulation.states() == {}
 
     arrays = simulation.recording.arrays("puma_pidg")
     stable = arrays["flags"] == STABLE
@@ -137,20 +136,21 @@ def test_robot_interface_holds_the_arm_when_gravity_compensation_fails() -> None
 
 
 def test_gains_can_be_set_while_it_runs() -> None:
-    simulation = Simulation(JOB)
+    simulation = VirtualJob(JOB)
     simulation.start()
-    simulation.advance(0.5)
-    assert simulation.set("puma_pidg", "kp", "2000") == [2000.0]
-    simulation.advance(0.5)
+    simulation.wait(0.5)
+    (kp,) = simulation.set("puma_pidg", "kp", 2000)
+    assert kp.value == [2000.0]
+    simulation.wait(0.5)
     simulation.stop()
     assert simulation.events == []
 
 
 def test_status_says_how_far_it_is() -> None:
-    simulation = Simulation(JOB)
+    simulation = VirtualJob(JOB)
     simulation.start()
-    simulation.advance(1.0)
-    status = {t.task: t for rtpu in simulation.status() for t in rtpu.tasks}
+    simulation.wait(1.0)
+    status = {t.task: t for rtpu in simulation.rtpu_status() for t in rtpu.tasks}
     assert {name: t.cycle for name, t in status.items()} == {
         "puma_pidg": 500,
         "grav_comp": 250,
@@ -160,7 +160,7 @@ def test_status_says_how_far_it_is() -> None:
     assert {t.state for t in status.values()} == {"ON"}
     assert status["puma_pidg"].rtpu == "arm0"
     assert status["puma_pidg"].mez_f == pytest.approx(500.0)
-    assert {rtpu.backend for rtpu in simulation.status()} == {"inline"}
+    assert {rtpu.backend for rtpu in simulation.rtpu_status()} == {"inline"}
     simulation.stop()
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from virtual_job import VirtualJob
 
 from pbonet import State
 from pbonet.errors import (
@@ -14,38 +15,37 @@ from pbonet.errors import (
     UnknownTaskError,
     VerificationError,
 )
-from pbonet.master.sim.simulation import Simulation
 
 JOB = Path(__file__).parents[3] / "examples" / "servoing" / "inverse.job"
 SWAP = [("puma_inv_kin", "off"), ("damped_ls", "on"), ("qrint", "on")]
 
 
 @pytest.fixture
-def simulation() -> Simulation:
-    simulation = Simulation(JOB)
+def simulation() -> VirtualJob:
+    simulation = VirtualJob(JOB)
     simulation.start()
     simulation.spawn("damped_ls", "arm1")
     simulation.spawn("qrint", "arm1")
-    simulation.advance(0.1)
+    simulation.wait(0.1)
     return simulation
 
 
-def test_a_task_that_is_spawned_is_off_and_known(simulation: Simulation) -> None:
+def test_a_task_that_is_spawned_is_off_and_known(simulation: VirtualJob) -> None:
     assert simulation.states()["damped_ls"] is State.OFF
-    assert simulation.task("qrint").rtpu == "arm1"
+    assert simulation.status("qrint").rtpu == "arm1"
     assert len(simulation.recording.arrays("puma_inv_kin")["cycle"]) == 10
-    with pytest.raises(StateError, match="has a task qrint already"):
+    with pytest.raises(StateError, match="there is a task qrint already"):
         simulation.spawn("qrint")
 
 
-def test_a_list_is_carried_out_at_one_instant(simulation: Simulation) -> None:
+def test_a_list_is_carried_out_at_one_instant(simulation: VirtualJob) -> None:
     assert simulation.reconfig(SWAP) == {
         "puma_inv_kin": State.OFF,
         "damped_ls": State.ON,
         "qrint": State.ON,
     }
     assert not simulation.table.illegal
-    simulation.advance(0.1)
+    simulation.wait(0.1)
     simulation.stop()
     assert simulation.events == []
     for task in ("puma_pidg", "forward_kin", "target", "qrdiff", "grav_comp"):
@@ -55,9 +55,9 @@ def test_a_list_is_carried_out_at_one_instant(simulation: Simulation) -> None:
     assert len(simulation.recording.arrays("qrint")["cycle"]) == 10
 
 
-def test_velocity_is_handed_over_but_not_left_behind(simulation: Simulation) -> None:
+def test_velocity_is_handed_over_but_not_left_behind(simulation: VirtualJob) -> None:
     simulation.reconfig(SWAP)
-    simulation.advance(2.0)
+    simulation.wait(2.0)
     assert np.abs(simulation.table.read("Q^_CMD")).max() > 0.1
     simulation.reconfig([
         ("qrint", "off"),
@@ -68,7 +68,7 @@ def test_velocity_is_handed_over_but_not_left_behind(simulation: Simulation) -> 
     simulation.stop()
 
 
-def test_a_list_that_would_end_illegal_is_refused_whole(simulation: Simulation) -> None:
+def test_a_list_that_would_end_illegal_is_refused_whole(simulation: VirtualJob) -> None:
     before = simulation.states()
     with pytest.raises(VerificationError, match="Q_REF"):
         simulation.reconfig([("damped_ls", "on"), ("qrint", "on")])
@@ -78,7 +78,7 @@ def test_a_list_that_would_end_illegal_is_refused_whole(simulation: Simulation) 
     simulation.stop()
 
 
-def test_an_item_that_fails_is_told_with_what_was_done(simulation: Simulation) -> None:
+def test_an_item_that_fails_is_told_with_what_was_done(simulation: VirtualJob) -> None:
     with pytest.raises(ReconfigError) as caught:
         simulation.reconfig([("target", "off"), ("target", "off"), ("target", "on")])
     assert caught.value.done == 1

@@ -7,6 +7,7 @@ from textwrap import dedent
 
 import numpy as np
 import pytest
+from virtual_job import VirtualJob
 
 from pbonet import State
 from pbonet.errors import (
@@ -18,7 +19,6 @@ from pbonet.errors import (
     UnknownTaskError,
     VerificationError,
 )
-from pbonet.master.sim.simulation import Simulation
 from pbonet.master.sim.virtual_loop import BEGIN_NS
 
 HEAD = """
@@ -103,7 +103,7 @@ class Shop:
             text.append("TASKTYPE periodic")
         (self.folder / f"{name}.rmod").write_text("\n".join([*text, *rest, "EOF\n"]))
 
-    def job(self, *tasks: str) -> Simulation:
+    def job(self, *tasks: str) -> VirtualJob:
         """Write job, subsystem and table, and open the job."""
         sbs = ["SUBSYSTEM shop", "SVARFILE shop.svar"]
         sbs += [f"RTPU {name}" for name in self.rtpus]
@@ -112,7 +112,7 @@ class Shop:
         lines = ["JOB test", "DESC test", "SBS shop.sbs"]
         lines += [f"TASK {task}" for task in tasks]
         (self.folder / "test.job").write_text("\n".join([*lines, "EOF\n"]))
-        return Simulation(self.folder / "test.job", [self.folder / "lib"])
+        return VirtualJob(self.folder / "test.job", [self.folder / "lib"])
 
 
 @pytest.fixture
@@ -179,11 +179,11 @@ def test_rates_divide_the_time_and_dt_says_so(shop: Shop) -> None:
 def test_time_may_pass_in_pieces(shop: Shop) -> None:
     whole, pieces = shop.job("source a"), shop.job("source a")
     whole.start()
-    whole.advance(0.5)
+    whole.wait(0.5)
     pieces.start()
     for _ in range(100):
-        pieces.advance(0.005)
-    assert pieces.now_ns == whole.now_ns
+        pieces.wait(0.005)
+    assert pieces.clock.now() == whole.clock.now()
     for name, values in whole.recording.arrays("source").items():
         assert np.array_equal(pieces.recording.arrays("source")[name], values)
 
@@ -204,20 +204,20 @@ def test_turning_on_again_begins_anew(shop: Shop) -> None:
     shop.module("steps", STEPS, "OUTVAR Y", "FREQ 10")
     simulation = shop.job("steps a")
     simulation.start()
-    simulation.advance(1.0)
+    simulation.wait(1.0)
     for seconds, cycles in ((7.0, 10), (1.0, 10)):
-        (status,) = simulation.status()[0].tasks
+        (status,) = simulation.rtpu_status()[0].tasks
         assert (status.cycle, status.warn) == (cycles, 2)
         assert status.ptime == pytest.approx(1.0)
         assert status.mez_f == pytest.approx(10.0)
         assert status.warning == simulation.events[0].partition(": ")[2]
-        simulation.signal("steps", "off")
-        simulation.advance(seconds)
-        (status,) = simulation.status()[0].tasks
+        simulation.control("steps", "off")
+        simulation.wait(seconds)
+        (status,) = simulation.rtpu_status()[0].tasks
         assert (status.cycle, status.state) == (cycles, State.OFF)
         assert status.ptime == pytest.approx(1.0), "time stands while it is OFF"
-        simulation.signal("steps", "on")
-        simulation.advance(1.0)
+        simulation.control("steps", "on")
+        simulation.wait(1.0)
     dts = simulation.recording.arrays("steps")["Y"].ravel()
     assert dts == pytest.approx(np.full(30, 0.1)), "not the time it was OFF"
 
@@ -241,7 +241,7 @@ def test_failed_init_undoes_everything(shop: Shop) -> None:
     simulation = shop.job("source a", "broken a")
     with pytest.raises(MethodError, match="RuntimeError: no such thing"):
         simulation.start()
-    assert set(simulation.states().values()) == {State.NOT_CREATED}
+    assert simulation.states() == {}
 
 
 FRAGILE = """
@@ -269,7 +269,7 @@ def test_error_in_a_cycle_stops_that_task_and_makes_critical_ones_stable(
     shop.module("fragile", FRAGILE.format(what=what), "OUTVAR Y", "FREQ 100")
     simulation = shop.job("fragile a", "sink b")
     simulation.start()
-    simulation.advance(0.2)
+    simulation.wait(0.2)
     assert simulation.states() == {"fragile": State.ERROR, "sink": State.ON}
     assert simulation.recording.arrays("fragile")["Y"].ravel().tolist() == [1, 2, 3, 4]
     assert simulation.table.read("Y").tolist() == [4.0], "the last good value stands"
@@ -277,14 +277,14 @@ def test_error_in_a_cycle_stops_that_task_and_makes_critical_ones_stable(
     assert z.tolist() == [1.0, 2.0, 3.0, 4.0] + [-1.0] * 16
     assert any("fragile" in event for event in simulation.events)
 
-    assert simulation.signal("fragile", "clear") is State.OFF
+    assert simulation.control("fragile", "clear").state == "OFF"
     simulation.table.write("Y", [10.0])  # an operator removes the cause
-    simulation.signal("fragile", "on")
+    simulation.control("fragile", "on")
     assert not simulation.table.illegal
-    simulation.advance(0.02)
+    simulation.wait(0.02)
     assert simulation.table.read("Z").tolist() == [12.0]
     simulation.stop()
-    assert set(simulation.states().values()) == {State.NOT_CREATED}
+    assert simulation.states() == {}
 
 
 def test_module_turns_itself_off_and_can_be_turned_on_again(shop: Shop) -> None:
@@ -305,12 +305,12 @@ def test_module_turns_itself_off_and_can_be_turned_on_again(shop: Shop) -> None:
     )
     simulation = shop.job("goal a")
     simulation.start()
-    simulation.advance(2.0)
+    simulation.wait(2.0)
     assert simulation.states() == {"goal": State.OFF}
     assert simulation.table.read("Y").tolist() == [3.0]
     assert simulation.events == ["0.300 s goal: OFF: there"]
-    simulation.signal("goal", "on")
-    simulation.advance(2.0)
+    simulation.control("goal", "on")
+    simulation.wait(2.0)
     assert simulation.table.read("Y").tolist() == [6.0]
     cycles = simulation.recording.arrays("goal")["cycle"].tolist()
     assert cycles == [1, 2, 3, 1, 2, 3], "counted since it was turned on"
@@ -331,7 +331,7 @@ def test_limits_of_variables_hold(
     shop.limits = limits
     simulation = shop.job("source a")
     simulation.start()
-    simulation.advance(0.1)
+    simulation.wait(0.1)
     assert simulation.states() == {"source": state}
     assert simulation.table.read("Y").tolist() == [last]
     simulation.stop()
@@ -347,7 +347,7 @@ def test_nan_is_outside_of_no_limit_but_finite_judges_it(
     )
     simulation = shop.job("nan a")
     simulation.start()
-    simulation.advance(0.1)
+    simulation.wait(0.1)
     assert simulation.states() == {"nan": state}
     assert np.isnan(simulation.table.read("Y")).all() == (finite == "no")
 
@@ -372,18 +372,18 @@ def test_synchronous_task_runs_at_its_rate(shop: Shop) -> None:
 
 def test_what_cannot_be_simulated_says_so(shop: Shop) -> None:
     lines = ["TASKTYPE sporadic", "FREQ 10", "CAPACITY 0.01"]
-    shop.rmod("server", "source", "OUTVAR Y", *lines)
+    shop.module("server", SOURCE + WAITS, "OUTVAR Y", *lines)
     with pytest.raises(NodeError, match="a sporadic task cannot be simulated"):
         shop.job("server a").start()
     shop.rmod("lost", "nowhere", "OUTVAR Y", "FREQ 10")
     with pytest.raises(ModuleLoadError, match="no module nowhere"):
         shop.job("lost a").start()
-    with pytest.raises(PbonetError, match="c, which the subsystem does not have"):
+    with pytest.raises(PbonetError, match="shop has no RTPU c"):
         shop.job("source c").start()
     with pytest.raises(ConfigError, match="no RMOD nothing"):
         shop.job("nothing a").start()
     with pytest.raises(UnknownTaskError, match="no task sink"):
-        shop.job("source a").signal("sink", "on")
+        shop.job("source a").control("sink", "on")
 
 
 def test_off_follows_the_job_s_order(
@@ -417,7 +417,7 @@ def test_off_follows_the_job_s_order(
     simulation = shop.job("first a", "second a")
     path = shop.folder / "test.job"
     path.write_text(path.read_text().replace("EOF", "OFF second first\nEOF"))
-    simulation = Simulation(path, [shop.folder / "lib"])
+    simulation = VirtualJob(path, [shop.folder / "lib"])
     simulation.run(0.5)
     out = capsys.readouterr().out.split("\n")
     assert out[:4] == ["off second", "off first", "kill second", "kill first"]
@@ -440,8 +440,8 @@ def test_inputs_grow_old_in_virtual_time(shop: Shop) -> None:
         shop.limits = limits
         simulation = shop.job("source a", "stale a")
         simulation.start()
-        simulation.advance(0.1)
-        simulation.signal("source", "off")  # which writes once more
-        simulation.advance(0.1)
+        simulation.wait(0.1)
+        simulation.control("source", "off")  # which writes once more
+        simulation.wait(0.1)
         z = simulation.recording.arrays("stale")["Z"].ravel()
         assert z.tolist() == seen

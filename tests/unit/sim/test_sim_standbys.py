@@ -7,6 +7,7 @@ from textwrap import dedent
 
 import numpy as np
 import pytest
+from virtual_job import VirtualJob
 
 from pbonet import State
 from pbonet.errors import (
@@ -21,7 +22,6 @@ from pbonet.errors import (
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.prompt import Prompt
 from pbonet.master.console.run_job import run
-from pbonet.master.sim.simulation import Simulation
 from pbonet.master.sim.virtual_loop import BEGIN_NS
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.master.tools.schedule_job import simulate
@@ -119,13 +119,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def started(folder: Path) -> Simulation:
-    simulation = Simulation(folder / "j.job", [folder])
+def started(folder: Path) -> VirtualJob:
+    simulation = VirtualJob(folder / "j.job", [folder])
     simulation.start()
     return simulation
 
 
-def releases(simulation: Simulation, task: str) -> list[float]:
+def releases(simulation: VirtualJob, task: str) -> list[float]:
     """Return the releases of a task, ms after the beginning."""
     arrays = simulation.recording.arrays(task)
     return [round((one - BEGIN_NS) / MS, 3) for one in arrays["release_ns"].tolist()]
@@ -134,12 +134,12 @@ def releases(simulation: Simulation, task: str) -> list[float]:
 def test_at_the_instant_of_the_error_it_runs_in_the_lost_cycle_s_place(folder):
     simulation = started(folder)
     assert simulation.states()["second"] is State.OFF
-    assert [one.stands_by for one in simulation.status()[0].tasks] == [
+    assert [one.stands_by for one in simulation.rtpu_status()[0].tasks] == [
         False,
         True,
         False,
     ]
-    simulation.advance(0.1)
+    simulation.wait(0.1)
     last = releases(simulation, "first")[-1]
     assert releases(simulation, "second")[:3] == [last + 10, last + 20, last + 30]
     assert simulation.states() == {
@@ -160,7 +160,7 @@ def test_at_the_instant_of_the_error_it_runs_in_the_lost_cycle_s_place(folder):
 def test_a_slower_one_begins_at_once_and_goes_on_with_its_own_grid(folder):
     source(folder, "second", freq=40)  # 25 ms; the error comes 10 ms into a period
     simulation = started(folder)
-    simulation.advance(0.2)
+    simulation.wait(0.2)
     at = releases(simulation, "first")[-1] + 10
     first, second, *_ = releases(simulation, "second")
     assert first == at
@@ -171,7 +171,7 @@ def test_a_slower_one_begins_at_once_and_goes_on_with_its_own_grid(folder):
 def test_one_that_fails_too_leaves_the_flag_up_and_others_their_turns(folder):
     source(folder, "second", REFUSES="yes")
     simulation = started(folder)
-    simulation.advance(0.2)
+    simulation.wait(0.2)
     assert simulation.states()["second"] is State.ERROR
     assert simulation.table.illegal
     assert simulation.display(["Z"])[0].values == [-1.0]
@@ -184,26 +184,26 @@ def test_one_that_fails_too_leaves_the_flag_up_and_others_their_turns(folder):
 def test_nothing_flaps(folder):
     simulation = started(folder)
     for time in (1, 2, 3):
-        simulation.advance(0.1)
+        simulation.wait(0.1)
         assert f"time {time} of 3" in simulation.events[-1]
-        simulation.signal("first", "clear")
+        simulation.control("first", "clear")
         assert simulation.states()["second"] is State.ON, "nobody takes its place back"
         simulation.reconfig([("second", "off"), ("first", "on")])
     assert simulation.events[-1].endswith("second will not stand by again")
-    simulation.advance(0.1)
+    simulation.wait(0.1)
     assert simulation.states()["first"] is State.ERROR
     assert simulation.states()["second"] is State.OFF
 
 
 def test_what_is_ended_in_order_is_not_replaced(folder):
     simulation = started(folder)
-    simulation.advance(0.02)
-    simulation.signal("first", "off")
-    simulation.advance(0.1)
+    simulation.wait(0.02)
+    simulation.control("first", "off")
+    simulation.wait(0.1)
     assert simulation.states()["second"] is State.OFF
-    simulation.signal("first", "on")
-    simulation.signal("second", "kill")
-    simulation.advance(0.1)
+    simulation.control("first", "on")
+    simulation.control("second", "kill")
+    simulation.wait(0.1)
     assert simulation.states()["first"] is State.ERROR
 
 

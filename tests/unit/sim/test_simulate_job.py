@@ -10,6 +10,7 @@ from test_sim_rules import SINK, SOURCE, Shop
 
 from pbonet.analysis.legality import Times
 from pbonet.errors import SeveralError, VerificationError
+from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.master.tools import schedule_job
 
 Y, Z = "OUTVAR Y", "OUTVAR Z"
@@ -98,13 +99,13 @@ def values(shop, seconds, name):
     path = shop.folder / "test.job"
     found = []
 
-    class Watched(schedule_job.Timed):
+    class Watched(Subsystem):
         def stop(self):
-            found.append(float(self.table.read(name)[0]))
-            super().stop()
+            found.append(self.display(name)[0].values[0])
+            return super().stop()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(schedule_job, "Timed", Watched)
+        patch.setattr(schedule_job, "Subsystem", Watched)
         outcome, told = schedule_job.simulate(
             path, seconds, [shop.folder / "lib"], code=True
         )
