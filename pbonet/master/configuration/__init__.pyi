@@ -1,4 +1,4 @@
-from . import conditions as conditions, environment as environment
+from . import environment as environment
 from .adopt_times import Adopted as Adopted, adopt as adopt
 from .check_files import check_file as check_file, planned as planned
 from .clock import Clock as Clock, RealClock as RealClock

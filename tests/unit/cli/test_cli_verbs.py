@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -134,8 +135,7 @@ def test_rtpu_misspelt_in_a_job_is_said_of_the_job(call, tmp_path, words):
     verb, *options = words
     status, out, err = call(verb, str(job), *options)
     assert status == 1
-    assert f"{job}:{line}:1: task grav_comp is to run on arm11" in out + err
-    assert "did you mean arm1?" in out + err
+    assert re.search(rf"{job}:{line}:1: .* arm11\b.*; did you mean arm1\?", out + err)
 
 
 def test_a_module_that_is_missing_is_told_at_the_line_that_names_it(call, tmp_path):
