@@ -234,6 +234,9 @@ def test_modules_and_events_are_listed(pbonet):
     assert (done.returncode, done.stdout) == (0, "no events\n")
     told = "WARNING> no event has the code WARNIGN; did you mean WARNING?\n"
     assert done.stderr == told
+    done = pbonet("events", "--task", "NOSUCH")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "the subsystem has no task NOSUCH" in done.stderr
     with_data = json.loads(pbonet("events", "--code", "WARNIGN", "--json").stdout)
     assert with_data["warnings"] == [told.removeprefix("WARNING> ").strip()]
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec import Struct
+from msgspec.structs import asdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +20,11 @@ class Place(Struct, frozen=True, kw_only=True):
     connect: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
     take_over: bool = False
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The arguments by which `Subsystem` finds it."""
+        return asdict(self)
 
 
 class Told(NamedTuple):

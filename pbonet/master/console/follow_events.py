@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, UnknownTaskError
 from pbonet.master.subsystem import EventFilter, Subsystem, since
 from pbonet.xm.net import messages as m
 
@@ -57,10 +57,20 @@ class Follower:
         for rtpu in self._subsystem.clients.names:
             found += self._of(rtpu)
         if self.doubt is None:
-            self.doubt = self._wanted.doubt(found)
+            self.doubt = self._wanted.doubt(found) or self._no_task(found)
         mine = {"", self._subsystem.name}
         chosen = [e for e in found if e.subsystem in mine and self._wanted(e)]
         return sorted(chosen, key=lambda event: (event.wall, event.n))
+
+    def _no_task(self, found: Iterable[m.Event]) -> str:
+        """Return a warning of a task that neither is there nor has events."""
+        task = self._wanted.task
+        if task is not None and not any(event.task == task for event in found):
+            try:
+                self._subsystem.task_set.locate(task)
+            except UnknownTaskError as error:
+                return str(error)
+        return ""
 
     def complaints(self) -> dict[str, str]:
         """Return the RTPUs that do not answer now, and why."""
@@ -126,9 +136,7 @@ def follow(
     wanted = EventFilter.of(given)
     subsystem = Subsystem(
         path,
-        domain=place.domain,
-        connect=place.connect,
-        libraries=place.libraries,
+        **place.arguments,
         kind="events",
         watch=True,
     )

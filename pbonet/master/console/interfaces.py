@@ -64,11 +64,8 @@ def run(
     texts = [(name, _read(name)) for name in scripts]
     subsystem = Subsystem(
         path,
-        domain=place.domain,
-        connect=place.connect,
-        libraries=place.libraries,
+        **place.arguments,
         kind="sbs",
-        take_over=place.take_over,
         warned=lambda text: render.print_error(render.warning(text)),
     )
     failed = False

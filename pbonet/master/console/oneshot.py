@@ -43,12 +43,9 @@ def run(
     opening: list[str] = []
     subsystem = Subsystem(
         path,
-        domain=place.domain,
-        connect=place.connect,
-        libraries=place.libraries,
+        **place.arguments,
         kind=command.replace(" ", "-"),
         watch=not call.changes,
-        take_over=place.take_over,
         partly=not call.judged,
         warned=opening.append,
     )

@@ -129,10 +129,7 @@ class Run:
     def _steer(self) -> Outcome:
         subsystem = Subsystem(
             self._path,
-            domain=self._place.domain,
-            connect=self._place.connect,
-            libraries=self._place.libraries,
-            take_over=self._place.take_over,
+            **self._place.arguments,
             kind="run",
             warned=lambda text: self._view.say(render.warning(text)),
             record=self._record,

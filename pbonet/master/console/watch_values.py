@@ -135,9 +135,7 @@ def display(
     call = Call(command, convert(command, given))
     subsystem = Subsystem(
         path,
-        domain=place.domain,
-        connect=place.connect,
-        libraries=place.libraries,
+        **place.arguments,
         kind="display",
         watch=True,
     )

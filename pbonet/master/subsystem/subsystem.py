@@ -1155,6 +1155,7 @@ class Subsystem:
         Raises:
             StateError: The severity does not exist, or `since` is neither a number nor
                 an age.
+            UnknownTaskError: The task does not exist and has no events.
             SeveralError: RTPUs did not report their events.
         """
         given = {"task": task, "code": code, "severity": severity, "since": since}
@@ -1170,6 +1171,8 @@ class Subsystem:
         if doubt := wanted.doubt(found):
             self._warn(doubt)
         mine = [event for event in found if event.subsystem in {"", self.name}]
+        if task is not None and not any(event.task == task for event in mine):
+            self.task_set.locate(task)  # one that has ended may have events
         chosen = sorted(filter(wanted, mine), key=lambda event: (event.wall, event.n))
         return chosen if last is None else chosen[max(0, len(chosen) - last) :]
 

@@ -189,9 +189,7 @@ def view(
     session.check_endpoint(f"tcp/{host}:{where.port or 1}", insecure=insecure)
     subsystem = Subsystem(
         path,
-        domain=place.domain,
-        connect=place.connect,
-        libraries=place.libraries,
+        **place.arguments,
         kind="view",
         watch=True,
     )

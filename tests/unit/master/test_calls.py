@@ -13,12 +13,15 @@ from pbonet.errors import (
     NoAnswerError,
     PbonetError,
     StateError,
+    UnknownTaskError,
     VerificationError,
 )
 from pbonet.master import Subsystem
 from pbonet.master.console.command_session import CommandSession
 from pbonet.master.console.commands import COMMANDS, Command, Use
+from pbonet.master.console.follow_events import Follower
 from pbonet.master.subsystem import status_fields
+from pbonet.master.subsystem.event_filter import EventFilter
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SERVOING = EXAMPLES / "servoing"
@@ -115,6 +118,23 @@ def arm(tmp_path):
             subsystem.spawn(rmod, "arm1")
         subsystem.wait(0.1)
         yield subsystem
+
+
+def test_events_of_a_task_that_never_was_are_refused(arm):
+    with pytest.raises(UnknownTaskError, match=r"no task qrin .*did you mean qrint"):
+        arm.events(task="qrin")
+    follower = Follower(arm, EventFilter(task="qrin"))
+    assert follower.take() == []
+    assert "no task qrin " in follower.doubt
+
+
+def test_events_of_a_task_that_has_ended_are_still_there(arm):
+    arm.kill("qrint")
+    assert arm.events(task="qrint", code="STATE")[-1].text == "kill: NOT-CREATED"
+    assert arm.events(task="qrint", code="FORCED") == []
+    follower = Follower(arm, EventFilter(task="qrint"))
+    assert follower.take()
+    assert follower.doubt == ""
 
 
 def call_of(subsystem, command):
