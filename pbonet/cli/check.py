@@ -16,7 +16,7 @@ def command(
     library: options.Library = None,
     json_: options.Json = False,
 ) -> int:
-    """Check files and say what is wrong with them.
+    """Check files and report their errors.
 
     Of a job it also says which deadlines are met, and which execution times that rests
     on. The status is 1 if a file is wrong.

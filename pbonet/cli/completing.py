@@ -104,7 +104,7 @@ def offers(before: list[str], last: str) -> Iterator[Offer]:
 def _place(
     verb: Verb, words: list[str]
 ) -> tuple[Parameter | None, list[Parameter], Path]:
-    """Return the option whose value comes next, the arguments to come, and the file."""
+    """Return the option that awaits a value, the arguments left, and the file."""
     options = {name: one for one in verb.options for name in one.all_names}
     places = verb.arguments
     awaited: Parameter | None = None

@@ -1,4 +1,4 @@
-"""``pbonet doctor``: what this machine lacks, and what was left on it."""
+"""``pbonet doctor``: missing rights and settings of this machine, and leftovers."""
 
 from __future__ import annotations
 

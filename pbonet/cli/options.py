@@ -93,7 +93,7 @@ ChangeTransaction = A[Place, TO_CHANGE]
 
 
 def show(text: str, data: object, *, as_data: bool) -> None:
-    """Print data as JSON, or a text in its place."""
+    """Print data as JSON, or else a text."""
     if as_data:
         import msgspec
 

@@ -95,7 +95,7 @@ def show(
 
 
 def _parameter(arg: Arg) -> Parameter:
-    """Return one argument of the table, whose words the command converts."""
+    """Return one argument of the table; the command converts its words."""
     kind = arg.name if arg.kind is Kind.WORD else arg.kind
     return Parameter(
         arg.name,

@@ -38,7 +38,7 @@ _KINDS = {
 
 
 def read_agent(path: str | Path) -> AgentConfig:
-    """Return what the ``agent.toml`` at `path` says.
+    """Read the ``agent.toml`` at `path`.
 
     Raises:
         ConfigFileError: It cannot be read.
@@ -63,7 +63,7 @@ def agent_settings(path: Path | None, told: Mapping[str, Any]) -> AgentConfig:
 
 
 def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
-    """Return what the text of an ``agent.toml`` says; `file` is its name in messages.
+    """Parse the text of an ``agent.toml``; `file` is its name in messages.
 
     Raises:
         ConfigError: It is not TOML, or says something that cannot be.
@@ -96,7 +96,7 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
 
 
 def agent_text(config: AgentConfig) -> str:
-    """Return an ``agent.toml`` that says what an agent goes by, defaults included."""
+    """Return an ``agent.toml`` with all settings of an agent, defaults included."""
     fields: dict[str, Any] = msgspec.to_builtins(config)
     events: dict[str, str] = fields.pop("events")
     lines = [f"{k} = {_value(v)}" for k, v in fields.items() if v is not None]
@@ -110,7 +110,7 @@ def agent_text(config: AgentConfig) -> str:
 
 
 def _value(value: object) -> str:
-    """Return a value as TOML has it; strings, numbers and lists are JSON's there."""
+    """Return a value in TOML; strings, numbers and lists are as in JSON."""
     return msgspec.json.encode(value).decode()
 
 
@@ -159,7 +159,7 @@ def _refuse_long_lines(text: str, file: str) -> None:
 
 
 def _place(text: str, file: str, key: str) -> Place:
-    """Return where a key of the top table stands."""
+    """Return the place of a key of the top table."""
     name = re.escape(key)
     pattern = rf"^([ \t]*\[*[ \t]*)[\"']?{name}[\"']?(?=[ \t]*[=.\]])"
     match = re.search(pattern, text, re.MULTILINE)

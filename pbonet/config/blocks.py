@@ -100,7 +100,7 @@ class Block:
 
     @property
     def places(self) -> dict[str, Place]:
-        """Where each keyword stands first."""
+        """The first place of each keyword."""
         return {keyword: lines[0].place for keyword, lines in self.lines.items()}
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def info_of(rmod: Rmod, describe: Callable[[str], ModuleInfo]) -> ModuleInfo:
-    """Return what is known about the module of an RMOD, or about its combination.
+    """Return the description of an RMOD's module or combination.
 
     Args:
         rmod: The RMOD.

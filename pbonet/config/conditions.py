@@ -63,7 +63,7 @@ _REMEDIES: dict[type[ast.AST], str] = {
 
 
 class Parsed(Struct, frozen=True):
-    """A condition that is well formed; what it names was not looked up yet."""
+    """A well-formed condition; its names are not resolved yet."""
 
     text: str
     tree: ast.expr
@@ -79,7 +79,7 @@ class Parsed(Struct, frozen=True):
         return list(dict.fromkeys(self.names.values()))
 
     def source(self, node: ast.expr) -> str:
-        """Return a part of it as it was written."""
+        """Return a part of the condition's text."""
         return self.text[node.col_offset : node.end_col_offset]
 
     def at(self, column: int) -> Place:
@@ -131,7 +131,7 @@ def parse(text: str, place: Place | None = None) -> Parsed:
 
 
 def replaced(condition: Parsed, value: Callable[[str, Place], str]) -> str:
-    """Return its text with every name replaced by what `value` says of it."""
+    """Return its text with every name replaced by `value` of it."""
     text, last = "", 0
     for column, name in sorted(condition.names.items()):
         text += condition.text[last:column] + value(name, condition.at(column))
@@ -140,7 +140,7 @@ def replaced(condition: Parsed, value: Callable[[str, Place], str]) -> str:
 
 
 def _plain(text: str) -> tuple[str, dict[int, str], dict[int, str]]:
-    """Return the text as the parser can read it, and what was put out of its way."""
+    """Return the text in a form that the parser can read, and what was replaced."""
     names: dict[int, str] = {}
     units: dict[int, str] = {}
     plain = list(text)
@@ -184,7 +184,7 @@ def _wrong(
 
 
 def _check(condition: Parsed, node: ast.AST) -> None:
-    """Refuse what is not allowed in a condition.
+    """Refuse syntax that is not allowed in a condition.
 
     Raises:
         ConfigError: This may not.
@@ -200,7 +200,7 @@ def _check(condition: Parsed, node: ast.AST) -> None:
 
 
 def _stray(condition: Parsed, node: ast.AST) -> ConfigError:
-    """Return the error for what is known to Python and not to conditions."""
+    """Return the error for Python syntax that conditions lack."""
     near: ast.AST = node
     if not hasattr(node, "col_offset"):  # an operator: show what it stands in
         near = next(

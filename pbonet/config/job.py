@@ -34,7 +34,7 @@ _TASK = "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod]"
 
 
 def read_job(path: str | Path) -> JobFile:
-    """Return what the ``.job`` file at `path` says.
+    """Read the ``.job`` file at `path`.
 
     Raises:
         ConfigFileError: It cannot be read.
@@ -44,7 +44,7 @@ def read_job(path: str | Path) -> JobFile:
 
 
 def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
-    """Return what the text of a ``.job`` file says; `file` is its name in messages.
+    """Parse the text of a ``.job`` file; `file` is its name in messages.
 
     Raises:
         ConfigError: It says something that cannot be.
@@ -134,7 +134,7 @@ def _task(reader: Reader, line: Line) -> JobTask:
 
 
 def _check_fallbacks(reader: Reader, tasks: dict[str, JobTask]) -> None:
-    """Refuse a standby that runs anyhow, or that stands by for two.
+    """Refuse a standby that the job runs already, or that has two originals.
 
     Raises:
         ConfigError: There is one.
@@ -246,7 +246,7 @@ def _off(block: Block, tasks: dict[str, JobTask]) -> tuple[str, ...]:
 
 
 def write_job(record: JobFile) -> str:
-    """Return the text of a ``.job`` file that says what `record` says.
+    """Return the text of a ``.job`` file with the content of `record`.
 
     Raises:
         ConfigError: No file can say it.

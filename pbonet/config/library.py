@@ -52,7 +52,7 @@ _RUNNING = threading.RLock()
 
 
 class LoadedModule(Struct, frozen=True):
-    """A module whose code was run."""
+    """A module that was imported."""
 
     cls: type[pbo.PortBasedObject[Any]]
     info: pbo.ModuleInfo
@@ -126,7 +126,7 @@ class Library:
         return loaded
 
     def read_rmod(self, path: str | Path) -> Rmod:
-        """Return what a ``.rmod`` file says; parts are beside it or in the library.
+        """Read a ``.rmod`` file; parts are beside it or in the library.
 
         Raises:
             ConfigFileError: It, or a part, cannot be read.
@@ -228,7 +228,7 @@ class Library:
         )
 
     def _forgotten(self, name: str) -> str:
-        """Return what to say where a module is beside the files that want it."""
+        """Return the hint if a module is beside the files that name it."""
         for folder in self.beside:
             if (folder / f"{name}.py").is_file():
                 place = folder.absolute()
@@ -236,7 +236,7 @@ class Library:
         return ""
 
     def _of_rmod(self, name: str) -> str:
-        """Return what to say where it is an RMOD that has the name."""
+        """Return the hint if an RMOD has the name."""
         with contextlib.suppress(ConfigError):
             module = self.read_rmod(self.find_rmod(name)).module
             if module != name:
@@ -263,7 +263,7 @@ class Library:
         return " or ".join(str(shelf.folder) for shelf in self.shelves)
 
     def _missing(self) -> str:
-        """Return what to say about folders that are not there."""
+        """Return the hint about missing folders."""
         gone = [str(folder) for folder in self.folders if not folder.is_dir()]
         if not gone:
             return (
@@ -394,7 +394,7 @@ def _make_package(shelf: Shelf) -> None:
 
 
 def _broken(module: str, path: Path, error: BaseException) -> ModuleLoadError:
-    """Return the error that says where the code of a module failed, and how."""
+    """Return the error of a module's code, with its place."""
     line = 0
     if isinstance(error, SyntaxError) and error.filename == str(path):
         line = error.lineno or 0

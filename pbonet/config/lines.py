@@ -61,7 +61,7 @@ def quote(text: str) -> str:
 def fault(
     what: str, place: Place, *, expected: str = "", got: str = "", remedy: str = ""
 ) -> ConfigError:
-    """Return the error that says `what` is wrong at `place`."""
+    """Return the error `what` at `place`."""
     return ConfigError(
         what, where=str(place), expected=expected, got=got, remedy=remedy
     )

@@ -15,7 +15,7 @@ from .types import numpy_type
 
 
 class Place(Struct, frozen=True, order=True):
-    """Where something stands: file name, line and column, both from 1."""
+    """A place in a file: its name, line and column, both from 1."""
 
     file: str
     line: int
@@ -143,7 +143,7 @@ class Rmod(Struct, frozen=True, kw_only=True):
         return {**kept, **self.local}
 
     def svar_name(self, port: str) -> str:
-        """Return the variable that the module's port `port` stands for."""
+        """Return the variable to which the module's port `port` is mapped."""
         return self.aliases.get(port, port)
 
 
@@ -210,7 +210,7 @@ class JobTask(Struct, frozen=True, kw_only=True):
 
     @property
     def job_places(self) -> dict[str, Place]:
-        """Where the job says what an RMOD could say too."""
+        """The places in the job of settings that an RMOD could have too."""
         return {"RTPU": self.place} if self.rtpu and self.place else {}
 
 

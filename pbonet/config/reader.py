@@ -189,7 +189,7 @@ class Reader:
             )
 
     def unknown(self, line: Line, expected: Iterable[str]) -> ConfigError:
-        """Return the error for a line whose keyword is none of the format's."""
+        """Return the error for a line with an unknown keyword."""
         expected = tuple(expected)
         return fault(
             f"unknown keyword {quote(line.keyword)}",

@@ -41,7 +41,7 @@ LISTS = ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
 
 
 def read_rmod(path: str | Path) -> Rmod:
-    """Return what the ``.rmod`` file at `path` says; parts are beside it.
+    """Read the ``.rmod`` file at `path`; parts are beside it.
 
     Raises:
         ConfigFileError: It, or a part of a combination, cannot be read.
@@ -57,7 +57,7 @@ def read_rmod(path: str | Path) -> Rmod:
 
 
 def parse_rmod(text: str | bytes, file: str) -> Rmod:
-    """Return what the text of a ``.rmod`` file says.
+    """Parse the text of a ``.rmod`` file.
 
     Args:
         text: The text; that of a combination holds its parts (`bundled`).
@@ -214,7 +214,7 @@ class _Alias(NamedTuple):
 
 
 def _aliases(block: Block, ports: dict[str, tuple[Word, ...]]) -> dict[str, str]:
-    """Return which variable stands for which port."""
+    """Return the variable of each port."""
     listed = {word.text for found in ports.values() for word in found}
     aliases: dict[str, _Alias] = {}
     for line in block.all("SVARALIAS"):
@@ -328,7 +328,7 @@ def _local(reader: Reader) -> tuple[dict[str, LocalLine], dict[str, Place]]:
 
 
 def write_rmod(record: Rmod) -> str:
-    """Return the text of a ``.rmod`` file that says what `record` says.
+    """Return the text of a ``.rmod`` file with the content of `record`.
 
     Raises:
         ConfigError: No file can say it, such as a DESC of two lines.

@@ -21,7 +21,7 @@ RTPU = Grammar("RTPU [SCHEDULER|USAGE|ERRPRINT|MINFREQ|MAXFREQ]", after=("RTPU",
 
 
 def read_sbs(path: str | Path) -> SbsFile:
-    """Return what the ``.sbs`` file at `path` says.
+    """Read the ``.sbs`` file at `path`.
 
     Raises:
         ConfigFileError: It cannot be read.
@@ -31,7 +31,7 @@ def read_sbs(path: str | Path) -> SbsFile:
 
 
 def parse_sbs(text: str | bytes, file: str = "<text>") -> SbsFile:
-    """Return what the text of a ``.sbs`` file says; `file` is its name in messages.
+    """Parse the text of a ``.sbs`` file; `file` is its name in messages.
 
     Raises:
         ConfigError: It says something that cannot be.
@@ -70,7 +70,7 @@ def _master(head: Block, rtpus: dict[str, RtpuEntry]) -> str | None:
 
 
 def _rtpu(reader: Reader, former: dict[str, RtpuEntry]) -> RtpuEntry:
-    """Return the RTPU whose block begins at the reader's next line."""
+    """Read the block of an RTPU, which begins at the reader's next line."""
     block = read_block(reader, RTPU)
     name = words.single(block["RTPU"], "the name of an RTPU")
     words.label(name, "an RTPU")
@@ -125,7 +125,7 @@ def _hertz(reader: Reader, block: Block, keyword: str, default: float) -> float:
 
 
 def write_sbs(record: SbsFile) -> str:
-    """Return the text of a ``.sbs`` file that says what `record` says.
+    """Return the text of a ``.sbs`` file with the content of `record`.
 
     Raises:
         ConfigError: No file can say it.

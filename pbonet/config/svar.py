@@ -32,7 +32,7 @@ _STRUCT = re.compile(r"struct\[([^\[\]]+)\]")
 
 
 def read_svar(path: str | Path) -> SvarFile:
-    """Return what the ``.svar`` file at `path` says.
+    """Read the ``.svar`` file at `path`.
 
     Raises:
         ConfigFileError: It cannot be read.
@@ -42,7 +42,7 @@ def read_svar(path: str | Path) -> SvarFile:
 
 
 def parse_svar(text: str | bytes, file: str = "<text>") -> SvarFile:
-    """Return what the text of a ``.svar`` file says; `file` is its name in messages.
+    """Parse the text of a ``.svar`` file; `file` is its name in messages.
 
     Raises:
         ConfigError: It says something that cannot be.
@@ -80,7 +80,7 @@ def _place(variable: Variable) -> Place:
 
 
 def _variable(reader: Reader) -> Variable:
-    """Return the variable whose block begins at the reader's next line."""
+    """Read the block of a variable, which begins at the reader's next line."""
     block = read_block(reader, GRAMMAR)
     name = words.variable(words.single(block["NAME"], "the variable's name"))
     kind = _type(reader, block["TYPE"])
@@ -272,7 +272,7 @@ def _limit(
 
 
 def write_svar(record: SvarFile) -> str:
-    """Return the text of a ``.svar`` file that says what `record` says.
+    """Return the text of a ``.svar`` file with the content of `record`.
 
     Raises:
         ConfigError: No file can say it, such as a DESC of two lines.

@@ -174,7 +174,7 @@ def _meaningless(line: Line, tasktype: TaskType, wanted: str) -> ConfigError:
 
 
 def _check_soft(block: Block, found: Timing) -> None:
-    """Refuse E of a task that may miss no cycle, and so has C in its place."""
+    """Refuse EFFC for a task that must not miss a cycle: MAXC is what counts."""
     if found.effc is not None and not found.softness:
         raise fault(
             "EFFC does not apply to a task without SOFTNESS",

@@ -38,7 +38,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 
 def single(line: Line, what: str) -> Word:
-    """Return the one word after the keyword; `what` says what it is."""
+    """Return the one word after the keyword; `what` names it in messages."""
     words = line.words
     if len(words) != 1:
         got = f"{len(words)} words" if words else "nothing"
@@ -121,7 +121,7 @@ def choice(word: Word, kinds: type[Choice], what: str) -> Choice:
 
 
 def yes(line: Line) -> bool:
-    """Return what a line of yes or no says."""
+    """Return the value of a line with yes or no."""
     word = single(line, "yes or no")
     if word.text not in {"yes", "no"}:
         raise fault(

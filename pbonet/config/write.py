@@ -26,7 +26,7 @@ def number(value: float) -> str:
 
 
 def meaning(record: msgspec.Struct) -> object:
-    """Return what a record says, without the places it was said at.
+    """Return a record without the places in its file.
 
     Two records mean the same if these are equal; NaN equals NaN here.
     """

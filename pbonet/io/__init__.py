@@ -1,4 +1,4 @@
-"""Devices as modules use them: non-blocking, bounded, with errors that say what to do.
+"""Devices for modules: non-blocking, bounded, with errors that give a remedy.
 
 Everything here may be called inside `cycle`. Nothing in this package waits for a
 device, starts a thread, or keeps a clock of its own: a module passes the time to a

@@ -57,7 +57,7 @@ class RecordedBall:
         return self._length_ns * 1e-9
 
     def poll(self, now_ns: int) -> Motion:
-        """Return the deflection that the ball had at this time of the trace.
+        """Return the ball's deflection at this time of the trace.
 
         Args:
             now_ns: The time, in nanoseconds of any one clock.

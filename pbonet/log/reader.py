@@ -277,7 +277,7 @@ class Log(Cycles):
         return lost_in(self.parts, self.clocks)
 
     def check(self) -> list[Lost]:
-        """Read what was not read yet; return all that is damaged."""
+        """Read the rest of the log; return all damage."""
         for part in self.parts:
             part.check()
         return self.damage

@@ -112,7 +112,7 @@ def pack_error(error: Exception) -> bytes:
 
 
 def unpack_error(data: bytes) -> BaseException:
-    """Return an exception as it was raised; the nearest of Python's own, if need be."""
+    """Return an exception as it was raised, or the nearest built-in one."""
     found: dict[str, Any] = msgspec.msgpack.decode(data)
     if "pbonet" in found:
         return PbonetError.from_wire(found["pbonet"])

@@ -62,7 +62,7 @@ class Player:
         return (source.number, source.calls + 1) in self._heard
 
     def go_on(self, calls: Sequence[int]) -> None:
-        """Have each source be asked as often as it was by then (`Tape.calls`)."""
+        """Bring each source to the number of calls that it had then (`Tape.calls`)."""
         for source, count in zip(self._sources, calls, strict=False):
             source.calls = count
 

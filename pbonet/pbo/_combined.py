@@ -106,7 +106,7 @@ class Combined(PortBasedObject[Params], abstract=True):
         return None
 
     def _give_up(self, number: int, answer: Answer) -> Answer:
-        """Turn off what is on, because a part cannot start."""
+        """Turn off the parts that are ON, because a part cannot start."""
 
         def rest(_: int) -> Answer:
             self._turn_off()
@@ -142,7 +142,7 @@ class Combined(PortBasedObject[Params], abstract=True):
         return answer
 
     def _turn_off(self, _: int = 0) -> None:
-        """Turn off what is on, the last one first."""
+        """Turn off the parts that are ON, the last one first."""
         for number in reversed(range(len(self.parts))):
             if self._on[number]:
                 self._on[number] = False

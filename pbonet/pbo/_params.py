@@ -372,7 +372,7 @@ def combine_params(parts: Mapping[str, type[Params]]) -> type[Params]:
 
 
 def _annotation(about: Param) -> Any:  # noqa: ANN401 - a type, as an annotation has it
-    """Return the type of a parameter as its declaration had it."""
+    """Return the type in a parameter's declaration."""
     if about.choices:
         return Literal[about.choices]
     plain: Any = {"float": float, "int": int, "bool": bool, "str": str}[about.type]
@@ -419,7 +419,7 @@ def _check_default(body: Declaring, about: Param, default: object) -> None:
 
 
 def _declare(body: Declaring, attr: str, hint: object) -> Param:
-    """Return what the annotation of one parameter says."""
+    """Return the annotation of one parameter."""
     marks = [m for m in get_args(hint)[1:] if isinstance(m, Param)]
     if get_origin(hint) is not A or len(marks) != 1:
         raise body.error(

@@ -203,7 +203,7 @@ class TaskContext:
 
     @property
     def crit(self) -> int:
-        """Criticality (section 6.2.3), as the scheduler has it now; 0 before that."""
+        """The present criticality (section 6.2.3); 0 before the task is ranked."""
         return self.source.crit
 
     @property

@@ -60,7 +60,7 @@ class Declared:
             self.words = words
 
     def __repr__(self) -> str:
-        """Return the declaration as it is written."""
+        """Return the declaration's text."""
         return f"{type(self).__name__}({', '.join(map(repr, self.words))})"
 
 

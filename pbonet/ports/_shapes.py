@@ -38,12 +38,12 @@ def parse_shape(text: str) -> tuple[int | str, ...]:
 
 
 def shape_text(shape: tuple[int | str, ...]) -> str:
-    """Return `shape` as it is written in a declaration."""
+    """Return `shape` in the form of a declaration."""
     return ",".join(str(dim) for dim in shape) or "1"
 
 
 class _Sizes:
-    """The sizes known so far, and who said so."""
+    """The sizes known so far, and where each comes from."""
 
     def __init__(self, where: str) -> None:
         self._known: dict[str, tuple[int, str]] = {}
@@ -56,7 +56,7 @@ class _Sizes:
         return self._known[name][0]
 
     def origin(self, name: str) -> str:
-        """Return who said the size of `name`."""
+        """Return where the size of `name` comes from."""
         return self._known[name][1]
 
     def learn(self, name: str, size: int, origin: str) -> None:
@@ -137,7 +137,7 @@ def _learn_constants(
 
 
 def _learn(sizes: _Sizes, port: Port, count: int) -> bool:
-    """Learn what the port's count says; False while it cannot be used yet."""
+    """Use the port's element count; False while it cannot be used yet."""
     names = {dim for dim in port.shape if isinstance(dim, str)}
     unknown = {name for name in names if name not in sizes}
     if len(unknown) > 1:
@@ -166,7 +166,7 @@ def _learn(sizes: _Sizes, port: Port, count: int) -> bool:
 
 
 def _compare(sizes: _Sizes, port: Port, count: int, origin: str) -> None:
-    """Raise unless the port has as many elements as its shape, all known, says."""
+    """Raise unless the port has the number of elements of its known shape."""
     product, _ = sizes.split(port.shape)
     if product != count:
         known = "".join(

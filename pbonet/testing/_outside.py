@@ -60,7 +60,7 @@ class Time(Counted):
 
     @crit.setter
     def crit(self, value: int) -> None:
-        """It is as it was recorded, whatever it is made with."""
+        """Returns what was recorded, whatever its arguments are."""
 
 
 class Context(TaskContext):

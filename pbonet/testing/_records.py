@@ -32,7 +32,7 @@ def kind_of(message: bytes) -> int:
 
 
 def did(message: bytes) -> Did | None:
-    """Return what a record says that was done; None where it says something else."""
+    """Return the `Did` of a record; None if it is of another kind."""
     if kind_of(message) != Step.DID:
         return None
     return DID.decode(StepSchema.data(message))

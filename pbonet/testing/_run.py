@@ -319,7 +319,7 @@ class Run:
         self._gaps.discard(self._at)
 
     def doubt(self, why: str) -> None:
-        """Go on, though the module may have another state than it had then.
+        """Continue although the module's state may differ from the recorded one.
 
         From here on, equal values count, and others prove nothing.
         """
@@ -353,7 +353,7 @@ class Run:
         self._verdict.seconds += dt * 1e-9
 
     def _wait(self, heard: bytes, now: int) -> None:
-        """Have the module wait for its event, as it did then."""
+        """Let the module wait for its event, as it did in the recording."""
         self._where, self._source.release = "sync", now
         self._feed(heard)
         try:
@@ -432,7 +432,7 @@ class Run:
         return data
 
     def unseen(self, names: set[str]) -> None:
-        """Note variables whose values are in no record and made by no task.
+        """Note variables with values that are neither recorded nor written by a task.
 
         Raises:
             Stop: One of them is an input.

@@ -134,7 +134,7 @@ class _Part(Run):
             self.advance()
 
     def doubt(self, why: str) -> None:
-        """Stop: the other tasks read what was recorded from here on.
+        """Stop this task: from here on the others read its recorded outputs.
 
         Raises:
             Stop: Always.

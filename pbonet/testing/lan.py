@@ -76,7 +76,7 @@ class Host:
         return f"fd77:{cable}::{number}" if six else f"10.77.{cable}.{number}"
 
     def command(self, *command: str) -> list[str]:
-        """Return `command` as it is started on this host; the process number stays."""
+        """Return the command line that starts `command` on this host."""
         uts = ["unshare", "--uts"]
         if self.ahead:
             uts += ["--time", "--monotonic", f"{self.ahead:g}"]
@@ -118,7 +118,7 @@ class Lan:
         self._set_cable(one, other, "down")
 
     def mute(self, one: str, other: str) -> None:
-        """Have all vanish that goes over a cable, which looks whole from both ends."""
+        """Drop everything sent over a cable, which looks intact from both ends."""
         self._muted.add((one, other))
         for host, peer in ((one, other), (other, one)):
             for six in (False, True):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def check_parts(configuration: Configuration, task: Task) -> Iterator[Problem]:
-    """Yield what is wrong within a combination, and its table as the parts see it."""
+    """Yield the problems within a combination and of its table."""
     info = task.info
     if info is None or not info.parts:
         return
@@ -123,7 +123,7 @@ def _size(port: Port) -> int:
 def _outer(
     table: dict[str, Variable], task: Task, info: ModuleInfo
 ) -> Iterator[Problem]:
-    """Compare with the table the ports that another port stands for outside."""
+    """Compare ports of parts that have another name outside with the table."""
     shown = {port.name: port for port in info.ports}
     for part, port, name in _uses(info):
         variable = table.get(task.rmod.svar_name(name))

@@ -73,7 +73,7 @@ class _PartError(Exception):
 def check_conditions(
     conditions: Iterable[Condition], variables: Sequence[Variable]
 ) -> list[Problem]:
-    """Return what is wrong with conditions: unknown variables, sizes, units."""
+    """Return the problems of conditions: unknown variables, sizes, units."""
     table = {variable.name: variable for variable in variables}
     values = {name: np.zeros(one.nelem) for name, one in table.items()}
     problems: list[Problem] = []
@@ -148,7 +148,7 @@ class _Walk:
     # -- yes or no --------------------------------------------------------------------
 
     def truth(self, node: ast.expr) -> bool:
-        """Return whether a part holds; all of it is evaluated, whatever comes first.
+        """Return whether a part holds; all operands are evaluated.
 
         Raises:
             _PartError: It is no question that has an answer.

@@ -17,7 +17,7 @@ def flows(
     gives: Mapping[str, Iterable[str]],
     takes: Mapping[str, Iterable[str]],
 ) -> Edges:
-    """Return who gives what to whom, several things on one edge joined by commas.
+    """Return the edges from writers to readers, each with its variables.
 
     A producer that takes its own product is its own consumer here.
     """

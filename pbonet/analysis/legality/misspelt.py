@@ -33,7 +33,7 @@ def listed(task: Task, keyword: str) -> tuple[str, ...]:
 
 
 def meant(task: Task, kind: Kind) -> dict[str, str]:
-    """Return the port of the module that each misspelt one of a list stands for.
+    """Return for each misspelt port of a list the module's port that is meant.
 
     It is the nearest that the list lacks; one that the module has under another kind is
     no misspelling.

@@ -157,12 +157,12 @@ class Task(Struct, frozen=True, kw_only=True):
         return tuple(map(self.rmod.svar_name, self.rmod.outconst))
 
     def port(self, keyword: str, variable: str) -> str:
-        """Return the port of list `keyword` behind which `variable` stands."""
+        """Return the port in the list `keyword` that is mapped to `variable`."""
         ports: tuple[str, ...] = getattr(self.rmod, keyword.lower())
         return next(port for port in ports if self.rmod.svar_name(port) == variable)
 
     def place(self, keyword: str) -> str:
-        """Return where the job or the RMOD says `keyword`, or the RMOD's file."""
+        """Return the place of `keyword` in the job or the RMOD, or the RMOD's file."""
         said = self.job_places.get(keyword) or self.rmod.places.get(keyword)
         return str(said or self.rmod.file)
 

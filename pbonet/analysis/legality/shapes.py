@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def check_shapes(configuration: Configuration) -> Iterator[Problem]:
-    """Yield ports whose shapes do not fit, and constants of which tasks disagree.
+    """Yield ports with the wrong shape, and constants on which tasks disagree.
 
     A name in a shape is one size in a module. If it is a constant's, it is one size in
     the whole configuration, because all tasks read the same constant.
@@ -42,7 +42,7 @@ def check_shapes(configuration: Configuration) -> Iterator[Problem]:
 def _solve(
     configuration: Configuration, task: Task, info: ModuleInfo
 ) -> Problem | dict[str, int]:
-    """Return the sizes that constants must have, by variable; or what is wrong."""
+    """Return the sizes that constants must have, by variable, or the problems."""
     table = configuration.table
     nelem: dict[str, int] = {}
     for port in info.ports:

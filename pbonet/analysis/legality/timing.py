@@ -135,12 +135,12 @@ def _aperiodic(task: Task, rtpu: RtpuEntry) -> Assigned:
 
 
 def loads(configuration: Configuration) -> list[Load]:
-    """Return what is asked of each RTPU of the subsystem."""
+    """Return the load on each RTPU of the subsystem."""
     return [_load(configuration, rtpu) for rtpu in configuration.rtpus]
 
 
 def load_without_servers(configuration: Configuration, rtpu: str) -> Load:
-    """Return what is asked of an RTPU by all but its servers."""
+    """Return the load on an RTPU without its servers."""
     here = [task for task in configuration.running if task.rtpu == rtpu]
     others = configuration.on - {server.name for server in servers(here)}
     entry = next(one for one in configuration.rtpus if one.name == rtpu)

@@ -1,4 +1,4 @@
-"""May this change be made? Everything that is checked, and what is let pass.
+"""Judges a change: all checks, and which problems are only warnings.
 
 A job and a reconfiguration list are judged by the configuration they end in. A single
 signal is judged by what it makes worse: turning a task ON may leave inputs without a
@@ -69,7 +69,7 @@ def reconfig(
 
 
 def signal(task: str, name: str) -> Change:
-    """Return the change of one signal to one task that stands."""
+    """Return the change that one signal to an existing task makes."""
     return Change(items=((task, name),), whole=False)
 
 
@@ -79,7 +79,7 @@ def spawn(task: Task) -> Change:
 
 
 def frequency(task: Task) -> Change:
-    """Return the change that runs a standing task as often as `task` says."""
+    """Return the change of an existing task to the frequency of `task`."""
     return Change(items=((task.name, "freq"),), whole=False, tasks=(task,))
 
 
@@ -132,7 +132,7 @@ def check(configuration: Configuration) -> list[Problem]:
 
 
 def _with_fallbacks(now: Configuration, found: Sequence[Problem]) -> list[Problem]:
-    """Return what would be wrong once a standby is in the place of its original.
+    """Return the problems there would be once a standby replaces its original.
 
     Each pair is judged by itself, and of several the load of all standbys at once; an
     original and its standby are never ON together.
@@ -165,7 +165,7 @@ def _once(problem: Problem, when: str) -> Problem:
 
 
 def judge(current: Configuration, change: Change) -> Verdict:
-    """Return what becomes of `change` in the configuration as it is now."""
+    """Return the verdict on a change of the present configuration."""
     problems: list[Problem] = []
     after = current
     for name, sent in change.items:
@@ -194,7 +194,7 @@ def judge(current: Configuration, change: Change) -> Verdict:
 def _unsettled(
     problems: list[Problem], current: Configuration, replaced: frozenset[str]
 ) -> list[Problem]:
-    """Leave out tasks that give one constant, where there is nothing to be said of it.
+    """Leave out tasks that share a constant if their values are known to be equal.
 
     Of those that stand the table has compared the values, and one that is replaced
     gives its constants no more.
@@ -273,7 +273,7 @@ def _unknown(now: Configuration, name: str, sent: str) -> Problem:
 
 
 def as_text(problem: Problem) -> str:
-    """Return the whole problem on one line, as its error would say it."""
+    """Return the whole problem on one line, in the form of its error."""
     return str(_error(problem))
 
 
@@ -288,7 +288,7 @@ def _error(problem: Problem) -> VerificationError:
 
 
 def as_error(problems: Sequence[Problem]) -> VerificationError:
-    """Return one error that says all problems; several as a numbered list."""
+    """Return one error for all problems; several are a numbered list."""
     if len(problems) == 1:
         return _error(problems[0])
     lines = [f"{n}. {as_text(problem)}" for n, problem in enumerate(problems, 1)]

@@ -33,7 +33,7 @@ PLANNED = 0.95
 
 
 def dropped(crit: int, *, fixed_rates: bool, server: bool = False) -> int:
-    """Return the criticality of a task that has used up what is reserved for it.
+    """Return the criticality of a task that has used up its reserve.
 
     Section 6.4.1 lowers a soft task to 3, section 6.5.2.1 a server to 4; under RM,
     whose criticalities are rates, what is left over is below all of them.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Segment(Struct, frozen=True, array_like=True):
-    """A stretch of time in which one task had the core at one criticality."""
+    """An interval in which one task ran at one criticality."""
 
     task: str
     start_ns: int

@@ -110,7 +110,7 @@ def _k(periodic: float, tasks: float) -> float:
 
 
 def server_size(kind: ServerKind, periodic: float, *, tasks: float = math.inf) -> float:
-    """Return the largest size of a server, as the thesis's equations have it.
+    """Return the largest capacity of a server by the thesis's equations.
 
     Equations 12 (deferrable, RM), 15 (sporadic, RM), 22 (deferrable, MUF) and 25
     (sporadic, MUF) of Stewart 1994; and the inverses of 10 and 13 for a finite `tasks`.

@@ -157,7 +157,7 @@ class Core:
         return min(due, self.now_ns + span)
 
     def step(self) -> None:
-        """Let that happen, and nothing behind it.
+        """Process this event and no later one.
 
         Several cores whose tasks talk to each other are run step by step, always the
         one whose `next_ns` is the least.
@@ -369,7 +369,7 @@ class Core:
         job.limited = job.limited and job.budget > 0
 
     def _refill(self, job: Job) -> None:
-        """Give capacity back: the whole of it, or one piece of a sporadic server."""
+        """Replenish capacity: all of it, or one piece of a sporadic server."""
         now = self.now_ns
         if job.kind is ServerKind.SPORADIC:
             job.budget += job.pieces.popleft()[1]

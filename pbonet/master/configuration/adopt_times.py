@@ -67,7 +67,7 @@ def adopt(
     host: str = "",
     dry_run: bool = False,
 ) -> tuple[list[Adopted], list[str]]:
-    """Write measured times into RMODs; return what was written, and warnings.
+    """Write measured times into RMODs; return the changes and warnings.
 
     Args:
         path: The ``.sbs`` file, or a ``.job`` file that names it.
@@ -188,7 +188,7 @@ def _write(
 
 
 def with_lines(text: str, rmod: Rmod, times: dict[str, float]) -> str:
-    """Return the text of an RMOD with other times; all else stays as it is."""
+    """Return the text of an RMOD with new times and no other change."""
     lines = text.splitlines(keepends=True)
     missing: list[str] = []
     for keyword, value in times.items():
@@ -210,7 +210,7 @@ def with_lines(text: str, rmod: Rmod, times: dict[str, float]) -> str:
 
 
 def _must_mean(rmod: Rmod, text: str, times: dict[str, float]) -> None:
-    """Make sure that the new text says what the old one did, but for the times."""
+    """Check that the new text differs from the old one in the times only."""
     wanted = structs.replace(rmod, **{key.lower(): v for key, v in times.items()})
     again = parse_rmod(text, rmod.file)
     if meaning(again) != meaning(wanted):

@@ -60,7 +60,7 @@ def or_environment(
 def of(
     domain: str, connect: Sequence[str], libraries: Sequence[str | Path]
 ) -> dict[str, str]:
-    """Return an environment that says this and all else that this process's says."""
+    """Return this process's environment with these changes."""
     return {
         **os.environ,
         "PBONET_DOMAIN": domain,

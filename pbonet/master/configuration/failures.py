@@ -23,7 +23,7 @@ _ANEW = {
 
 
 def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
-    """Raise the errors of a stop; they include what was stopped nevertheless.
+    """Raise the errors of a stop; they name the tasks that were stopped nevertheless.
 
     Raises:
         SeveralError: An RTPU did not confirm; the parts say which, and why.
@@ -60,7 +60,7 @@ def stuck(
     unsure: int = 0,
     remarks: Mapping[tuple[str, str], str] | None = None,
 ) -> ReconfigError:
-    """Return the error that says which item failed, what was done, and what was not.
+    """Return the error with the failed item, those that were done, and the rest.
 
     Args:
         items: All items.

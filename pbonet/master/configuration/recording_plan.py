@@ -55,7 +55,7 @@ class RecordingPlan:
         self.run = ""
 
     def of(self, job: JobFile, files: Files) -> None:
-        """Record the next run as a job says.
+        """Record the next run by the job's settings.
 
         Raises:
             ConfigError: It names something that is neither one of its tasks nor a

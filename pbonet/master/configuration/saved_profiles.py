@@ -50,7 +50,7 @@ class Run(Struct, frozen=True, kw_only=True):
     bins: Bins
 
     def continues(self, earlier: Run) -> bool:
-        """Return whether this is a later look at the same process."""
+        """Return whether this is a later profile of the same process."""
         now = dict(self.bins)
         return self.tid == earlier.tid != 0 and all(
             now.get(index, 0) >= count for index, count in earlier.bins
@@ -58,7 +58,7 @@ class Run(Struct, frozen=True, kw_only=True):
 
 
 def joined(runs: Sequence[Run]) -> Run:
-    """Return what several runs say together: extremes, sums, the mean of all cycles."""
+    """Combine several runs: extremes, sums, the mean of all cycles."""
     bins: Counter[int] = Counter()
     for run in runs:
         bins.update(dict(run.bins))
@@ -139,7 +139,7 @@ def profile_of(bins: tuple[tuple[int, int], ...], most: float) -> soft.Profile:
 
 
 def here() -> str:
-    """Return this machine's name, as its agents say it."""
+    """Return this machine's name as its agents report it."""
     return os.uname().nodename
 
 
@@ -216,7 +216,7 @@ class Store:
     def keep(
         self, found: TaskProfile, rmod: Rmod, *, host: str, when: str
     ) -> tuple[Saved, Path]:
-        """Save a task's profile, with what was saved before; return it and its file.
+        """Add a task's profile to the saved one; return the result and its file.
 
         Runs of the same module with the same configuration on the same machine count
         together. A later look at a process that was saved before replaces the earlier.
@@ -320,7 +320,7 @@ def with_times(task: legality.Task, saved: Saved | None) -> legality.Task:
 
 
 def unused(store: Store, tasks: Iterable[legality.Task], host: str) -> list[str]:
-    """Return what to say of profiles that were measured on other machines only."""
+    """Return the note about profiles measured on other machines only."""
     found: dict[str, list[str]] = {}
     for task in tasks:
         if task.worst is None:

@@ -110,7 +110,7 @@ class Files:
         return job
 
     def rmod(self, name: str) -> RmodSource:
-        """Return the RMOD `name`, as its file says today.
+        """Return the RMOD `name` from its present file.
 
         Raises:
             NodeError: No task can have that name.
@@ -180,7 +180,7 @@ class Files:
         return sorted(path.stem for path in self.path.parent.glob("*.job"))
 
     def likely_rtpu(self, task: str) -> str:
-        """Return the RTPU that a task is on if it was spawned as the files say.
+        """Return the RTPU on which a task is if it was spawned by the files.
 
         They are the job, the jobs beside the ``.sbs`` file, and the task's RMOD.
         """

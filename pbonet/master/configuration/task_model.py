@@ -118,7 +118,7 @@ class TaskModel:
         return member
 
     def add(self, member: Member) -> None:
-        """Add a task, or put it in the place of one of the same name."""
+        """Add a task, or replace the one of the same name."""
         self._members[member.name] = member
 
     def spawned(self, member: Member) -> None:

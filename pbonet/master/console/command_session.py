@@ -60,7 +60,7 @@ class Call(Struct, frozen=True):
 
     @property
     def task(self) -> str:
-        """The task whose RTPU alone need be asked; empty where others count, too."""
+        """The task whose RTPU alone is asked; empty if other RTPUs matter, too."""
         return self.given.get("task") or "" if self.command.alone else ""
 
     @property
@@ -80,7 +80,7 @@ class CommandSession(SessionState):
         return f"SBS {self.subsystem.name}<{self.default}> "
 
     def read(self, line: str) -> Call | None:
-        """Return what a command line asks for; None for a blank line or a comment.
+        """Parse a command line; None for a blank line or a comment.
 
         Raises:
             PbonetError: The line is wrong.
@@ -246,7 +246,7 @@ def bind(
 def _left_out(
     arg: Arg, words: list[str], rest: list[Arg], knows: Callable[[str], bool]
 ) -> bool:
-    """Return whether the next word is not meant for an optional task."""
+    """Return whether the next word is something other than the optional task."""
     if arg.kind is not Kind.TASK or arg.need or not rest:
         return False
     room = any(one.many for one in rest) or len(words) <= len(rest)
@@ -254,7 +254,7 @@ def _left_out(
 
 
 def convert(command: Command, args: Mapping[str, object]) -> dict[str, Any]:
-    """Return a command's arguments out of a map, as a message has it.
+    """Return a command's arguments from the map in a message.
 
     Raises:
         StateError: An argument is unknown, missing, or of the wrong type.

@@ -1,4 +1,4 @@
-"""A master whose program is its interfaces, one after the other (Stewart 1994, 4.2).
+"""A master that runs its interfaces one after the other (Stewart 1994, 4.2).
 
 What `main` of the thesis's master task is: open the subsystem, run the interface
 commands (a script, the network, the prompt), finish.

@@ -216,7 +216,7 @@ class _Completer(Completer):
 
 
 class _Toolbar:
-    """The line below the prompt; a thread keeps it fresh, the prompt never waits."""
+    """The line below the prompt; a thread updates it, so the prompt never waits."""
 
     def __init__(self, subsystem: Subsystem) -> None:
         self._subsystem = subsystem

@@ -85,7 +85,7 @@ class Run:
         self.job = self.files.read_job()
 
     def run(self) -> Outcome:
-        """Do it all; when this returns nothing of it is left.
+        """Run the job from its start to its end; nothing of it is left afterwards.
 
         Raises:
             PbonetError: The job could not be started; nothing of it is left.
@@ -167,7 +167,7 @@ class Run:
         )
 
     def _read_log(self, outcome: Outcome) -> None:
-        """Read what was recorded on this machine, for the exact delays."""
+        """Read this machine's log, for the exact delays."""
         try:
             log = self._recordings.log()
         except PbonetError as error:
@@ -323,7 +323,7 @@ def run(
     profile: bool = False,
     quiet: bool = False,
 ) -> Outcome:
-    """Run a job, in real or virtual time, and say the result.
+    """Run a job in real or virtual time, and return the result.
 
     Args:
         path: The ``.job`` file.

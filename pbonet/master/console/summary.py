@@ -97,7 +97,7 @@ def summarize(rtpus: Iterable[RtpuStatus]) -> list[TaskSummary]:
 
 
 def refined(summaries: Iterable[TaskSummary], cycles: Cycles) -> list[TaskSummary]:
-    """Return summaries with exact delays, of tasks whose every cycle is known."""
+    """Return summaries with exact delays, for tasks with all cycles recorded."""
     return [_refined(one, cycles) for one in summaries]
 
 

@@ -82,7 +82,7 @@ class SharedState:
         self._spawned = 0
 
     def number(self) -> int:
-        """Return a number that stands for that of a process."""
+        """Return a number in place of a process id."""
         self._spawned += 1
         return self._spawned
 
@@ -254,7 +254,7 @@ class VirtualSpawner(Spawner):
         self._rtpu = rtpu
 
     async def fork(self, kind: str, title: str, spec: msgspec.Struct) -> Child:
-        """Return what stands for the process of a task, or of an inspector."""
+        """Return the substitute for the process of a task or an inspector."""
         del kind, title
         world = self._rtpu.world
         near, far = pair(world.loop)
@@ -353,7 +353,7 @@ class VirtualTask(Host):
         super().create()
 
     def begin(self) -> None:
-        """Be created, and say how that went."""
+        """Create the task, and report the result."""
         with running(None), using(None):
             try:
                 self.create()
@@ -405,14 +405,14 @@ class VirtualTask(Host):
 
     @contextmanager
     def _awake(self) -> Generator[None]:
-        """Have what is opened and asked in the block be the task's."""
+        """Run the block as the task, which owns what is opened there."""
         self.local.virtual_ns = self._rtpu.now_ns()
         with running(None), using(self.tape):
             yield
 
     @property
     def outside(self) -> bool:
-        """Whether the module says in `sync` when it is time: its rate does so here."""
+        """Whether `sync` determines the release; in virtual time the rate does."""
         return False
 
     # -- in the place of a process -----------------------------------------------------

@@ -1,4 +1,4 @@
-"""Puts a run in virtual time into a log as it goes, as a recorder does in real time."""
+"""Writes the log of a run in virtual time, as a recorder does in real time."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class _Recorder(Recorder):
         self._hosts[about.task] = host
 
     def last(self, seconds: float) -> None:
-        """Finish the log, and say in it how much virtual time has passed."""
+        """Finish the log, and record how much virtual time has passed."""
         self._files.write(lambda writer: writer.lasted(seconds))
         self.end()
 
@@ -80,7 +80,7 @@ class _Recorder(Recorder):
 
 
 class SimLog:
-    """The log of one simulated run, in the place of one in real time.
+    """The log of one simulated run.
 
     Args:
         book: How it is recorded.
@@ -164,7 +164,7 @@ class SimLog:
             rtpu.turn()
 
     def end(self, now_ns: int, seconds: float) -> None:
-        """Finish the files, and say in them how much virtual time has passed."""
+        """Finish the files, and record in them how much virtual time has passed."""
         if not self._begun:
             return
         self._now_ns = now_ns
@@ -177,7 +177,7 @@ class SimLog:
         return any(self.folder.glob("*.mcap"))
 
     def read(self) -> Log | None:
-        """Return what was recorded; None: nothing was, or it cannot be read."""
+        """Return the recording; None if there is none, or it cannot be read."""
         try:
             return Log(self.folder) if self.written else None
         except LogError as error:

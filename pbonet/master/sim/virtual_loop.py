@@ -1,4 +1,4 @@
-"""An event loop whose time is virtual, and sockets within it: nothing ever waits.
+"""An event loop in virtual time, with sockets that never wait.
 
 The code of an RTPU process is asynchronous, as it waits for tasks and for time. In
 virtual time its coroutines run on this loop, in the thread that lets time pass.
@@ -136,7 +136,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
 
 
 def make_loop(now_ns: int) -> VirtualLoop:
-    """Return a loop whose time begins at an instant."""
+    """Return a loop that begins at an instant."""
     make: Any = VirtualLoop  # the many unused methods of a loop are missing
     made: VirtualLoop = make(now_ns)
     return made

@@ -103,11 +103,11 @@ class VirtualRtpus:
     def client(
         self, domain: str, name: str, warned: Callable[[str, str], None]
     ) -> rpc.Client:
-        """Return what asks these RTPUs in place of agents; see `rpc.Client`."""
+        """Return a client that asks these RTPUs instead of agents; see `rpc.Client`."""
         return VirtualClient(self, domain, name, warned=warned)
 
     def close(self) -> None:
-        """Give the memory of tables back; what was recorded stays."""
+        """Free the memory of tables; the recording remains."""
         for core in self.world.cores:
             core.end()
         for table in self.world.tables.values():
@@ -125,7 +125,7 @@ class VirtualRtpus:
                 return failure(error, request.id)
 
     def _packed(self, rtpu: VirtualRtpu, request: m.Request, data: bytes) -> bytes:
-        """Return the packed answer of an RTPU, or of what stands for its agent."""
+        """Return the packed answer of an RTPU or of its substitute agent."""
         if isinstance(request, m.Hello):
             info = _info(rtpu)
             return self._codec.pack(m.Answer(id=request.id, ok=True, result=info))

@@ -107,7 +107,7 @@ def is_sequence(value: object) -> TypeGuard[Sequence[object]]:
 
 
 def sequence(value: object) -> Sequence[object]:
-    """Return a list or tuple as it is, anything else as the only item of one."""
+    """Return a list or tuple unchanged, anything else as a list of one item."""
     return value if is_sequence(value) else [value]
 
 

@@ -61,7 +61,7 @@ def plan(task_set: SubsystemTasks, job: JobFile) -> list[Member]:
 def _fallback(
     task_set: SubsystemTasks, task: JobTask, original: Member
 ) -> list[Member]:
-    """Return the standby of a task as it would be spawned, beside its original.
+    """Return the standby of a task, to be spawned on the RTPU of its original.
 
     Raises:
         PbonetError: Its RMOD or module is missing or wrong.
@@ -166,7 +166,7 @@ def pair(task_set: SubsystemTasks, wanted: Sequence[Member]) -> None:
 def unpaired(
     task_set: SubsystemTasks, wanted: Sequence[Member]
 ) -> list[tuple[Member, str]]:
-    """Return tasks that are fallbacks, and none in a job, and for whom each is one."""
+    """Return tasks that are fallbacks but not in this job, each with its original."""
     standbys = {member.name for member in wanted if member.fallback_of}
     return [
         (member, member.fallback_of)
@@ -209,7 +209,7 @@ class Done:
 
     @contextmanager
     def undone_on_error(self, what: str) -> Generator[None]:
-        """Undo what was done when the block fails.
+        """If the block fails, undo its changes.
 
         Args:
             what: What has failed then, for the error.
@@ -251,7 +251,7 @@ class Done:
     def give(
         self, name: str, replaces: Sequence[str], leaving: Collection[str]
     ) -> None:
-        """Let an existing task give constants in the place of others; as `spawn`."""
+        """Let an existing task produce constants instead of others, as `spawn` does."""
         self._task_set.control(name, "reinit", "", replaces)
         self._robbed |= dict.fromkeys(replaces, name)
         constants.given(self._task_set, name, leaving)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class ChangeTransaction:
-    """One command at a time, by a master that holds the claim, with fresh task states.
+    """One command at a time, by a master that holds the claim, on present task states.
 
     Args:
         task_set: The subsystem's tasks.

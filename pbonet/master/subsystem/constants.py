@@ -62,7 +62,7 @@ def given(task_set: SubsystemTasks, task: str, leaving: Collection[str] = ()) ->
 def taken_over(
     coming: Iterable[Member], going: Iterable[Member]
 ) -> dict[str, list[str]]:
-    """Return whose constants tasks give that come in the place of others.
+    """Return the tasks whose constants the tasks that replace them produce.
 
     The new values hold as soon as the new task is there, whatever the old ones were.
     """
@@ -85,7 +85,7 @@ def followed(
     variables: Mapping[str, str],
     done: Collection[str] = (),
 ) -> Generator[None]:
-    """Re-initialize, behind the block, who uses a constant whose value changed in it.
+    """After the block, re-initialize the users of constants that changed in it.
 
     Args:
         task_set: The subsystem's tasks.
@@ -240,7 +240,7 @@ def _changed(
 
 
 def _unrenewed(error: PbonetError, why: str, held: Collection[str]) -> PbonetError:
-    """Return an error that also says what its task continues believing."""
+    """Return an error that also names the constants with which its task continues."""
     told = f"{why} all the same, and this task has the old {' and '.join(sorted(held))}"
     error.remedy = f"{error.remedy}; {told}" if error.remedy else told
     return error

@@ -1,4 +1,4 @@
-"""The master's part in recording: which run this is, and what is recorded of it.
+"""The master's part in recording: the run's identity and what is recorded.
 
 Recording never is in the way of a run: what cannot be recorded is a warning.
 """
@@ -83,7 +83,7 @@ class RecordingControl(RecordingPlan):
         return self.log()
 
     def log(self) -> Log | None:
-        """Return what was recorded on this machine, once it is written whole.
+        """Return this machine's log, once it is complete.
 
         Raises:
             LogError: A log cannot be read.
@@ -136,7 +136,7 @@ def book(mode: str | None, *, virtual: bool) -> RecordingControl:
 
 
 def _newest(path: Path) -> Path:
-    """Return the last file of a recording whose first one is that."""
+    """Return the last file of the recording that begins with this file."""
     from pbonet.log import log_name
 
     numbers = [

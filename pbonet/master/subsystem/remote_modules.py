@@ -26,7 +26,7 @@ def _answer() -> type[list[ModuleInfo]]:
 
 
 def on(clients: RtpuClients, library: Library, rtpu: str, module: str) -> ModuleInfo:
-    """Return the description of a module as an RTPU's library has it.
+    """Return the description of a module in an RTPU's library.
 
     Args:
         clients: The agents.

@@ -72,7 +72,7 @@ class RtpuClients:
         return bool(self.epochs)
 
     def agent(self, rtpu: str) -> m.AgentInfo:
-        """Return what the agent of an RTPU says of itself and its machine.
+        """Return the description of an RTPU's agent and machine.
 
         ``machine`` is the identity of the machine; ``host`` is only its name, which
         another machine may have too.
@@ -93,7 +93,7 @@ class RtpuClients:
         return None not in machines and len(machines) == 1
 
     def entry(self, rtpu: str) -> RtpuEntry:
-        """Return what the file says about an RTPU.
+        """Return an RTPU's entry in the file.
 
         Raises:
             NodeError: The file does not name it.
@@ -258,13 +258,13 @@ class RtpuClients:
             )
 
     def _signed(self, rtpu: str, request: m.Request) -> m.Request:
-        """Return the request to one RTPU; the same one may be meant for others, too."""
+        """Return the request to one RTPU; other RTPUs may get the same one."""
         return msgspec.structs.replace(
             request, subsystem=self.sbs.subsystem, epoch=self.epochs.get(rtpu, 0)
         )
 
     def _declare(self) -> None:
-        """Show a token as long as this master lives; agents look for it."""
+        """Declare a liveliness token for this master; agents watch it."""
         if self._token is not None:
             return
         key = key_expressions.master(

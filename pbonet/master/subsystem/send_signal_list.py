@@ -150,7 +150,7 @@ class _Sending:
         return remarks
 
     def _state(self, task: str) -> State | None:
-        """Return the state of a task as its RTPU says; None: it does not."""
+        """Return the state of a task from its RTPU; None if it does not answer."""
         member = self._model.get(task)
         if member is None:
             return State.NOT_CREATED
@@ -175,7 +175,7 @@ class _Sending:
         answers: dict[str, m.Reconfigured],
         errors: dict[str, PbonetError],
     ) -> None:
-        """Enter what was done; raise an error if that is not all."""
+        """Enter the items that were done; raise an error if some were not."""
         unheard = {
             rtpu: error
             for rtpu, error in errors.items()

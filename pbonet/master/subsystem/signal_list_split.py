@@ -96,7 +96,7 @@ def steps(
     items: Sequence[tuple[str, str]],
     successors: Mapping[str, list[str]],
 ) -> Iterator[dict[str, list[tuple[str, str]]]]:
-    """Yield what is sent at once, in order: for each RTPU its part.
+    """Yield the parts that are sent at once, in order, by RTPU.
 
     Tasks of several RTPUs that leave for the same successors do so together; everything
     else is cut wherever the next item is for another RTPU.

@@ -227,20 +227,20 @@ def _timing_fields(now: TaskStatus, before: TaskStatus | None) -> dict[str, Valu
 
 
 def _failures(now: TaskStatus, since: TaskStatus | None) -> dict[str, int]:
-    """Return the timing failures by kind since that look."""
+    """Return the timing failures by kind since the earlier status."""
     then = since.failures if since else {}
     return {kind: n - then.get(kind, 0) for kind, n in now.failures.items()}
 
 
 def _standby_text(now: TaskStatus) -> str:
-    """Return the task whose fallback it is; empty for none."""
+    """Return the original if the task is a fallback; else empty."""
     if now.stands_by:
         return f"stands by for {now.fallback_of}"
     return f"the fallback of {now.fallback_of}" if now.fallback_of else ""
 
 
 def _timing_text(now: TaskStatus, before: TaskStatus | None) -> str:
-    """Return the failures since an earlier look in words; empty without any."""
+    """Return the failures since an earlier status in words; empty without any."""
     since = _spawned_before(now, before)
     fields = _timing_fields(now, before)
     failures = _failures(now, since)
@@ -309,7 +309,7 @@ class Window:
         self._seen: dict[str, deque[TaskStatus]] = {}
 
     def rates(self, status: TaskStatus) -> dict[str, Value]:
-        """Return the fields of status over the last second; one call a look."""
+        """Return the status fields over the last second; call it once per status."""
         seen = self._seen.setdefault(status.task, deque())
         seen.append(status)
         while len(seen) > 1 and status.now - seen[1].now > _WINDOW * 1e9:

@@ -1179,7 +1179,7 @@ class Subsystem:
     # -- this program -----------------------------------------------------------------
 
     def wait(self, seconds: float) -> bool:
-        """Let time pass; a stop ends it. Return whether all of it passed.
+        """Wait; a stop ends the wait. Return whether the time is over.
 
         Args:
             seconds: The time to wait.

@@ -198,7 +198,7 @@ class SubsystemTasks:
         return self.clients.call(home, request, result, timeout=timeout)
 
     def concerned(self, tasks: Sequence[str]) -> list[str]:
-        """Return the RTPUs whose tasks a change of some tasks can make illegal.
+        """Return the RTPUs that a change of some tasks can make illegal.
 
         They are those that the tasks are on, and those with tasks that share a variable
         with them. If a task is not known or gives constants, all are.
@@ -298,7 +298,7 @@ class SubsystemTasks:
         return member.rtpu
 
     def _source(self, task: str, text: str | None) -> RmodSource:
-        """Return the RMOD of a task: as it was spawned, else as its file says."""
+        """Return the RMOD from which a task was spawned, else that of its file."""
         if text:
             record = config.parse_rmod(text, f"{task}.rmod")
             return configuration.RmodSource(record, text)
@@ -307,7 +307,7 @@ class SubsystemTasks:
     # -- judging ----------------------------------------------------------------------
 
     def info(self, rtpu: str, rmod: Rmod) -> ModuleInfo:
-        """Return the description of what an RMOD runs, as the RTPU's library has it.
+        """Return the description of an RMOD's module in the RTPU's library.
 
         Raises:
             ModuleLoadError: The library has no such module, or it does not load.
@@ -332,7 +332,7 @@ class SubsystemTasks:
         return member
 
     def _describe(self, member: Member) -> None:
-        """Get what is known of a task's module, and what was measured of the task.
+        """Get the description of a task's module, and the task's saved profile.
 
         Raises:
             ModuleLoadError: The agent there has no such module, or it does not load.
@@ -357,7 +357,7 @@ class SubsystemTasks:
             raise configuration.already(old)
 
     def judge(self, change: legality.Change) -> None:
-        """Refuse a change that would be illegal; tell what is new of it else.
+        """Refuse a change that would be illegal; else report its new warnings.
 
         Raises:
             VerificationError: It would be illegal.
@@ -388,7 +388,7 @@ class SubsystemTasks:
     def report(
         self, change: legality.Change | None = None
     ) -> list[legality.RtpuReport]:
-        """Return what the analysis finds for a change, or for what stands.
+        """Return the analysis of a change, or of the present configuration.
 
         Raises:
             ModuleLoadError: A task's module is not there any more.

@@ -114,12 +114,12 @@ class Plan:
         self._going |= {one.name: one for one in members if one.name not in but}
 
     def put_in(self, member: Member) -> None:
-        """Turn a task on, which stands or is to be spawned; harmless if it is ON."""
+        """Turn a task on, and spawn it first if needed; harmless if it is ON."""
         if not member.is_on:
             self._coming[member.name] = member
 
     def have_ready(self, member: Member, original: str) -> None:
-        """Have a standby ready, which stands or is to be spawned.
+        """Make a standby ready, and spawn it first if needed.
 
         Args:
             member: The standby. Whose fallback it has been until now keeps it as long
@@ -294,7 +294,7 @@ def _set_fallbacks(pairs: Sequence[tuple[Member, str]]) -> None:
 def _newcomer(
     task_set: SubsystemTasks, name: str, rtpu: str | None, old: Member
 ) -> Member:
-    """Return a task that comes: the one that stands, else the one to be spawned.
+    """Return a task of the new job: the existing one, else the one to be spawned.
 
     Raises:
         StateError: It stands, but in ERROR or on another RTPU.

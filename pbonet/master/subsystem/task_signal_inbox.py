@@ -113,7 +113,7 @@ class Inbox:
             }
 
     def bury(self, tasks: Iterable[str]) -> None:
-        """Forget what is pending of tasks that were killed."""
+        """Forget pending signals of tasks that were killed."""
         names = set(tasks)
         with self._busy:
             for (_, task), life in self._lives.items():
@@ -127,7 +127,7 @@ class Inbox:
             self._lives.clear()
 
     def pending(self, statuses: Iterable[m.TaskStatus]) -> list[Sent]:
-        """Return what is pending, the most urgent first."""
+        """Return the pending signals, the most urgent first."""
         with self._busy:
             return self._pending(statuses)
 
@@ -137,7 +137,7 @@ class Inbox:
         signals: Sequence[str],
         tasks: Sequence[str],
     ) -> Sent | None:
-        """Take what is pending first of some signals of some tasks; empty: of all."""
+        """Take the first pending one of some signals of some tasks; empty: of all."""
         with self._busy:
             for sent in self._pending(statuses):
                 if signals and sent.signal not in signals:

@@ -79,7 +79,7 @@ class UnwrittenInputs:
 
 
 def _cause(unwritten: Iterable[legality.Problem]) -> str:
-    """Return the cause for inputs without a writer: which, and whose."""
+    """Return the cause of the flag for inputs without a writer, with their readers."""
     named = (f"{' '.join(p.variables)} for {' and '.join(p.tasks)}" for p in unwritten)
     text = UNFED + ", ".join(named)
     return text if len(text) <= _CAUSE else f"{text[: _CAUSE - 3]}..."

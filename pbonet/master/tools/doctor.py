@@ -72,7 +72,7 @@ class Finding(Struct, frozen=True):
 
 
 class Leftover(Struct, frozen=True):
-    """An RTPU whose process was killed, as its state file tells."""
+    """An RTPU whose process was killed, according to its state file."""
 
     domain: str
     rtpu: str
@@ -98,7 +98,7 @@ def examine(
     neighbours: Sequence[Neighbour] = (),
     connect: Sequence[str] = (),
 ) -> list[Finding]:
-    """Return what was found.
+    """Return the findings.
 
     Args:
         domain: Whose agents are asked.
@@ -458,7 +458,7 @@ def _shared(
 
 
 def clean() -> list[str]:
-    """Remove unused shared memory; return what was removed."""
+    """Remove unused shared memory; return the names of what was removed."""
     removed: list[str] = []
     for path in abandoned():
         path.unlink(missing_ok=True)

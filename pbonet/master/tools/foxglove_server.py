@@ -146,7 +146,7 @@ class Viewer:
 
 
 class _Listener:
-    """Hears which topics viewers begin to look at; the SDK calls it.
+    """Receives the topics that viewers subscribe to; called by the SDK.
 
     Args:
         fresh: They are added there.

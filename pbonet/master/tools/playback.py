@@ -170,7 +170,7 @@ class _Voice:
         self.local.claim(0, self.source.fill(row, self._arrays))
 
     def say(self, row: int, late: float) -> None:
-        """Commit what was committed then."""
+        """Commit the recorded values."""
         cycle = self.source.fill(row, self._arrays)
         owned = self.local.claimed  # not where its first values were refused
         send = self.local.commit if owned else self.local.claim

@@ -305,7 +305,7 @@ def _first_value(port: NewPort, ports: Sequence[NewPort]) -> list[str]:
 
 
 def _law_help(outvars: Sequence[NewPort]) -> list[str]:
-    """Return what the docstring of `cycle` says until there is a law."""
+    """Return the docstring of a `cycle` without a control law."""
     if not outvars:
         return ["Every input is a new value here; read-only."]
     port = outvars[0]

@@ -45,7 +45,7 @@ class Use(Struct, frozen=True):
     info: ModuleInfo
 
     def ports(self) -> dict[str, Port]:
-        """Return its ports by the variable that each stands for."""
+        """Return its ports by their variables."""
         return {self.rmod.svar_name(port.name): port for port in self.info.ports}
 
 
@@ -83,7 +83,7 @@ def new_svar(
 
 
 def _variable(name: str, ports: Sequence[Port], nelem: int) -> Variable:
-    """Return a variable as its writer says it is, else as its first reader does."""
+    """Return a variable as declared by its writer, else by its first reader."""
     ordered = sorted(ports, key=lambda port: port.kind.is_input)
     units = [port.unit for port in ordered if port.unit != "any"]
     return Variable(

@@ -1,4 +1,4 @@
-"""Writing new files, never over old ones unless told to."""
+"""Writes new files, and replaces old ones only on request."""
 
 from __future__ import annotations
 
