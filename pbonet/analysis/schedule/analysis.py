@@ -225,17 +225,6 @@ def level_guaranteed(
 # -- earliest deadline first, and the critical set of MUF -----------------------------
 
 
-def demand_ns(tasks: Iterable[Demand], window_ns: int) -> int:
-    """Return the CPU time of all cycles that lie whole within a window of that length.
-
-    The left side of equation 16, for deadlines anywhere in the period.
-    """
-    return sum(
-        max(0, (window_ns - task.due_ns) // task.period_ns + 1) * task.cost_ns
-        for task in tasks
-    )
-
-
 def edf_schedulable(tasks: Iterable[Demand], servers: Iterable[Server] = ()) -> bool:
     """Return whether EDF keeps every deadline below servers of higher criticality.
 
@@ -337,16 +326,6 @@ def critical_set(
         if reserved + _sum(chosen) > most or not edf_schedulable(chosen, servers):
             chosen.pop()
             break
-    return tuple(task.name for task in chosen)
-
-
-def rm_critical_set(tasks: Iterable[Demand]) -> tuple[str, ...]:
-    """Return the critical set of RM: the first S tasks within equation 9 (6.2.1)."""
-    chosen: list[Demand] = []
-    for task in by_period(tasks):
-        if not rm_bound_holds([*chosen, task]):
-            break
-        chosen.append(task)
     return tuple(task.name for task in chosen)
 
 

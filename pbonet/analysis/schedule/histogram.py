@@ -72,22 +72,3 @@ def quantile_ns(counts: Sequence[int], share: float) -> float:
             return low + (high - low) * (wanted - below) / count
         below += count
     return edge_ns(BINS)
-
-
-def share_below(counts: Sequence[int], ns: float) -> float:
-    """Return the share of counts below `ns`: the profile of section 6.4 of the thesis.
-
-    Returns:
-        0 to 1; 0 when nothing was counted.
-    """
-    total = sum(counts)
-    if not total:
-        return 0.0
-    below = 0.0
-    for index, count in enumerate(counts):
-        low, high = edge_ns(index), edge_ns(index + 1)
-        if ns >= high:
-            below += count
-        elif ns > low:
-            below += count * (ns - low) / (high - low)
-    return below / total

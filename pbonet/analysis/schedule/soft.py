@@ -117,18 +117,6 @@ class Profile(Struct, frozen=True):
         """
         return self.psi(effective_ns) / self.periods(effective_ns)
 
-    def effective_for_periods_ns(self, softness: float) -> int:
-        """Return the smallest E with which `on_time_share` is at least 1 - softness.
-
-        Raises:
-            ValueError: `softness` is out of its range.
-        """
-        least = self.effective_ns(softness)
-        for time in self.times_ns:
-            if time >= least and self.on_time_share(time) >= 1.0 - softness - 1e-12:
-                return time
-        return self.worst_ns
-
     def draw_ns(self, source: random.Random) -> int:
         """Return a random execution time with this profile."""
         at = source.random()

@@ -1,7 +1,7 @@
 """Cost of moving data between the table and local tables (equations 6, 7, 27).
 
-The thesis locks its table; this table has no lock (`pbonet.svar`). Both are here: the
-equations as they now exist in Stewart 1994, and what becomes of them without a lock.
+The thesis locks its table; this table has no lock (`pbonet.svar`). Here is what becomes
+of its equations without one.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
 RETRIES = 15
 """How often a reader that was lapped copies again (``PB_TRIES`` in svar/cut.h)."""
@@ -41,28 +41,6 @@ def bandwidth(rates: Iterable[float]) -> float:
     It is compared with what the memory was measured to copy, in bytes a second.
     """
     return sum(rates)
-
-
-def lock_wait(holds: Sequence[Sequence[float]], rtpu: int) -> float:
-    """Return the longest wait for the thesis's lock: V of equation 27.
-
-    Args:
-        holds: For each RTPU, highest bus priority first, how long each of its tasks
-            holds the lock (B of the thesis); any unit of time.
-        rtpu: Which one waits, from 0.
-
-    Returns:
-        Time in the same unit. Every RTPU of higher priority may go first once, and the
-        one of lower priority that holds the lock is waited for.
-
-    Raises:
-        IndexError: There is no such RTPU.
-    """
-    if not 0 <= rtpu < len(holds):
-        msg = f"RTPU {rtpu} is not one of {len(holds)}"
-        raise IndexError(msg)
-    most = [max(tasks, default=0.0) for tasks in holds]
-    return sum(most[:rtpu]) + max(most[rtpu + 1 :], default=0.0)
 
 
 def write_wait() -> float:

@@ -1,10 +1,8 @@
 from . import sim_log as sim_log
-from .rtpu_in_process import VirtualTask as VirtualTask
 from .sim_log import SimLog as SimLog
 from .virtual_loop import BEGIN_NS as BEGIN_NS
 from .virtual_rtpus import (
     REASON as REASON,
-    VirtualClient as VirtualClient,
     VirtualClock as VirtualClock,
     VirtualRtpus as VirtualRtpus,
 )

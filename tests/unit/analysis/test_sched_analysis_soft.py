@@ -49,9 +49,7 @@ def test_counted_in_periods_fewer_are_kept() -> None:
     """Decision 0092: nine of ten cycles in time are nine of eleven periods."""
     assert FIGURE_6_6.periods(6 * MS) == pytest.approx(1.1)
     assert FIGURE_6_6.on_time_share(6 * MS) == pytest.approx(0.9 / 1.1)
-    assert FIGURE_6_6.effective_for_periods_ns(0.1) == 8 * MS
     assert FIGURE_6_6.on_time_share(8 * MS) >= 0.9 > FIGURE_6_6.on_time_share(7 * MS)
-    assert FIGURE_6_6.effective_for_periods_ns(0.0) == 10 * MS
 
 
 @pytest.mark.parametrize(

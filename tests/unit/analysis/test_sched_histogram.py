@@ -8,7 +8,6 @@ from pbonet.analysis.schedule.histogram import (
     edge_ns,
     octaves,
     quantile_ns,
-    share_below,
 )
 
 
@@ -51,15 +50,8 @@ def test_quantiles_are_right_within_a_bin() -> None:
         assert quantile_ns(bins, share) == pytest.approx(share * 1e6, rel=1 / 16)
 
 
-def test_share_below_is_the_inverse_of_the_quantile() -> None:
-    bins = counts(*range(0, 1_000_000, 100))
-    for share in (0.1, 0.5, 0.9):
-        assert share_below(bins, quantile_ns(bins, share)) == pytest.approx(share)
-
-
 def test_nothing_counted() -> None:
     assert quantile_ns([0] * BINS, 0.5) == 0
-    assert share_below([0] * BINS, 5) == 0
 
 
 def test_nonsense_is_refused() -> None:
