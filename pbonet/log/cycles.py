@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,16 @@ COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags"
 time (all in nanoseconds), and the flags of its copies."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
+
+
+class Written(NamedTuple):
+    """Values that one task wrote to a variable."""
+
+    task: str
+    releases: NDArray[np.int64]
+    """The releases of its cycles, CLOCK_MONOTONIC nanoseconds, shape ``(n,)``."""
+    values: NDArray[Any]
+    """Shape ``(n, ...)``."""
 
 
 class Cycles(ABC):
@@ -54,36 +64,82 @@ class Cycles(ABC):
         """Return how many records of each task did not fit its ring."""
         return {}
 
-    def writer(self, variable: str) -> str:
-        """Return the task that wrote a variable, the first one if there were several.
+    def written(self, variable: str) -> list[Written]:
+        """Return what each task wrote to a variable, in the order of the tasks.
+
+        Of several subsystems with such a variable it is that of the first task.
 
         Raises:
             UnknownVariableError: No task of the run wrote it.
         """
-        known: dict[str, str] = {}
-        for task in self.tasks:
-            for name in self.variables(task):
-                known.setdefault(name, task)
-        if variable not in known:
-            raise UnknownVariableError(
-                f"no task of the run wrote {variable}",
-                expected=" or ".join(known) or "a run with tasks",
-                remedy=did_you_mean(variable, known) or "name one that was written",
-            )
-        return known[variable]
+        found = [
+            Written(task, arrays["release_ns"], arrays[variable])
+            for task in self.tasks
+            if variable in self.variables(task)
+            for arrays in [self.arrays(task)]
+        ]
+        self.must_be_written(variable, bool(found))
+        return found
+
+    def must_be_written(self, variable: str, found: object) -> None:
+        """Refuse a variable that no task wrote.
+
+        Raises:
+            UnknownVariableError: `found` is false.
+        """
+        if found:
+            return
+        known = list(
+            dict.fromkeys(name for task in self.tasks for name in self.variables(task))
+        )
+        raise UnknownVariableError(
+            f"no task of the run wrote {variable}",
+            expected=" or ".join(known) or "a run with tasks",
+            remedy=did_you_mean(variable, known) or "name one that was written",
+        )
 
     def series(self, variable: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Return a variable over time: seconds since the run began, and its values.
 
+        The values of all its writers are included, as after a swap; see `writers`.
+
         Returns:
-            The releases of the writer's cycles, shape ``(n,)``, in seconds; and the
+            The releases of the writers' cycles, shape ``(n,)``, in seconds; and the
             values, shape ``(n, ...)`` with the variable's own shape last, in its unit.
 
         Raises:
             UnknownVariableError: No task of the run wrote it.
         """
-        arrays = self.arrays(self.writer(variable))
-        return (arrays["release_ns"] - self.begin_ns) * 1e-9, arrays[variable]
+        each = self.written(variable)
+        releases = np.concatenate([one.releases for one in each])
+        values = np.concatenate([one.values for one in each])
+        order = np.argsort(releases, kind="stable")
+        seconds = (releases[order] - self.begin_ns).astype(np.float64) * 1e-9
+        return seconds, values[order]
+
+    def writers(self, variable: str) -> list[tuple[float, str]]:
+        """Return the tasks that wrote a variable, each time that the writer changed.
+
+        Returns:
+            When each of them began to write, in seconds since the run began, and its
+            name; by time. A task is listed again if it took the variable over again.
+
+        Raises:
+            UnknownVariableError: No task of the run wrote it.
+        """
+        each = self.written(variable)
+        releases = np.concatenate([one.releases for one in each])
+        who = np.repeat(np.arange(len(each)), [len(one.releases) for one in each])
+        order = np.argsort(releases, kind="stable")
+        releases, who = releases[order], who[order]
+        found: list[tuple[float, str]] = []
+        places: list[int] = np.flatnonzero(np.diff(who, prepend=-1)).tolist()
+        for at in places:
+            begin = (int(releases[at]) - self.begin_ns) * 1e-9
+            task = each[int(who[at])].task
+            if not found or found[-1][1] != task:  # else it was spawned again
+                found.append((begin, task))
+        return found
 
     @property
     def begin_ns(self) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 
 from .clocks import common
-from .cycles import COLUMNS, Cycles
+from .cycles import COLUMNS, Cycles, Written
 from .part import Part
 from .records import (
     EPOCH,
@@ -258,6 +258,30 @@ class Log(Cycles):
                     values = self._arrays[task][name].astype(np.int64)
                     self._arrays[task][name] = values
         return self._arrays[task]
+
+    def written(self, variable: str) -> list[Written]:
+        """Return what each life of a task wrote to a variable, by file.
+
+        Of several subsystems with such a variable it is that of the first task.
+
+        Raises:
+            UnknownVariableError: No task of the run wrote it.
+        """
+        lives = [
+            life
+            for life in self._lives
+            if variable in {one.name for one in life.about.outvar}
+            and variable not in life.about.hidden
+        ]
+        found: list[Written] = []
+        for life in lives:
+            if life.about.subsystem == lives[0].about.subsystem:
+                arrays = self._in_time(life)
+                cycles = arrays["kind"] == Step.CYCLE
+                releases = arrays["release_ns"][cycles].astype(np.int64)
+                found.append(Written(life.name, releases, arrays[variable][cycles]))
+        self.must_be_written(variable, found)
+        return found
 
     def _in_time(self, life: TaskLife) -> dict[str, NDArray[Any]]:
         """Return the arrays of a life, with times by the first file's clock."""

@@ -13,5 +13,5 @@ class Warns(PortBasedObject):
     def cycle(self, dt: float) -> None:
         self.y[0] += 1.0
         self.y[1] += round(dt * self.task.freq) - 1
-        self.task.warn("again")
+        self.task.warn(f"again {self.y[0]:.0f}")
         self.task.signal(Signal.FINISH, "and again")

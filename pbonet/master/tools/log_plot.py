@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 def draw(log: Log, variables: Sequence[str], out: Path) -> None:
     """Draw each variable under the other, all on one axis of time.
 
+    Where a variable has several writers, each change is marked with the new one.
+
     Args:
         log: The run.
         variables: Which.
@@ -41,9 +43,13 @@ def draw(log: Log, variables: Sequence[str], out: Path) -> None:
         len(series), 1, sharex=True, squeeze=False, figsize=(10, 2.5 * len(series))
     )
     for axis, (name, time, values) in zip(axes[:, 0], series, strict=True):
-        about = log.task_about(log.writer(name))
-        units = next(v.units for v in about.outvar if v.name == name)
+        writers = log.writers(name)
+        about = log.task_about(writers[0][1])
+        units = next((v.units for v in about.outvar if v.name == name), "")
         axis.plot(time, values, linewidth=0.8)
+        for begin, task in writers if len(writers) > 1 else ():
+            axis.axvline(begin, color="gray", linewidth=0.8, linestyle="--")
+            axis.annotate(task, (begin, 1), xycoords=("data", "axes fraction"), size=7)
         axis.set_ylabel(f"{name} [{units}]")
         axis.grid(alpha=0.3)
     axes[-1, 0].set_xlabel("s")

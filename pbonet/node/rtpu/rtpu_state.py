@@ -333,7 +333,7 @@ class Rtpu:
             notice.text = f"[{lost} notices lost before this one] {notice.text}"
         if notice.code == "WARNING":
             task.warnings += 1
-            task.warning = task.warning or notice.text
+            task.warning = notice.text
         if notice.error is not None:
             error = str(PbonetError.from_wire(notice.error))
             task.error = placed(error, notice.place)

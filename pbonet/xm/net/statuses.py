@@ -50,6 +50,7 @@ class TaskStatus(Struct, kw_only=True):
     now_c: float = 0.0
     warn: int
     warning: str = ""
+    """The newest one since `on`."""
     error: str = ""
     jitter_max: float = 0.0
     """Largest delay from release to the first line of `cycle`, seconds."""

@@ -388,6 +388,8 @@ def test_a_task_that_warns_always_floods_nobody(arm):
     held = "notices held back"
     wait_for(lambda: any(held in event.text for event in told()), "what was held back")
     assert len(told()) < arm.status("bad").warn
+    newest = int(arm.status("bad").warning.split()[-1])
+    assert newest > 400, "the newest warning is shown, not the first"
     assert arm.off("bad").state == "OFF"
 
 

@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from pyarrow import parquet
 
 from pbonet.config.model import Variable
-from pbonet.errors import LogError, UnknownTaskError
+from pbonet.errors import LogError, UnknownTaskError, UnknownVariableError
 from pbonet.log import (
     Log,
     LogWriter,
@@ -319,3 +319,24 @@ def test_runs_are_compared_by_variable(tmp_path) -> None:
     (row,) = text.diff(one, Log(tmp_path / "c.mcap"))
     assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 12)
     assert "12" in text.diff_text([row])
+
+
+def test_a_variable_s_series_has_the_values_of_all_its_writers(tmp_path) -> None:
+    """As after a swap, a swap back, and a fallback: a, b, a, c, and b spawned again."""
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    numbers = {task: writer.add_task(about(task, PLAIN)) for task in "abc"}
+    order = [("a", 0, 40), ("b", 40, 30), ("a", 70, 20), ("c", 90, 10)]
+    for task, since, count in order:
+        writer.add(numbers[task], cycles(count, since=since))
+    again = writer.add_task(about("c", [*PLAIN, VARIABLES[2]]))
+    writer.add(again, cycles(15, [*PLAIN, VARIABLES[2]], since=100))
+    writer.close()
+    log = Log(tmp_path / "run.mcap")
+    time, values = log.series("Y")
+    assert len(time) == len(values) == 115
+    assert np.all(np.diff(time) > 0)
+    begins, tasks = zip(*log.writers("Y"), strict=True)
+    assert tasks == ("a", "b", "a", "c")
+    assert begins == pytest.approx([since * 1e-5 for _, since, _ in order])
+    with pytest.raises(UnknownVariableError, match="no task of the run wrote Z"):
+        log.series("Z")

@@ -210,7 +210,7 @@ def test_turning_on_again_begins_anew(shop: Shop) -> None:
         assert (status.cycle, status.warn) == (cycles, 2)
         assert status.ptime == pytest.approx(1.0)
         assert status.mez_f == pytest.approx(10.0)
-        assert status.warning == simulation.events[0].partition(": ")[2]
+        assert status.warning == simulation.events[1].partition(": ")[2]
         simulation.control("steps", "off")
         simulation.wait(seconds)
         (status,) = simulation.rtpu_status()[0].tasks
