@@ -14,8 +14,8 @@ from pbonet.config import parse_job, parse_sbs
 from pbonet.errors import LogError
 from pbonet.log import COLUMNS, Log, merge
 from pbonet.master.configuration import Place
-from pbonet.master.console import live_status, simulate
-from pbonet.master.sim import BEGIN_NS, sim_log
+from pbonet.master.console import run
+from pbonet.master.sim import BEGIN_NS
 
 from ._changed import changed
 from ._records import alike, must_have_cycles
@@ -82,14 +82,14 @@ def simulated(
 
 def _again(job: Path, place: Place, seconds: float, out: Path | None) -> Cycles:
     """Simulate a job, and write its log where one is wanted."""
-    view = live_status.view(quiet=True)
-    if out is None:
-        now = simulate(job, place, view, seconds).recording
-        assert now is not None  # noqa: S101 - a simulation has one
-        return now
     runs = job.parent / "runs"
-    book = sim_log.begin(job, place, record="outputs", runs=runs, seconds=seconds)
-    outcome = simulate(job, place, view, seconds, book)
+    record = "off" if out is None else "outputs"
+    outcome = run(
+        job, place, seconds=seconds, sim=True, record=record, runs=runs, quiet=True
+    )
+    if out is None:
+        assert outcome.recording is not None  # noqa: S101 - a simulation has one
+        return outcome.recording
     if not outcome.log:
         raise LogError(
             "the simulation's log cannot be written",

@@ -22,4 +22,3 @@ from .interfaces import serve as serve
 from .program import Subsystem as Subsystem
 from .run_end import Interrupts as Interrupts
 from .run_job import run as run
-from .run_simulated import simulate as simulate

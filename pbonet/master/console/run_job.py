@@ -357,7 +357,7 @@ def run(
     if sim:
         from . import run_simulated
 
-        outcome = run_simulated.recorded(
+        outcome = run_simulated.simulate(
             path, place, view, seconds, record=record, runs=runs
         )
     else:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.master.configuration import Place
-    from pbonet.master.sim import SimLog, VirtualRtpus
+    from pbonet.master.sim import VirtualRtpus
 
     from .live_status import View
 
@@ -25,7 +25,7 @@ _SLICE: Final = 0.05
 """Seconds of virtual time between two checks whether to end."""
 
 
-def recorded(
+def simulate(
     path: str | Path,
     place: Place,
     view: View,
@@ -34,43 +34,19 @@ def recorded(
     record: str | None,
     runs: str | Path | None,
 ) -> Outcome:
-    """Simulate a job, with a log where a run in real time has one.
+    """Run a job in virtual time, with a log where a run in real time has one.
 
     Args:
         path: The ``.job`` file.
         place: Where RMODs and modules are found.
         view: The display.
         seconds: How much virtual time passes; None: 10 s.
-        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
-            says.
+        record: ``off`` to keep every cycle in memory, ``outputs``, ``all`` or ``last
+            SECONDS``; None for what the job says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
 
     Raises:
         PbonetError: The job cannot be assembled, or not be recorded like that.
-    """
-    wanted = _SECONDS if seconds is None else seconds
-    log = sim_log.begin(path, place, record=record, runs=runs, seconds=wanted)
-    return simulate(path, place, view, wanted, log)
-
-
-def simulate(
-    path: str | Path,
-    place: Place,
-    view: View,
-    seconds: float | None,
-    log: SimLog | None = None,
-) -> Outcome:
-    """Run a job in virtual time, in this process and without devices.
-
-    Args:
-        path: The ``.job`` file.
-        place: Where RMODs and modules are found.
-        view: The display.
-        seconds: How much virtual time passes; None: 10 s.
-        log: Where it is recorded; without, every cycle is kept in memory.
-
-    Raises:
-        PbonetError: The job cannot be assembled.
     """
     wanted = _SECONDS if seconds is None else seconds
     warnings: list[str] = []
@@ -79,7 +55,9 @@ def simulate(
     )
     simulation = subsystem.simulation
     assert simulation is not None  # noqa: S101 - it is virtual
-    job = subsystem.files.read_job().name
+    files = subsystem.files
+    job = files.read_job().name
+    log = sim_log.begin(files, record=record, runs=runs, seconds=wanted)
     interrupts = Interrupts(once=True)
     begin, passed = time.monotonic(), 0.0
     try:

@@ -1,5 +1,4 @@
 from . import sim_log as sim_log
-from .sim_log import SimLog as SimLog
 from .virtual_loop import BEGIN_NS as BEGIN_NS
 from .virtual_rtpus import (
     REASON as REASON,

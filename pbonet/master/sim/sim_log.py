@@ -9,10 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pbonet.config import Library
 from pbonet.errors import LogError
 from pbonet.log import Log
-from pbonet.master.configuration import Files, RecordingPlan
+from pbonet.master.configuration import RecordingPlan
 from pbonet.node.recorder import Recorder, Time
 from pbonet.node.wire import rtpu_messages
 
@@ -20,7 +19,7 @@ from .virtual_loop import BEGIN_NS
 
 if TYPE_CHECKING:
     from pbonet.log import TaskAbout
-    from pbonet.master.configuration import Place
+    from pbonet.master.configuration import Files
     from pbonet.xm.net import Event
 
     from .rtpu_in_process import VirtualTask
@@ -85,7 +84,6 @@ class SimLog:
     Args:
         book: How it is recorded.
         files: What it is made of.
-        place: Where RMODs are found.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
         seconds: How much virtual time shall pass.
 
@@ -99,14 +97,13 @@ class SimLog:
         self,
         book: RecordingPlan,
         files: Files,
-        place: Place,
         runs: str | Path | None,
         seconds: float,
     ) -> None:
         self.faults: list[str] = []
         self.epoch_ns = time.time_ns() - BEGIN_NS
         self._libraries = tuple(
-            str(Path(folder).absolute()) for folder in place.libraries
+            str(Path(folder).absolute()) for folder in files.library.folders
         )
         self._now_ns = 0
         self._begun = False
@@ -186,8 +183,7 @@ class SimLog:
 
 
 def begin(
-    path: str | Path,
-    place: Place,
+    files: Files,
     *,
     record: str | None,
     runs: str | Path | None,
@@ -196,8 +192,7 @@ def begin(
     """Return the log of a run that is about to be simulated; None: it has none.
 
     Args:
-        path: The ``.job`` file.
-        place: Where RMODs are found.
+        files: Those of the job.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
@@ -208,8 +203,7 @@ def begin(
         ConfigError: The job names what is neither one of its tasks nor a variable.
     """
     book = RecordingPlan(record)
-    files = Files(path, Library(place.libraries))
     book.of(files.read_job(), files)
     if not book.wanted:
         return None
-    return SimLog(book, files, place, runs, seconds)
+    return SimLog(book, files, runs, seconds)

@@ -11,8 +11,6 @@ from pbonet.errors import LogError
 from pbonet.log import Log, Step, text
 from pbonet.log.groups import size
 from pbonet.master.configuration.environment import Place
-from pbonet.master.console import run_simulated
-from pbonet.master.console.live_status import view
 from pbonet.master.console.run_job import run
 from pbonet.master.sim import sim_log
 from pbonet.testing import rerun, verify
@@ -157,15 +155,16 @@ def test_last_is_written_behind_an_error_only(tmp_path) -> None:
     assert rerun(log).good, "what there is comes out the same"
 
 
-def test_last_keeps_no_more_than_it_must(tmp_path) -> None:
-    place = Place(libraries=(str(tmp_path),))
-    log = sim_log.begin(
-        job(tmp_path), place, record="last 0.5", runs=tmp_path, seconds=9.0
-    )
-    found = run_simulated.simulate(
-        tmp_path / "x.job", place, view(quiet=True), 9.0, log
-    )
-    (rtpu,) = log._rtpus.values()
+def test_last_keeps_no_more_than_it_must(tmp_path, monkeypatch) -> None:
+    begin, logs = sim_log.begin, []
+
+    def begun(*args, **options):
+        logs.append(begin(*args, **options))
+        return logs[-1]
+
+    monkeypatch.setattr(sim_log, "begin", begun)
+    found = simulated(tmp_path, 9.0, record="last 0.5")
+    (rtpu,) = logs[0]._rtpus.values()
     times = [at for at, _, _ in rtpu._files._kept]
     assert times[-1] - times[0] <= 0.5
     kept = sum(len(records) for _, _, records in rtpu._files._kept)
