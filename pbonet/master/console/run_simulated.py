@@ -102,5 +102,5 @@ def _advance(simulation: VirtualRtpus, seconds: float, interrupts: Interrupts) -
     end_ns = begin_ns + (round(seconds * 1e9) if math.isfinite(seconds) else math.inf)
     while simulation.now_ns < end_ns and not interrupts.wished.is_set():
         left = (end_ns - simulation.now_ns) * 1e-9
-        simulation.pass_time(min(_SLICE, left), interrupts.wished)
+        simulation.wait(min(_SLICE, left), interrupts.wished)
     return (simulation.now_ns - begin_ns) / 1e9

@@ -2,6 +2,5 @@ from . import sim_log as sim_log
 from .virtual_loop import BEGIN_NS as BEGIN_NS
 from .virtual_rtpus import (
     REASON as REASON,
-    VirtualClock as VirtualClock,
     VirtualRtpus as VirtualRtpus,
 )

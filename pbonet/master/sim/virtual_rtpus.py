@@ -52,7 +52,8 @@ class VirtualRtpus:
     """The RTPUs of a subsystem, answering as their agents would.
 
     At one instant they have their turn in the order of the ``.sbs`` file, and on each
-    the more urgent task first. A cycle takes no time.
+    the more urgent task first. A cycle takes no time. They are the clock of their
+    master too: time passes only where it waits, as fast as modules can run.
 
     Args:
         files: The subsystem's files.
@@ -154,8 +155,12 @@ class VirtualRtpus:
 
     # -- time --------------------------------------------------------------------------
 
-    def pass_time(self, seconds: float, until: Event) -> bool:
-        """Let virtual time pass, or an event be set; return whether it is."""
+    def now(self) -> float:
+        """Return the virtual seconds."""
+        return self.now_ns * 1e-9
+
+    def wait(self, seconds: float, until: Event) -> bool:
+        """Let time pass until it is over or an event is set; return whether it is."""
         end_ns = self.now_ns + round(seconds * 1e9)
         while not until.is_set():
             with self._lock, no_devices(REASON):
@@ -303,18 +308,3 @@ class VirtualClient(rpc.Client):
     def _exchange(self, rtpu: str, request: m.Request, timeout: float) -> m.Answer:
         del timeout
         return self._rtpus.answer(rtpu, request)
-
-
-class VirtualClock:
-    """Time that passes only where a program waits, and as fast as modules can run."""
-
-    def __init__(self, rtpus: VirtualRtpus) -> None:
-        self._rtpus = rtpus
-
-    def now(self) -> float:
-        """Return the virtual seconds."""
-        return self._rtpus.now_ns * 1e-9
-
-    def wait(self, seconds: float, until: Event) -> bool:
-        """Let time pass until it is over or an event is set; return whether it is."""
-        return self._rtpus.pass_time(seconds, until)

@@ -125,8 +125,7 @@ class Subsystem:
         if virtual:
             from pbonet.master import sim  # with it come the RTPU and the task
 
-            self.simulation = sim.VirtualRtpus(self.files)
-            self.clock = sim.VirtualClock(self.simulation)
+            self.simulation = self.clock = sim.VirtualRtpus(self.files)
         self._agents: Embedded | None = None
         if embed and not virtual:
             from .embedded_agents import Embedded
