@@ -186,7 +186,17 @@ def view(
         PbonetError: A file is wrong, no agent can be reached, or the SDK is not there.
     """
     host = f"[{where.host}]" if ":" in where.host else where.host
-    session.check_endpoint(f"tcp/{host}:{where.port or 1}", insecure=insecure)
+    try:
+        session.check_endpoint(f"tcp/{host}:{where.port or 1}", insecure=insecure)
+    except NodeError as error:
+        error.where = f"--host {where.host}"
+        error.expected = "an address of this machine alone, such as 127.0.0.1"
+        error.remedy = (
+            f"serve 127.0.0.1 and forward the port by `ssh -L {where.port}:127.0.0.1:"
+            f"{where.port} HOST`; or use --insecure if everyone on that network may "
+            "read all values"
+        )
+        raise
     subsystem = Subsystem(
         path,
         **place.arguments,

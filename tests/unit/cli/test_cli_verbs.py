@@ -479,3 +479,12 @@ def test_a_verb_whose_output_is_closed_does_its_work(monkeypatch):
         assert (caught.value.code or 0) == status
     for stream in (sys.stdout, sys.stderr):
         stream.close()
+
+
+def test_a_view_for_other_machines_gets_a_remedy_that_fits_it(call) -> None:
+    status, out, err = call("view", "x.sbs", "--host", "192.0.2.1", "--port", "9000")
+    assert (status, out) == (1, "")
+    assert "--host 192.0.2.1" in err
+    assert "ssh -L 9000:127.0.0.1:9000" in err
+    assert "control" not in err, "viewers only read"
+    assert "tls" not in err, "viewers do not use it"
