@@ -74,7 +74,7 @@ class Damage(NamedTuple):
     """A part of a file that cannot be read."""
 
     what: str
-    """``chunk``, ``attachment``, ``description``, or ``region`` of the file."""
+    """``chunk``, ``attachment``, ``description``, ``index``, or ``region``."""
     at: int
     """Its offset in the file."""
     size: int
@@ -143,12 +143,14 @@ class Part:
         with scan.open_log(path) as file:
             self.size = file.seek(0, 2)
             summary = scan.summary(file, str(path))
-            self.complete = summary is not None
-            """Whether the file was finished, and its index is not damaged."""
+            self.complete = True
+            """Whether the file was finished."""
             if summary is not None:
                 self._take_summary(file, summary)
             else:
-                self._take_scan(file, scan.scan(file, str(path)))
+                content = scan.scan(file, str(path))
+                self.complete = content.end is not None
+                self._take_scan(file, content)
             self.attached = dict(self._attached(file))
             """The attached files, by name."""
         self.sources = list(_sources(self.metadata, path))
@@ -196,6 +198,9 @@ class Part:
                 self._describe(file, at, size)
             elif opcode in {scan.CHUNK, scan.LOST}:
                 self._chunks.append(_Chunk(at, size, lost=opcode == scan.LOST))
+        if content.end is not None:
+            size = self.size - content.end
+            self._damage.append(Damage("index", content.end, size, None, None))
         base = 0
         for chunk in self._chunks:
             chunk.base = base

@@ -55,8 +55,9 @@ class Lost(msgspec.Struct, kw_only=True):
     path: str
     """The file."""
     what: str
-    """``chunk`` (a group of messages), ``attachment``, ``description`` of the run, or
-    ``region`` (of the file, in which there is no record)."""
+    """``chunk`` (a group of messages), ``attachment``, ``description`` of the run,
+    ``index`` (without which all messages are found), or ``region`` (of the file, in
+    which there is no record)."""
     at: int
     """Its offset in the file."""
     size: int
@@ -72,6 +73,8 @@ class Lost(msgspec.Struct, kw_only=True):
         text = f"{self.path}: damaged {self.what}, {self.size} bytes at {self.at}"
         if self.what in {"attachment", "description"}:
             return text
+        if self.what == "index":
+            return f"{text}: all messages were found without it"
         begin = "the beginning" if self.begin is None else f"{self.begin:.3f} s"
         end = "the end" if self.end is None else f"{self.end:.3f} s"
         return f"{text}: what was recorded from {begin} to {end} of the run is missing"

@@ -51,8 +51,9 @@ class Content(NamedTuple):
 
     records: list[Found]
     """Records of type `LOST` are damaged regions."""
-    whole: bool
-    """Whether all records are there, up to the index at the end of the file."""
+    end: int | None
+    """Offset of the end of the data, where the index begins; None: the file was not
+    finished."""
 
 
 LOST: Final = 0
@@ -105,10 +106,10 @@ def scan(file: BinaryIO, where: str) -> Content:
                 found.append(Found(LOST, begin, at - begin))
             continue
         if one.opcode == DATA_END:
-            return Content(found, whole=True)
+            return Content(found, one.at + one.size if _ends_well(file, size) else None)
         found.append(one)
         at = one.at + one.size
-    return Content(found, whole=False)
+    return Content(found, None)
 
 
 def _record(file: BinaryIO, at: int, size: int) -> Found | None:

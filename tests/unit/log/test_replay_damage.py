@@ -106,3 +106,12 @@ def test_a_log_that_was_cut_is_incomplete(copy, capsys) -> None:
     for more, wanted in (((), 0), (("--strict",), 3)):
         assert status("replay", copy, "--verify", *more) == wanted
         assert "was not finished" in capsys.readouterr().err
+
+
+def test_a_log_with_a_damaged_index_is_verified_without_it(copy, capsys) -> None:
+    data = bytearray(copy.read_bytes())
+    data[-60] ^= 1
+    copy.write_bytes(data)
+    assert Log(copy).complete
+    assert status("replay", copy, "--verify", "--strict") == 0
+    assert "damaged index" in capsys.readouterr().err
