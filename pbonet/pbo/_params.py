@@ -61,7 +61,8 @@ class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsM
 
     Types are ``float``, ``int``, ``bool``, ``str``, ``Literal["a", "b"]`` and tuples of
     the first four, ``tuple[float, float, float]`` or ``tuple[float, ...]``; bounds hold
-    for each value of a tuple. Required parameters come first.
+    for each value of a tuple. A tuple may be given as a list or as a numpy array of one
+    dimension. Required parameters come first.
 
     Raises:
         ParameterError: A value is mistyped or out of bounds.
@@ -70,9 +71,13 @@ class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsM
     __declared__: ClassVar[dict[str, Param]] = {}
 
     def __post_init__(self) -> None:
-        """Check every value."""
+        """Check every value; numpy arrays and lists become tuples."""
         for name, about in type(self).__declared__.items():
-            _check(type(self).__name__, about, getattr(self, name))
+            given = getattr(self, name)
+            value = _plain(about, given)
+            _check(type(self).__name__, about, value)
+            if value is not given:
+                structs.force_setattr(self, name, value)
 
 
 P = TypeVar("P", bound=Params)
@@ -302,6 +307,15 @@ _PYTHON: dict[str, tuple[type, ...]] = {
     "bool": (bool,),
     "str": (str,),
 }
+
+
+def _plain(about: Param, value: Any) -> Any:  # noqa: ANN401
+    """Return a list or numpy array as a tuple, and a numpy number as Python's."""
+    if hasattr(value, "tolist"):  # numpy is not imported for it
+        value = value.tolist()
+    if about.count and isinstance(value, list):
+        return tuple(cast("list[object]", value))
+    return value
 
 
 def _typed(about: Param, value: Any) -> bool:  # noqa: ANN401

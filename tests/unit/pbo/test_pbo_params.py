@@ -2,6 +2,7 @@
 
 from typing import Annotated as A, ClassVar, Literal
 
+import numpy as np
 import pytest
 
 from pbonet import Params, PortBasedObject, param
@@ -336,3 +337,26 @@ def test_a_private_parameter_is_refused():
 
         class Wrong(Params):
             _kp: A[float, param("none", "gain")]
+
+
+class Spline(Params):
+    knots: A[tuple[float, ...], param("s", "its knots", ge=0)]
+    order: A[int, param("1", "its order")] = 3
+
+
+@pytest.mark.parametrize("knots", [[0.0, 0.5], np.array([0.0, 0.5]), (0.0, 0.5)])
+def test_a_tuple_may_be_given_as_a_list_or_an_array(knots) -> None:
+    made = Spline(knots=knots, order=np.int64(2))
+    assert made.knots == (0.0, 0.5)
+    assert [type(one) for one in (made.knots, made.knots[1], made.order)] == [
+        *(tuple, float, int),
+    ]
+
+
+def test_an_array_is_checked_as_a_tuple_is() -> None:
+    with pytest.raises(ParameterError, match=r"out of bounds \(value 2 of 2\)"):
+        Spline(knots=np.array([0.0, -1.0]))
+    with pytest.raises(ParameterError, match="knots has the wrong type"):
+        Spline(knots=np.zeros((2, 2)))
+    with pytest.raises(ParameterError, match="order has the wrong type"):
+        Spline(knots=[1.0], order=np.array([2]))
