@@ -19,7 +19,9 @@ def command(
     """Check files and report their errors.
 
     Of a job it also says which deadlines are met, and which execution times that rests
-    on. The status is 1 if a file is wrong.
+    on. Modules of the libraries are imported, so their code runs, with your rights:
+    do not name a library that you do not trust. The status is 1 if a file is
+    wrong.
 
     Examples:
         Check a job with the files it names, and whether its deadlines are met:
