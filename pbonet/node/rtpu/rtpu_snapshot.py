@@ -68,7 +68,7 @@ class TaskSnapshot(Struct, kw_only=True):
 
 
 class SnapshotChanges(Struct, tag="known", kw_only=True):
-    """SnapshotChanges; None where there is none."""
+    """Changes since the last snapshot; None where there is none."""
 
     tasks: list[TaskSnapshot] | None = None
     """In the order in which they were spawned."""
