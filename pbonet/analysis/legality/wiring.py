@@ -65,13 +65,28 @@ def _two_writers(
         where=places[-1],
         expected="one task that writes a variable (equation 1)",
         got=f"{len(names)}: {', '.join(places)}",
-        remedy=remedy(configuration, variable, tasks)
-        if len(tasks) > 1
-        else "rename one by SVARALIAS",
+        remedy=_swap_back(tasks)
+        or (
+            remedy(configuration, variable, tasks)
+            if len(tasks) > 1
+            else "rename one by SVARALIAS"
+        ),
         tasks=tuple(names),
         ports=tuple(task.port("OUTVAR", variable) for task in tasks),
         variables=(variable,),
     )
+
+
+def _swap_back(tasks: list[Task]) -> str:
+    """Return the remedy if one of the tasks is another one's fallback; else empty."""
+    for spare in tasks:
+        original = spare.fallback_of
+        if original in {task.name for task in tasks}:
+            return (
+                f"`swap {spare.name} {original}` lets {original} take over again, and "
+                f"its fallback {spare.name} stands by"
+            )
+    return ""
 
 
 def _two_givers(variable: str, tasks: list[Task]) -> Problem:

@@ -84,3 +84,12 @@ def test_the_load_of_several_standbys_is_judged_together():
 def test_a_standby_that_is_engaged_is_judged_as_any_task():
     tasks = (task("pid", outvar="T"), standby("pid", outvar="T"), READER)
     assert legality.check(configuration(*tasks, on={"safe", "robot"})) == []
+
+
+def test_an_original_that_is_turned_on_beside_its_fallback_is_swapped_back():
+    tasks = (task("pid", outvar="T"), standby("pid", outvar="T"), READER)
+    fell = configuration(*tasks, on={"safe", "robot"})
+    (problem,) = legality.judge(fell, legality.signal("pid", "on")).problems
+    assert problem.remedy == (
+        "`swap safe pid` lets pid take over again, and its fallback safe stands by"
+    )
