@@ -1,13 +1,13 @@
 from . import export as export, orders as orders, text as text
 from .code import code_of as code_of
 from .cycles import COLUMNS as COLUMNS, STABLE as STABLE, Cycles as Cycles
+from .damage import Lost as Lost
 from .events import LOG_SCHEMA as LOG_SCHEMA, log_message as log_message
 from .fields import field_name as field_name, variable_name as variable_name
 from .groups import pack as pack, size as size, unpack as unpack
 from .part import Part as Part
 from .reader import (
     Log as Log,
-    Lost as Lost,
     Message as Message,
     TaskLife as TaskLife,
     files_of as files_of,

@@ -10,8 +10,9 @@ import msgspec
 from pbonet.errors import LogError
 
 from .clocks import Clock, common
+from .damage import Lost, lost_in
 from .part import Part
-from .reader import Lost, goes_on, lost_in, parts_of
+from .reader import goes_on, parts_of
 from .records import (
     ATTACHED,
     CLOCKS,

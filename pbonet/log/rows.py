@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from pbonet.errors import LogError
+
 from . import scan
 
 if TYPE_CHECKING:
@@ -105,7 +107,18 @@ class Rows(Sequence[bytes]):
         return [data[a:b] for a, b in zip(begins, ends, strict=True)]
 
     def firsts(self, size: int) -> NDArray[np.uint8]:
-        """Return the first bytes of each message, shape ``(n, size)``."""
+        """Return the first bytes of each message, shape ``(n, size)``.
+
+        Raises:
+            LogError: A message is shorter.
+        """
+        if len(self) and (least := int(self.sizes.min())) < size:
+            raise LogError(
+                "a record is shorter than its channel's schema says",
+                expected=f"at least {size} bytes",
+                got=f"{least} bytes",
+                remedy="the program that wrote this log is at fault",
+            )
         data = np.frombuffer(self.data, np.uint8)
         if len(self) and (self.sizes == self.sizes[0]).all():
             return data.reshape(len(self), -1)[:, :size]

@@ -10,7 +10,7 @@ import numpy as np
 
 from pbonet.errors import LogError
 
-from .reader import Lost
+from .damage import Lost
 from .records import CLOCKS
 from .states import ON, timelines
 
@@ -150,7 +150,8 @@ def info_text(data: JsonObject) -> str:
     ]
     for file in data["files"]:
         state = "complete" if file["complete"] else "not finished: see `log recover`"
-        damaged = f", {file['damaged']} damaged parts" if file["damaged"] else ""
+        count = file["damaged"]
+        damaged = f", {count} damaged part{'s' * (count > 1)}" if count else ""
         lines.append(
             f"{file['path']}: {file['bytes'] / 1e6:.2f} MB, "
             f"{file['messages']} messages in {file['chunks']} chunks{damaged}, {state}"

@@ -333,8 +333,8 @@ class Run:
         consumed, inputs, heard = self._schema.rest(message)
         if why := self._inputs.bring(consumed, inputs):
             if not self._doubt:
-                raise Stop(f"cycle {number}: {why}")
-            return  # it read a commit that is missing, too
+                self.doubt(f"cycle {number}: {why}")
+            return
         self._feed(heard)
         self._source.release = release
         instance = self._instance

@@ -210,8 +210,18 @@ class Shop:
             self.a.cycle()
             self.b.cycle()
 
-    def log(self, *, hidden=(), without="", attached=True, files=(), slices=1, **more):
-        """Write what there is, in so many groups of messages; return the log."""
+    def log(
+        self,
+        *,
+        hidden=(),
+        without="",
+        attached=True,
+        files=(),
+        slices=1,
+        apart=False,
+        **more,
+    ):
+        """Write what there is, in so many chunks, of each task if apart; return it."""
         named = {"run": "r", "job": "j", "subsystem": "arm", "rtpu": "arm0"}
         about = RunAbout(domain="d", **(named | more))
         path = self.folder / "run.mcap"
@@ -229,6 +239,8 @@ class Shop:
             for number, records in written:
                 begin, end = (len(records) * k // slices for k in (n, n + 1))
                 writer.add(number, b"".join(records[begin:end]))
+                if apart:
+                    writer.flush()
             writer.flush()
         for name, content in dict(files).items():
             writer.attach(Attached(name, content))

@@ -60,6 +60,16 @@ def group(variables, pick) -> tuple[bytes, dict[str, np.ndarray]]:
     return bytes(data), values
 
 
+def flipped(path, out, count, seed):
+    """Write the file so often to another one, each time with one other bit flipped."""
+    data = bytearray(path.read_bytes())
+    for bit in sorted(random.Random(seed).sample(range(8 * len(data)), count)):
+        data[bit // 8] ^= 1 << bit % 8
+        out.write_bytes(data)
+        data[bit // 8] ^= 1 << bit % 8
+        yield bit
+
+
 def cycles(count, variables=PLAIN, seed=1, since=0) -> bytes:
     pick, parts = random.Random(seed), []
     for n in range(since, since + count):
