@@ -138,6 +138,8 @@ class TaskAbout(Struct, kw_only=True):
     """Whether its inputs from outside the table are recorded."""
     timing: bool = False
     """Whether the calls of its handler of timing failures are recorded."""
+    seed: int = 0
+    """Where its random numbers begin."""
 
     @property
     def topic(self) -> str:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
+    from numpy.random import Generator, SeedSequence
+
 
 class Answer(StrEnum):
     """Answers of `on`, `error` and `clear` (Stewart 1994, section 3.6)."""
@@ -127,6 +129,7 @@ class TaskContext:
             for the task's own.
         watch: Holds timing failures off and times sections; by default one for
             virtual time.
+        seed: Where `rng` begins.
     """
 
     _stamp = 0
@@ -141,6 +144,7 @@ class TaskContext:
         outbox: Outbox | None = None,
         handler: int | None = None,
         watch: Watch | None = None,
+        seed: int = 0,
     ) -> None:
         self.name = name
         self.rmod = rmod or name
@@ -171,6 +175,10 @@ class TaskContext:
         self.handling: TimingFailure | None = None
         """In `timing_failure`: the failure that is handled; else None."""
         self.watch: Watch = watch or PythonWatch(self)
+        self.seed = seed
+        """The seed of `rng`, which is recorded."""
+        self._rng: Generator | None = None
+        self._aborts = 0
         self.scopes: list[ErrorScope] = []
         """Scopes with handlers of errors, the innermost last."""
         self._kept: list[Kept] = []
@@ -249,6 +257,36 @@ class TaskContext:
     @deadline.setter
     def deadline(self, value: float) -> None:
         self.watch.deadline = value
+
+    @property
+    def rng(self) -> Generator:
+        """Random numbers that a replay repeats: a generator of numpy.
+
+        Its seed is chosen when the task is created, and recorded. It continues through
+        ``off``, ``on``, ``reinit`` and ``clear``; a task that is created again has
+        another seed. After a cycle that a timing failure aborts it begins again with
+        other numbers, because it is unknown how much that cycle had drawn. Virtual time
+        always has the same seeds, and a bench has the one that it is given.
+
+        The first use imports ``numpy.random``: make it in `init`, not in a cycle.
+        """
+        if self._rng is None:
+            from numpy.random import default_rng
+
+            self._rng = default_rng(self._sequence())
+        return self._rng
+
+    def restart_rng(self) -> None:
+        """Continue with other random numbers after a cycle that did not end."""
+        self._aborts += 1
+        if self._rng is not None:
+            fresh = type(self._rng.bit_generator)(self._sequence())
+            self._rng.bit_generator.state = fresh.state
+
+    def _sequence(self) -> SeedSequence:
+        from numpy.random import SeedSequence
+
+        return SeedSequence(self.seed, spawn_key=(self._aborts,))
 
     def critical(self) -> AbstractContextManager[object]:
         """Hold timing failures off: ``with self.task.critical(): ...`` (section 6.3).

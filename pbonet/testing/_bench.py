@@ -57,6 +57,7 @@ class Bench(Generic[M]):
         handler: That of its handler of timing failures, as HANDLER in the RMOD.
         clock: Shared with other benches, if need be.
         name: What the task is called.
+        seed: Where ``self.task.rng`` begins.
         more: Sizes by the name in the ports' shapes, and first values of ports by
             attribute: constants, inputs, and what the last writer left in the outputs.
             Every in-const needs a value; sizes follow from values where they can.
@@ -91,6 +92,7 @@ class Bench(Generic[M]):
         handler: int | None = None,
         clock: FakeClock | None = None,
         name: str = "bench",
+        seed: int = 0,
         **more: Any,  # noqa: ANN401 - numbers and arrays
     ) -> None:
         ports = module.__interface__.ports
@@ -116,6 +118,7 @@ class Bench(Generic[M]):
             source=Counted(self.clock, crit),
             outbox=self._outbox,
             handler=handler,
+            seed=seed,
         )
         self._watch = self.task.watch = PythonWatch(self.task)
         self._cycling = self._skips = False

@@ -226,6 +226,7 @@ class Run:
             freq=about.freq,
             source=self._source,
             handler=rmod.handler,
+            seed=about.seed,
         )
         self._watch = PythonWatch(self._context)
         if about.timing:

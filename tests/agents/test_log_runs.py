@@ -12,6 +12,7 @@ import signal
 import mounting
 import pytest
 from adding_module import ADDS
+from drawing_module import draws
 from log_of_real_tasks import (
     TEXT,
     begin,
@@ -31,6 +32,8 @@ from pbonet.errors import LogError, ModuleLoadError, PbonetError
 from pbonet.log import Log, is_complete
 from pbonet.testing import DivergedError, replay, verify
 from pbonet.xm.net import messages as m
+
+DRAWS = draws("self.made.normal()", first="self.task.rng")
 
 
 @pytest.fixture
@@ -73,6 +76,21 @@ def test_a_run_is_recorded_whole_and_gives_the_same_again(line, nodes):
     (nodes.library / "adds.py").unlink()
     with pytest.raises(ModuleLoadError):
         replay(path, "b")
+
+
+def test_what_real_tasks_draw_is_drawn_again(line, nodes):
+    nodes.write_module("adds", DRAWS)
+    path = begin(line)
+    wait_for(lambda: line.status("b").cycle > 9, "some cycles")
+    line.kill("a")
+    spawn(line, "a", "X", "Y0")
+    line.on("a")
+    wait_for(lambda: line.status("a").cycle > 9, "some cycles of the second life")
+    log = end(line, path)
+    seeds = {life.about.seed for task in "ab" for life in log.lives(task)}
+    assert len(seeds) == 3
+    verdicts = verify(log)
+    assert all(one.good for one in verdicts), "\n".join(map(str, verdicts))
 
 
 def test_others_read_every_channel(line):

@@ -7,6 +7,7 @@ only the native loop around the cycles is not.
 from __future__ import annotations
 
 import contextlib
+import zlib
 
 import numpy as np
 from adding_module import ADDS
@@ -110,7 +111,9 @@ class Task:
             libraries=tuple(map(str, library.folders)),
             forker=1,
         )
-        self.about = journal.about(spec, rmod, self.info, library, table)
+        self.about = journal.about(
+            spec, rmod, self.info, library, table, seed=zlib.crc32(task.encode())
+        )
         self.ring = Ring.create(spec.ring)
         self.tape = Tape()
         with using(self.tape):
@@ -119,7 +122,9 @@ class Task:
             self.local, self.ring, self.about, self.time, self.tape
         )
         self.source = Schedule(self.told, lambda: self.time.now)
-        context = self.context = Context(task, freq=100.0, source=self.source)
+        context = self.context = Context(
+            task, freq=100.0, source=self.source, seed=self.about.seed
+        )
         arrays = {
             port.attr: self.local.array(rmod.svar_name(port.name))
             for port in self.info.ports

@@ -8,6 +8,8 @@ here a channel in memory, tables that no other can open, and turns as time passe
 from __future__ import annotations
 
 import asyncio
+import zlib
+from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -80,11 +82,17 @@ class SharedState:
         self.tables: dict[str, Table] = {}
         self.cores: list[VirtualCore] = []
         self._spawned = 0
+        self._lives: Counter[str] = Counter()
 
     def number(self) -> int:
         """Return a number in place of a process id."""
         self._spawned += 1
         return self._spawned
+
+    def seed(self, task: str) -> int:
+        """Return the same seed for the same life of a task in every simulation."""
+        self._lives[task] += 1
+        return zlib.crc32(f"{task} {self._lives[task]}".encode())
 
 
 class VirtualRtpu(Rtpu):
@@ -431,6 +439,10 @@ class VirtualTask(Host):
 
     def live_in_process(self) -> None:
         """Do nothing: this process is that of many tasks."""
+
+    def seed(self) -> int:
+        """Return the seed that this task has in every simulation."""
+        return self._rtpu.world.seed(f"{self.spec.subsystem}/{self.spec.task}")
 
     def record(self, told: TaskAbout) -> Ring:
         """Return a ring that no other process can open."""

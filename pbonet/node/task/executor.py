@@ -307,6 +307,7 @@ class Executor:
             MethodError: `on` failed and the error was not corrected; `state` is the
                 task's new state.
         """
+        self.task.restart_rng()
         return self._run(Event.ABORT)
 
     # -- one event --------------------------------------------------------------------

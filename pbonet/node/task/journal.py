@@ -238,6 +238,8 @@ def about(
     info: ModuleInfo,
     library: Library,
     table: Indexed,
+    *,
+    seed: int,
 ) -> TaskAbout:
     """Return the description of the task whose cycles a ring holds."""
 
@@ -264,6 +266,7 @@ def about(
         code=code_of(files_of(rmod, library)),
         hears=True,
         timing=True,
+        seed=seed,
     )
 
 

@@ -15,7 +15,7 @@ import os
 import select
 import signal
 import socket
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 
     from pbonet.config import Rmod
     from pbonet.log import TaskAbout
+
+_SEED_BYTES: Final = 6
+"""Of a seed, which any program that reads JSON keeps exactly."""
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
@@ -164,7 +167,9 @@ class Host:
         params = decode_params(loaded.cls, self.rmod.settings, where=self.rmod.file)
         self.table = self.attach()
         self.local = local_table(self.table, spec.task, self.rmod)
-        told = journal.about(spec, self.rmod, self.info, library, self.table)
+        told = journal.about(
+            spec, self.rmod, self.info, library, self.table, seed=self.seed()
+        )
         self.ring = self.record(told)
         self.tape = self.slot.tape = Tape()
         use(self.tape)
@@ -181,6 +186,7 @@ class Host:
             outbox=self.to_rtpu,
             handler=self.rmod.handler,
             watch=self.watch,
+            seed=told.seed,
         )
         self.context.slot = self.slot
         self.context.told = self.watch.told = told_of
@@ -207,6 +213,10 @@ class Host:
         )
         with self.journal.doing(Did("spawn")), self.local.replacing(spec.replaces):
             self.executor.spawn()
+
+    def seed(self) -> int:
+        """Return a new seed for the task's random numbers."""
+        return int.from_bytes(os.urandom(_SEED_BYTES))
 
     def record(self, told: TaskAbout) -> Ring:
         """Return the ring for the task's records."""

@@ -306,3 +306,20 @@ def test_the_block_kills():
         killed.kill()
     with pytest.raises(StateError):
         killed.on()
+
+
+class Draws(PortBasedObject):
+    y: A[float, OutVar("Y", "1", "none", "noise")]
+
+    def cycle(self, dt):
+        self.y = dt + float(self.task.rng.normal())
+
+
+def test_numbers_that_are_drawn_follow_from_the_seed():
+    def drawn(**more):
+        one = Bench(Draws, **more)
+        one.on()
+        return [one.step() and one.outputs.y for _ in range(3)]
+
+    assert drawn() == drawn(seed=0)
+    assert drawn(seed=7) == drawn(seed=7) != drawn()
