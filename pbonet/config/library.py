@@ -72,16 +72,21 @@ class Library:
     """Modules and RMODs by name.
 
     Args:
-        folders: Folders beside the modules that pbonet brings and those of installed
+        folders: Folders before the modules that pbonet brings and those of installed
             packages; earlier ones win, and all of them win over those. One that does
             not exist is an error when a name is searched for that no other folder has.
     """
 
     def __init__(self, folders: Iterable[str | Path] = ()) -> None:
-        self.folders = tuple(Path(folder).expanduser() for folder in folders)
+        self._named = tuple(Path(folder).expanduser() for folder in folders)
         self.beside: tuple[Path, ...] = ()
-        """Folders of an application's files: not searched, but named to who forgot."""
+        """Folders of an application's files, which are searched before all others."""
         self._loaded: dict[tuple[str, str], LoadedModule] = {}
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders that are no packages, in the order in which they are searched."""
+        return tuple(dict.fromkeys((*self.beside, *self._named)))
 
     @property
     def shelves(self) -> tuple[Shelf, ...]:
@@ -221,19 +226,10 @@ class Library:
         raise ModuleLoadError(
             no_module(name),
             expected=f"{name}.py in {self._places()}",
-            remedy=self._forgotten(name)
-            or self._of_rmod(name)
+            remedy=self._of_rmod(name)
             or did_you_mean(name, self.modules())
             or self._missing(),
         )
-
-    def _forgotten(self, name: str) -> str:
-        """Return the hint if a module is beside the files that name it."""
-        for folder in self.beside:
-            if (folder / f"{name}.py").is_file():
-                place = folder.absolute()
-                return f"{name}.py is in {place}; give --library {place}"
-        return ""
 
     def _of_rmod(self, name: str) -> str:
         """Return the hint if an RMOD has the name."""
@@ -247,17 +243,16 @@ class Library:
         """Return what to do where an agent's library lacks a module.
 
         Returns:
-            Nothing where this library, and the folders beside, do not have it either.
+            Nothing where this library does not have it either.
         """
         found = self._first_with(f"{name}.py")
-        if found is not None and found[0].folder in self.folders:
-            place = found[0].folder.absolute()
-            return (
-                f"{name}.py is in {place}; the agent {rtpu} needs it, too: "
-                f"pbonet agent --name {rtpu} --library {place}"
-            )
-        told = self._forgotten(name)
-        return told and f"{told}, also to the agent {rtpu} if it was started before"
+        if found is None or found[0].folder not in self.folders:
+            return ""
+        place = found[0].folder.absolute()
+        return (
+            f"{name}.py is in {place}; the agent {rtpu} needs it, too: "
+            f"pbonet agent --name {rtpu} --library {place}"
+        )
 
     def _places(self) -> str:
         return " or ".join(str(shelf.folder) for shelf in self.shelves)

@@ -141,6 +141,7 @@ class Reader:
         self.constants = Constants(self.text)
         self._lines = self._meaningful()
         self._ahead: Line | None = None
+        self._begun = False
         self._last = Place(file, 1)
 
     def peek(self) -> Line:
@@ -159,6 +160,7 @@ class Reader:
         """Return the next line and move past it."""
         line = self.peek()
         self._ahead = None
+        self._begun = True
         return line
 
     def finish(self) -> None:
@@ -189,15 +191,27 @@ class Reader:
             )
 
     def unknown(self, line: Line, expected: Iterable[str]) -> ConfigError:
-        """Return the error for a line with an unknown keyword."""
+        """Return the error for a line with an unknown keyword.
+
+        A first line like no configuration file's is not quoted: it may be a secret of
+        a file that was named by mistake, or to learn what it holds.
+        """
         expected = tuple(expected)
+        hint = nearest(line.keyword, expected, self.keywords)
+        hint = hint or _format_of(line.keyword)
+        if not hint and not self._begun:
+            return fault(
+                "the first line has no keyword of this kind of file",
+                line.place,
+                expected=" or ".join(expected),
+                got="another word",
+                remedy="correct the keyword, or name the right file",
+            )
         return fault(
             f"unknown keyword {quote(line.keyword)}",
             line.place,
             expected=" or ".join(expected),
-            remedy=nearest(line.keyword, expected, self.keywords)
-            or _format_of(line.keyword)
-            or self._stray,
+            remedy=hint or self._stray,
         )
 
     def _cut_short(self) -> ConfigError:

@@ -167,8 +167,8 @@ def test_unknown_module_is_found_by_asking_the_agent(arm, puma):
     with pytest.raises(ModuleLoadError) as caught:
         arm.spawn("mine")
     assert caught.value.remedy == (
-        f"no_such.py is in {puma.parent}; give --library {puma.parent}, also to "
-        "the agent arm0 if it was started before"
+        f"no_such.py is in {puma.parent}; the agent arm0 needs it, too: "
+        f"pbonet agent --name arm0 --library {puma.parent}"
     )
 
 

@@ -1,7 +1,8 @@
-"""Check files on this machine, without agents and without running anything.
+"""Check files on this machine, without agents.
 
 A ``.job`` is judged as a master would judge it, with the modules of the libraries on
-this machine; the other files are read, and what they name is looked up.
+this machine, whose code runs when they are imported; the other files are read, and what
+they name is looked up. Without code, all is judged that the files alone say.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from pbonet.errors import WireError
+    from pbonet.pbo import ModuleInfo
 
 
 _BY_ITSELF = {
@@ -50,6 +52,12 @@ _BY_ITSELF = {
     legality.Code.TIMES,
 }
 """Checks of an RMOD that need neither the table nor the other tasks."""
+
+
+_NO_CODE = (
+    "no module was imported (--no-code): ports, parameters, units, sizes and methods "
+    "are not compared with modules"
+)
 
 
 class Findings(Struct, kw_only=True):
@@ -82,7 +90,12 @@ class Findings(Struct, kw_only=True):
 
 
 def check_file(
-    path: str | Path, libraries: Iterable[str | Path] = (), host: str = ""
+    path: str | Path,
+    libraries: Iterable[str | Path] = (),
+    host: str = "",
+    *,
+    code: bool = True,
+    outside: bool = False,
 ) -> Findings:
     """Return the faults of a file of any kind.
 
@@ -90,6 +103,8 @@ def check_file(
         path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job`` or ``.toml`` file.
         libraries: Folders with modules beside those that pbonet brings.
         host: The machine whose saved profiles are used; this one if empty.
+        code: Import the modules, and compare the files with them.
+        outside: Read files outside the folder of `path` if a line names one.
     """
     found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
     library = Library(libraries)
@@ -99,19 +114,22 @@ def check_file(
         record = library.read_rmod(path) if rmod else read_any(path)
         if isinstance(record, Rmod):
             found.about = f"RMOD {record.name} of module {record.module}"
-            _check_rmod(found, record, library)
+            _check_rmod(found, record, library, code=code)
         elif isinstance(record, SbsFile):
             rtpus = ", ".join(entry.name for entry in record.rtpus)
             found.about = f"subsystem {record.subsystem} on {rtpus}"
-            Files(path, library)  # reads the .svar file that it names
+            Files(path, library, outside=outside)  # reads the .svar file, too
         elif isinstance(record, JobFile):
             found.about = f"job {record.name} of {len(record.tasks)} tasks"
-            _check_job(found, Files(path, library), host or here())
+            files = Files(path, library, outside=outside)
+            _check_job(found, files, host or here(), code=code)
         elif isinstance(record, AgentConfig):
             found.about = f"agent {record.name or 'without a name'}"
             found.warnings += _not_here(record)
         else:
             found.about = f"table of {len(record.variables)} variables"
+        if not code and isinstance(record, Rmod | JobFile):
+            found.warnings.append(_NO_CODE)
     except PbonetError as error:
         found.errors.append(error.to_wire())
     return found
@@ -126,10 +144,13 @@ def _not_here(agent: AgentConfig) -> list[str]:
     return told
 
 
-def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
+def _check_rmod(
+    found: Findings, rmod: Rmod, library: Library, *, code: bool = True
+) -> None:
     """Compare an RMOD with its module: ports, parameters, CRITICAL."""
     try:
-        info = info_of(rmod, lambda module: library.load(module).info)
+        load = library.load
+        info = info_of(rmod, lambda module: load(module).info) if code else None
     except PbonetError as error:
         first = "COMBINE" if rmod.parts else "MODULE"
         error.where = error.where or str(rmod.places[first])
@@ -138,7 +159,7 @@ def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
     table = SvarFile(file="", defines={}, variables=())
     alone = legality.check(legality.Configuration(svar=table, tasks=(task,)))
     _take(found, [problem for problem in alone if problem.code in _BY_ITSELF])
-    if rmod.parts and found.errors:
+    if info is None or (rmod.parts and found.errors):
         return  # there is no module to ask for its parameters
     try:
         cls = library.load_rmod(rmod).cls
@@ -152,12 +173,15 @@ def _local(rmod: Rmod) -> str:
     return str(rmod.places.get("LOCAL", rmod.file))
 
 
-def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]:
+def planned(
+    files: Files, host: str, *, code: bool = True
+) -> tuple[legality.Verdict | None, Findings]:
     """Return the verdict on a job, and the faults of its parts.
 
     Args:
         files: Its files.
         host: The machine whose saved profiles are used.
+        code: Import the modules, and compare the files with them.
 
     Returns:
         None instead of the verdict if a part is too faulty for one.
@@ -172,8 +196,7 @@ def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]
     for wanted, original in lines:
         try:
             rmod = files.rmod(wanted.rmod).record
-            loaded = files.library.load_rmod(rmod)
-            decode_params(loaded.cls, rmod.settings, where=_local(rmod))
+            info = _described(rmod, files.library) if code else None
         except PbonetError as error:
             error.where = error.where or str(wanted.place or job.file)
             found.errors.append(error.to_wire())
@@ -181,11 +204,11 @@ def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]
         rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
         if original:
             rtpu = next((t.rtpu for t in tasks if t.name == original), rtpu)
-        saved, note = files.profiles.find(rmod, host, loaded.info)
+        saved, note = files.profiles.find(rmod, host, info)
         found.warnings += [note] if note else []
         task = legality.Task(
             rmod=rmod,
-            info=loaded.info,
+            info=info,
             rtpu=rtpu,
             freq=wanted.freq,
             job_places=wanted.job_places,
@@ -204,6 +227,13 @@ def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]
     return legality.judge(empty, legality.job(tasks)), found
 
 
+def _described(rmod: Rmod, library: Library) -> ModuleInfo:
+    """Import the module of an RMOD, decode its parameters, and describe it."""
+    loaded = library.load_rmod(rmod)
+    decode_params(loaded.cls, rmod.settings, where=_local(rmod))
+    return loaded.info
+
+
 def _lines(task: JobTask) -> list[tuple[JobTask, str]]:
     """Return what a TASK line makes: its task, and perhaps a standby for that."""
     made = [(task, "")]
@@ -213,9 +243,9 @@ def _lines(task: JobTask) -> list[tuple[JobTask, str]]:
     return made
 
 
-def _check_job(found: Findings, files: Files, host: str) -> None:
+def _check_job(found: Findings, files: Files, host: str, *, code: bool = True) -> None:
     """Judge a job as its start would be judged."""
-    verdict, parts = planned(files, host)
+    verdict, parts = planned(files, host, code=code)
     found.errors += parts.errors
     found.warnings += parts.warnings
     if verdict is not None:

@@ -47,23 +47,31 @@ class Files:
 
     Args:
         path: The ``.sbs`` file, or a ``.job`` file that names it.
-        library: The library for RMODs that are beside neither.
+        library: The library for RMODs that are beside neither. The folders of these
+            files become its first ones.
+        outside: Whether SBS and SVARFILE lines may name files outside the folder of
+            the first file.
 
     Raises:
-        ConfigError: One of the files is missing or wrong.
+        ConfigError: One of the files is missing, wrong, or not where it may be.
     """
 
-    def __init__(self, path: str | Path, library: Library) -> None:
+    def __init__(
+        self, path: str | Path, library: Library, *, outside: bool = True
+    ) -> None:
         path = Path(path)
+        folder = None if outside else path.parent
         self.job: JobFile | None = None
         if path.suffix == ".job":
             self.job = read_job(path)
             path = path.parent / self.job.sbs
+            _within(folder, path, self.job.file, "SBS")
         self.path = path
         self.library = library
         text = _named(path, self.job.file, "SBS") if self.job else load(path)
         self.sbs: SbsFile = parse_sbs(text, str(path))
         svar = path.parent / self.sbs.svarfile
+        _within(folder, svar, str(path), "SVARFILE")
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self._folders: list[Path] = []
@@ -247,11 +255,33 @@ def _named(path: Path, by: str, keyword: str) -> str:
     try:
         return load(path)
     except ConfigFileError as error:
-        for number, line in enumerate(load(by).splitlines(), 1):
-            if line.split()[:1] == [keyword]:
-                error.where = f"{by}:{number}: {error.where}"
-                break
+        error.where = f"{_line_of(by, keyword)}: {error.where}"
         raise
+
+
+def _line_of(file: str, keyword: str) -> str:
+    """Return the place of the first line of a keyword in a file."""
+    for number, line in enumerate(load(file).splitlines(), 1):
+        if line.split()[:1] == [keyword]:
+            return f"{file}:{number}"
+    return file
+
+
+def _within(folder: Path | None, path: Path, by: str, keyword: str) -> None:
+    """Refuse a file outside a folder; None allows all.
+
+    Raises:
+        ConfigFileError: It is outside, by its name or by a symbolic link.
+    """
+    if folder is None or path.resolve().is_relative_to(folder.resolve()):
+        return
+    raise ConfigFileError(
+        f"{keyword} names a file outside the folder of the file that is checked",
+        where=_line_of(by, keyword),
+        expected=f"a file in {folder.resolve()}",
+        got=str(path.resolve()),
+        remedy="--allow-outside reads it nevertheless",
+    )
 
 
 def _is_there(path: Path) -> bool:

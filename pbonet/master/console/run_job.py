@@ -92,7 +92,7 @@ class Run:
         """
         agents = Embedded(
             self._place.domain,
-            libraries=self._place.libraries,
+            libraries=[*map(str, self.files.library.folders)],
             connect=self._place.connect,
             runs=self._runs,
         )

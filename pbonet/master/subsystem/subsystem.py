@@ -130,9 +130,8 @@ class Subsystem:
         if embed and not virtual:
             from .embedded_agents import Embedded
 
-            self._agents = Embedded(
-                domain, libraries=[*map(str, libraries)], connect=connect
-            )
+            folders = [*map(str, self.files.library.folders)]
+            self._agents = Embedded(domain, libraries=folders, connect=connect)
         self.shown: tuple[str, ...] = status_fields.DEFAULT
         """Fields that `status` shows; `status_set` sets them."""
         self.baselines = status_fields.Baselines()

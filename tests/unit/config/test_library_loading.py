@@ -211,19 +211,17 @@ def test_a_module_that_is_not_there(folder):
     )
 
 
-def test_a_module_beside_the_files_that_want_it_is_told_with_its_folder(folder):
-    library = Library()
-    library.beside = (folder / "other", folder)
-    told = f"ramp.py is in {folder}; give --library {folder}"
-    with pytest.raises(ModuleLoadError) as caught:
-        library.load("ramp")
-    assert caught.value.remedy == told
+def test_a_module_beside_the_files_that_want_it_is_found_before_others(folder):
+    own = folder / "own"
+    own.mkdir()
+    (own / "ramp.py").write_text(GOOD)
+    library = Library([folder])
+    library.beside = (own, folder)
+    assert library.folders == (own, folder)
+    assert library.load("ramp").path == own / "ramp.py"
     assert library.for_agent("ramp", "arm0") == (
-        f"{told}, also to the agent arm0 if it was started before"
-    )
-    assert Library([folder]).for_agent("ramp", "arm0") == (
-        f"ramp.py is in {folder}; the agent arm0 needs it, too: "
-        f"pbonet agent --name arm0 --library {folder}"
+        f"ramp.py is in {own}; the agent arm0 needs it, too: "
+        f"pbonet agent --name arm0 --library {own}"
     )
     assert not library.for_agent("rmap", "arm0")
     assert not library.for_agent("diff", "arm0"), "every pbonet brings it"

@@ -29,14 +29,15 @@ def test_a_program_has_what_the_environment_says(variables):
     )
     arm = Subsystem(PUMA)
     assert arm.domain == "lab"
-    assert arm.files.library.folders == (variables, variables / "mine")
+    assert arm.files.library.folders == (PUMA.parent, variables, variables / "mine")
 
 
 @pytest.mark.usefixtures("variables")
 def test_what_is_given_goes_before_it():
     assert environment.or_environment("here", (), ("x",)) == ("here", (), ("x",))
     arm = Subsystem(PUMA, domain="here", libraries=["x"])
-    assert (arm.domain, arm.files.library.folders) == ("here", (Path("x"),))
+    assert arm.domain == "here"
+    assert arm.files.library.folders == (PUMA.parent, Path("x"))
 
 
 def test_an_empty_environment_says_nothing(monkeypatch):
