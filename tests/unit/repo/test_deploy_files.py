@@ -236,7 +236,10 @@ def test_manager_that_is_gone_is_no_matter(tmp_path, monkeypatch):
 
 
 ANY = "0.0.0.0"  # noqa: S104 - as the containers say it
-SERVICES = yaml.safe_load((DEPLOY / "compose.yaml").read_text())["services"]
+DEFAULT = re.compile(r"\$\{\w+:-([^}]*)\}")
+"""A variable of the environment in a compose file, and its default value."""
+COMPOSE = DEFAULT.sub(r"\1", (DEPLOY / "compose.yaml").read_text())
+SERVICES = yaml.safe_load(COMPOSE)["services"]
 AGENTS = [name for name, one in SERVICES.items() if "agent" in one["command"]]
 
 
@@ -264,6 +267,14 @@ def test_there_are_three_agents_of_their_services_names():
     for name in AGENTS:
         verb, options = parsed(map(str, SERVICES[name]["command"]))
         assert (verb, options["name"]) == ("agent", name)
+
+
+def test_each_agent_has_its_own_core_and_leaves_the_first_to_the_system():
+    """The agents do not see each other, so that all would choose the same one."""
+    given = [parsed(map(str, SERVICES[name]["command"]))[1] for name in AGENTS]
+    cores = [options["core"] for options in given]
+    assert len(set(cores)) == len(AGENTS)
+    assert 0 not in cores
 
 
 def test_agents_connect_to_where_others_listen():
