@@ -60,6 +60,10 @@ class Cycles(ABC):
         """Return how many releases each task has missed, if they were counted."""
         return {}
 
+    def failed(self) -> dict[str, int]:
+        """Return how many cycles of each task ended in an error, if counted."""
+        return {}
+
     def lost(self) -> dict[str, int]:
         """Return how many records of each task did not fit its ring."""
         return {}

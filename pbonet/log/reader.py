@@ -374,6 +374,14 @@ class Log(Cycles):
 
         Their RTPUs count them once a second; tasks of a simulation are not included.
         """
+        return self._counted("missed")
+
+    def failed(self) -> dict[str, int]:
+        """Return the number of cycles that ended in an error, counted as `missed`."""
+        return self._counted("failed")
+
+    def _counted(self, key: str) -> dict[str, int]:
+        """Return the sum of a count over all processes of each task."""
         before: dict[str, tuple[int, int]] = {}
         found: dict[str, int] = {}
         for one in self.messages("json"):
@@ -383,7 +391,7 @@ class Log(Cycles):
             subsystem = one.topic.partition("/status/")[0]
             for short, counts in status["tasks"].items():
                 task = self.name_of(subsystem, short)
-                cycles, count = counts["cycles"], counts["missed"]
+                cycles, count = counts["cycles"], counts.get(key, 0)
                 last = before.get(task, (0, 0))
                 again = cycles < last[0] or count < last[1]  # it was spawned again
                 found[task] = found.get(task, 0) + count - (0 if again else last[1])

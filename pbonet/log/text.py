@@ -32,6 +32,7 @@ def info(log: Log) -> JsonObject:
     damage = log.check()
     begin, end = log.span_ns
     lost, missed, states = log.lost(), log.missed(), timelines(log)
+    failed = log.failed()
     events = log.events()
     return {
         "about": log.about,
@@ -70,7 +71,7 @@ def info(log: Log) -> JsonObject:
         ],
         "tasks": {
             task: task_info(log, task, missed.get(task), states.get(task, []))
-            | {"lost": lost.get(task, 0)}
+            | {"failed": failed.get(task, 0), "lost": lost.get(task, 0)}
             | _over_time(states.get(task, []), begin)
             for task in log.tasks
         },
@@ -160,11 +161,16 @@ def info_text(data: JsonObject) -> str:
     lines += _sources_text(data["sources"])
     lines += [one["text"] for one in data["clocks"] if one["matters"]]
     lines += [f"merged: {text}" for text in data["merged"]]
-    head = f"{'task':<16}{'rtpu':<10}{'cycles':>9}{'Hz':>9}{'missed':>8}{'lost':>7}"
-    lines += ["", f"{head}{'gaps':>6}{'longest':>11}  variables"]
+    head = f"{'task':<16}{'rtpu':<10}{'cycles':>9}{'Hz':>9}{'missed':>8}"
+    lines += [
+        "",
+        f"{head}{'failed':>8}{'lost':>7}{'gaps':>6}{'longest':>11}  variables",
+    ]
     for name, task in data["tasks"].items():
         row = f"{name:<16}{task['rtpu']:<10}{task['cycles']:>9}{task['hz']:>9.1f}"
-        row += f"{task['missed']:>8}{task['lost']:>7}{task['gaps']:>6}"
+        row += (
+            f"{task['missed']:>8}{task['failed']:>8}{task['lost']:>7}{task['gaps']:>6}"
+        )
         row += f"{1e3 * task['longest']:>8.2f} ms"
         lines.append(f"{row}  {' '.join(task['variables'])}")
     lines += _states_text(data["tasks"])

@@ -98,6 +98,7 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """Cycles in which ``stable`` ran in place of ``cycle``."""
     on_cycles: int
     on_missed: int
+    on_failed: int
     on_cpu_ns: int
     on_faults: int
 

@@ -21,7 +21,18 @@ if TYPE_CHECKING:
 
 _COLORS: Final = {"ON": "green", "OFF": "cyan", "ERROR": "red"}
 _HEAD: Final = (
-    *("task", "rtpu", "state", "Hz", "of", "cycles", "missed", "CPU avg", "CPU max"),
+    *(
+        "task",
+        "rtpu",
+        "state",
+        "Hz",
+        "of",
+        "cycles",
+        "missed",
+        "failed",
+        "CPU avg",
+        "CPU max",
+    ),
     *("CPU", "jitter max", "warn"),
 )
 _EVENTS: Final = 6
@@ -93,6 +104,7 @@ class Screen:
                 render.cell("refF", now["refF"]),
                 str(status.cycle),
                 str(status.miss),
+                str(status.failed),
                 render.cell("avgC", now["avgC"]),
                 render.cell("maxC", now["maxC"]),
                 render.cell("avgU", now["avgU"]),
@@ -159,7 +171,8 @@ class Plain:
                 f"{passed:6.1f} s  {status.task:15} {status.state:5} "
                 f"{render.cell('mezF', now['mezF'])} of "
                 f"{render.cell('refF', now['refF'])} Hz, {status.cycle} cycles, "
-                f"{status.miss} missed, CPU {render.cell('avgU', now['avgU'])}"
+                f"{status.miss} missed, {status.failed} failed, "
+                f"CPU {render.cell('avgU', now['avgU'])}"
             )
 
     def __enter__(self) -> Self:

@@ -168,7 +168,18 @@ def _status_set(data: Data) -> str:
 
 
 _FIGURES: Final = (
-    *("ptime", "cycle", "miss", "refF", "mezF", "refT", "mezT", "totC", "minC"),
+    *(
+        "ptime",
+        "cycle",
+        "miss",
+        "failed",
+        "refF",
+        "mezF",
+        "refT",
+        "mezT",
+        "totC",
+        "minC",
+    ),
     *("avgC", "maxC", "firstC", "nowC", "minU", "avgU", "maxU", "tick"),
 )
 """The figures of section 6.7.1 in the order in which they are shown."""
@@ -180,7 +191,18 @@ def _profile(data: Data) -> str:
         return "no tasks"
     if len(tasks) == 1:
         return "\n".join([*_profile_of(tasks[0]), *_profile_rtpus(data["rtpus"])])
-    names = ("cycle", "miss", "mezF", "minC", "avgC", "maxC", "minU", "avgU", "maxU")
+    names = (
+        "cycle",
+        "miss",
+        "failed",
+        "mezF",
+        "minC",
+        "avgC",
+        "maxC",
+        "minU",
+        "avgU",
+        "maxU",
+    )
     rows = [
         [
             task["task"],
@@ -255,7 +277,8 @@ def _declared(task: Data) -> str:
 def _profile_rtpus(rtpus: list[Data]) -> list[str]:
     return [
         f"RTPU {one['rtpu']} ({one['scheduler']} over {one['backend']}): "
-        f"{one['tasks']} tasks, {one['cycle']} cycles, {one['miss']} missed, CPU "
+        f"{one['tasks']} tasks, {one['cycle']} cycles, {one['miss']} missed, "
+        f"{one['failed']} failed, CPU "
         f"{seconds(one['totC'])}; a cycle {seconds(one['minC'])} to "
         f"{seconds(one['maxC'])}, mean {seconds(one['avgC'])}; load "
         f"{cell('minU', one['minU'])} to {cell('maxU', one['maxU'])}, mean "

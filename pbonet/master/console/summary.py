@@ -20,7 +20,17 @@ if TYPE_CHECKING:
     from pbonet.xm.net import RtpuStatus, TaskStatus
 
 HEAD = (
-    *("task", "rtpu", "last state", "cycles", "missed", "Hz", "CPU avg", "CPU max"),
+    *(
+        "task",
+        "rtpu",
+        "last state",
+        "cycles",
+        "missed",
+        "failed",
+        "Hz",
+        "CPU avg",
+        "CPU max",
+    ),
     *("CPU", "jitter p50", "p99", "max", "transfer", "warn"),
 )
 _FAILED = (State.ERROR, State.NOT_CREATED)
@@ -71,6 +81,8 @@ class TaskSummary(Struct, frozen=True, kw_only=True):
     """In which the end found it, or in which it was seen last."""
     cycles: int
     missed: int
+    failed: int
+    """Cycles that ended in an error."""
     hz: float | None
     cpu_avg: float | None
     cpu_max: float | None
@@ -128,6 +140,7 @@ def _task(status: TaskStatus, *, virtual: bool) -> TaskSummary:
         state=status.state,
         cycles=status.cycle,
         missed=status.miss,
+        failed=status.failed,
         hz=fields["mezF"],
         cpu_avg=fields["avgC"],
         cpu_max=fields["maxC"],
@@ -160,6 +173,7 @@ def _row(one: TaskSummary) -> list[str]:
         one.state,
         str(one.cycles),
         str(one.missed),
+        str(one.failed),
         "-" if one.hz is None else f"{one.hz:.1f}",
         render.seconds(one.cpu_avg),
         render.seconds(one.cpu_max),

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Data = dict[str, Any]
 QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
 OF_RTPU: Final[dict[str, Callable[[list[float]], float]]] = {
-    **dict.fromkeys(("cycle", "miss", "mezF", "totC", "nowC"), sum),
+    **dict.fromkeys(("cycle", "miss", "failed", "mezF", "totC", "nowC"), sum),
     **dict.fromkeys(("minU", "avgU", "maxU"), sum),
     "minC": min,
     **dict.fromkeys(("maxC", "firstC", "ptime", "tick"), max),
@@ -139,7 +139,7 @@ def rtpu_data(status: RtpuStatus, tasks: Iterable[Data]) -> Data:
         for name, join in OF_RTPU.items()
     }
     cycles = joined["cycle"] or 0
-    released = cycles + (joined["miss"] or 0)
+    released = cycles + (joined["miss"] or 0) + (joined["failed"] or 0)
     return {
         "rtpu": status.rtpu,
         "backend": status.backend,

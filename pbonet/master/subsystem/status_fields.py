@@ -43,7 +43,7 @@ FIELDS: Final = (
     Field("refF", "Hz", "reference frequency"),
     Field("refT", "s", "reference period, 1/refF"),
     Field("mezF", "Hz", "cycles executed per second"),
-    Field("mezT", "s", "measured period: time per cycle, executed or missed"),
+    Field("mezT", "s", "measured period: time per cycle, executed, failed or missed"),
     Field("ptime", "s", "profiling time: since the last status, or since on"),
     Field("totC", "s", "CPU time used within the profiling time"),
     Field("tick", "s", "resolution of the profile"),
@@ -54,6 +54,7 @@ FIELDS: Final = (
     Field("maxC", "s", "longest CPU time of a cycle since on, without the first"),
     Field("avgC", "s", "mean CPU time of one cycle"),
     Field("warn", "", "warnings since the last status"),
+    Field("failed", "", "cycles that ended in an error, since the last status"),
     Field("firstC", "s", "CPU time of the first cycle since on"),
     Field("nowC", "s", "CPU time of the present cycle so far"),
     Field("prio", "", "user priority, from the data flow"),
@@ -82,7 +83,7 @@ FIELDS: Final = (
 
 NAMES: Final = tuple(field.name for field in FIELDS)
 DEFAULT: Final = (
-    *("rmod", "rtpu", "S", "crit", "state", "cycle", "miss", "refF", "mezF"),
+    *("rmod", "rtpu", "S", "crit", "state", "cycle", "miss", "failed", "refF", "mezF"),
     *("avgC", "maxC", "avgU", "maxU", "warn"),
 )
 """The fields that are shown by default."""
@@ -141,10 +142,12 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
     since = before if before is not None and _continues(now, before) else None
     cycle = now.cycle - (since.cycle if since else 0)
     miss = now.miss - (since.miss if since else 0)
+    failed = now.failed - (since.failed if since else 0)
+    released = cycle + miss + failed
     warn = now.warn - (since.warn if since else 0)
     ptime = now.ptime - (since.ptime if since else 0.0)
     tot_c = now.tot_c - (since.tot_c if since else 0.0)
-    period = 1.0 / now.ref_f if now.ref_f > 0 else _ratio(ptime, cycle + miss)
+    period = 1.0 / now.ref_f if now.ref_f > 0 else _ratio(ptime, released)
     avg_c = _ratio(tot_c, cycle)
     min_c, max_c = (now.min_c, now.max_c) if now.cycle else (None, None)
     fields: dict[str, Value] = {
@@ -159,7 +162,7 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
         "refF": now.ref_f or None,
         "refT": _ratio(1.0, now.ref_f),
         "mezF": _ratio(cycle, ptime),
-        "mezT": _ratio(ptime, cycle + miss),
+        "mezT": _ratio(ptime, released),
         "ptime": ptime,
         "totC": tot_c,
         "tick": now.tick,
@@ -170,6 +173,7 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
         "maxC": max_c,
         "avgC": avg_c,
         "warn": warn,
+        "failed": failed,
         "firstC": now.first_c or None,
         "nowC": now.now_c,
         "prio": now.priority,
@@ -266,6 +270,7 @@ def _continues(now: TaskStatus, before: TaskStatus) -> bool:
         and now.on_ns == before.on_ns
         and now.cycle >= before.cycle
         and now.miss >= before.miss
+        and now.failed >= before.failed
         and now.warn >= before.warn
         and now.ptime >= before.ptime
         and now.tot_c >= before.tot_c

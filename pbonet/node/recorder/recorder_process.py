@@ -263,7 +263,7 @@ class Recorder:
             "tasks": {
                 name: {
                     "cycles": slot.cycles,
-                    "missed": slot.missed,
+                    "missed": slot.missed - slot.failed,
                     "failed": slot.failed,
                     "cpu_s": slot.cpu_total_ns * 1e-9,
                     "cpu_max_s": slot.cpu_max_ns * 1e-9,

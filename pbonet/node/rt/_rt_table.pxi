@@ -217,7 +217,7 @@ cdef class CoreTable:
             on_ns=v.on_ns, release_ns=v.release_ns, cycles=v.cycles,
             missed=v.dispatcher_missed + v.failed + v.skipped, late=v.late, failed=v.failed,
             stable_cycles=v.stable, on_cycles=v.on_cycles, on_missed=v.on_missed,
-            on_cpu_ns=v.on_cpu_ns, on_faults=v.on_faults, cpu_total_ns=v.cpu_total_ns,
+            on_failed=v.on_failed, on_cpu_ns=v.on_cpu_ns, on_faults=v.on_faults, cpu_total_ns=v.cpu_total_ns,
             cpu_last_ns=v.cpu_last_ns, cpu_min_ns=v.cpu_min_ns, cpu_max_ns=v.cpu_max_ns,
             cpu_first_ns=v.cpu_first_ns, cpu_now_ns=_under_way(&v),
             copy_in_ns=v.copy_in_ns, copy_out_ns=v.copy_out_ns, torn=v.torn,

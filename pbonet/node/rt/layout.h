@@ -167,7 +167,7 @@ struct rt_stats {
     _Alignas(64) _Atomic uint32_t seq;  /* odd while being written */
     _Atomic uint64_t on_ns, last_rel_ns; /* last_rel_ns: 0 until a cycle has run */
     _Atomic uint64_t cycles, late, failed, stable, torn, stale, faults, ring_lost;
-    _Atomic uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
+    _Atomic uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults;
     _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
     _Atomic uint64_t cpu_first_ns;       /* of the first cycle after `on` */
     _Atomic uint64_t cpu_mark_ns;        /* the thread's CPU clock at this cycle's start */

@@ -124,6 +124,7 @@ static inline void rt_arm(struct rt_task *task)
         rt_put(&s->on_cycles, rt_get(&s->cycles));
         rt_put(&s->on_missed, rt_get(&slot->grant.missed) + rt_get(&s->failed) +
                                   rt_get(&s->skipped));
+        rt_put(&s->on_failed, rt_get(&s->failed));
         rt_put(&s->on_cpu_ns, rt_get(&s->cpu_total_ns));
         rt_put(&s->on_faults, rt_get(&s->faults));
         rt_put(&s->cpu_min_ns, 0);

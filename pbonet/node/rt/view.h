@@ -19,7 +19,7 @@ struct rt_view {
     uint64_t delivery_last_ns, delivery_max_ns;
     struct rt_section_view sections[RT_SECTIONS];
     uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost;
-    uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
+    uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults;
     uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
     uint64_t cpu_first_ns, cpu_mark_ns;
     uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
@@ -45,6 +45,7 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     v->delivery_max_ns = rt_get(&s->delivery_max_ns);
     v->on_cycles = rt_get(&s->on_cycles);
     v->on_missed = rt_get(&s->on_missed);
+    v->on_failed = rt_get(&s->on_failed);
     v->on_cpu_ns = rt_get(&s->on_cpu_ns);
     v->on_faults = rt_get(&s->on_faults);
     v->cpu_total_ns = rt_get(&s->cpu_total_ns);

@@ -46,7 +46,9 @@ def task_status(
         signals: How often it has sent each signal.
     """
     cycles = slot.cycles - slot.on_cycles
-    missed = slot.missed - slot.on_missed
+    failed = slot.failed - slot.on_failed
+    missed = slot.missed - slot.on_missed - failed
+    released = cycles + missed + failed
     spent = (slot.cpu_total_ns - slot.on_cpu_ns) * _NS
     ptime = _profile_ns(task.state, slot) * _NS
     return TaskStatus(
@@ -61,9 +63,10 @@ def task_status(
         state=task.state,
         cycle=cycles,
         miss=missed,
+        failed=failed,
         ref_f=task.ref_f,
         mez_f=cycles / ptime if ptime > 0 else 0.0,
-        mez_t=ptime / (cycles + missed) if cycles + missed else 0.0,
+        mez_t=ptime / released if released else 0.0,
         ptime=ptime,
         tot_c=spent,
         tick=TICK,

@@ -34,6 +34,9 @@ class TaskStatus(Struct, kw_only=True):
     state: str
     cycle: int
     miss: int
+    """Releases without a cycle."""
+    failed: int = 0
+    """Cycles in which the module raised an error, or its outputs were refused."""
     ref_f: float
     mez_f: float
     mez_t: float

@@ -83,6 +83,7 @@ class TestRaising:
             lambda: (one := arm.status("bad")).state == "ERROR" and one, "ERROR"
         )
         assert "the tenth cycle does not work" in status.error
+        assert (status.cycle, status.failed) == (9, 1)
         assert arm.value("Y0").values == [9.0, 0.0]  # the tenth is discarded
         assert arm.rtpu_status().illegal == ["bad is in ERROR (arm0/bad)"]
         arm.refused(StateError, arm.on, "bad")

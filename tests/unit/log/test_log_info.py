@@ -108,9 +108,11 @@ def test_missed_releases_are_those_that_were_counted(tmp_path) -> None:
             writer.add(one, record(data, cycle=n + 1, release_ns=release * 10**6))
     told = [(2, 0), (5, 3), (6, 3), (1, 0), (4, 2)]  # spawned twice
     for n, (ran, missed) in enumerate(told):
-        counts = {"cycles": ran, "missed": missed}
+        counts = {"cycles": ran, "missed": missed, "failed": 2 * missed}
         writer.add_status(n, {"tasks": {"pid": counts}})
     writer.close()
     tasks = text.info(Log(tmp_path))["tasks"]
     assert tasks["pid"]["missed"] == 5
+    assert tasks["pid"]["failed"] == 10
+    assert tasks["sim"]["failed"] == 0
     assert tasks["sim"]["missed"] == 0  # nobody counted: the usual distance is 20

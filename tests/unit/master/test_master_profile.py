@@ -120,6 +120,15 @@ def test_since_on_when_nothing_was_seen_before():
     assert found["refT"] == 0.002
 
 
+def test_failed_cycles_are_counted_apart_from_missed_ones():
+    now = status(cycle=1500, miss=30, failed=20, ptime=3.0, tot_c=0.9)
+    found = fields(now, status(failed=5))
+    assert (found["miss"], found["failed"]) == (20, 15)
+    assert found["mezT"] == pytest.approx(1.0 / 535)
+    assert fields(status(), status(failed=5))["failed"] == 0, "turned on again"
+    assert "failed" in status_fields.DEFAULT
+
+
 def test_utilization_of_a_cycle_divides_by_the_period():
     found = fields(status())
     assert found["minU"] == pytest.approx(10.0)
