@@ -21,6 +21,8 @@ class Param(Struct, frozen=True):
     lt: float | None = None
     total: float | None = None
     """Limit for the sum of a tuple's values."""
+    rate: float | None = None
+    """Largest change of a value by one `set` while the task is ON."""
     name: str = ""
     type: str = "float"
     """``float``, ``int``, ``bool`` or ``str``, of each value."""
@@ -37,6 +39,8 @@ class Param(Struct, frozen=True):
         ]
         if self.total is not None:
             found.append(f"sum {self.total:g}")
+        if self.rate is not None:
+            found.append(f"steps <= {self.rate:g} while ON")
         return " and ".join(found)
 
     @property
@@ -72,6 +76,7 @@ def param(
     le: float | None = None,
     lt: float | None = None,
     total: float | None = None,
+    rate: float | None = None,
 ) -> Param:
     """Declare the unit, meaning and bounds of a parameter, within its annotation.
 
@@ -83,8 +88,10 @@ def param(
         le: Largest value that is allowed.
         lt: Values must be smaller than this.
         total: What the values of a tuple must add up to, but for rounding.
+        rate: Largest change of each value by one `set` while the task is ON, in `unit`;
+            larger changes are made in several steps, or while it is OFF.
 
     Returns:
         The object for the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
     """
-    return Param(unit, doc, ge, gt, le, lt, total)
+    return Param(unit, doc, ge, gt, le, lt, total, rate)

@@ -169,15 +169,54 @@ def decode_params(
     return kind(**values)
 
 
-def change_param(params: P, name: str, words: tuple[str, ...], *, where: str = "") -> P:
+def change_param(
+    params: P,
+    name: str,
+    words: tuple[str, ...],
+    *,
+    where: str = "",
+    running: bool = False,
+) -> P:
     """Return `params` with one value changed, decoded and checked like a LOCAL line.
+
+    Args:
+        params: The present ones.
+        name: The parameter.
+        words: Its new value.
+        where: The place of the value, for errors.
+        running: The task is ON, so that steps are limited to their declared `rate`.
 
     Raises:
         ParameterError: No such parameter, or the value is refused.
     """
     field = find_param(params, name, where=where)
-    value = _decode(params.__declared__[field], words, where)
+    about = params.__declared__[field]
+    value = _decode(about, words, where)
+    if running and about.rate is not None:
+        _check_step(about, about.rate, getattr(params, field), value, where)
     return structs.replace(params, **{field: value})
+
+
+def _check_step(
+    about: Param,
+    rate: float,
+    before: Any,  # noqa: ANN401 - a value of the declared type, as below
+    value: Any,  # noqa: ANN401
+    where: str,
+) -> None:
+    """Refuse a change of a value that is larger than `rate`."""
+    pairs = zip(before, value, strict=True) if about.count else [(before, value)]
+    for index, (old, new) in enumerate(pairs):
+        if abs(new - old) > rate * (1.0 + _ROUNDING):
+            which = f" (value {index + 1} of {len(value)})" if about.count else ""
+            unit = "" if about.unit == "none" else f" {about.unit}"
+            raise ParameterError(
+                f"parameter {about.name} changes too much at once{which}",
+                where=where,
+                expected=f"a step of at most {rate:g}{unit} while the task is ON",
+                got=f"{abs(new - old):g}{unit}, from {old:g} to {new:g}",
+                remedy="change it in several steps, or while the task is OFF",
+            )
 
 
 def find_param(params: Params, name: str, *, where: str = "") -> str:
@@ -455,6 +494,12 @@ def _declare(body: Declaring, attr: str, hint: object) -> Param:
         raise body.error(attr, f"a {kind} has no bounds", got=about.bounds)
     if about.total is not None and not count:
         raise body.error(attr, "one value alone has no sum", got=about.bounds)
+    if about.rate is not None and not 0 < about.rate < math.inf:
+        what = "rate, the largest step while ON, is a number above 0"
+        raise body.error(attr, what, got=f"{about.rate:g}")
+    if about.rate is not None and count == ANY_COUNT:
+        what = "values that may become more or fewer have no rate"
+        raise body.error(attr, what, got=about.type_text)
     return about
 
 

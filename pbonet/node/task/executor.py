@@ -167,7 +167,13 @@ class Executor:
         """
         rule(self.state, Event.SET, where=self.task.name)
         before = self.instance.params
-        params = change_param(before, name, words, where=where or self.task.name)
+        params = change_param(
+            before,
+            name,
+            words,
+            where=where or self.task.name,
+            running=self.state is State.ON,
+        )
         key = find_param(before, name)
         self.instance.params = params
         try:

@@ -5,7 +5,7 @@ from typing import Annotated as A
 import pytest
 from lifecycle_probe import Scale, boom, make
 
-from pbonet import InVar, PortBasedObject, Signal, State, Vector
+from pbonet import InVar, OutVar, Params, PortBasedObject, Signal, State, Vector, param
 from pbonet.errors import (
     DeclarationError,
     MethodError,
@@ -15,6 +15,7 @@ from pbonet.errors import (
     SvarOwnerError,
 )
 from pbonet.node.task.executor import Executor
+from pbonet.pbo import describe
 from pbonet.testing import Bench
 
 
@@ -95,6 +96,62 @@ def test_a_parameter_out_of_bounds_changes_nothing():
     with pytest.raises(ParameterError, match="did you mean gain"):
         bench.get("gian")
     assert bench.module.params.gain == 1.0
+
+
+class Limited(Params):
+    """Parameters that may change in small steps only."""
+
+    kp: A[float, param("N*m/rad", "stiffness", ge=0, rate=20)] = 100.0
+    kd: A[tuple[float, float], param("none", "damping", rate=0.1)] = (0.2, 0.4)
+
+
+class Stiff(PortBasedObject[Limited]):
+    """A module whose parameters have a rate."""
+
+    y: A[Vector, OutVar("Y", "2", "none", "result")]
+
+    def cycle(self, dt: float) -> None:  # noqa: ARG002
+        self.y[:] = self.params.kp
+
+
+def test_a_step_larger_than_its_rate_is_refused_while_the_task_is_on():
+    bench = Bench(Stiff)
+    bench.set("kp", 10.0)
+    bench.on()
+    with pytest.raises(ParameterError) as caught:
+        bench.set("kp", 31.0)
+    assert str(caught.value) == (
+        "bench: parameter kp changes too much at once (expected a step of at most 20 "
+        "N*m/rad while the task is ON, got 21 N*m/rad, from 10 to 31); change it in "
+        "several steps, or while the task is OFF"
+    )
+    assert bench.module.params.kp == 10.0
+    for value in (30.0, 50.0, 31.0):
+        assert bench.set("kp", value) == value
+    with pytest.raises(ParameterError, match=r"at once \(value 2 of 2\)"):
+        bench.set("kd", (0.3, 0.6))
+    assert bench.set("kd", (0.3, 0.3)) == (0.3, 0.3), "0.4 - 0.3 is above 0.1 by a bit"
+    bench.off()
+    assert bench.set("kp", 500.0) == 500.0
+    kp = describe(Stiff, name="stiff").params[0]
+    assert kp.bounds == ">= 0 and steps <= 20 while ON"
+
+
+@pytest.mark.parametrize(
+    ("kind", "rate", "what"),
+    [
+        (float, 0.0, "a number above 0"),
+        (str, 1.0, "a str has no bounds"),
+        (tuple[float, ...], 1.0, "values that may become more or fewer have no rate"),
+    ],
+)
+def test_a_rate_that_cannot_be_is_refused_at_class_creation(kind, rate, what):
+    with pytest.raises(DeclarationError, match=what):
+        type(
+            "Wrong",
+            (Params,),
+            {"__annotations__": {"k": A[kind, param("m", "gain", rate=rate)]}},
+        )
 
 
 def test_a_module_may_refuse_a_parameter():
