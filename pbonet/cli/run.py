@@ -35,6 +35,10 @@ def command(
     profile: A[
         bool, Option("Save the measured execution times of the tasks at the end.")
     ] = False,
+    strict: A[
+        bool,
+        Option("Exit with 3, 4 or 5 if not all was recorded, run or run to the end."),
+    ] = False,
     place: options.ChangeTransaction,
     json_: options.Json = False,
 ) -> int:
@@ -43,6 +47,10 @@ def command(
     It starts an agent for each RTPU (executor) that has none, verifies the job, creates
     and turns on its tasks, shows their status, and ends them in order. 'pbonet start'
     does the middle part alone: it needs running agents and leaves the tasks running.
+
+    The status is 1 if a task ended in ERROR or something was left. With --strict it is
+    3 if not all was recorded, 4 if the machine stood still and cycles were lost, and 5
+    if another master stopped its tasks; the last line says which.
 
     Examples:
         Run a job for 15 seconds and record it:
@@ -63,6 +71,7 @@ def command(
         runs=runs,
         profile=profile,
         quiet=json_,
+        strict=strict,
     )
     outcome.recording = None
     options.show("", outcome, as_data=json_)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
@@ -12,13 +13,30 @@ from msgspec import Struct
 from . import summary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator
+    from collections.abc import Callable, Container, Generator, Iterable
     from types import FrameType
 
-    from pbonet.log import Cycles
+    from pbonet.log import Cycles, Log
+    from pbonet.xm.net import RtpuStatus
 
 _FORCE: Final = 2
 """At this many interrupts everything is stopped at once."""
+
+
+class Status(IntEnum):
+    """Exit statuses of a run that ended without a fault, but not as it should."""
+
+    UNRECORDED = 3
+    STOOD_STILL = 4
+    STOPPED = 5
+
+
+class Shortfall(Struct, frozen=True):
+    """One thing that a run did not do as it should, though nothing failed."""
+
+    status: Status
+    """The exit status of a strict run."""
+    text: str
 
 
 class Outcome(Struct, kw_only=True):
@@ -31,6 +49,10 @@ class Outcome(Struct, kw_only=True):
     """Why it ended."""
     faults: list[str] = []
     """Faults at the end."""
+    shortfalls: list[Shortfall] = []
+    """Results that are less than they should be, without a fault."""
+    strict: bool = False
+    """Whether these have exit statuses."""
     log: str = ""
     """The run's folder, with its log; empty when nothing was recorded here."""
     recording: Cycles | None = None
@@ -39,7 +61,71 @@ class Outcome(Struct, kw_only=True):
     @property
     def status(self) -> int:
         """The exit status: 1 when a task ended in ERROR or something was left."""
-        return int(bool(self.faults) or any(task.error for task in self.tasks))
+        if self.faults or any(task.error for task in self.tasks):
+            return 1
+        if not self.strict:
+            return 0
+        return min((one.status for one in self.shortfalls), default=0)
+
+    def last_line(self) -> str:
+        """Return what a run that has not failed lacks; empty if nothing."""
+        texts = "; ".join(one.text for one in self.shortfalls)
+        if texts and self.strict and self.status != 1:
+            return f"ERROR> exit status {self.status:d} (--strict): {texts}"
+        return f"WARNING> {texts}" if texts else ""
+
+
+def unrecorded(
+    log: Log | None, planned: Iterable[str], recorded: Container[str]
+) -> str:
+    """Return what a run's recording lacks, in one sentence; empty if nothing.
+
+    Args:
+        log: The log on this machine, None if there is none.
+        planned: The RTPUs that should have recorded.
+        recorded: Those that did.
+    """
+    absent = [rtpu for rtpu in planned if rtpu not in recorded]
+    lacks = [f"nothing of {', '.join(absent)}"] if absent else []
+    if log is not None:
+        lacks += [f"{count} cycles of {task}" for task, count in log.lost().items()]
+        damage = len(log.check())
+        lacks += [f"{damage} damaged parts of the log"] if damage else []
+        lacks += [] if log.complete else ["the end of the log"]
+    return f"not recorded: {', '.join(lacks)}" if lacks else ""
+
+
+class Standstills:
+    """Standstills of the machine during a run, from the status of its RTPUs."""
+
+    def __init__(self) -> None:
+        self._begin: dict[str, RtpuStatus] = {}
+        self._last: dict[str, RtpuStatus] = {}
+
+    def update(self, rtpus: Iterable[RtpuStatus]) -> None:
+        """Note the present counts; the first ones are those at the beginning."""
+        for rtpu in rtpus:
+            before = self._last.get(rtpu.rtpu)
+            if before is None or rtpu.stalls < before.stalls:  # its process is new
+                self._begin[rtpu.rtpu] = rtpu
+            self._last[rtpu.rtpu] = rtpu
+
+    def text(self, tasks: Iterable[summary.TaskSummary]) -> str:
+        """Return which RTPUs stood still and lost cycles; empty if none did."""
+        missed: dict[str, int] = {}
+        for task in tasks:
+            missed[task.rtpu] = missed.get(task.rtpu, 0) + task.missed
+        found: list[str] = []
+        for name, last in self._last.items():
+            count = last.stalls - self._begin[name].stalls
+            lasted = last.stalled - self._begin[name].stalled
+            if count and missed.get(name):
+                times = "once" if count == 1 else f"{count} times"
+                found.append(
+                    f"the machine of {name} stood still {times}, {lasted:.2g} s in "
+                    f"all; its tasks missed {missed[name]} releases in this run"
+                )
+        return "; ".join(found)
 
 
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)

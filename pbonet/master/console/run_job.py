@@ -16,7 +16,14 @@ from pbonet.xm.net import messages as m
 
 from . import live_status, render, summary
 from .network_interface import Port
-from .run_end import Interrupts, Outcome
+from .run_end import (
+    Interrupts,
+    Outcome,
+    Shortfall,
+    Standstills,
+    Status,
+    unrecorded,
+)
 from .watch_values import Listener
 
 if TYPE_CHECKING:
@@ -77,6 +84,7 @@ class Run:
         self._runs = runs
         self._profile = profile
         self._missing = 0
+        self._standstills = Standstills()
         self._interrupts = Interrupts()
         self._reason = ""
         self._faults: list[str] = []
@@ -117,6 +125,11 @@ class Run:
                 self._view.say(render.warning(str(error)))
             else:
                 outcome.faults.append(str(error))
+        if text := self._standstills.text(outcome.tasks):
+            outcome.shortfalls.append(Shortfall(Status.STOOD_STILL, text))
+        if self._reason == _ELSEWHERE:
+            text = "another master, or `pbonet stop`, ended its tasks before the end"
+            outcome.shortfalls.append(Shortfall(Status.STOPPED, text))
         return outcome
 
     def _start_agents(self, agents: Embedded, names: list[str]) -> None:
@@ -171,15 +184,17 @@ class Run:
         try:
             log = self._recordings.log()
         except PbonetError as error:
-            self._view.say(render.warning(f"the log cannot be read: {error}"))
+            text = f"the log cannot be read: {error}"
+            outcome.shortfalls.append(Shortfall(Status.UNRECORDED, text))
             return
+        if self._recordings.wanted:
+            planned = [entry.name for entry in self.files.sbs.rtpus]
+            if text := unrecorded(log, planned, self._recordings.paths):
+                outcome.shortfalls.append(Shortfall(Status.UNRECORDED, text))
         if log is None:
             return
         outcome.log, outcome.recording = str(log.path), log
         outcome.tasks = summary.refined(outcome.tasks, log)
-        for task, lost in log.lost().items():
-            text = f"{lost} records of {task} did not fit its ring"
-            self._view.say(render.warning(text))
 
     def _save_profiles(self, subsystem: Subsystem) -> None:
         """Save the measured profiles; a failure here is not a failure of the run."""
@@ -254,6 +269,7 @@ class Run:
                 passed = time.monotonic() - begin
                 statuses = self._status(subsystem)
                 seen.update(statuses)
+                self._standstills.update(statuses)
                 events = listener.take()
                 self._view.show(passed, statuses, events)
                 fatal = [e.text for e in events if e.severity >= Severity.FATAL]
@@ -322,6 +338,7 @@ def run(
     runs: str | Path | None = None,
     profile: bool = False,
     quiet: bool = False,
+    strict: bool = False,
 ) -> Outcome:
     """Run a job in real or virtual time, and return the result.
 
@@ -336,6 +353,7 @@ def run(
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
         profile: Save the tasks' execution profiles at the end, in real time.
         quiet: Leave standard output to the caller.
+        strict: Give an outcome that lacks something an exit status of its own.
 
     Raises:
         PbonetError: The job could not be started.
@@ -372,10 +390,16 @@ def run(
             runs=runs,
             profile=profile,
         ).run()
+    outcome.strict = strict
     view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
     view.say(summary.text(outcome.tasks))
     for fault in outcome.faults:
         view.say(f"ERROR> {fault}")
     if outcome.log:
-        view.say(f"every cycle is in {outcome.log}")
+        every = all(one.status != Status.UNRECORDED for one in outcome.shortfalls)
+        view.say(
+            f"{'every cycle' if every else 'what was recorded'} is in {outcome.log}"
+        )
+    if text := outcome.last_line():
+        view.say(text)
     return outcome

@@ -1,0 +1,104 @@
+"""What a run lacks, though nothing failed: its last line and its exit status."""
+
+import msgspec
+import pytest
+
+from pbonet.master.console import summary
+from pbonet.master.console.run_end import (
+    Outcome,
+    Shortfall,
+    Standstills,
+    Status,
+    unrecorded,
+)
+from pbonet.xm.net import messages as m
+
+
+class FakeLog:
+    """A log as `unrecorded` reads it."""
+
+    complete = True
+
+    def __init__(self, lost=(), damage=()) -> None:
+        self._lost, self._damage = dict(lost), damage
+
+    def lost(self):
+        return self._lost
+
+    def check(self):
+        return self._damage
+
+
+def rtpu(stalls, stalled, missed=0):
+    counts = dict.fromkeys(("crit", "cycle", "warn", "tid"), 0) | {"miss": missed}
+    figures = ("ref_f", "mez_f", "mez_t", "ptime", "tot_c", "tick", "min_c", "max_c")
+    rest = counts | dict.fromkeys((*figures, "last_c"), 0.0)
+    task = m.TaskStatus(rmod="a", task="a", rtpu="c0", S="P", state="ON", **rest)
+    return m.RtpuStatus(
+        rtpu="c0",
+        backend="fifo",
+        scheduler="MUF",
+        tasks=[task],
+        stalls=stalls,
+        stalled=stalled,
+    )
+
+
+def outcome(*shortfalls, strict=True, faults=()):
+    return Outcome(
+        job="j",
+        seconds=1.0,
+        tasks=[],
+        reason="1 s are over",
+        faults=list(faults),
+        shortfalls=list(shortfalls),
+        strict=strict,
+    )
+
+
+def test_standstills_of_this_run_are_told_if_cycles_were_lost():
+    found = Standstills()
+    found.update([rtpu(5, 0.5)])  # before this run
+    found.update([rtpu(7, 0.75, missed=9)])
+    last = summary.summarize([rtpu(7, 0.75, missed=9)])
+    assert found.text(last) == (
+        "the machine of c0 stood still 2 times, 0.25 s in all; its tasks missed 9 "
+        "releases in this run"
+    )
+    assert not found.text(summary.summarize([rtpu(7, 0.75)])), "nothing was lost"
+    same = Standstills()
+    same.update([rtpu(5, 0.5, missed=9)])
+    assert not same.text(last)
+
+
+def test_what_is_not_in_the_log_is_told():
+    assert not unrecorded(FakeLog(), ["c0"], {"c0"})
+    assert not unrecorded(None, ["c0"], {"c0"}), "its log is on another machine"
+    cut = FakeLog({"a": 3}, ["part"])
+    cut.complete = False
+    assert unrecorded(cut, ["c0", "c1"], {"c0"}) == (
+        "not recorded: nothing of c1, 3 cycles of a, 1 damaged parts of the log, the "
+        "end of the log"
+    )
+
+
+@pytest.mark.parametrize("status", list(Status))
+def test_each_shortfall_has_its_own_status_in_a_strict_run(status):
+    one = Shortfall(status, "so it was")
+    assert outcome(one).status == int(status)
+    assert outcome(one).last_line() == (
+        f"ERROR> exit status {int(status)} (--strict): so it was"
+    )
+    assert outcome(one, strict=False).status == 0
+    assert outcome(one, strict=False).last_line() == "WARNING> so it was"
+    assert outcome(one, faults=["a fault"]).status == 1
+    assert msgspec.json.decode(msgspec.json.encode(outcome(one)))["shortfalls"]
+
+
+def test_of_several_shortfalls_the_smallest_status_counts_and_all_are_told():
+    found = outcome(
+        Shortfall(Status.STOPPED, "stopped"), Shortfall(Status.UNRECORDED, "lost")
+    )
+    assert found.status == 3
+    assert found.last_line() == "ERROR> exit status 3 (--strict): stopped; lost"
+    assert (outcome().status, outcome().last_line()) == (0, "")
