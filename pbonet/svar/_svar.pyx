@@ -6,7 +6,8 @@
 from cpython.bytearray cimport PyByteArray_AS_STRING
 from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 from libc.string cimport memcpy, memset, strncpy
-from posix.mman cimport MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE, mmap, munmap
+from posix.mman cimport (MADV_DONTFORK, MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE,
+                         madvise, mmap, munmap)
 
 from posix.unistd cimport close
 
@@ -76,6 +77,7 @@ cdef class Arena:
         cdef void *base = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0)
         if base == MAP_FAILED:
             raise MemoryError("the table cannot be mapped")
+        madvise(base, size, MADV_DONTFORK)  # a module may fork
         self.base = base
         self.bytes = size
         pb_region_add(base, size)

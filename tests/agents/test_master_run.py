@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from rich.console import Console
 from virtual_job import VirtualJob
 from watching import processes_of, wait_for
 
+from pbonet import log
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_job as run_module
 from pbonet.master.console.live_status import Screen
@@ -98,6 +100,33 @@ def test_interrupt_turns_everything_off_in_order(run, nodes, which):
     assert process.returncode == 0, err
     assert "interrupted" in out
     assert left_of(nodes) == []
+
+
+def test_a_stopped_recorder_finishes_its_log_at_the_end(run, nodes, tmp_path):
+    process = run("--runs", tmp_path / "runs")
+    until_on(process)
+    running = processes_of("PBONET_RUN_DIR", str(nodes.folder))
+    for pid in (pid for pid, command in running if "recorder_process" in command):
+        os.kill(pid, signal.SIGSTOP)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err
+    assert left_of(nodes) == []
+    for file in (tmp_path / "runs").rglob("*.mcap"):
+        assert log.Log(file).check() == []
+
+
+def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_memory):
+    process = run()
+    until_on(process)
+    running = processes_of("PBONET_RUN_DIR", str(nodes.folder))
+    agent = next(pid for pid, command in running if "--name arm1" in command)
+    os.kill(agent, signal.SIGKILL)
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 1, err
+    assert "the agent of arm1 has ended: SIGKILL" in out
+    wait_for(lambda: not left_of(nodes), "the end of the RTPU process")
+    assert list(shared_memory.iterdir()) == []
 
 
 def test_interrupt_during_the_start_undoes_it(run, nodes):

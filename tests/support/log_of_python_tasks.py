@@ -109,7 +109,6 @@ class Task:
             freq=100.0,
             ring=f"d.arm.{task}",
             libraries=tuple(map(str, library.folders)),
-            forker=1,
         )
         self.about = journal.about(
             spec, rmod, self.info, library, table, seed=zlib.crc32(task.encode())

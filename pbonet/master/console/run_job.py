@@ -91,6 +91,12 @@ class Run:
         self._unfinished: list[PbonetError] = []
         self.files = Files(path, Library(place.libraries))
         self.job = self.files.read_job()
+        self._agents = Embedded(
+            place.domain,
+            libraries=[*map(str, self.files.library.folders)],
+            connect=place.connect,
+            runs=runs,
+        )
 
     def run(self) -> Outcome:
         """Run the job from its start to its end; nothing of it is left afterwards.
@@ -98,12 +104,7 @@ class Run:
         Raises:
             PbonetError: The job could not be started; nothing of it is left.
         """
-        agents = Embedded(
-            self._place.domain,
-            libraries=[*map(str, self.files.library.folders)],
-            connect=self._place.connect,
-            runs=self._runs,
-        )
+        agents = self._agents
         with self._interrupts.caught(), agents:
             names = [entry.name for entry in self.files.sbs.rtpus]
             if self._wait is not None:
@@ -165,12 +166,7 @@ class Run:
         passed = time.monotonic() - begin
         if self._profile:
             self._save_profiles(subsystem)
-        try:
-            self._unfinished += subsystem.finish()
-        except SeveralError as error:
-            self._unfinished += error.errors
-        except PbonetError as error:
-            self._unfinished.append(error)
+        self._finish(subsystem)
         return Outcome(
             job=self.job.name,
             seconds=passed,
@@ -178,6 +174,23 @@ class Run:
             reason=self._reason,
             faults=self._faults,
         )
+
+    def _finish(self, subsystem: Subsystem) -> None:
+        """End the subsystem.
+
+        If an agent of this run has ended, all of them end now, and each RTPU process
+        turns its tasks OFF: nothing is requested of one that cannot answer.
+        """
+        ours = {child.rtpu for child in self._agents.children}
+        if self._agents.ended() and ours.issuperset(subsystem.clients.names):
+            subsystem.detach()
+            return
+        try:
+            self._unfinished += subsystem.finish()
+        except SeveralError as error:
+            self._unfinished += error.errors
+        except PbonetError as error:
+            self._unfinished.append(error)
 
     def _read_log(self, outcome: Outcome) -> None:
         """Read this machine's log, for the exact delays."""
@@ -307,6 +320,10 @@ class Run:
             self._view.say(render.warning(str(error)))
         there = {rtpu.rtpu for rtpu in statuses}
         lost = [name for name in subsystem.clients.names if name not in there]
+        if ended := self._agents.ended():
+            self._reason = ended[0]
+            self._faults += ended
+            return statuses
         self._missing = self._missing + 1 if lost else 0
         if self._missing > _PATIENCE:
             self._reason = f"{' and '.join(lost)} cannot be reached"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,6 +32,8 @@ START_TIME: Final = 40.0
 """Seconds in which agents must be there, on a busy machine."""
 END_TIME: Final = 10.0
 """Seconds that an agent has to turn everything off and end."""
+GRACE: Final = 1.0
+"""Seconds for which control continues without an agent: no other one takes over."""
 _LOOK: Final = 0.02
 _TAIL: Final = 2000
 
@@ -156,11 +159,20 @@ class Embedded:
             raise
         return cores
 
+    def ended(self) -> list[str]:
+        """Return the RTPUs whose agent has ended unasked, with how it ended."""
+        return [
+            f"the agent of {child.rtpu} has ended: {_describe(code)}"
+            for child in self.children
+            if (code := child.process.poll()) is not None
+        ]
+
     def stop(self) -> list[str]:
         """End the agents in order; return the RTPUs that had to be killed."""
         for child in self.children:
             if child.process.poll() is None:
                 child.process.terminate()
+                child.process.send_signal(signal.SIGCONT)  # it may be stopped
         killed: list[str] = []
         deadline = time.monotonic() + END_TIME
         for child in self.children:
@@ -183,7 +195,7 @@ class Embedded:
     def _launch(self, rtpu: str, core: int) -> Child:
         command = [sys.executable, "-m", "pbonet.cli", "agent"]
         command += ["--name", rtpu, "--core", str(core), "--domain", self._domain]
-        command += ["--with-parent", str(os.getpid())]
+        command += ["--with-parent", str(os.getpid()), "--grace", str(GRACE)]
         for endpoint in self._connect:
             command += ["--connect", endpoint]
         if keys := credentials.named():
@@ -246,3 +258,7 @@ class Embedded:
             where=", ".join(sorted(wanted)),
             remedy="is the machine overloaded? 'pbonet doctor' checks it",
         )
+
+
+def _describe(code: int) -> str:
+    return f"exit status {code}" if code >= 0 else signal.Signals(-code).name

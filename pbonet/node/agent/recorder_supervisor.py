@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -33,11 +34,14 @@ if TYPE_CHECKING:
 
 END_TIME: Final = 10.0
 """Seconds in which a recorder must finish its log."""
+IDLE_TIME: Final = 1.0
+"""Seconds for which an ending recorder may do nothing but wait for a disk."""
 RESTARTS: Final = 5
 BEFORE: Final = 32
 """Number of commands kept of a subsystem that is not recorded yet."""
 AGAIN_TIME: Final = 1.0
 """Seconds between attempts to start a recorder while the system has no resources."""
+_PAUSE: Final = 0.01
 WINDOW: Final = 60.0
 """A recorder that is lost more often than this many times in so many seconds is not
 started again."""
@@ -127,11 +131,15 @@ class _Child:
             self._feed.end()
 
     def join(self) -> None:
-        """Wait for the end; a recorder that does not end is killed."""
-        try:
-            self._process.wait(END_TIME)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
+        """Wait for the end; a recorder that stands still or takes long is killed."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGCONT)  # it may be stopped
+        deadline = time.monotonic() + END_TIME
+        idle = process_setup.Idle(self._process.pid)
+        while self._process.poll() is None:
+            if time.monotonic() > deadline or idle.seconds() > IDLE_TIME:
+                self._process.kill()
+            time.sleep(_PAUSE)
         self._thread.join()
 
     def _listen(self) -> None:

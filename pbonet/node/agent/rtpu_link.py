@@ -188,6 +188,9 @@ class RtpuLink:
     def shut_down(self, timeout: float) -> bool:
         """Let all tasks be turned OFF in order; return whether it ended by itself."""
         self._closing = True
+        if self.info is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.info.pid, signal.SIGCONT)  # it may be stopped
         with contextlib.suppress(NodeError):
             self.send(rtpu_messages.Shutdown(timeout))
         by_itself = self._ended(timeout + 3.0, kill=True)

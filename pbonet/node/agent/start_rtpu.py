@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import select
 import subprocess
 import sys
@@ -44,7 +45,10 @@ def start(
             with places.log.open("wb") as log:
                 process = subprocess.Popen(
                     [*command, msgspec.json.encode(config).decode()],
-                    env=process_setup.environment(),
+                    env={
+                        **process_setup.environment(),
+                        process_setup.MARK: secrets.token_hex(8),
+                    },
                     pass_fds=[write],
                     stdin=subprocess.DEVNULL,
                     stdout=log,

@@ -204,6 +204,7 @@ cdef Ring _map_ring(str name, str path, int fd):
     self.memory = mmap.mmap(fd, os.fstat(fd).st_size)
     with contextlib.suppress(OSError):  # present from the start: no page faults in a cycle
         self.memory.madvise(MADV_POPULATE_WRITE)
+        self.memory.madvise(mmap.MADV_DONTFORK)  # a module may fork
     view = self.memory
     self.view = view
     self.r = <ring *>&view[0]

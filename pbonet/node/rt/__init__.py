@@ -28,6 +28,7 @@ from ._rt import (
     Ring as Ring,
     Slot as Slot,
     Vigil as Vigil,
+    drop_rights as drop_rights,
     leave_to_next as leave_to_next,
     lock_memory as lock_memory,
     monotonic_ns as monotonic_ns,
@@ -38,6 +39,7 @@ from ._rt import (
     populate_pages as populate_pages,
     prefault_stack as prefault_stack,
     probe as probe,
+    restrict as restrict,
     set_timer_slack as set_timer_slack,
     thread_cpu_ns as thread_cpu_ns,
 )

@@ -3,7 +3,7 @@
 Nothing here depends on modules, commands or the network. See `docs/realtime.md`.
 """
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import AbstractContextManager
 from typing import Final
 
@@ -453,6 +453,30 @@ def lock_memory() -> None:
 
     Raises:
         RealTimeError: The memlock limit is too small to do this safely.
+    """
+
+def restrict(pids: Sequence[int]) -> None:
+    """Refuse this thread calls with which a module could harm others; for good.
+
+    Refused, with EPERM, are changes of priority and core other than the node's own, and
+    signals to some processes. Threads and processes that it starts inherit this, and
+    programs that it starts get no rights by ``setuid``.
+
+    Args:
+        pids: At most 8 arguments of ``kill``: processes, groups (negative), -1 for all.
+
+    Raises:
+        RealTimeError: The kernel has no seccomp filters for this machine.
+    """
+
+def drop_rights() -> None:
+    """Give up capabilities that reach beyond a module's own devices and files.
+
+    Kept are those for devices, network and files of others. Priorities above that of
+    commands cannot be requested any more, if the dispatcher may still set them.
+
+    Raises:
+        RealTimeError: The kernel refuses.
     """
 
 def prefault_stack(size: int = 1 << 19) -> None: ...

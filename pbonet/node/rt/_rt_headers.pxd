@@ -218,6 +218,10 @@ cdef extern from "view.h" nogil:
     int rt_play_turn(rt_table *t, int64_t now_ns)
     void rt_play_grant(rt_table *t, rt_slot *slot, int64_t now_ns, int periodic)
 
+cdef extern from "restrict.h" nogil:
+    int rt_restrict(const int32_t *pids, size_t count)
+    int rt_drop_rights()
+
 cdef extern from "guard.h" nogil:
     struct xm_steady:
         pass

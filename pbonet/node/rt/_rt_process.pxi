@@ -30,6 +30,24 @@ def lock_memory() -> None:
                             remedy="set 'memlock unlimited' in /etc/security/limits.d")
 
 
+def restrict(pids) -> None:
+    cdef int32_t[16] listed
+    cdef size_t count = len(pids)
+    for i, pid in enumerate(pids):
+        listed[i] = pid
+    cdef int error = rt_restrict(listed, count)
+    if error:
+        raise RealTimeError("calls of modules cannot be restricted",
+                            got=os.strerror(error),
+                            remedy="use a kernel with seccomp filters")
+
+
+def drop_rights() -> None:
+    cdef int error = rt_drop_rights()
+    if error:
+        raise RealTimeError("the task keeps its rights", got=os.strerror(error))
+
+
 def prefault_stack(size_t size=1 << 19) -> None:
     rt_prefault_stack(size if size < 1 << 22 else 1 << 22)
 

@@ -43,6 +43,11 @@ def probe(errno: int) -> Probe:
             "set 'memlock unlimited' in /etc/security/limits.d, "
             "or --ulimit memlock=-1 for a container"
         )
+    if not Path("/proc/sys/kernel/seccomp/actions_avail").exists():
+        reasons.append(
+            "modules may change priorities and kill processes of the node: this kernel "
+            "has no seccomp filters"
+        )
     if len(cores) == 1:
         reasons.append(
             "only one core may be used, so housekeeping shares it with the tasks"

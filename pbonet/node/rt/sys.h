@@ -118,29 +118,38 @@ static inline void rt_futex_wake(_Atomic uint32_t *word)
     syscall(SYS_futex, (uint32_t *)word, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
 }
 
+/* Upper half of the process ids in the node's own calls that change a priority or a core:
+ * the kernel ignores it, and the filter of a task's process lets no others pass. */
+#define RT_OWN_CALL UINT32_C(0x70626f)
+
+static inline int rt_schedule(pid_t pid, int policy, int level)
+{
+    struct sched_param param = {.sched_priority = level};
+    uint64_t who = (uint64_t)RT_OWN_CALL << 32 | (uint32_t)pid;
+    return syscall(SYS_sched_setscheduler, who, policy | SCHED_RESET_ON_FORK, &param)
+               ? errno : 0;
+}
+
 /* Give a process's main thread (0: the caller) a SCHED_FIFO priority; its children and
  * later threads start without one. */
 static inline int rt_set_level(pid_t pid, int level)
 {
-    struct sched_param param = {.sched_priority = level};
-    return sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) ? errno : 0;
+    return rt_schedule(pid, SCHED_FIFO, level);
 }
 
 /* Remove the real-time priority of a process that ends or hangs: of one that ends the
  * kernel frees the memory, for some milliseconds, at the priority that it had. */
 static inline int rt_take_level(pid_t pid)
 {
-    struct sched_param param = {0};
-    return sched_setscheduler(pid, SCHED_OTHER | SCHED_RESET_ON_FORK, &param) ? errno : 0;
+    return rt_schedule(pid, SCHED_OTHER, 0);
 }
 
 /* Let the caller's main thread share `level` with others by time slices, if it has a
  * real-time priority at all; async-signal-safe. */
 static inline void rt_share_level(int level)
 {
-    struct sched_param param = {.sched_priority = level};
     if ((sched_getscheduler(0) & ~SCHED_RESET_ON_FORK) == SCHED_FIFO)
-        sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &param);
+        rt_schedule(0, SCHED_RR, level);
 }
 
 /* Pin a thread (0: the caller) to a core. */
@@ -151,7 +160,8 @@ static inline int rt_pin(pid_t tid, int core)
         return EINVAL;
     CPU_ZERO(&set);
     CPU_SET((size_t)core, &set);
-    return sched_setaffinity(tid, sizeof set, &set) ? errno : 0;
+    uint64_t who = (uint64_t)RT_OWN_CALL << 32 | (uint32_t)tid;
+    return syscall(SYS_sched_setaffinity, who, sizeof set, &set) ? errno : 0;
 }
 
 #endif

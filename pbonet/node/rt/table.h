@@ -216,6 +216,7 @@ static inline int rt_map_file(struct rt_map *map)
                     map->fd, 0);
     if (at == MAP_FAILED)
         return errno;
+    madvise(at, sizeof(struct rt_table), MADV_DONTFORK);  /* a module may fork */
     map->table = at;
     return 0;
 }

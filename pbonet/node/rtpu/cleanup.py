@@ -54,6 +54,8 @@ class Leftovers(Struct, kw_only=True):
     epoch: int = 0
     tables: list[str] = []
     tasks: list[TaskLeft] = []
+    mark: str = ""
+    """Its `process_setup.MARK`."""
 
     @property
     def alive(self) -> bool:
@@ -130,6 +132,8 @@ def _end_tasks(state: Leftovers, patience: float) -> list[str]:
             os.kill(task.pid, signal.SIGKILL)
         done.append(f"process {task.pid} did not end and was killed")
     _outlive(left, KILL_TIME)
+    if count := process_setup.end_marked(state.mark):
+        done.append(f"{count} processes that tasks had started were killed")
     return done
 
 

@@ -197,7 +197,6 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         freq=freq,
         ring=ring,
         libraries=rtpu.config.libraries,
-        forker=rtpu.spawner.pid,
         replaces=request.replaces,
     )
     child = await rtpu.spawner.fork("task", request.task, spec)

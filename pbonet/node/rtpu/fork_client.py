@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import select
 import signal
 import socket
 import sys
@@ -23,6 +24,8 @@ F_SETPIPE_SZ = 1031
 FORK_TIME = 10.0
 ORPHANED = 256
 """Exit code of a child that outlived the fork server: the real one is unknown."""
+END_TIME = 1.0
+"""Seconds in which a fork server ends, and reports the end of a child."""
 ROUSE_PERIOD = 0.1
 """Seconds between signals to a child that may wait; without `off` it ends in one."""
 START_TIME = 20.0
@@ -55,6 +58,12 @@ class Child:
         except ProcessLookupError:  # it has ended, and the fork server knows already
             self._pidfd = -1
         self.exited: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        self.exited.add_done_callback(self._no_more)
+
+    def _no_more(self, _code: object) -> None:
+        """Let a reader find the end after the last packet if others hold the far end."""
+        with contextlib.suppress(OSError):
+            self.sock.shutdown(socket.SHUT_RD)
 
     def crash_text(self) -> str:
         """Return what the child wrote about its end: a traceback, or nothing."""
@@ -76,22 +85,23 @@ class Child:
             self.send_signal(which)
             asyncio.get_running_loop().call_later(ROUSE_PERIOD, self.rouse, which)
 
-    def watch(self) -> None:
-        """Resolve `exited` at its end: its parent is gone, so its code is unknown."""
-        if self._pidfd < 0:
-            self._orphan_ended()
-            return
+    def watch(self, ended: Callable[[Child], None]) -> None:
+        """Call `ended` when the process has ended, also if its parent has."""
         loop = asyncio.get_running_loop()
+        if self._pidfd < 0:
+            loop.call_soon(ended, self)
+            return
         pidfd = os.dup(self._pidfd)
 
-        def ended() -> None:
+        def readable() -> None:
             loop.remove_reader(pidfd)
             os.close(pidfd)
-            self._orphan_ended()
+            ended(self)
 
-        loop.add_reader(pidfd, ended)
+        loop.add_reader(pidfd, readable)
 
-    def _orphan_ended(self) -> None:
+    def ended_unreported(self) -> None:
+        """Resolve `exited` without the code, which only its parent has known."""
         if not self.exited.done():
             self.exited.set_result(ORPHANED)
 
@@ -115,7 +125,19 @@ class Server(NamedTuple):
     control: socket.socket
 
     def wait(self) -> int:
-        """Wait for its end, and return its exit code or minus its signal."""
+        """Wait for its end, and return its exit code or minus its signal.
+
+        One that does not end within a second is killed.
+        """
+        pidfd = os.pidfd_open(self.pid)
+        waiting = select.poll()
+        waiting.register(pidfd, select.POLLIN)
+        try:
+            signal.pidfd_send_signal(pidfd, signal.SIGCONT)  # it may be stopped
+            if not waiting.poll(END_TIME * 1000):
+                signal.pidfd_send_signal(pidfd, signal.SIGKILL)
+        finally:
+            os.close(pidfd)
         return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
 
@@ -211,7 +233,18 @@ class Spawner:
         self._children[pid] = child
         if pid in self._early:
             self._end(pid, self._early.pop(pid))
+        child.watch(self._ended)
         return child
+
+    def _ended(self, child: Child) -> None:
+        """Take note that a child is gone; its fork server reports the exit code."""
+        if child.pid not in self._children:  # reported, or its fork server has ended
+            child.ended_unreported()
+            return
+        if self._server is not None:  # it may be stopped
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._server.pid, signal.SIGCONT)
+        asyncio.get_running_loop().call_later(END_TIME, child.ended_unreported)
 
     async def _ask(self, kind: str, title: str, fds: list[int]) -> int:
         server = self._server
@@ -226,6 +259,7 @@ class Spawner:
         self._waiting[n] = answer
         request = rtpu_messages.Fork(n, kind, title)
         try:
+            os.kill(server.pid, signal.SIGCONT)  # it may be stopped
             socket.send_fds(server.control, [rtpu_messages.encode(request)], fds)
             return await asyncio.wait_for(answer, FORK_TIME)
         except (OSError, TimeoutError) as error:
@@ -288,10 +322,7 @@ class Spawner:
                         remedy="spawn it again: another fork server is started then",
                     )
                 )
-        orphans = list(self._children.values())
         self._children.clear()
-        for child in orphans:
-            child.watch()
         if server is not None:
             self._died(server.wait())
 

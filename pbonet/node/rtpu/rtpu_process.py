@@ -250,6 +250,7 @@ async def _serve(
         await link.close(reason)
     finally:
         await rtpu.close()
+        process_setup.end_marked(process_setup.mark())  # what tasks left
         sweep(places.name, places.domain)
         tbuf.sweep(places.domain)
         places.remove(places.ctl, places.state, places.log)

@@ -200,6 +200,7 @@ class Rtpu:
                 cleanup.TaskLeft(t.child.pid, t.child.started, t.facts.ring)
                 for t in self.tasks.values()
             ],
+            mark=process_setup.mark(),
         )
         try:
             cleanup.write(self.places.state, state)

@@ -22,7 +22,8 @@ from array import array
 
 import msgspec
 
-from pbonet.errors import NodeError
+from pbonet.errors import NodeError, RealTimeError
+from pbonet.node import rt
 from pbonet.node.wire import process_setup, rtpu_messages
 
 from . import module_inspector, task_output, task_process
@@ -89,6 +90,7 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
         return 1
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once, like SIGTERM
     process_setup.set_title("pbonet-forks")
+    process_setup.adopt_descendants()
     gc.collect()
     gc.freeze()  # children share these pages until a reference count changes
     control.send(rtpu_messages.encode(rtpu_messages.Ready()))
@@ -105,6 +107,7 @@ class ForkServer:
     def __init__(self, control: socket.socket) -> None:
         self._control = control
         self._children: dict[int, int] = {}
+        """Process ids by the descriptor that is readable at the end."""
         self._decoder = msgspec.msgpack.Decoder(rtpu_messages.Fork)
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
@@ -115,6 +118,7 @@ class ForkServer:
             for key, _ in self._selector.select():
                 if key.fileobj is self._control:
                     if not self._take_request():
+                        self._end_rest()
                         return 0
                 else:
                     self._report_end(int(key.fd))
@@ -153,9 +157,29 @@ class ForkServer:
         self._selector.unregister(pidfd)
         os.close(pidfd)
         pid = self._children.pop(pidfd)
+        with contextlib.suppress(OSError):  # before its id can be used again
+            os.killpg(pid, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
+        self._end_rest()
         code = os.waitstatus_to_exitcode(status)
         self._control.send(rtpu_messages.encode(rtpu_messages.Exited(pid, code)))
+
+    def _end_rest(self) -> None:
+        """End the processes that ended tasks have left, and reap them.
+
+        They became children of this process when their own parent ended. One in the
+        session of a living task may still be used by it.
+        """
+        tasks = set(self._children.values())
+        for pid in process_setup.children(os.getpid()):
+            one = process_setup.stat(pid)
+            if one is None or pid in tasks:
+                continue
+            if one.session in tasks and one.state != "Z":
+                continue
+            with contextlib.suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
 
 
 def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:
@@ -165,15 +189,30 @@ def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> in
     """
     sock_fd, spec_fd, crash_fd = _arrange_fds(fds)
     try:
+        os.setsid()  # with its own children it is one group, which ends with it
         task_output.take_over()
         process_setup.set_title(request.title)
         faulthandler.enable(crash_fd, all_threads=False)  # other threads keep running
+        with contextlib.suppress(RealTimeError):  # the RTPU reports it, once
+            rt.restrict(_guarded(server))
         run = module_inspector.run if request.kind == "inspect" else task_process.run
         return run(sock_fd, spec_fd, crash_fd, server)
     except BaseException:  # noqa: BLE001 - the process ends, and the RTPU is notified
         with contextlib.suppress(OSError):
             os.write(crash_fd, traceback.format_exc().encode())
         return CRASHED
+
+
+def _guarded(server: int) -> list[int]:
+    """Return what a module must not kill: fork server, RTPU process, agent, all."""
+    rtpu = process_setup.stat(server)
+    agent = process_setup.stat(rtpu.parent) if rtpu else None
+    pids = [
+        server,
+        *([rtpu.parent] if rtpu else []),
+        *([agent.parent] if agent else []),
+    ]
+    return [-1, *(one for pid in pids if pid > 1 for one in (pid, -pid))]
 
 
 def _arrange_fds(fds: list[int]) -> tuple[int, int, int]:

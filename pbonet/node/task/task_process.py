@@ -57,6 +57,8 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     # Only its own stack: reading the stacks of running threads can end the process.
     faulthandler.register(rtpu_messages.DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)
+    ours = os.getpid()
+    os.register_at_fork(after_in_child=lambda: cut_off(sock_fd, crash_fd))
     data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
     os.close(spec_fd)
     spec = msgspec.msgpack.decode(data, type=rtpu_messages.TaskSpec)
@@ -66,6 +68,8 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
         host = Host(spec, to_rtpu, core, orphan_fd)
         host.take_signals()
         host.create()
+        if os.getpid() != ours:  # the module forked, and this is the copy
+            os._exit(0)
         host.slot.vow()
     except PbonetError as error:
         to_rtpu.say(
@@ -75,6 +79,14 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     host.settle()
     host.live()
     return 0
+
+
+def cut_off(*fds: int) -> None:
+    """Take a process that the module has forked off the task's own channels."""
+    null = os.open(os.devnull, os.O_RDWR)
+    for fd in fds:
+        os.dup2(null, fd)
+    os.close(null)
 
 
 class Host:
@@ -235,6 +247,10 @@ class Host:
         rt.pin(self.spec.core)
         process_setup.settle_memory()
         self.slot.command_level()
+        try:
+            rt.drop_rights()
+        except RealTimeError as error:
+            notes.append(str(error))
         if self.outside:
             task_channel.interrupt_waits(self.to_rtpu.sock, self._on_message)
         self.ready(notes)

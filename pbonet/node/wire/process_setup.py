@@ -10,19 +10,22 @@ import contextlib
 import ctypes
 import gc
 import os
+import signal
 import site
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import signal
+from typing import NamedTuple
 
 LINK_LEVEL = 2
 """Priority of the threads that carry records between machines; commands have 3."""
+MARK = "PBONET_RTPU_PROCESS"
+"""Names, in the environment, the RTPU process that a process descends from. Processes
+that it forks have it too, as ``/proc/PID/environ`` shows that of the last exec."""
 _SENDS = "tx-"
 """Prefix of the names of zenoh's sending threads."""
 PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
+PR_SET_CHILD_SUBREAPER = 36
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -46,6 +49,11 @@ def set_parent_death_signal(which: signal.Signals, parent: int) -> bool:
     """Request `which` when the parent ends; return whether the parent is `parent`."""
     _libc.prctl(PR_SET_PDEATHSIG, int(which), 0, 0, 0)
     return os.getppid() == parent
+
+
+def adopt_descendants() -> None:
+    """Become the parent of descendants whose own parent ends, in place of init."""
+    _libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def set_title(title: str) -> None:
@@ -88,20 +96,104 @@ def settle_memory() -> None:
     gc.disable()
 
 
+class ProcessStat(NamedTuple):
+    """A process as ``/proc/PID/stat`` describes it."""
+
+    state: str
+    """``R``, ``S``, ``T`` (stopped), ``Z`` (ended) and others."""
+    parent: int
+    session: int
+    ticks: int
+    """CPU time used, in clock ticks."""
+    threads: int
+    """Including the first one, even if it has ended."""
+    started: int
+    """Clock ticks since boot."""
+
+
+def stat(pid: int) -> ProcessStat | None:
+    """Return the state of process `pid`; None if there is none."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    one = text.rpartition(")")[2].split()
+    return ProcessStat(
+        state=one[0],
+        parent=int(one[1]),
+        session=int(one[3]),
+        ticks=int(one[11]) + int(one[12]),
+        threads=int(one[17]),
+        started=int(one[19]),
+    )
+
+
 def start_time(pid: int) -> int:
     """Return when process `pid` started, in clock ticks since boot; 0 if it is gone.
 
     Together with the process id it is unique while the machine runs. A killed process
     holds its files and locks until the last of its threads has ended.
     """
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
-    except OSError:
+    found = stat(pid)
+    if found is None or found.state == "X":
         return 0
-    fields = text.rpartition(")")[2].split()
-    threads = int(fields[17])  # including the first one, even if it has ended
-    gone = fields[0] == "X" or (fields[0] == "Z" and threads <= 1)
-    return 0 if gone else int(fields[19])
+    gone = found.state == "Z" and found.threads <= 1
+    return 0 if gone else found.started
+
+
+class Idle:
+    """Measures for how long a process has done nothing.
+
+    Args:
+        pid: The process.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._ticks = -1
+        self._since = time.monotonic()
+
+    def seconds(self) -> float:
+        """Return the seconds since it last used CPU time or waited for a disk."""
+        now, found = time.monotonic(), stat(self._pid)
+        if found is not None and (found.ticks != self._ticks or found.state == "D"):
+            self._ticks, self._since = found.ticks, now
+        return now - self._since
+
+
+def children(pid: int) -> list[int]:
+    """Return the children of process `pid`, ended ones too."""
+    return [one for one in _processes() if (s := stat(one)) and s.parent == pid]
+
+
+def mark() -> str:
+    """Return the mark of the RTPU process that this process is or descends from."""
+    return os.environ.get(MARK, "")
+
+
+def end_marked(mark: str) -> int:
+    """Kill what an RTPU process and its tasks have started and left.
+
+    Args:
+        mark: The value of `MARK` in its environment; empty: nothing is killed.
+
+    Returns:
+        How many processes were killed; never this one.
+    """
+    wanted = f"{MARK}={mark}".encode()
+    count = 0
+    for pid in _processes() if mark else ():
+        if pid == os.getpid():
+            continue
+        with contextlib.suppress(OSError):
+            if wanted in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0"):
+                os.kill(pid, signal.SIGKILL)
+                count += 1
+    return count
+
+
+def _processes() -> list[int]:
+    return [int(one.name) for one in Path("/proc").iterdir() if one.name.isdecimal()]
 
 
 def is_alive(pid: int, started: int) -> bool:

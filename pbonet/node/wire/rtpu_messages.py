@@ -412,8 +412,6 @@ class TaskSpec(Struct, kw_only=True):
     freq: float
     ring: str
     libraries: tuple[str, ...]
-    forker: int
-    """The fork server's process id, which must be the parent's."""
     replaces: list[str] = []
     """Tasks that it replaces, and whose constants it takes over."""
 

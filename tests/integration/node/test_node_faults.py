@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from pathlib import Path
 
 import pytest
 from nodekit import CORE, alive, level, rmod, wait_gone, wait_hung
@@ -220,6 +221,71 @@ class TestDying:
         last = book.read_text().splitlines()[-1]
         assert last.endswith("kill")
         assert ("off False" in book.read_text()) == (state == "ON")
+
+
+@pytest.mark.usefixtures("sibling")
+class TestChildren:
+    """Processes that a module starts are never the task, and end with it."""
+
+    @pytest.fixture
+    def pids(self, arm, tmp_path):
+        """Turn the task on, and return its process ids: it, and all that it started."""
+        file = tmp_path / "pids"
+        tid = arm.spawn("bad", "leaves_children", local={"PIDS": file}).tid
+        arm.on("bad")
+        status = arm.wait_cycles("bad", 20)
+        assert (status.state, status.tid, status.miss) == ("ON", tid, 0)
+        pids = [tid, *map(int, file.read_text().split())]
+        assert len(pids) == 4
+        return pids
+
+    def test_end_with_a_kill(self, arm, pids):
+        arm.kill("bad")
+        wait_gone(pids)
+        assert arm.events("FORCED", "bad") == []
+
+    def test_end_when_the_task_dies(self, arm, pids):
+        os.kill(pids[0], signal.SIGKILL)
+        arm.wait_event("TASK_DIED", "bad")
+        wait_gone(pids)
+
+
+@pytest.mark.usefixtures("sibling")
+def test_a_module_cannot_take_priorities_or_processes_of_the_node(arm):
+    tid = arm.spawn("bad", "takes_over").tid
+    arm.on("bad")
+    wait_for(lambda: arm.value("Y0").values[1], "the attempts")
+    assert arm.value("Y0").values[1] == 6.0
+    assert level(tid) <= 84
+    assert os.sched_getaffinity(tid) == {CORE}
+    lines = Path(f"/proc/{tid}/status").read_text().splitlines()
+    status = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+    assert (status["NoNewPrivs"], status["Seccomp"]) == ("1", "2")
+    beyond = sum(
+        1 << which for which in (16, 19, 21, 22)
+    )  # module, ptrace, admin, boot
+    assert int(status["CapEff"], 16) & beyond == 0
+    assert int(status["CapBnd"], 16) & beyond == 0
+
+
+def test_children_end_when_the_rtpu_process_is_killed(arm, tmp_path):
+    file = tmp_path / "pids"
+    arm.spawn("bad", "leaves_children", local={"PIDS": file})
+    old = arm.nodes.state("arm0").pid
+    os.kill(old, signal.SIGKILL)
+    arm.nodes.wait_restarted("arm0", old)
+    wait_gone(map(int, file.read_text().split()))
+
+
+@pytest.mark.parametrize("which", ["task", "fork server"])
+def test_a_stopped_process_does_not_hold_a_kill_up(arm, which):
+    tid = arm.spawn("bad", "counts").tid
+    server = arm.nodes.fork_server("arm0")
+    os.kill(tid if which == "task" else server, signal.SIGSTOP)
+    arm.kill("bad", limit=0.5)
+    wait_gone([tid])
+    assert arm.status() == {}
+    arm.spawn("bad", "counts")  # the fork server works
 
 
 @pytest.mark.usefixtures("sibling")
