@@ -81,7 +81,6 @@ class Run:
         self._wait = wait
         self._recordings = RecordingControl(record)
         self._record = record
-        self._runs = runs
         self._profile = profile
         self._missing = 0
         self._standstills = Standstills()

@@ -61,7 +61,7 @@ class Child:
         self.exited.add_done_callback(self._no_more)
 
     def _no_more(self, _code: object) -> None:
-        """Let a reader find the end after the last packet if others hold the far end."""
+        """End what is read after the last packet, if others hold the far end."""
         with contextlib.suppress(OSError):
             self.sock.shutdown(socket.SHUT_RD)
 
