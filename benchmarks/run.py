@@ -44,6 +44,7 @@ RUNS = {
     "hosts": "hosts",
     "combine": "combine",
     "record": "record",
+    "kills": "kills",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -58,6 +59,7 @@ QUICK = {
     "costs": "--blocks 1",
     "aperiodic": "--seconds 1",
     "startup": "--rounds 2",
+    "kills": "--rounds 2",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",
