@@ -1,7 +1,7 @@
 """Random processes of a run killed, crashed or stopped: is the machine clean after it?
 
-Each round starts `pbonet run` of a servo, and sends SIGKILL, SIGSEGV or SIGSTOP to one
-or two of its processes: master, agent, RTPU process, fork server, task, recorder. Half a
+Each round starts `pbonet run` of a servo and sends SIGKILL, SIGSEGV or SIGSTOP to one
+or two processes: master, agent, RTPU process, fork server, task, recorder. Half a
 second later the run is interrupted, if it still runs. Ends with status 3 when a run did
 not end within its limit, or a process of it was alive 2 s after its end. The next round
 finds out whether a new run works at once; a master that was stopped is killed, as only
@@ -176,7 +176,7 @@ def main() -> int:
     if asked.json:
         text = json.dumps({"ends": made.ends, "faults": made.faults})
         asked.json.write_text(text, encoding="utf-8")
-    return 3 if made.faults else 0
+    return 0 if not made.faults else 3
 
 
 if __name__ == "__main__":
