@@ -117,7 +117,7 @@ class Rounds:
 
     def _harm(self, run: subprocess.Popen[bytes]) -> str:
         """Send signals to random processes; return what was done."""
-        done = []
+        done: list[str] = []
         time.sleep(self.chance.random() * 0.5)
         for _ in range(self.chance.choice((1, 1, 2))):
             there = processes(self.folder / "run")

@@ -154,9 +154,9 @@ class Idle:
         self._since = time.monotonic()
 
     def seconds(self) -> float:
-        """Return the seconds since it last used CPU time or waited for a disk."""
+        """Return the seconds since it last ran, or waited for a core or a disk."""
         now, found = time.monotonic(), stat(self._pid)
-        if found is not None and (found.ticks != self._ticks or found.state == "D"):
+        if found is not None and (found.ticks != self._ticks or found.state in "RD"):
             self._ticks, self._since = found.ticks, now
         return now - self._since
 
