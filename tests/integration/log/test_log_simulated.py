@@ -22,8 +22,9 @@ SVAR = (
     "NAME X\nTYPE double\nDESC input\nUNITS none\nNELEM 2\nINIT 1 2\n\n"
     "NAME Y\nTYPE double\nDESC sum\nUNITS none\nNELEM 2\n\nEOF\n"
 )
-TOLD = {"pid", "domain", "libraries", "timing"}
-"""What a simulation cannot say of a task, or says otherwise: nothing is late there."""
+TOLD = {"pid", "domain", "libraries", "seed", "timing"}
+"""What a simulation cannot say of a task, or says otherwise: nothing is late there, and
+random numbers are the same each time."""
 
 
 @pytest.fixture(scope="module")
