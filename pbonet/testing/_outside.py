@@ -25,10 +25,14 @@ from pbonet.pbo import (
 )
 from pbonet.xm.ipc import names
 
+from ._chance import noting
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
     from pbonet.log import TaskAbout
+
+    from ._chance import Chance
 
 _HARMLESS: Final = ("/dev/null", "/dev/zero", "/dev/random", "/dev/urandom", "/dev/tty")
 _SEPARATE: Final = frozenset({
@@ -122,12 +126,13 @@ def of_task(player: Player | None, *, timing: bool) -> ModuleAnswers:
 
 
 @contextmanager
-def only(player: Player | None, about: TaskAbout) -> Generator[None]:
+def only(player: Player | None, about: TaskAbout, chance: Chance) -> Generator[None]:
     """Answer from the record in this block, and open nothing.
 
     Args:
         player: The recorded answers; None: older logs have none.
         about: Description of the task.
+        chance: Notes random numbers that are in no log.
     """
     with ExitStack() as stack:
         if player is None:
@@ -139,6 +144,7 @@ def only(player: Player | None, about: TaskAbout) -> Generator[None]:
             stack.enter_context(home)
         stack.enter_context(using(player))
         stack.enter_context(_guard.on())
+        stack.enter_context(noting(chance))
         yield
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pbonet.errors import PbonetError
 from pbonet.log import Log
 
+from ._chance import sources_watched
 from ._changed import changed
 from ._inputs import Commits
 from ._records import cycles_of, must_have_cycles, not_again
@@ -30,6 +31,7 @@ class DivergedError(AssertionError):
     """The code gave something else than was recorded, or could not be run again."""
 
 
+@sources_watched()
 def verify(
     path: str | Path | Log,
     tasks: Sequence[str] = (),

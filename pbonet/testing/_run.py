@@ -15,12 +15,13 @@ import numpy as np
 from pbonet.config import Library, Limit, parse_rmod
 from pbonet.errors import PbonetError, SvarOwnerError
 from pbonet.log import CDR, STABLE, Step, StepSchema, size, unpack
-from pbonet.node.task import RAISED, Executor, check_ports, set_param
+from pbonet.node.task import RAISED, Executor, check_ports, files_of, set_param
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
 from pbonet.pbo import PythonWatch, bind, decode_params
 from pbonet.svar import Blamed
 
 from . import _outside
+from ._chance import Chance, noting
 from ._failing import Failing, HandlerError
 from ._inputs import Commits, Inputs, Key
 from ._records import DID, HEAD, alike, did, kind_of
@@ -146,7 +147,9 @@ class Run:
         self._lay_out()
         self._inputs = Inputs(self.about, self.arrays.__getitem__, commits)
         self._limited = [v for v in self.about.outvar if v.limit is Limit.CLIP]
-        self._make(libraries)
+        self._chance = Chance()
+        with noting(self._chance):
+            self._make(libraries)
 
     def _listen(self, life: TaskLife) -> list[bytes]:
         """Take the recorded answers from outside; return the other records."""
@@ -188,7 +191,7 @@ class Run:
 
     def outside(self) -> AbstractContextManager[None]:
         """Return a context in which the module gets only recorded answers."""
-        return _outside.only(self._player, self.about)
+        return _outside.only(self._player, self.about, self._chance)
 
     def _lay_out(self) -> None:
         """Make the arrays; each group in one piece, as in a local table."""
@@ -213,8 +216,9 @@ class Run:
     def _make(self, libraries: Sequence[str | Path]) -> None:
         about = self.about
         rmod = parse_rmod(about.rmod, about.rmod_name)
-        folders = [*libraries, *about.libraries]
-        loaded = Library(folders).load_rmod(rmod)
+        library = Library([*libraries, *about.libraries])
+        loaded = library.load_rmod(rmod)
+        self._chance.loaded_from(files_of(rmod, library))
         check_ports(rmod, loaded.info)
         params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
         told = _outside.of_task(self._player, timing=about.timing)
@@ -503,18 +507,24 @@ class Run:
         """Return unless the module began from values that are not recorded.
 
         Raises:
-            Stop: It did, or a timing failure came, so nothing can be said.
+            Stop: It did, or a timing failure came, or it used random numbers that are
+                in no log, so nothing can be said.
         """
-        if self._failing.unsure:
-            raise Stop(f"{self._place()}: {name} differs, but {self._failing.unsure}")
+        if unsure := self._unsure:
+            raise Stop(f"{self._place()}: {name} differs, but {unsure}")
         if self._unseen:
             raise Stop(
                 f"{self._place()}: {name} differs, but {min(self._unseen)}, which `on` "
                 "copies in, is not recorded"
             )
 
+    @property
+    def _unsure(self) -> str:
+        """Why a difference may be no fault of the module's."""
+        return self._failing.unsure or str(self._chance)
+
     def _diverged(self, reason: str) -> None:
-        if unsure := self._failing.unsure or self._doubt:
+        if unsure := self._unsure or self._doubt:
             raise Stop(f"{self._place()}: {reason}, but {unsure}")
         self._verdict.divergence = Divergence(
             cycle=self._cycle, where=self._where, reason=reason

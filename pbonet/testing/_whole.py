@@ -18,6 +18,7 @@ import numpy as np
 from pbonet.errors import PbonetError
 from pbonet.log import CDR, HEAD_DTYPE, RECORD, Log, LogWriter, RunAbout, head, size
 
+from ._chance import sources_watched
 from ._changed import changed
 from ._inputs import Commits
 from ._records import cycles_of, must_have_cycles, not_again
@@ -186,6 +187,7 @@ class _Part(Run):
         return b"".join(parts)
 
 
+@sources_watched()
 def rerun(
     path: str | Path | Log,
     tasks: Sequence[str] = (),
