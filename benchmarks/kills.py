@@ -101,6 +101,7 @@ class Rounds:
             self._end(run)
         except TimeoutError as error:
             self.faults.append(f"round {number}, {done}: {error}")
+            print(self.faults[-1], flush=True)
         finally:
             for pid in processes(self.folder / "run"):
                 with contextlib.suppress(ProcessLookupError):
@@ -167,8 +168,6 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the numbers to this file")
     asked = parser.parse_args()
     made = measure(asked.rounds, asked.seed)
-    for fault in made.faults:
-        print(fault)
     print(f"{asked.rounds} rounds, {len(made.faults)} faults")
     if made.ends:
         p50, p99, most = np.quantile(made.ends, (0.5, 0.99, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from functools import partial
 from pathlib import Path
@@ -78,15 +79,12 @@ def command(
     """
     from pbonet.config import agent_settings
     from pbonet.node.agent import agent_main
-    from pbonet.node.wire import process_setup
 
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(name)s: %(message)s",
     )
-    if with_parent and not process_setup.set_parent_death_signal(
-        signal.SIGTERM, with_parent
-    ):
+    if with_parent and not _end_with(with_parent):
         return 0
     told = {
         "name": name,
@@ -106,3 +104,18 @@ def command(
     given = {key: value for key, value in told.items() if value is not None}
     read = partial(agent_settings, config, given)
     return agent_main.main(read(), backend=backend, again=read)
+
+
+def _end_with(parent: int) -> bool:
+    """Let this process end when its parent does; return whether that still lives.
+
+    The kernel sends SIGCONT then, as a stopped process would not see another signal.
+    """
+    from pbonet.node.wire import process_setup
+
+    def on_continue(*_: object) -> None:
+        if os.getppid() != parent:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    signal.signal(signal.SIGCONT, on_continue)
+    return process_setup.set_parent_death_signal(signal.SIGCONT, parent)

@@ -102,18 +102,35 @@ def test_interrupt_turns_everything_off_in_order(run, nodes, which):
     assert left_of(nodes) == []
 
 
-def test_a_stopped_recorder_finishes_its_log_at_the_end(run, nodes, tmp_path):
+def stop_parts(nodes):
+    """Stop all processes of a run but its master and its tasks."""
+    for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder)):
+        if "recorder_process" in command or "--name arm" in command:
+            os.kill(pid, signal.SIGSTOP)
+    for rtpu in ("arm0", "arm1"):
+        os.kill(nodes.fork_server(rtpu), signal.SIGSTOP)
+        os.kill(nodes.state(rtpu).pid, signal.SIGSTOP)
+
+
+def test_stopped_processes_end_in_order_and_finish_their_logs(run, nodes, tmp_path):
     process = run("--runs", tmp_path / "runs")
     until_on(process)
-    running = processes_of("PBONET_RUN_DIR", str(nodes.folder))
-    for pid in (pid for pid, command in running if "recorder_process" in command):
-        os.kill(pid, signal.SIGSTOP)
+    stop_parts(nodes)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
     assert left_of(nodes) == []
     for file in (tmp_path / "runs").rglob("*.mcap"):
         assert log.Log(file).check() == []
+
+
+def test_stopped_processes_end_with_a_master_that_was_killed(run, nodes, shared_memory):
+    process = run()
+    until_on(process)
+    stop_parts(nodes)
+    process.kill()
+    wait_for(lambda: left_of(nodes) == [], "the end of all processes")
+    wait_for(lambda: not list(shared_memory.iterdir()), "the end of all tables")
 
 
 def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_memory):

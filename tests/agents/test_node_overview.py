@@ -16,8 +16,7 @@ from pbonet.xm.net.codec import Codec
 def held(nodes, arm):
     """An RTPU process that is stopped, with a task that is OFF."""
     arm.spawn("a", "counts")
-    pid = nodes.state("arm0").pid
-    os.kill(pid, signal.SIGSTOP)
+    pid = nodes.stop_rtpu("arm0")
     yield arm
     os.kill(pid, signal.SIGCONT)
 

@@ -244,6 +244,13 @@ class Nodes:
         self.agents[name] = agent
         return agent
 
+    def stop_rtpu(self, name):
+        """Stop the RTPU process, which its agent does not continue; return its id."""
+        self.agents[name]._stopped.stop()
+        pid = self.state(name).pid
+        os.kill(pid, signal.SIGSTOP)
+        return pid
+
     def agent_process(self, name, *, wait=True, stop_time=STOP_TIME, **more):
         """Start an agent as a process of its own and wait until it answers.
 

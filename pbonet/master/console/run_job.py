@@ -184,6 +184,7 @@ class Run:
         if self._agents.ended() and ours.issuperset(subsystem.clients.names):
             subsystem.detach()
             return
+        self._resume_agents()
         try:
             self._unfinished += subsystem.finish()
         except SeveralError as error:
@@ -312,6 +313,7 @@ class Run:
 
     def _status(self, subsystem: Subsystem) -> list[RtpuStatus]:
         """Return the status; an RTPU that stays away ends the run."""
+        self._resume_agents()
         try:
             statuses = subsystem.rtpu_status()
         except PbonetError as error:
@@ -328,6 +330,10 @@ class Run:
             self._reason = f"{' and '.join(lost)} cannot be reached"
             self._faults.append(self._reason)
         return statuses
+
+    def _resume_agents(self) -> None:
+        for text in self._agents.resume():
+            self._view.say(render.warning(text))
 
     def _over(self, statuses: list[RtpuStatus], passed: float) -> bool:
         """Return whether the run is over, and note why."""

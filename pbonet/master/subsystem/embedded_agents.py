@@ -167,6 +167,15 @@ class Embedded:
             if (code := child.process.poll()) is not None
         ]
 
+    def resume(self) -> list[str]:
+        """Continue agents that a signal has stopped; return what was done."""
+        return [
+            f"the agent of {child.rtpu} (process {child.process.pid}) was stopped by a "
+            "signal and has been continued"
+            for child in self.children
+            if _resume(child.process.pid)
+        ]
+
     def stop(self) -> list[str]:
         """End the agents in order; return the RTPUs that had to be killed."""
         for child in self.children:
@@ -262,3 +271,12 @@ class Embedded:
 
 def _describe(code: int) -> str:
     return f"exit status {code}" if code >= 0 else signal.Signals(-code).name
+
+
+def _resume(pid: int) -> bool:
+    """Continue a child process if it was stopped since the last call."""
+    with contextlib.suppress(ChildProcessError, ProcessLookupError):
+        if os.waitid(os.P_PID, pid, os.WSTOPPED | os.WNOHANG) is not None:
+            os.kill(pid, signal.SIGCONT)
+            return True
+    return False

@@ -48,6 +48,7 @@ from .rtpu_link import RtpuLink
 from .shared_memory_status import SharedMemoryStatus, restarting
 from .shutdown_event import Ending
 from .start_rtpu import choose_core
+from .stopped_processes import StoppedProcesses
 from .subsystem_links import Links
 from .zenoh_server import Server
 
@@ -123,6 +124,7 @@ class Agent:
         self._links: Links | None = None
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
+        self._stopped = StoppedProcesses(self.name, self._processes, self._note)
         self._link: RtpuLink | None = None
         self._about: AgentInfo | None = None
         self._over = Ending()
@@ -171,6 +173,7 @@ class Agent:
         self._refuse_duplicate()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
+        self._stopped.start()
         self._about = self._describe()
         self._mail = Mail(self._session, self.places, self.config.files)
         self._server = Server(
@@ -212,6 +215,13 @@ class Agent:
         log.info(
             "%s: %s RTPU process %d on core %d", self.name, how, info.pid, info.core
         )
+
+    def _processes(self) -> dict[int, str]:
+        """Return the processes that this agent keeps running, with what each one is."""
+        found = self._recorders.processes()
+        if (link := self._link) is not None and link.info is not None:
+            found[link.info.pid] = "the RTPU process"
+        return found
 
     def _refuse_duplicate(self) -> None:
         """Raise if an agent of that name is alive anywhere in the domain."""
@@ -298,7 +308,7 @@ class Agent:
             self._mirrors,
             self._ways,
         )
-        for part in (*network, self._duplicates, self._term):
+        for part in (*network, self._duplicates, self._term, self._stopped):
             if part is not None:
                 part.stop()
         self._mail = self._links = self._subscriptions = None

@@ -112,6 +112,11 @@ class _Child:
         self._feed.begin(feed)
         return process
 
+    @property
+    def pid(self) -> int:
+        """The process that records now."""
+        return self._process.pid
+
     def send(self, message: rtpu_messages.ToRecorder) -> None:
         """Send a message; a recorder that does not read is restarted."""
         self._feed.put(rtpu_messages.frame(message))
@@ -273,6 +278,12 @@ class Recorders:
             self._fares[message.subsystem] = message
         else:
             self._tell(message)
+
+    def processes(self) -> dict[int, str]:
+        """Return the processes of the recorders, with what each one is."""
+        with self._guard:
+            children = dict(self._children)
+        return {c.pid: f"the recorder of {name}" for name, c in children.items()}
 
     def send(self, message: rtpu_messages.ToRecorder) -> None:
         """Send a message to all recorders."""

@@ -45,7 +45,7 @@ EXEC_ENVIRONMENT = {
 """Read by libraries when they are loaded, so it must be set before exec."""
 
 
-def set_parent_death_signal(which: signal.Signals, parent: int) -> bool:
+def set_parent_death_signal(which: signal.Signals, parent: int = 0) -> bool:
     """Request `which` when the parent ends; return whether the parent is `parent`."""
     _libc.prctl(PR_SET_PDEATHSIG, int(which), 0, 0, 0)
     return os.getppid() == parent
@@ -126,6 +126,19 @@ def stat(pid: int) -> ProcessStat | None:
         threads=int(one[17]),
         started=int(one[19]),
     )
+
+
+def resume(pid: int) -> bool:
+    """Continue a process that a signal has stopped; return whether it was stopped.
+
+    One that a debugger holds is left alone.
+    """
+    found = stat(pid)
+    if found is None or found.state != "T":
+        return False
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGCONT)
+    return True
 
 
 def start_time(pid: int) -> int:

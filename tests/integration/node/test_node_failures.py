@@ -229,7 +229,7 @@ def test_stopped_processes_do_not_catch_up(arm, nodes):
     tid = arm.wait_cycles("t", 5).tid
     rtpu = nodes.state("arm0").pid
     before = arm.status("t")
-    os.kill(rtpu, signal.SIGSTOP)
+    nodes.stop_rtpu("arm0")
     os.kill(tid, signal.SIGSTOP)
     try:
         wait_for(lambda: _stopped(tid) and _stopped(rtpu), "both to stand still")

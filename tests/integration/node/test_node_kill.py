@@ -224,9 +224,10 @@ class TestRtpuProcess:
             nodes.fork_server("arm0"),
             *pids,
         ]
-        for how in (signal.SIGSTOP, signal.SIGKILL):  # no one outlives another's end
-            for pid in reversed(victims):
-                os.kill(pid, how)
+        for pid in victims:
+            os.kill(pid, signal.SIGSTOP)  # no one outlives another's end
+        for pid in reversed(victims):
+            os.kill(pid, signal.SIGKILL)
         nodes.processes["arm0"].wait()
         wait_gone(victims)
         assert list(shared_memory.glob("*.ring"))
@@ -322,9 +323,10 @@ class TestTwoRtpus:
             *(nodes.processes["arm1"].pid, nodes.state("arm1").pid),
             *(nodes.fork_server("arm1"), other.status("t1").tid),
         ]
-        for how in (signal.SIGSTOP, signal.SIGKILL):
-            for pid in reversed(victims):
-                os.kill(pid, how)
+        for pid in victims:
+            os.kill(pid, signal.SIGSTOP)
+        for pid in reversed(victims):
+            os.kill(pid, signal.SIGKILL)
         nodes.processes["arm1"].wait()
         core = _rt.CoreTable(CORE, member=False)
         name = f"{nodes.domain}/arm1", "arm/t1"

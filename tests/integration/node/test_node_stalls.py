@@ -15,7 +15,7 @@ def test_a_stall_amid_a_message_ends_no_task(nodes):
     arm.on("a")
     rtpu = nodes.state("arm0").pid
     link = nodes.agents["arm0"]._link
-    os.kill(rtpu, signal.SIGSTOP)
+    nodes.stop_rtpu("arm0")
     try:
         for _ in range(8):
             nodes.session.put("cell/part", bytes(100_000))
@@ -62,3 +62,16 @@ def test_a_recorder_that_cannot_be_started_is_told(nodes, monkeypatch):
         assert "could not be started" in event.text
     assert arm.on("a").state == "ON"
     assert arm.stop().off == ["a"]
+
+
+def test_a_stopped_rtpu_process_is_continued_by_its_agent(nodes):
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm")
+    tid = arm.spawn("a", "counts").tid
+    arm.on("a")
+    rtpu = nodes.state("arm0").pid
+    os.kill(rtpu, signal.SIGSTOP)
+    told = arm.wait_event("RESUMED")
+    assert f"the RTPU process (process {rtpu}) was stopped by a signal" in told.text
+    assert arm.wait_cycles("a", arm.status("a").cycle + 5).tid == tid
+    assert nodes.state("arm0").pid == rtpu

@@ -1,0 +1,65 @@
+"""Processes of an agent that a signal has stopped (SIGSTOP) are continued.
+
+A stopped RTPU process ranks no task and answers no command, and a stopped recorder
+loses data when its rings are full. A debugger holds a process in another way, and is
+left alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import TYPE_CHECKING, Final
+
+from pbonet.errors import Severity
+from pbonet.node.wire import process_setup, rtpu_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+log = logging.getLogger("pbonet.node")
+
+PERIOD: Final = 0.2
+"""Seconds between two checks."""
+
+
+class StoppedProcesses:
+    """Continues and reports stopped processes.
+
+    Args:
+        name: The agent's name.
+        processes: Returns the identifiers of its processes, with what each one is.
+        note: Called with reports for masters.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        processes: Callable[[], Mapping[int, str]],
+        note: Callable[[rtpu_messages.Note], None],
+    ) -> None:
+        self._name, self._processes, self._note = name, processes, note
+        self._over = threading.Event()
+        self._thread = threading.Thread(
+            target=self._watch, name="pbonet stopped", daemon=True
+        )
+
+    def start(self) -> None:
+        """Start the checks."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the checks."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._over.wait(PERIOD):
+            for pid, what in self._processes().items():
+                if process_setup.resume(pid):
+                    text = f"{what} (process {pid}) was stopped by a signal and has "
+                    text += "been continued; to pause tasks, use 'off'"
+                    log.warning("%s: %s", self._name, text)
+                    note = rtpu_messages.Note(int(Severity.WARNING), "RESUMED", text)
+                    self._note(note)
