@@ -91,6 +91,26 @@ def left_of(nodes):
     ]
 
 
+def test_a_run_shows_what_modules_print_and_what_is_held_back(run, tmp_path):
+    (tmp_path / "loud.rmod").write_text(nodekit.rmod("prints_a_lot", freq=100.0))
+    (tmp_path / "s.svar").write_text(nodekit.svar(1))
+    (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU c0\nEOF\n")
+    job = tmp_path / "j.job"
+    job.write_text("JOB j\nDESC d\nSBS s.sbs\nTASK loud\nEOF\n")
+    process = run("--record", "off", "--library", nodekit.MISBEHAVING, job=job)
+    shown = []
+    for line in process.stdout:
+        if line.startswith("loud> "):
+            shown.append(line)
+            if "held back: printed too fast" in line:
+                break
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err
+    assert shown[0] == "loud> hello from init\n"
+    assert any(line.startswith("loud> line 0 of cycle 1.") for line in shown)
+
+
 @pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_turns_everything_off_in_order(run, nodes, which):
     process = run()

@@ -183,7 +183,7 @@ class Plain:
 
 
 class Quiet:
-    """Only errors, on standard error; data goes to standard output."""
+    """Messages and events on standard error; data goes to standard output."""
 
     def say(self, line: str) -> None:
         """Print a line on standard error."""

@@ -399,6 +399,11 @@ def _transition(data: Data) -> str:
     return "\n".join(lines)
 
 
+def printed(one: Event) -> str:
+    """Return a line that a module printed, after the name of its task."""
+    return f"{one.task}> {one.text}"
+
+
 def event(one: Event) -> str:
     """Return an event as one line, or more if its text has more.
 

@@ -24,7 +24,7 @@ from .run_end import (
     Status,
     unrecorded,
 )
-from .watch_values import Listener
+from .watch_values import OUTPUT, Listener
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -152,7 +152,7 @@ class Run:
         infos = self._report_limits(subsystem)
         statuses: list[RtpuStatus] = []
         begin = time.monotonic()
-        listener = Listener(subsystem)
+        listener = Listener(subsystem, printed=True)
         try:
             self._interrupts.force = subsystem.stop
             listener.open()  # before a task may fail
@@ -166,6 +166,10 @@ class Run:
         if self._profile:
             self._save_profiles(subsystem)
         self._finish(subsystem)
+        self._take(listener)  # what modules printed in `off`
+        if listener.dropped:
+            text = f"{listener.dropped} events or printed lines came too fast to show"
+            self._view.say(render.warning(text))
         return Outcome(
             job=self.job.name,
             seconds=passed,
@@ -283,7 +287,7 @@ class Run:
                 statuses = self._status(subsystem)
                 seen.update(statuses)
                 self._standstills.update(statuses)
-                events = listener.take()
+                events = self._take(listener)
                 self._view.show(passed, statuses, events)
                 fatal = [e.text for e in events if e.severity >= Severity.FATAL]
                 self._faults += fatal
@@ -293,8 +297,15 @@ class Run:
                 if self._seconds is not None:
                     left = min(left, max(0.0, self._seconds - passed))
                 self._interrupts.wished.wait(left)
-        listener.close()
         return seen.last(subsystem.task_set.model.killed)
+
+    def _take(self, listener: Listener) -> list[m.Event]:
+        """Return the new events, and show what modules printed."""
+        events = listener.take()
+        for one in events:
+            if one.code == OUTPUT:
+                self._view.say(render.printed(one))
+        return [one for one in events if one.code != OUTPUT]
 
     @contextlib.contextmanager
     def _port(self, subsystem: Subsystem) -> Generator[None]:

@@ -30,6 +30,8 @@ Data = dict[str, Any]
 
 _EVENT: Final[msgspec.msgpack.Decoder[m.Event]] = decoder(m.Event)
 _KEPT: Final = 1000
+OUTPUT: Final = "OUTPUT"
+"""Code of an event that is a line which a module printed."""
 _LEAST: Final = {
     "errors": Severity.ERROR,
     "warnings": Severity.WARNING,
@@ -46,6 +48,7 @@ class Listener:
     Args:
         subsystem: It is open.
         least: The least severity wanted; None: as each RTPU's ERRPRINT says.
+        printed: Also receive what modules print.
         heard: Called with each event, in zenoh's thread; it must return at once.
     """
 
@@ -54,12 +57,16 @@ class Listener:
         subsystem: Subsystem,
         *,
         least: Severity | None = None,
+        printed: bool = False,
         heard: Callable[[m.Event], None] | None = None,
     ) -> None:
         self._subsystem = subsystem
         self._least = least
+        self._printed = printed
         self._heard = heard
         self._kept: deque[m.Event] = deque(maxlen=_KEPT)
+        self.dropped = 0
+        """Events that came faster than they were taken."""
         self._declared: list[zenoh.Subscriber[None]] = []
 
     def open(self) -> None:
@@ -94,6 +101,7 @@ class Listener:
             return  # of another version; `events` reports it
         if not self.wants(event):
             return
+        self.dropped += len(self._kept) == _KEPT
         self._kept.append(event)
         if self._heard is not None:
             self._heard(event)
@@ -102,6 +110,8 @@ class Listener:
         """Return whether an event is of the subsystem and is to be displayed."""
         if event.subsystem not in {"", self._subsystem.name}:
             return False
+        if self._printed and event.code == OUTPUT:
+            return True
         least = self._least
         if least is None:
             entry = self._subsystem.clients.entries.get(event.rtpu)
