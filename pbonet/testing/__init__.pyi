@@ -4,6 +4,7 @@ from ._replay import DivergedError as DivergedError, replay as replay, verify as
 from ._table import BenchTable as BenchTable, PortValues as PortValues
 from ._verdict import (
     Changed as Changed,
+    ChangedParam as ChangedParam,
     Divergence as Divergence,
     Replayed as Replayed,
     Verdict as Verdict,

@@ -1,4 +1,4 @@
-"""Which files of a module's code are other ones than those that ran."""
+"""Files that are other ones than those of the recording: code, and parameters."""
 
 from __future__ import annotations
 
@@ -13,12 +13,24 @@ from pbonet.errors import PbonetError
 from pbonet.log import code_of
 from pbonet.node.task import files_of
 
-from ._verdict import Changed
+from ._verdict import Changed, ChangedParam
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pbonet.config import Rmod
     from pbonet.log import CodeFile, Log, TaskAbout
+
+    from ._verdict import Verdict
+
+
+def note_changes(
+    verdict: Verdict, log: Log, libraries: Sequence[str | Path] = ()
+) -> None:
+    """Note in a verdict what has changed in the task's files since the recording."""
+    about = log.task_about(verdict.task)
+    verdict.changed = changed(log, about, libraries)
+    verdict.params = changed_params(about, libraries)
 
 
 def changed(
@@ -53,6 +65,57 @@ def changed(
             )
     new = present.values() if about.code else ()
     return found + [Changed(path=one.path, recorded="", now=one.sha256) for one in new]
+
+
+def changed_params(
+    about: TaskAbout, libraries: Sequence[str | Path] = ()
+) -> list[ChangedParam]:
+    """Return the parameters of a task whose values in its `.rmod` file have changed.
+
+    A replay uses the recorded values, so that it could not show the change.
+
+    Args:
+        about: Of the task.
+        libraries: Folders that are searched for the file before its recorded place.
+    """
+    recorded = Path(about.rmod_name)
+    places = [Path(folder, recorded.name) for folder in libraries]
+    if recorded.is_absolute():
+        places.append(recorded)
+    path = next(filter(Path.is_file, places), None)
+    if path is None or not about.rmod:
+        return []
+    try:
+        present = Library([*libraries, *about.libraries]).read_rmod(path)
+    except PbonetError as error:
+        why = str(error)
+        return [ChangedParam(name="", path=str(path), recorded="", now="", reason=why)]
+    then = _values(parse_rmod(about.rmod, about.rmod_name))
+    now = _values(present)
+    return [
+        ChangedParam(
+            name=name,
+            path=str(path),
+            recorded=" ".join(then.get(name, ())),
+            now=" ".join(now.get(name, ())),
+        )
+        for name in dict.fromkeys([*then, *now])
+        if not _same_value(then.get(name), now.get(name))
+    ]
+
+
+def _values(rmod: Rmod) -> dict[str, tuple[str, ...]]:
+    return {name.lower(): line.words for name, line in rmod.settings.items()}
+
+
+def _same_value(a: tuple[str, ...] | None, b: tuple[str, ...] | None) -> bool:
+    """Return whether two values are the same, however their numbers are written."""
+    if a is None or b is None or a == b:
+        return a == b
+    try:
+        return [float(word) for word in a] == [float(word) for word in b]
+    except ValueError:
+        return False
 
 
 def _present(about: TaskAbout, libraries: Sequence[str | Path]) -> list[CodeFile]:

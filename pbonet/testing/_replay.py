@@ -14,7 +14,7 @@ from pbonet.errors import PbonetError
 from pbonet.log import Log
 
 from ._chance import sources_watched
-from ._changed import changed
+from ._changed import note_changes
 from ._inputs import Commits
 from ._records import cycles_of, must_have_cycles, not_again
 from ._run import Run
@@ -57,9 +57,8 @@ def verify(
     commits: dict[Table, Commits] = {}
     verdicts: list[Verdict] = []
     for task in tasks or log.tasks:
-        verdict = Verdict(
-            task=task, changed=changed(log, log.task_about(task), libraries)
-        )
+        verdict = Verdict(task=task)
+        note_changes(verdict, log, libraries)
         for life in log.lives(task):
             cycles = cycles_of(life)
             verdict.recorded += cycles

@@ -18,7 +18,7 @@ from pbonet.master.console import run
 from pbonet.master.sim import BEGIN_NS
 
 from ._chance import Chance, noting
-from ._changed import changed
+from ._changed import note_changes
 from ._records import alike, must_have_cycles
 from ._verdict import Divergence, Replayed, Verdict
 
@@ -74,7 +74,7 @@ def simulated(
         if one.divergence is not None and str(chance):
             one.gaps.append(f"{one.divergence}, but {chance}")
             one.divergence = None
-        one.changed = changed(log, log.task_about(one.task), libraries)
+        note_changes(one, log, libraries)
     firsts = [
         (log.arrays(one.task)["release_ns"][one.cycles], one.task)
         for one in found.tasks

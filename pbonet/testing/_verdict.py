@@ -58,6 +58,31 @@ class Changed(Struct, kw_only=True):
         )
 
 
+class ChangedParam(Struct, kw_only=True):
+    """A parameter with another value in the present `.rmod` file."""
+
+    name: str
+    path: str
+    """Of the present file."""
+    recorded: str
+    """The value in the recorded file; empty: the module's default."""
+    now: str
+    """The value in the present one; empty: the module's default."""
+    reason: str = ""
+    """Why the present file cannot be read."""
+
+    def __str__(self) -> str:
+        """Return it in one sentence."""
+        if self.reason:
+            return (
+                f"{self.path} cannot be read, its recorded text is used: {self.reason}"
+            )
+        return (
+            f"{self.path} has changed: {self.name} is {self.now or 'not set'} there, "
+            f"recorded and used {self.recorded or 'not set'}"
+        )
+
+
 class Verdict(Struct, kw_only=True):
     """The result for one task."""
 
@@ -72,6 +97,8 @@ class Verdict(Struct, kw_only=True):
     missing: bool = False
     """Whether records are missing: lost for lack of room, or damaged."""
     changed: list[Changed] = []
+    params: list[ChangedParam] = []
+    """Parameters whose recorded values were used, and have others in their file."""
     seconds: float = 0.0
     """Of the run that were verified."""
     took: float = 0.0
@@ -96,7 +123,7 @@ class Verdict(Struct, kw_only=True):
         if self.divergence is not None:
             lines.append(f"  first divergence: {self.divergence}")
         lines += [f"  not verifiable: {text}" for text in self.gaps]
-        lines += [f"  {one}" for one in self.changed]
+        lines += [f"  {one}" for one in (*self.changed, *self.params)]
         return "\n".join(lines)
 
 

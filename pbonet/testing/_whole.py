@@ -19,7 +19,7 @@ from pbonet.errors import PbonetError
 from pbonet.log import CDR, HEAD_DTYPE, RECORD, Log, LogWriter, RunAbout, head, size
 
 from ._chance import sources_watched
-from ._changed import changed
+from ._changed import note_changes
 from ._inputs import Commits
 from ._records import cycles_of, must_have_cycles, not_again
 from ._run import Run, Stop
@@ -221,10 +221,9 @@ def rerun(
         return simulated(log, tasks, libraries=libraries, rtol=rtol, out=out)
     log.load()
     names = list(tasks or log.tasks)
-    verdicts = {
-        task: Verdict(task=task, changed=changed(log, log.task_about(task), libraries))
-        for task in names
-    }
+    verdicts = {task: Verdict(task=task) for task in names}
+    for verdict in verdicts.values():
+        note_changes(verdict, log, libraries)
     made: dict[Table, _Made] = {}
     parts: list[_Part] = []
     begun = time.perf_counter()

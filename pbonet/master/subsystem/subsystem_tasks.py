@@ -7,6 +7,7 @@ that the next verification uses the real state, not the requested one.
 from __future__ import annotations
 
 from functools import cache, partial
+from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -442,7 +443,7 @@ class SubsystemTasks:
         request = m.Spawn(
             task=member.name,
             rmod=member.source.text,
-            rmod_name=f"{member.name}.rmod",
+            rmod_name=_place(member.rmod.file),
             freq=member.freq or None,
             crit=member.rmod.crit,
             priority=priorities[member.name],
@@ -612,3 +613,9 @@ class SubsystemTasks:
             if member.rtpu in results:
                 self.model.remove(member.name)
         return stopped, errors
+
+
+def _place(file: str) -> str:
+    """Return the path of an RMOD, or its name if it is known only from a task."""
+    path = Path(file)
+    return str(path.absolute()) if path.is_file() else path.name
