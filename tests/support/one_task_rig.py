@@ -27,12 +27,18 @@ class Core:
         self.now = 0
         self.at(1 * MS, mode=Mode.ON)
 
-    def at(self, now: int, **part) -> list:
-        """Let something happen and take a turn; return its decisions."""
+    def at(self, now: int, *, lead: bool = False, **part) -> list:
+        """Let something happen and take a turn; return its decisions.
+
+        Args:
+            now: When.
+            lead: Whether it is the first turn of a new leader.
+            **part: What the task does, as for `CoreTable.post`.
+        """
         self.now = now
         self.table.post(self.slot, **part)
         since = self.table.trace()[0]
-        self.table.step(now)
+        self.table.step(now, lead=lead)
         return self._decisions(since)
 
     def until(self, now: int) -> list:

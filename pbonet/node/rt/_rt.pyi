@@ -182,8 +182,13 @@ class CoreTable:
         Returns:
             The number to pass next, how many records were overwritten, and the records.
         """
-    def step(self, now_ns: int, *, park: bool = False) -> int:
+    def step(self, now_ns: int, *, park: bool = False, lead: bool = False) -> int:
         """Take one turn in virtual time without acting on it; for tests.
+
+        Args:
+            now_ns: The time.
+            park: Let only the most urgent task run.
+            lead: Take it as the first turn of a new leader.
 
         Returns:
             The time of the next event; 0 if there is none.

@@ -291,9 +291,9 @@ cdef class CoreTable:
             raise RealTimeError("a dispatcher leads this core", where=self.path,
                                 expected="virtual time on a table of its own")
 
-    def step(self, int64_t now_ns, *, bint park=False) -> int:
+    def step(self, int64_t now_ns, *, bint park=False, bint lead=False) -> int:
         self._alone()
-        cdef int64_t due = rt_turn(self.t, now_ns, park, 0, rt_posted_cpu)
+        cdef int64_t due = rt_turn(self.t, now_ns, park, lead, rt_posted_cpu)
         rt_turn_end(self.t)
         return due
 

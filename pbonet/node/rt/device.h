@@ -20,7 +20,7 @@ static inline void rt_attend(struct rt_table *t, int i, struct rt_state *s, int6
 {
     int64_t expected = s->rel_ns + s->period;
     s->event_ns = event;
-    s->late = s->sure = s->handling = s->owed = 0;
+    s->late = s->sure = s->handling = s->owed = s->overrun = 0;
     atomic_store(&t->slots[i].grant.owed, 0);
     s->mark = -1;               /* its CPU clock at this point is not known yet */
     s->spent = expected - event > s->period / 2;
@@ -39,7 +39,7 @@ static inline void rt_attended(struct rt_table *t, int i, struct rt_state *s, in
 {
     if (s->late && s->deadline)
         s->next_ns = now + s->deadline;
-    s->late = s->spent = s->handling = s->owed = 0;
+    s->late = s->spent = s->handling = s->owed = s->overrun = 0;
     atomic_store(&t->slots[i].grant.owed, 0);
     rt_set_rank(t, i, s, s->crit);
 }
@@ -65,8 +65,10 @@ static inline void rt_latch_device(struct rt_table *t, int i, struct rt_state *s
 }
 
 /* The cycle is past its deadline and continues with the next one. */
-static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, int64_t now)
+static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, int64_t now,
+                               rt_cpu_fn cpu)
 {
+    rt_overruns(t, i, s, cpu);
     s->dl_ns += ((now - s->dl_ns) / s->period + 1) * s->period;
     s->late = 1;
     rt_fail(t, i, s, RT_DEADLINE, now, 1);
@@ -75,7 +77,7 @@ static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, in
 /* Check the task. A device that has been silent for too long is also a failure, once per
  * limit. */
 static inline void rt_listen(struct rt_table *t, int i, struct rt_state *s, int64_t now,
-                             int locked)
+                             int locked, rt_cpu_fn cpu)
 {
     int64_t look = 0;
     if (s->mark < 0)
@@ -89,7 +91,7 @@ static inline void rt_listen(struct rt_table *t, int i, struct rt_state *s, int6
     }
     if (s->active) {
         if (s->dl_ns <= now)
-            rt_overtake(t, i, s, now);
+            rt_overtake(t, i, s, now, cpu);
         if (rt_limited(s))
             look = rt_look(t, i, s, now, locked);
         look = rt_sooner(look, s->dl_ns);

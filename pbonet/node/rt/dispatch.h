@@ -189,22 +189,19 @@ static inline int rt_news(const struct rt_slot *slot)
            atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
 }
 
-/* Whether a periodic task's cycle hangs: it has used up its period, and RT_HUNG_NS of CPU
- * time since. Its CPU clock is read in those turns only. Until the cycle returns, all other
- * tasks and commands go first: the task has no level of its own. */
-static inline void rt_latch_hung(struct rt_table *t, int i, struct rt_state *s, int64_t now,
-                                 rt_cpu_fn cpu)
+/* Read how much CPU time a cycle has used since it used up its period. While it hangs the
+ * task has no level: all others and commands go first. */
+static inline void rt_latch_overrun(struct rt_table *t, int i, struct rt_state *s,
+                                    rt_cpu_fn cpu)
 {
-    if (s->hung || s->kind != RT_PERIODIC || now - s->rel_ns <= s->period)
+    if (s->overrun == RT_HUNG)
         return;
-    int64_t clock = cpu(&t->slots[i]);
-    if (!s->overrun) {
-        s->overrun = 1;
-        s->overrun_mark = clock;
-    } else if (clock - s->overrun_mark >= RT_HUNG_NS) {
-        s->hung = 1;
-        rt_emit(t, RT_BEGUN, i, 1, 0, 0);
-    }
+    int64_t used = cpu(&t->slots[i]) - s->overrun_mark;
+    uint8_t overrun = used >= RT_HUNG_NS ? RT_HUNG : used >= s->period ? RT_LAST : RT_OVER;
+    if (overrun <= s->overrun)
+        return;
+    s->overrun = overrun;
+    rt_emit(t, RT_BEGUN, i, overrun, 0, 0);
 }
 
 /* Read what happened to slot i; emits inputs. */
@@ -254,8 +251,6 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     } else if (s->granted && !s->begun && atomic_load(&slot->post.begun) == s->seq) {
         rt_emit(t, RT_BEGUN, i, 0, 0, 0);
         s->begun = 1;
-    } else if (s->begun) {
-        rt_latch_hung(t, i, s, now, cpu);
     }
     if (s->begun || s->owed || s->kind == RT_SYNCHRONOUS)
         rt_latch_watch(t, i, s, now);
@@ -263,12 +258,15 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
         rt_latch_event(t, i, s);
     else if (s->armed && s->kind == RT_SYNCHRONOUS)
         rt_latch_device(t, i, s, now);
+    if (s->overrun)
+        rt_latch_overrun(t, i, s, cpu);
     if (word != s->word && s->gen)
         rt_latch_mode(t, i, s, word, now);
 }
 
 /* Grant the newest release that is due and count the others as missed. */
-static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int64_t now)
+static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int64_t now,
+                              rt_cpu_fn cpu)
 {
     int64_t release = s->next_ns, last = now / s->period * s->period;
     uint64_t missed = 0;
@@ -281,7 +279,10 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     int unmet = s->ready && !s->late && !in_time;
     missed += s->ready;
     s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;
-    if (!s->begun) {
+    if (s->begun) {
+        if (s->rel_ns + s->period <= now)
+            rt_overruns(t, i, s, cpu);
+    } else {
         s->rel_ns = release;
         if (s->granted) {       /* granted, but not begun: it runs as the new one */
             atomic_store_explicit(&t->slots[i].grant.rel_ns, s->rel_ns,
@@ -309,12 +310,12 @@ static inline void rt_watch(struct rt_table *t, int i, struct rt_state *s, int64
     if (rt_is_server(s)) {
         rt_serve(t, i, s, now, locked);
     } else if (s->kind == RT_SYNCHRONOUS) {
-        rt_listen(t, i, s, now, locked);
+        rt_listen(t, i, s, now, locked, cpu);
     } else if (s->kind == RT_PERIODIC) {
         if (s->fresh && !s->begun)
             s->mark = s->clock;
         if (s->next_ns <= now)
-            rt_release(t, i, s, now);
+            rt_release(t, i, s, now, cpu);
         if (s->ready && !s->late && s->dl_ns <= now) {
             s->late = 1;
             rt_fail(t, i, s, RT_DEADLINE, now, s->begun);
@@ -370,7 +371,7 @@ static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, in
 {
     int hung = 0;
     muf_sort(ready, n);
-    for (int k = n; k-- > 0 && t->slots[ready[k].slot].state.hung; hung++)
+    for (int k = n; k-- > 0 && ready[k].crit < 0; hung++)
         ready[k].level = 0;
     muf_assign(ready, n - hung, MUF_LOW, MUF_HIGH);
     for (int k = 0; k < n; k++) {
@@ -398,6 +399,15 @@ static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, in
     atomic_store(&t->waiting, waiting);
 }
 
+/* A ready task in the form in which it is ranked. */
+static inline struct muf_item rt_item(const struct rt_state *s, int i)
+{
+    return (struct muf_item){
+        .deadline = s->dl_ns, .since = s->rel_ns,
+        .crit = s->overrun == RT_HUNG ? -1 : s->rank, .priority = s->priority,
+        .last = s->overrun >= RT_LAST, .level = s->level, .slot = i};
+}
+
 /* Take one turn; returns the time of the next event, 0 for none.
  *
  * `lead` marks the first turn of a new leader, which does not know the tasks' priorities.
@@ -420,7 +430,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
             continue;
         struct rt_state s = t->slots[i].state;
         if (lead)
-            s.level = 0;
+            s.level = RT_UNSET;
         rt_latch(t, i, &s, now, cpu);
         rt_commit(t, i, &s);
     }
@@ -441,9 +451,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
             rt_commit(t, i, &called);
         }
         if (s->ready && ((s->word & 3) == RT_ON || s->engaged))
-            ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
-                                           .crit = s->hung ? -1 : s->rank, .priority = s->priority,
-                                           .level = s->level, .slot = i};
+            ready[n++] = rt_item(s, i);
     }
     rt_rank(t, ready, n, park);
     t->trace[head & (RT_TRACE - 1)].b = due;

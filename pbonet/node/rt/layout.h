@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 10,
+    RT_VERSION = 11,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -36,6 +36,7 @@ enum {
     RT_COMMAND_LEVEL = 3,
     RT_DISPATCHER_LEVEL = 95,
 };
+#define RT_UNSET (-1)   /* a level that the last leader may have decided on but not set */
 #define RT_MAGIC UINT64_C(0x31656e6f63626f70)
 #define RT_MIN_PERIOD_NS INT64_C(100000)
 #define RT_LEAD_NS INT64_C(100000)
@@ -48,6 +49,7 @@ enum {
 
 enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2, RT_STANDS = 3 };
 enum rt_after { RT_ALONE = 0, RT_FALLBACK = 1, RT_HANDOVER = 2 };  /* see standby.h */
+enum rt_overrun { RT_IN_TIME = 0, RT_OVER = 1, RT_LAST = 2, RT_HUNG = 3 };  /* see watch.h */
 enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORADIC = 3,
                RT_BACKGROUND = 4 };
 enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
@@ -139,7 +141,7 @@ struct rt_state {
     /* for failures and reserves; see watch.h */
     uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
     uint8_t engaged, fell;              /* see standby.h */
-    uint8_t overrun, hung;              /* see rt_latch_hung */
+    uint8_t overrun;                    /* rt_overrun */
     int32_t rank, drop, handler;        /* rank: the current criticality */
     uint32_t told, handled, wish;
     uint32_t heard;                     /* `post.events` of a device, as last read */

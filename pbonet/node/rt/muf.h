@@ -13,6 +13,7 @@ enum { MUF_MAX = 128, MUF_LOW = 4, MUF_HIGH = 84 };
 struct muf_item {
     int64_t deadline, since;    /* absolute; since: first come, first served */
     int32_t crit, priority;
+    int32_t last;               /* goes after all others of its criticality */
     int32_t level;              /* current one; 0: none */
     int32_t slot;
 };
@@ -22,6 +23,8 @@ static inline int muf_before(const struct muf_item *a, const struct muf_item *b)
 {
     if (a->crit != b->crit)
         return a->crit > b->crit;
+    if (a->last != b->last)
+        return b->last;
     if (a->deadline != b->deadline)
         return a->deadline < b->deadline;
     if (a->priority != b->priority)

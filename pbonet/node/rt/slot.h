@@ -276,13 +276,14 @@ static inline int rt_begin(struct rt_task *task)
 }
 
 /* Whether the dispatcher must be woken when an event has been served: to charge a
- * sporadic server, or to restore the criticality of a synchronous task. */
+ * sporadic server, or to restore the rank of a synchronous task. */
 static inline int rt_awaited(const struct rt_task *task)
 {
     const struct rt_slot *slot = task->slot;
     return task->kind == RT_SPORADIC ||
            (task->kind == RT_SYNCHRONOUS &&
-            atomic_load(&slot->grant.crit) != atomic_load(&slot->config.crit));
+            (atomic_load(&slot->grant.crit) != atomic_load(&slot->config.crit) ||
+             atomic_load(&slot->grant.hung)));
 }
 
 /* End the cycle; under `park` the dispatcher is woken if other tasks wait. */

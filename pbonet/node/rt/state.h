@@ -17,10 +17,10 @@ static inline void rt_emit(struct rt_table *t, int kind, int slot, uint32_t arg,
 static inline void rt_show(struct rt_grant *g, const struct rt_state *s)
 {
     atomic_store_explicit(&g->missed, s->missed, memory_order_relaxed);
-    atomic_store_explicit(&g->level, s->level, memory_order_relaxed);
+    atomic_store_explicit(&g->level, s->level > 0 ? s->level : 0, memory_order_relaxed);
     atomic_store_explicit(&g->life, s->life, memory_order_relaxed);
     atomic_store_explicit(&g->fell, s->fell, memory_order_relaxed);
-    atomic_store_explicit(&g->hung, s->hung, memory_order_relaxed);
+    atomic_store_explicit(&g->hung, s->overrun == RT_HUNG, memory_order_relaxed);
     atomic_store_explicit(&g->crit, s->rank, memory_order_relaxed);
     for (int k = 0; k < RT_FAILURES; k++)
         atomic_store_explicit(&g->failures[k], s->failures[k], memory_order_relaxed);
@@ -52,7 +52,7 @@ static inline void rt_disarm(struct rt_state *s)
     s->armed = s->ready = s->granted = s->begun = s->parked = 0;
     s->spent = s->late = s->sure = s->skip = s->handling = s->owed = 0;
     s->fresh = s->active = s->n_pieces = s->engaged = 0;
-    s->overrun = s->hung = 0;
+    s->overrun = 0;
     s->level = 0;
     s->rank = s->crit;
     s->next_ns = s->check_ns = 0;
@@ -63,7 +63,7 @@ static inline void rt_over(struct rt_state *s)
 {
     s->ready = s->granted = s->begun = s->parked = 0;
     s->skip = s->handling = s->owed = 0;
-    s->overrun = s->hung = 0;
+    s->overrun = 0;
     s->check_ns = 0;
 }
 

@@ -72,6 +72,18 @@ static inline void rt_set_rank(struct rt_table *t, int i, struct rt_state *s, in
     rt_emit(t, RT_CRIT, i, (uint32_t)rank, 0, 0);
 }
 
+/* A cycle has used up its period; it continues with the deadline of the next one. It may
+ * have been delayed by others. If it uses the CPU time of another whole period it goes last
+ * among equally critical tasks, and if it uses RT_HUNG_NS it hangs. */
+static inline void rt_overruns(const struct rt_table *t, int i, struct rt_state *s,
+                               rt_cpu_fn cpu)
+{
+    if (s->overrun)
+        return;
+    s->overrun = RT_OVER;
+    s->overrun_mark = cpu(&t->slots[i]);
+}
+
 /* Count a failure; send it to the module's handler if a cycle is under way. */
 static inline void rt_fail(struct rt_table *t, int i, struct rt_state *s, int kind,
                            int64_t now, int reachable)

@@ -18,7 +18,9 @@ The rules (`docs/realtime.md` gives the reasons):
   that it is the fallback of has fallen, or all that hand over to it are off. A fallback
   has its first release at once, as a cycle was lost, and its next one on the first
   point of the grid that is more than half a period away.
-- A task whose cycle hangs comes last, and holds no level, until the cycle ends.
+- A cycle that has used up its period, and the CPU time of another one since, goes last
+  among equally critical ones. One that hangs goes last of all, and holds
+  no level.
 - Ready tasks are ranked by urgency and hold FIFO levels in that order. Under ``park``
   only the most urgent one is let run.
 """
@@ -33,7 +35,7 @@ from pbonet.analysis.schedule.urgency import NEVER, urgency
 
 from .inputs import After
 from .levels import assign_levels
-from .slotstate import SlotState, arms, returns
+from .slotstate import HUNG, LAST, SlotState, arms, returns
 from .watch import Watch, contained, disarm, due, limited, over
 
 if TYPE_CHECKING:
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 
 LEAD_NS = 100_000
 """A task that is armed gets its first release at least this far ahead."""
+UNKNOWN = -1
+"""A task's level for a new leader: the last one may not have set what it decided."""
 NO_WISH = 255
 SLOTS = 128
 _WORD = (1 << 64) - 1
@@ -116,7 +120,7 @@ class Dispatcher:
         event = Event(record.kind)
         if event is Event.LEAD:
             for state in self.slots.values():
-                state.level = 0
+                state.level = UNKNOWN
             return
         if event is Event.LIFE:
             self._live(record.slot, record.arg, said=bool(record.a))
@@ -151,8 +155,8 @@ class Dispatcher:
             case Event.DONE:
                 over(state)
             case Event.BEGUN:
-                state.begun = True
-                state.hung = bool(record.arg)
+                state.begun |= not record.arg
+                state.overrun = record.arg
             case _:
                 self._notice(now, slot, state, event, record)
 
@@ -211,14 +215,15 @@ class Dispatcher:
 
     def _rank(self) -> None:
         ranked = [
-            (s.hung, -urgency(s.rank, s.dl_ns, s.priority), s.rel_ns, slot)
+            (_order(s), s.rel_ns, slot)
             for slot, s in self.slots.items()
             if s.ready and (s.mode is Mode.ON or s.engaged)
         ]
         ranked.sort()
-        order = [slot for _, _, _, slot in ranked]
+        order = [slot for _, _, slot in ranked]
         states = [self.slots[slot] for slot in order]
-        levels = assign_levels([state.level for state in states if not state.hung])
+        held = [state.level for state in states if state.overrun != HUNG]
+        levels = assign_levels(held)
         levels += [0] * (len(states) - len(levels))
         for slot, state, level in zip(order, states, levels, strict=True):
             if state.level != level:
@@ -243,6 +248,17 @@ class Dispatcher:
         elif state.parked:
             state.parked = False
             self._decide(Event.RESUME, slot)
+
+
+def _order(state: SlotState) -> tuple[bool, int, bool, int]:
+    """Return the sort key of a ready task."""
+    rank = 0 if state.overrun == HUNG else state.rank
+    return (
+        state.overrun == HUNG,
+        -rank,
+        state.overrun >= LAST,
+        -urgency(rank, state.dl_ns, state.priority),
+    )
 
 
 def _configure(state: SlotState, record: Decision) -> None:

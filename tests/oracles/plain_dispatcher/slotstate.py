@@ -6,6 +6,9 @@ from msgspec import Struct, field
 
 from pbonet.analysis.schedule.records import Mode
 
+LAST, HUNG = 2, 3
+"""A cycle goes last among equals; it does not return, and goes after all others."""
+
 
 class SlotState(Struct):
     """What the dispatcher knows of one slot."""
@@ -24,8 +27,8 @@ class SlotState(Struct):
     granted: bool = False
     """The task was told."""
     begun: bool = False
-    hung: bool = False
-    """The cycle does not end: all others go first."""
+    overrun: int = 0
+    """`LAST` or `HUNG` for a cycle that has used up its period, and more."""
     parked: bool = False
     level: int = 0
     seq: int = 0

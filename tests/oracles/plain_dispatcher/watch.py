@@ -74,7 +74,8 @@ def contained(state: SlotState) -> int:
 def over(state: SlotState) -> None:
     """Forget the cycle that has ended, and what was watched about it."""
     state.ready = state.granted = state.begun = state.parked = False
-    state.skip = state.handling = state.owed = state.hung = False
+    state.skip = state.handling = state.owed = False
+    state.overrun = 0
     state.check_ns = 0
 
 
@@ -141,6 +142,7 @@ class Watch:
             if state.late and state.deadline:
                 state.next_ns = self.now + state.deadline
             state.late = state.spent = state.handling = state.owed = False
+            state.overrun = 0
             self.set_rank(state.crit)
 
     def _attend(self, instant: int) -> None:
@@ -153,6 +155,7 @@ class Watch:
         expected = state.rel_ns + state.period
         state.event_ns, state.mark = instant, -1
         state.late = state.sure = state.handling = state.owed = False
+        state.overrun = 0
         state.spent = expected - instant > state.period // 2
         if state.spent:
             state.overruns += 1

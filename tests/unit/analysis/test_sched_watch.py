@@ -16,7 +16,7 @@ from one_task_rig import (
 )
 
 from pbonet.analysis.schedule.events import Event
-from pbonet.analysis.schedule.records import Kind
+from pbonet.analysis.schedule.records import Kind, Mode
 
 
 @pytest.fixture
@@ -40,6 +40,79 @@ def test_a_cycle_that_uses_100_ms_beyond_its_period_comes_last_until_it_ends(cor
     one.at(55 * MS, done=True)
     assert not one.status().hung
     assert len(kinds(one.until(60 * MS), Event.LEVEL)) == 1, "it has one again"
+
+
+@pytest.mark.parametrize("hz", [100, 200, 500, 1000])
+def test_a_cycle_that_does_not_return_costs_an_equal_task_two_cycles_at_most(core, hz):
+    """One core: what may run uses it; a healthy cycle at 500 Hz takes 0.5 ms of it."""
+    hangs = core(period_ns=1_000_000_000 // hz)
+    table = hangs.table
+    healthy = table.alloc("r", "healthy")
+    table.configure(healthy, pid=2, period_ns=2 * MS, crit=5)
+    table.post(healthy, mode=Mode.ON)
+    left = 5
+    for now in range(2 * MS, 202 * MS, MS // 10):
+        runs = table.turn(now)
+        if runs == healthy:
+            left -= 1
+            table.post(healthy, begun=True, done=not left, cpu_ns=MS // 10)
+            left = left or 5
+        elif runs == hangs.slot:
+            table.post(hangs.slot, begun=True, cpu_ns=MS // 10)
+    assert table.snapshot(hangs.slot).hung
+    assert table.snapshot(healthy).missed <= 2
+
+
+def test_a_cycle_that_goes_last_keeps_its_criticality(core) -> None:
+    hangs = core()
+    table = hangs.table
+    below = table.alloc("r", "below")
+    table.configure(below, pid=2, period_ns=10 * MS, crit=4)
+    table.post(below, mode=Mode.ON)
+    hangs.until(10 * MS)
+    hangs.at(11 * MS, begun=True)
+    hangs.until(20 * MS)
+    table.post(hangs.slot, cpu_ns=10 * MS)
+    assert table.turn(30 * MS) == hangs.slot
+    table.configure(below, crit=5)
+    assert table.turn(40 * MS) == below
+
+
+def test_a_cycle_that_others_delayed_beyond_its_period_keeps_its_place(core) -> None:
+    delayed = core()
+    table = delayed.table
+    delayed.until(10 * MS)
+    delayed.at(12 * MS, begun=True, cpu_ns=2 * MS)
+    equal = table.alloc("r", "equal")
+    table.configure(equal, pid=2, period_ns=20 * MS, crit=5)
+    table.post(equal, mode=Mode.ON)
+    delayed.until(20 * MS)
+    table.post(delayed.slot, cpu_ns=9 * MS)
+    assert table.turn(25 * MS) == delayed.slot
+
+
+def test_a_device_s_cycle_hangs_in_the_same_way(core) -> None:
+    one = core(kind=Kind.SYNCHRONOUS)
+    one.at(20 * MS, event=20 * MS, cpu_ns=MS)
+    one.until(31 * MS)
+    one.at(50 * MS, cpu_ns=99 * MS)
+    assert not one.status().hung
+    assert kinds(one.at(60 * MS, cpu_ns=1 * MS), Event.LEVEL) == [(Event.LEVEL, 0)]
+    assert one.status().hung
+    assert len(kinds(one.at(61 * MS, event=61 * MS), Event.LEVEL)) == 1
+    assert not one.status().hung
+
+
+def test_a_new_leader_sets_the_level_that_the_last_one_took_from_a_hung_task(core):
+    """The last one may have been killed between its decision and the system call."""
+    one = core()
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True)
+    one.until(20 * MS)
+    one.at(30 * MS, cpu_ns=100 * MS)
+    assert one.status().hung
+    found = one.at(31 * MS, lead=True)
+    assert kinds(found, Event.LEVEL) == [(Event.LEVEL, 0)]
 
 
 def test_a_task_that_waits_for_the_core_does_not_hang(core) -> None:
