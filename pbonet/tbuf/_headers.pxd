@@ -52,5 +52,5 @@ cdef extern from "message.h" nogil:
                  int64_t now_ns, uint8_t *to)
     int tb_unpack(const uint8_t *message, uint64_t bytes, tb_head *head)
     int tb_written(const tb_head *head, int64_t now_ns, bint known, int64_t offset_ns,
-                   int64_t *time_ns)
+                   int64_t error_ns, int64_t *time_ns)
     bint tb_fits(const tb_buffer *b, const uint8_t *message, const tb_head *head)

@@ -126,6 +126,7 @@ class Out(End):
         message: bytes,
         now_ns: int,
         offset_ns: int | None,
+        error_ns: int = 0,
         *,
         turned: bool = False,
     ) -> bool:
@@ -134,7 +135,10 @@ class Out(End):
         Args:
             message: The received message.
             now_ns: When it arrived, CLOCK_MONOTONIC.
-            offset_ns: From the other machine's clock to this one's; None: not known.
+            offset_ns: From the other machine's clock to this one's; None: not known,
+                and the record counts as old.
+            error_ns: By how much more the record may seem to come from the future: the
+                clocks are not as measured then, and it counts as old, too.
             turned: Its values are in the held array, converted to this byte order.
 
         Returns:

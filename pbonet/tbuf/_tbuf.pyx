@@ -239,14 +239,16 @@ cdef class Out(End):
     def written_ns(self) -> int:
         return self.stamp.time_ns
 
-    def take(self, bytes message, int64_t now_ns, offset_ns, *, bint turned=False) -> bool:
+    def take(self, bytes message, int64_t now_ns, offset_ns, int64_t error_ns=0, *,
+             bint turned=False) -> bool:
         cdef tb_buffer *b = self.ready()
         cdef const uint8_t *at = <const uint8_t *>PyBytes_AS_STRING(message)
         cdef tb_head head
         cdef int64_t written, offset = 0 if offset_ns is None else offset_ns
         cdef int code = tb_unpack(at, len(message), &head)
         if not code:
-            code = tb_written(&head, now_ns, offset_ns is not None, offset, &written)
+            code = tb_written(&head, now_ns, offset_ns is not None, offset, error_ns,
+                              &written)
         if code:
             _refuse_message(code, &head, len(message))
         if not turned and not tb_fits(b, at, &head):

@@ -57,17 +57,22 @@ static inline int tb_unpack(const uint8_t *from, uint64_t bytes, struct tb_head 
     return bytes < sizeof *head + head->text_bytes ? TB_NO_MESSAGE : 0;
 }
 
+#define TB_UNKNOWN_TIME 1   /* a nanosecond after boot: older than any limit; 0 is "no time" */
+
 /* When a record that arrives now was written, by this machine's clock: 0 or TB_NO_TIME. The
  * age at sending is exact but does not include the transmission. The measured offset of the
- * clocks, if `known`, includes the transmission and an error; it cannot make a record
- * younger than it was when it was sent. */
+ * clocks, if `known`, includes the transmission and an error of at most `error_ns`; it cannot
+ * make a record younger than it was when it was sent. If it is not known, or would make it
+ * younger by more than its error, the record counts as old. */
 static inline int tb_written(const struct tb_head *head, int64_t now_ns, bool known,
-                             int64_t offset_ns, int64_t *time_ns) {
-    int64_t there;
+                             int64_t offset_ns, int64_t error_ns, int64_t *time_ns) {
+    int64_t there, newer;
     if (__builtin_sub_overflow(now_ns, head->age_ns, time_ns)) return TB_NO_TIME;
-    if (!known) return 0;
-    if (__builtin_add_overflow(head->stamp_ns, offset_ns, &there)) return TB_NO_TIME;
-    if (there < *time_ns) *time_ns = there;
+    if (known && __builtin_add_overflow(head->stamp_ns, offset_ns, &there)) return TB_NO_TIME;
+    if (!known || __builtin_sub_overflow(there, *time_ns, &newer) || newer > error_ns)
+        *time_ns = TB_UNKNOWN_TIME;
+    else if (newer < 0)
+        *time_ns = there;
     return 0;
 }
 

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import random
 import signal
+import time
 
 import pytest
 from hostfleet import Desk
@@ -22,6 +24,10 @@ from pbonet.testing.lan import Lan
 from pbonet.xm.net import messages as m
 
 GRACE = 30.0
+MAXAGE = 0.2
+"""Of Z0, in seconds."""
+STALL = 0.1
+"""Seconds for which a machine may stand still between copy-in and cycle."""
 RTPUS = ("arm0", "arm1")
 INPUTS = {"arm0": ("back", "Z2", "Y2"), "arm1": ("sink", "Z0", "Z2")}
 """By RTPU its CRITICAL task, the variable that it reads, and the one that it writes."""
@@ -98,6 +104,32 @@ def wait_healed(desk):
         wait_for(lambda r=rtpu: not desk.illegal(r), f"healing of {rtpu}")
         wait_steady(desk, rtpu)
     desk.lab.wait_no_orphans()
+
+
+def test_no_cycle_acts_on_old_values_after_short_cuts(pair, lan):
+    """What waited meanwhile comes at once, and the clocks are known as before."""
+    desk = Desk(pair, "aged", RTPUS, host="b")
+    lengths = random.Random(1)
+    try:
+        desk.spawn("arm0", "src", "tells_time", out="Z0", freq=500.0)
+        robot = {"invar": "Z0", "critical": True, "freq": 500.0}
+        desk.on("arm0", "src")
+        desk.spawn("arm1", "robot", "acts_on_time", out="Y1", **robot)
+        wait_for(lambda: not desk.value("arm1", "Z0").stale, "news")
+        desk.on("arm1", "robot")
+        for _ in range(15):
+            lan.mute("a", "b")
+            time.sleep(lengths.uniform(0.2, 0.8))
+            lan.heal("a", "b")
+            first = desk.value("arm1", "Z0").cycle
+            wait_for(lambda f=first: desk.value("arm1", "Z0").cycle > f + 20, "news")
+        oldest, stable = desk.value("arm1", "Y1").values
+        assert stable, "no cut was noticed"
+        assert oldest < MAXAGE + STALL
+    finally:
+        lan.heal_all()
+        pair.wait_all()
+        desk.close()
 
 
 @pytest.mark.parametrize("how", [Lan.cut, Lan.mute])

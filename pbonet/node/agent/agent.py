@@ -198,13 +198,13 @@ class Agent:
         )
         self._ways.start()
         where = self._session, self.config.domain
-        self._mirrors = TableCarrier(*where, self._ways.offset, self._note)
+        self._mirrors = TableCarrier(*where, self._ways.clocks, self._note)
         self._mirrors.start()
         self._mirrors.carry(info.tables)
         self._subscriptions = KeySubscriptions(
             self._session, self.config.events, self._arrived
         )
-        self._links = Links(*where, self.name, self._offset, self._note)
+        self._links = Links(*where, self.name, self._ways.clock, self._note)
         unlinked = partial(self._ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
@@ -282,11 +282,6 @@ class Agent:
         )
         log.error("%s: %s", self.name, text)
         self._note(rtpu_messages.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
-
-    def _offset(self, agent: str) -> int | None:
-        """Return nanoseconds from the clock of an agent's machine to this one's."""
-        ahead = self._ways.ahead(agent) if self._ways is not None else None
-        return None if ahead is None else -ahead
 
     def _note(self, note: msgspec.Struct) -> None:
         """Report an event through the RTPU process, if there is one."""

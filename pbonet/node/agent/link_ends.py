@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pbonet.node.wire import Clock
     from pbonet.xm.ipc import Name
 
 LOOK_NS = 100_000_000
@@ -95,8 +96,7 @@ class Receiver:
         name: The link.
         key: The key on which records arrive.
         who: Description of this user in the buffer, for error messages.
-        offset: Returns nanoseconds from the other machine's clock to this one's; None
-            if unknown.
+        clock: Returns the other machine's clock; None if unknown: records are old then.
         misfit: Called once with an error if the records do not fit the reader.
 
     Raises:
@@ -110,7 +110,7 @@ class Receiver:
         key: str,
         *,
         who: str,
-        offset: Callable[[], int | None],
+        clock: Callable[[], Clock | None],
         misfit: Callable[[Exception], None],
     ) -> None:
         self._end = Out()
@@ -119,14 +119,15 @@ class Receiver:
         self._end.enter(WRITER, who)
         self._raw = layout.room(self._dtype)
         self._end.hold(self._raw, self._raw, self._raw)
-        self._offset = offset
+        self._clock = clock
         self._misfit = misfit
         self._told = False
         self._text = b""
         self._theirs: np.dtype[Any] = self._dtype
         self._over = False
         self._again = 0
-        self._ahead: int | None = None
+        self._behind_ns: int | None = None
+        self._error_ns = 0
         self._subscriber = session.declare_subscriber(key, direct(self._take))
 
     def stop(self) -> None:
@@ -145,7 +146,7 @@ class Receiver:
             self._update_clocks(now)
         message = sample.payload.to_bytes()
         try:
-            if not self._end.take(message, now, self._ahead):
+            if not self._put(message, now):
                 self._turn(message, now)
         except (PbonetError, OverflowError) as error:
             if not self._told:
@@ -155,8 +156,14 @@ class Receiver:
     def _update_clocks(self, now: int) -> None:
         """Update the offset of the clocks; raise this thread's priority."""
         self._again = now + CLOCKS_NS
-        self._ahead = self._offset()
+        clock = self._clock()
+        self._behind_ns = None if clock is None else -clock.ahead_ns
+        self._error_ns = 0 if clock is None else clock.error_ns
         process_setup.go_before_others()
+
+    def _put(self, message: bytes, now: int, *, turned: bool = False) -> bool:
+        where = self._behind_ns, self._error_ns
+        return self._end.take(message, now, *where, turned=turned)
 
     def _turn(self, message: bytes, now: int) -> None:
         """Write a record with another description, such as another byte order."""
@@ -170,4 +177,4 @@ class Receiver:
             base, shape = self._theirs.subdtype or (self._theirs, ())
             values: NDArray[Any] = np.frombuffer(data, base).reshape(shape)
             self._raw[...] = values
-        self._end.take(message, now, self._ahead, turned=True)
+        self._put(message, now, turned=True)

@@ -1,9 +1,7 @@
 """The paths to the other agents: round trips and clock offsets.
 
-Every second each agent asks every other agent of its domain for its identity. The
-shortest of the last round trips gives the best estimate of the other machine's clock
-offset: if both directions take equally long, the answer was made in the middle of the
-round trip; the error is at most half of it (Cristian 1989).
+Every second each agent asks every other agent of its domain for its identity, and
+measures the offset of the other machine's clock (`pbonet.node.wire.clock_offsets`).
 """
 
 from __future__ import annotations
@@ -12,14 +10,21 @@ import contextlib
 import logging
 import threading
 import time
-from collections import Counter, deque
-from typing import TYPE_CHECKING, NamedTuple
+from collections import Counter
+from typing import TYPE_CHECKING
 
 import msgspec
 import zenoh
 
 from pbonet.errors import PbonetError, Severity
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import (
+    Clock,
+    ClockOffsets,
+    RoundTrip,
+    RoundTrips,
+    round_trip,
+    rtpu_messages,
+)
 from pbonet.xm.net import (
     codec,
     convert,
@@ -41,8 +46,6 @@ PERIOD = 1.0
 """Seconds between round trips to one agent."""
 _END = "end"
 """Last part of the key on which an agent announces its orderly end."""
-KEPT = 8
-"""Number of round trips from which the shortest is chosen."""
 TRIES = 3
 """Number of round trips for a report."""
 ANSWER_TIME = 0.5
@@ -58,33 +61,27 @@ MOST_LOST = 64
 _UNASKED = "its agent is seen, but requests do not reach it"
 
 
-class RoundTrip(NamedTuple):
-    """One round trip."""
-
-    seconds: float
-    offset_ns: int
-
-
 class Peer:
     """Another agent, with its last round trips."""
 
     def __init__(self) -> None:
-        self.trips: deque[RoundTrip] = deque(maxlen=KEPT)
-        self.best: RoundTrip | None = None
-        """The shortest trip; read for each record of a link."""
+        self.trips = RoundTrips()
         self.info: m.AgentInfo | None = None
         self.error = ""
         self.near = False
         """Whether there is a direct link to it."""
 
-    def add(self, info: m.AgentInfo, begin_ns: int, end_ns: int) -> None:
+    @property
+    def best(self) -> RoundTrip | None:
+        """The shortest of the last round trips."""
+        return self.trips.best
+
+    def add(self, info: m.AgentInfo, trip: RoundTrip) -> None:
         """Add a round trip; earlier ones to another machine are dropped."""
         if self.info is not None and self.info.machine != info.machine:
-            self.trips.clear()
+            self.trips = RoundTrips()
         self.info, self.error = info, ""
-        middle = (begin_ns + end_ns) // 2
-        self.trips.append(RoundTrip((end_ns - begin_ns) * 1e-9, info.now_ns - middle))
-        self.best = min(self.trips)
+        self.trips.add(trip)
 
 
 class PeerLatencies:
@@ -111,6 +108,10 @@ class PeerLatencies:
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
         """Agents that were seen, and when a search for them first failed."""
+        self.clocks = ClockOffsets()
+        """The other machines' clocks, also while a machine is not seen."""
+        self._machines: dict[str, str] = {}
+        """The machine of each agent that has answered, in the form used in keys."""
         self._ended: set[str] = set()
         """Agents that have announced their end."""
         self._watchdog = link_watchdog.LinkWatchdog(link)
@@ -175,28 +176,10 @@ class PeerLatencies:
                 self._ended.add(name)
             self._lost.pop(name, None)
 
-    def offset(self, machine: str) -> int | None:
-        """Return by how many ns a machine's clock is ahead, if known.
-
-        Args:
-            machine: The machine, in the form used in keys.
-        """
-        with self._guard:
-            trips = [
-                best
-                for peer in self._peers.values()
-                if peer.info is not None
-                and key_expressions.machine(peer.info.machine) == machine
-                and (best := peer.best) is not None
-            ]
-        best = min(trips, default=None)
-        return None if best is None else best.offset_ns
-
-    def ahead(self, name: str) -> int | None:
-        """Return by how many ns the clock of an agent's machine is ahead, if known."""
-        peer = self._peers.get(name)
-        best = peer.best if peer is not None else None
-        return None if best is None else best.offset_ns
+    def clock(self, name: str) -> Clock | None:
+        """Return the clock of an agent's machine, if it is known."""
+        machine = self._machines.get(name)
+        return (machine and self.clocks.clock(machine, time.monotonic_ns())) or None
 
     def report(self) -> m.LinkReport:
         """Measure now, and return what is known."""
@@ -280,7 +263,10 @@ class PeerLatencies:
                 if isinstance(found, m.AgentInfo):
                     if peer.info is None or peer.info.zid != found.zid:
                         self._ended.discard(name)  # it has restarted
-                    peer.add(found, begin, end)
+                    trip = round_trip(begin, end, found.now_ns)
+                    peer.add(found, trip)
+                    self._machines[name] = key_expressions.machine(found.machine)
+                    self.clocks.add(self._machines[name], trip)
                     peer.near = found.zid in near
                     self._watchdog.met(found, here=found.machine == machine)
                 else:

@@ -28,6 +28,8 @@ from .link_rules import IDLE, LinkDuty, LocalUsers, RemoteUsers, duty
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pbonet.node.wire import Clock
+
 log = logging.getLogger("pbonet.node")
 
 LOOK = 0.1
@@ -69,8 +71,7 @@ class Links:
         session: The agent's session.
         domain: Its domain.
         name: Its name.
-        offset: Returns nanoseconds from the clock of an agent's machine to this one's;
-            None if unknown.
+        clock: Returns the clock of an agent's machine; None if unknown.
         tell: Called with reports for masters.
     """
 
@@ -79,13 +80,13 @@ class Links:
         session: zenoh.Session,
         domain: str,
         name: str,
-        offset: Callable[[str], int | None],
+        clock: Callable[[str], Clock | None],
         tell: Callable[[rtpu_messages.Note], None],
     ) -> None:
         self._session = session
         self._domain = domain
         self._name = name
-        self._offset = offset
+        self._clock = clock
         self._tell = tell
         self._standing = places.StandingLinks(domain)
         self._cares: dict[str, ServedLink] = {}
@@ -227,7 +228,7 @@ class Links:
                 name,
                 key,
                 who=f"agent {me} from {far}",
-                offset=lambda: self._offset(far),
+                clock=lambda: self._clock(far),
                 misfit=lambda error: self._misfit(name, error),
             )
 

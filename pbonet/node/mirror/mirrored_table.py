@@ -74,6 +74,9 @@ class Owner(Protocol):
         """Return the transmission time of a packet in nanoseconds; None: unknown."""
         ...
 
+    def measured(self, machine: str, begin_ns: int, end_ns: int, sent_ns: int) -> None:
+        """Use an exchange of states as a measurement of that machine's clock."""
+
     def safely(self, what: Callable[[], object]) -> None:
         """Call a function, and log its exception."""
 
@@ -184,7 +187,7 @@ class MirroredTable:
             owner.machine,
             secrets.randbits(62),
             keep=self.keep,
-            late=lambda machine, sent_ns: owner.late(machine, sent_ns) or 0,
+            late=owner.late,
         )
         session, key = (
             owner.session,
@@ -282,13 +285,20 @@ class MirroredTable:
             )
             self._lost, self._told_ns = lost, now
 
-    def _take(self, data: bytes) -> str:
-        """Process another machine's packet; return that machine."""
+    def _take(self, data: bytes, asked: tuple[int, int] | None = None) -> str:
+        """Process another machine's packet; return that machine.
+
+        Args:
+            data: The packet.
+            asked: When it was asked for, and when it came, if it is an answer.
+        """
         packet = packets.unpack(data)
         if self.mirror is None or packet is None:
             return ""
         if packet.machine == self._owner.machine:
             return ""
+        if asked is not None:
+            self._owner.measured(packet.machine, *asked, packet.sent_ns)
         new = packet.machine not in self.mirror.others
         placed = self.mirror.take(packet)
         late_ns = self._owner.late(packet.machine, packet.sent_ns)
@@ -335,12 +345,12 @@ class MirroredTable:
         data: bytes,
         done: Callable[[], None] | None,
     ) -> None:
-        owner = self._owner
+        owner, begin_ns = self._owner, time.monotonic_ns()
 
         def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                answer = reply.ok.payload.to_bytes()
-                owner.offer(lambda: self._take(answer))
+                answer, now_ns = reply.ok.payload.to_bytes(), time.monotonic_ns()
+                owner.offer(lambda: self._take(answer, (begin_ns, now_ns)))
 
         try:
             owner.session.get(

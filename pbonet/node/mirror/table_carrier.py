@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from pbonet.errors import SvarError
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import ClockOffsets, round_trip, rtpu_messages
 from pbonet.svar import Watch
 from pbonet.xm.net import key_expressions, messages as m, run_folder
 
@@ -51,8 +51,7 @@ class TableCarrier:
     Args:
         session: The agent's session.
         domain: Its domain.
-        offset: Returns by how many nanoseconds another machine's clock is ahead; None
-            if unknown.
+        clocks: The other machines' clocks.
         tell: Called with reports for masters.
     """
 
@@ -60,12 +59,12 @@ class TableCarrier:
         self,
         session: zenoh.Session,
         domain: str,
-        offset: Callable[[str], int | None],
+        clocks: ClockOffsets,
         tell: Callable[[rtpu_messages.Note], None] = lambda _: None,
     ) -> None:
         self.session, self.domain, self.tell = session, domain, tell
         self.machine = key_expressions.machine(run_folder.machine())
-        self._offset = offset
+        self._clocks = clocks
         self._carried: dict[str, MirroredTable] = {}
         self._tables: dict[str, bool] = {}
         """Tables to be carried that the carrier's thread has not taken yet."""
@@ -215,10 +214,13 @@ class TableCarrier:
 
         None if that machine's clock is not known, because it has just appeared.
         """
-        offset = self._offset(machine)
-        if offset is None:
-            return None
-        return max(time.monotonic_ns() - (sent_ns - offset), 0)
+        now = time.monotonic_ns()
+        clock = self._clocks.clock(machine, now)
+        return None if clock is None else clock.way(sent_ns, now)
+
+    def measured(self, machine: str, begin_ns: int, end_ns: int, sent_ns: int) -> None:
+        """Use an exchange of states as a measurement of that machine's clock."""
+        self._clocks.add(machine, round_trip(begin_ns, end_ns, sent_ns))
 
     def _carry(self, tables: dict[str, bool]) -> None:
         self._watch.forget()  # it keeps tables open

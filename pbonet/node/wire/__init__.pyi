@@ -5,6 +5,13 @@ from . import (
     rtpu_messages as rtpu_messages,
 )
 from .answer_packing import Answers as Answers, being_stopped as being_stopped
+from .clock_offsets import (
+    Clock as Clock,
+    ClockOffsets as ClockOffsets,
+    RoundTrip as RoundTrip,
+    RoundTrips as RoundTrips,
+    round_trip as round_trip,
+)
 from .command_record import command as command
 from .event_log import (
     EventLog as EventLog,

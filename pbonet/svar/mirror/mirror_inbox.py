@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 LONGEST_NAME = 63
 """Bytes of a task's name in a register."""
+UNKNOWN_NS = 1
+"""The time of values whose age is unknown: a nanosecond after boot, so they are old."""
 _NUMBERS = (1 << 56) - 1
 
 
@@ -82,12 +84,12 @@ class Machine:
         self.counts = Counts()
         self.heard_ns = now_ns()
 
-    def take(self, packet: Packet, late_ns: int) -> bool:
+    def take(self, packet: Packet, late_ns: int | None) -> bool:
         """Process a packet; return whether its news belong to known groups.
 
         Args:
             packet: The packet.
-            late_ns: Its transmission time in nanoseconds.
+            late_ns: Its transmission time in nanoseconds; None: unknown.
         """
         self.counts.packets += 1
         self.heard_ns = now_ns()
@@ -101,7 +103,10 @@ class Machine:
                 continue
             self._count(theirs, news)
             if theirs.news is None or _newer(news, theirs.news):
-                theirs.news, theirs.time_ns = news, now - news.age_ns - late_ns
+                theirs.news, theirs.time_ns = news, _time(now, news, late_ns)
+                self._commit(theirs)
+            elif theirs.time_ns == UNKNOWN_NS and late_ns is not None:
+                theirs.time_ns = _time(now, news, late_ns)
                 self._commit(theirs)
         return packet.state <= self.state
 
@@ -215,6 +220,11 @@ class Machine:
             if variable in theirs.shown:
                 array = local.array(variable)
                 array[:] = np.frombuffer(news.data, array.dtype, array.size, at)
+
+
+def _time(now_ns: int, news: News, late_ns: int | None) -> int:
+    """Return when values were written, by this machine's clock."""
+    return UNKNOWN_NS if late_ns is None else now_ns - news.age_ns - late_ns
 
 
 def _places(table: Table, variables: Sequence[int]) -> list[tuple[int, int]]:

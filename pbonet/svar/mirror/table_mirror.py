@@ -39,7 +39,8 @@ class Mirror:
         machine: This machine's identity.
         run: A number that no other start has.
         keep: Whether operators set variables on this machine.
-        late: Returns the transmission time of a packet, by machine and sending time.
+        late: Returns the transmission time of a packet in ns, by machine and sending
+            time; None if it is not known: its values count as old then.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Mirror:
         run: int,
         *,
         keep: bool,
-        late: Callable[[str, int], int] = lambda _machine, _sent: 0,
+        late: Callable[[str, int], int | None] = lambda _machine, _sent: 0,
     ) -> None:
         self.table = table
         self.machine, self.run = machine, run

@@ -20,6 +20,7 @@ from pbonet.node.mirror import (
 from pbonet.node.mirror.mirrored_table import MirroredTable
 from pbonet.node.mirror.table_carrier import TableCarrier
 from pbonet.node.rtpu.tables import table_name
+from pbonet.node.wire import ClockOffsets
 from pbonet.svar import Table
 from pbonet.svar.mirror import packets
 from pbonet.svar.mirror.table_mirror import Mirror
@@ -57,7 +58,7 @@ def carrying(table):
     """Who carries the table, where no other machine is; and what it has told."""
     told = []
     network = Network()
-    mirrors = TableCarrier(network, "d", lambda _: None, told.append)
+    mirrors = TableCarrier(network, "d", ClockOffsets(), told.append)
     mirrors.carry({table.name.removeprefix("d."): True})
     turn(mirrors)
     mirrors._carried["arm"].turn(0.0)
@@ -99,9 +100,9 @@ def test_who_ends_a_table_is_answered_behind_its_carrier(carrying):
 @pytest.mark.usefixtures("table")
 def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
     found = []
-    monkeypatch.setattr(MirroredTable, "_take", lambda one, _: found.append(one.alone))
+    monkeypatch.setattr(MirroredTable, "_take", lambda one, *_: found.append(one.alone))
     network = Network()
-    mirrors = TableCarrier(network, "d", lambda _: None)
+    mirrors = TableCarrier(network, "d", ClockOffsets())
     try:
         mirrors.carry({"arm": True})
         turn(mirrors)
@@ -154,17 +155,31 @@ def test_how_late_a_call_comes_is_known_when_that_machines_clock_is(
 ):
     """Before, nobody can tell, and no call is taken for one in time."""
     mirrors, _ = carrying
-    made, clocks = [], {}
+    made = []
     monkeypatch.setattr(remote_handover, "make", lambda *how: made.append(how))
-    monkeypatch.setattr(mirrors, "_offset", clocks.get)
     sent = time.monotonic_ns()  # an hour ago, by a clock that is an hour ahead
     packet = packets.Packet(packets.VERSION, "m2", "two", 1, 0, sent, [], calls=[b"c"])
-    for offset in (None, 3_600_000_000_000):
-        clocks["m2"] = offset
-        mirrors._carried["arm"]._take(packets.pack(packet))
+    mirrors._carried["arm"]._take(packets.pack(packet))
+    mirrors.measured("m2", sent, sent, sent + 3_600_000_000_000)
+    mirrors._carried["arm"]._take(packets.pack(packet))
     (of, call, unknown), (_, _, late_ns) = made
     assert (of, call, unknown) == (mirrors._carried["arm"].table, b"c", None)
     assert late_ns >= 3_600_000_000_000
+
+
+def test_an_exchange_of_states_measures_the_other_clock(carrying):
+    """So that no value that came with it counts as old for longer than necessary."""
+    mirrors, _ = carrying
+    ahead = 3_600_000_000_000
+    carried = mirrors._carried["arm"]
+    carried._exchange(done=int)
+    sent = time.monotonic_ns() + ahead
+    packet = packets.Packet(packets.VERSION, "m2", "two", 1, 0, sent, [])
+    assert mirrors.late("m2", sent) is None
+    mirrors.session.answers(packets.pack(packet))
+    turn(mirrors)
+    clock = mirrors._clocks.clock("m2", time.monotonic_ns())
+    assert abs(clock.ahead_ns - ahead) <= clock.error_ns
 
 
 def test_packets_that_come_too_fast_are_told_of(carrying):
@@ -214,14 +229,16 @@ def test_who_waits_for_other_machines_is_answered_when_the_agent_leaves(carrying
 def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_order):
     """The carrier's thread comes late; only who opens a table waits for it."""
     happened, threads = [], []
-    monkeypatch.setattr(MirroredTable, "_take", lambda _, data: happened.append(data))
+    monkeypatch.setattr(
+        MirroredTable, "_take", lambda _, data, *_a: happened.append(data)
+    )
 
     def done():
         threads.append(threading.current_thread().name)
         happened.append("done")
 
     network = Network()
-    mirrors = TableCarrier(network, "d", lambda _: None)
+    mirrors = TableCarrier(network, "d", ClockOffsets())
     try:
         mirrors.carry({"arm": True})
         mirrors.spread("arm", done, take=take)

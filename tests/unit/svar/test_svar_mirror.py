@@ -120,6 +120,21 @@ def test_what_was_late_is_older(sides):
     assert b.table.info("Q").stale
 
 
+def test_of_an_unknown_clock_it_is_old_until_that_is_known(sides):
+    a, b = sides
+    on(a, "pid", "Q")
+    ways = [None, None, 3_000_000]
+    b.mirror = Mirror(b.table, "b", 1, keep=False, late=lambda *_: ways.pop(0))
+    carry(a, b, full=True)
+    assert b.table.info("Q").stale
+    assert b.table.info("Q").time_ns == 1
+    carry(a, b, full=True)
+    assert b.table.info("Q").stale
+    carry(a, b, full=True)
+    assert not b.table.info("Q").stale
+    assert 3_000_000 <= b.table.info("Q").age_ns <= 10**9
+
+
 def test_newest_first_and_gaps_counted(sides):
     a, b = sides
     task = on(a, "pid", "Q")

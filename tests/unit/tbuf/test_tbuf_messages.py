@@ -65,7 +65,7 @@ def test_a_record_travels_as_python_packs_it(far):
     assert 0 <= age <= time.monotonic_ns() - stamp
     assert text == layout.describe(SIX)
     assert message == pack(number, source, stamp, age, text=text, data=data)
-    assert there.take(message, stamp + SECOND, None)
+    assert there.take(message, stamp + SECOND, SECOND - age)
     assert reader.read()
     assert reader.value.tolist() == [0, 1, 2, 3, 4, 5]
     assert (reader.number, reader.stamp_ns) == (1, stamp)
@@ -130,15 +130,24 @@ def test_ages_stay_right_however_far_clocks_are_apart(far, apart):
     there, _, reader = far
     now, stamp, age = 10 * HOUR, 10 * HOUR - 3_000_000 + apart, 1_000_000
 
-    def aged(offset):
-        assert there.take(good(stamp=stamp, age=age), now, offset)
+    def aged(offset, error=0):
+        assert there.take(good(stamp=stamp, age=age), now, offset, error)
         assert reader.read()
         return now - reader.time_ns
 
-    assert aged(None) == 1_000_000, "a lower bound"
     assert aged(-apart) == 3_000_000
     assert aged(-apart - 500_000) == 3_500_000
-    assert aged(-apart + 9_000_000) == 1_000_000, "no younger than when it was sent"
+    younger = -apart + 9_000_000
+    assert aged(younger, 7_000_000) == 1_000_000, "no younger than when it was sent"
+
+
+@pytest.mark.parametrize("known", [(None,), (9_000_000, 6_999_999)])
+def test_a_record_is_old_if_the_other_clock_is_unknown_or_not_as_measured(far, known):
+    there, _, reader = far
+    now, stamp = 10 * HOUR, 10 * HOUR - 3_000_000
+    assert there.take(good(stamp=stamp, age=1_000_000), now, *known)
+    assert reader.read()
+    assert reader.time_ns == 1, "0 would mean that there is no time"
 
 
 @given(st.binary(max_size=200))
