@@ -108,13 +108,15 @@ def _place(
     options = {name: one for one in verb.options for name in one.all_names}
     places = verb.arguments
     awaited: Parameter | None = None
-    file = ""
+    missing, file = 0, ""
     for word in words:
         if awaited is not None:
-            awaited = None
+            missing -= 1
+            awaited = awaited if missing else None
         elif word.startswith("-"):
             one = options.get(word)
             awaited = one if one and not one.is_switch else None
+            missing = one.words if one else 0
         else:
             file = file or word
             places = places if not places or places[0].many else places[1:]

@@ -3,7 +3,7 @@
 A verb is a function whose arguments are keyword-only and annotated. One annotated with
 ``A[T, Argument()]`` is given by its place, one with ``A[T, Option()]`` by its name.
 ``T`` is `str`, `int`, `float`, `bool`, `Path`, a `Literal` of words, a list of one of
-them, or one of them or None.
+them, or one of them or None. An option of several words is a list of tuples of `str`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from itertools import islice
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import (
@@ -56,6 +57,8 @@ class Option(NamedTuple):
     """The environment variable that stands for it."""
     least: float | None = None
     most: float | None = None
+    words: int = 1
+    """How many words it takes each time."""
 
 
 class Parameter(NamedTuple):
@@ -75,6 +78,7 @@ class Parameter(NamedTuple):
     env: str = ""
     least: float | None = None
     most: float | None = None
+    words: int = 1
     stands_for: str = ""
     """The kind of thing a word names, such as ``task``; completion offers these."""
 
@@ -232,6 +236,7 @@ def _parameter(
         env=about.env if isinstance(about, Option) else "",
         least=about.least,
         most=about.most if isinstance(about, Option) else None,
+        words=about.words if isinstance(about, Option) else 1,
     )
 
 
@@ -246,6 +251,8 @@ def _kind(
         return kind, choices, True
     if get_origin(hint) is A:
         return _kind(get_args(hint)[0])
+    if get_origin(hint) is tuple:
+        return str, (), False
     if get_origin(hint) is Literal:
         return str, get_args(hint), False
     return hint, (), False
@@ -300,11 +307,11 @@ def _take_option(
             raise UsageError(f"{name} takes no value (got {value!r})")
         given[one.name] = name in one.names
         return
-    if not equals:
-        value = next(rest, "")
-        if not value:
-            raise UsageError(f"{name} needs a value: {name} {one.metavar}")
-    found = one.value(value)
+    words = (value,) if equals else tuple(islice(rest, one.words))
+    if len(words) < one.words or not (equals or all(words)):
+        need = "a value" if one.words == 1 else f"{one.words} words"
+        raise UsageError(f"{name} needs {need}: {name} {one.metavar}")
+    found = one.value(words[0]) if one.words == 1 else words
     if one.many:
         values = cast("list[object]", given.setdefault(one.name, []))
         values.append(found)

@@ -30,6 +30,16 @@ def command(
     rtol: A[
         float, Option("Relative difference up to which numbers are equal.", least=0.0)
     ] = 0.0,
+    set_: A[
+        list[tuple[str, str, str]] | None,
+        Option("Try this value of a parameter.", "TASK PARAM VALUE", words=3),
+    ] = None,
+    params_from: A[
+        list[Path] | None, Option("Try the parameters of an .rmod file.", "FILE")
+    ] = None,
+    plot: A[
+        Path | None, Option("Draw what differs, with its recorded values.", "FILE")
+    ] = None,
     play: A[
         str | None,
         Option("Write what these tasks wrote into a running subsystem.", "TASK,..."),
@@ -58,37 +68,53 @@ def command(
     alone. The status is 1 if a value differs from the recorded one, and 3 if none
     does, but something could not be run again: records are lost or damaged.
 
+    With --set or --params-from the task runs with other parameters, on the recorded
+    outputs of the tasks that are not named. The largest differences are shown; they do
+    not count for the status.
+
     Examples:
         Check whether changed code still gives what was recorded:
         pbonet replay runs/teleop puma_pidg --verify
+        Try another gain on the recorded inputs, and draw the difference:
+        pbonet replay runs/teleop --set puma_pidg KP 200 --plot kp.png
         Feed a recorded sensor to a running subsystem, at half speed:
         pbonet replay runs/teleop --play camera --rate 0.5
     """
     from pbonet import testing
-    from pbonet.errors import StateError
     from pbonet.log import Log
     from pbonet.master.tools import playback
 
     span = playback.Span(rate=rate, start=start, end=end, loop=loop)
     names = [name for task in (play or "").split(",") if (name := task.strip())]
-    if play is not None and (verify or tasks or out or strict or not names):
-        raise StateError(
+    tries = set_ or params_from or plot
+    others = verify or tasks or out or strict or tries or not names
+    _refuse_first(
+        (
+            play is not None and others,
             "--play takes only a rate and a part of the run",
-            expected="pbonet replay RUN --play TASK,...",
-            remedy=f"pbonet replay {run} --play {','.join(names) or 'TASK'}",
-        )
-    if play is None and (span != playback.Span() or subsystem):
-        raise StateError(
+            "pbonet replay RUN --play TASK,...",
+            f"pbonet replay {run} --play {','.join(names) or 'TASK'}",
+        ),
+        (
+            play is None and (span != playback.Span() or subsystem),
             "--rate, --start, --end, --loop and --subsystem need --play",
-            expected="pbonet replay RUN --play TASK,... --rate 2",
-            remedy="leave them out: code is run again completely, at full speed",
-        )
-    if verify and out:
-        raise StateError(
+            "pbonet replay RUN --play TASK,... --rate 2",
+            "leave them out: code is run again completely, at full speed",
+        ),
+        (
+            verify and out,
             "--out and --verify exclude each other: verifying writes no log",
-            expected="pbonet replay RUN --out FILE, or pbonet replay RUN --verify",
-            remedy=f"pbonet replay {run} --out {out}",
-        )
+            "pbonet replay RUN --out FILE, or pbonet replay RUN --verify",
+            f"pbonet replay {run} --out {out}",
+        ),
+        (
+            verify and tries,
+            "--verify excludes --set, --params-from and --plot: it compares only up to "
+            "the first difference",
+            "pbonet replay RUN --set TASK PARAM VALUE, or pbonet replay RUN --verify",
+            "leave --verify out",
+        ),
+    )
     if play is not None:
         for one in (signal.SIGINT, signal.SIGTERM):  # a shell may have ignored one
             signal.signal(one, signal.default_int_handler)
@@ -100,8 +126,16 @@ def command(
     if verify:
         result = testing.verify(log, tasks or (), libraries=libraries, rtol=rtol)
     else:
+        files, sets = params_from or (), set_ or ()
+        params = testing.params_to_try(log, files, sets, tasks or (), libraries)
         result = testing.rerun(
-            log, tasks or (), libraries=libraries, rtol=rtol, out=out
+            log,
+            tasks or (),
+            libraries=libraries,
+            rtol=rtol,
+            out=out,
+            params=params,
+            plot=plot,
         )
     verdicts = result if isinstance(result, list) else result.tasks
     text = "\n".join(map(str, result if isinstance(result, list) else [result]))
@@ -114,8 +148,17 @@ def command(
             "verified"
         )
     options.warn(warnings)
-    if any(one.divergence for one in verdicts):
+    if any(one.differs for one in verdicts):
         return 1
     missing = [one for one in damage if one.what != "index"]
     proven = all(one.good for one in verdicts) and not missing
     return 0 if proven and (log.complete or not strict) else UNPROVEN
+
+
+def _refuse_first(*cases: tuple[object, str, str, str]) -> None:
+    """Refuse the first case that applies: message, what is expected, and a remedy."""
+    from pbonet.errors import StateError
+
+    for applies, message, expected, remedy in cases:
+        if applies:
+            raise StateError(message, expected=expected, remedy=remedy)

@@ -35,6 +35,7 @@ from ._object import (
 )
 from ._param import Param as Param, param as param
 from ._params import (
+    Line as Line,
     Params as Params,
     change_param as change_param,
     decode_params as decode_params,

@@ -25,6 +25,7 @@ from ._chance import Chance, noting
 from ._failing import Failing, HandlerError
 from ._inputs import Commits, Inputs, Key
 from ._records import DID, HEAD, alike, did, kind_of
+from ._trial import Trial
 from ._verdict import Divergence, Verdict
 
 if TYPE_CHECKING:
@@ -110,6 +111,7 @@ class Run:
         libraries: Folders of modules, before those of the recording.
         verdict: The verdict to fill.
         rtol: Relative tolerance for floats; 0: identical to the bit.
+        tried: Parameters for which these words are used, not the recorded ones.
     """
 
     def __init__(
@@ -119,8 +121,11 @@ class Run:
         libraries: Sequence[str | Path],
         verdict: Verdict,
         rtol: float,
+        *,
+        tried: Trial | None = None,
     ) -> None:
         self.about = life.about
+        self._tried = tried or Trial()
         self._schema = life.schema
         self._player = Player() if life.about.hears else None
         self._unheard: int | None = None
@@ -220,7 +225,8 @@ class Run:
         loaded = library.load_rmod(rmod)
         self._chance.loaded_from(files_of(rmod, library))
         check_ports(rmod, loaded.info)
-        params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
+        settings = self._tried.over(about.task, rmod.settings)
+        params = decode_params(loaded.cls, settings, where=rmod.file)
         told = _outside.of_task(self._player, timing=about.timing)
         self._source = _outside.Time(told, lambda: self._now)
         self._context = _outside.Context(
@@ -385,7 +391,8 @@ class Run:
             elif done.what == "abort":
                 self._abort(done)
             elif done.what == "set":
-                set_param(executor, self._info, done.name, done.arg)
+                if not self._tried.has(done.name):
+                    set_param(executor, self._info, done.name, done.arg)
             elif done.what == "freq":
                 self._context.freq = done.hz
             elif done.what != "refused":

@@ -6,6 +6,8 @@ from typing import Any
 
 from msgspec import Struct
 
+from pbonet.log import text
+
 
 class Divergence(Struct, kw_only=True):
     """The first place where the code gave something else than was recorded."""
@@ -99,6 +101,10 @@ class Verdict(Struct, kw_only=True):
     changed: list[Changed] = []
     params: list[ChangedParam] = []
     """Parameters whose recorded values were used, and have others in their file."""
+    trial: bool = False
+    """Whether parameters of some task are tried, so that values may differ."""
+    tried: list[str] = []
+    """Parameters that are tried in this task, with the recorded values."""
     seconds: float = 0.0
     """Of the run that were verified."""
     took: float = 0.0
@@ -107,8 +113,16 @@ class Verdict(Struct, kw_only=True):
     """Seconds until then: modules, and the packages that they import."""
 
     @property
+    def differs(self) -> bool:
+        """Whether the code gave something else; in a trial, whether it failed."""
+        one = self.divergence
+        return one is not None and bool(one.reason or not self.trial)
+
+    @property
     def good(self) -> bool:
-        """Whether every recorded cycle was run again and gave the same."""
+        """Whether every recorded cycle was run again and, but in a trial, the same."""
+        if self.trial:
+            return not (self.differs or self.gaps or self.missing)
         same = self.divergence is None and self.cycles == self.recorded
         return same and not self.missing
 
@@ -122,7 +136,8 @@ class Verdict(Struct, kw_only=True):
             )
         if self.divergence is not None:
             lines.append(f"  first divergence: {self.divergence}")
-        lines += [f"  not verifiable: {text}" for text in self.gaps]
+        lines += [f"  not verifiable: {why}" for why in self.gaps]
+        lines += [f"  tried: {value}" for value in self.tried]
         lines += [f"  {one}" for one in (*self.changed, *self.params)]
         return "\n".join(lines)
 
@@ -137,22 +152,27 @@ class Replayed(Struct, kw_only=True):
     seconds: float = 0.0
     """From the first to the last record."""
     took: float = 0.0
+    differences: list[dict[str, Any]] = []
+    """Of each output its first and largest difference, where parameters are tried or a
+    plot was wanted."""
 
     @property
     def good(self) -> bool:
-        """Whether every recorded cycle of every task gave the same."""
+        """Whether every task is good."""
         return all(one.good for one in self.tasks)
 
     def __str__(self) -> str:
         """Return it in a few lines."""
         speed = f", {self.seconds / self.took:.0f} x real time" if self.took else ""
-        what = "identical" if self.good else "not all identical"
+        same = all(one.cycles == one.recorded for one in self.tasks)
+        what = "identical" if same and self.good else "not all identical"
         count = len(self.tasks)
         tasks = "1 task" if count == 1 else f"{count} tasks together"
         lines = [f"{tasks}: {what}{speed}"]
         if self.first:
             lines.append(f"the first to differ is {self.first}")
-        return "\n".join([*lines, *map(str, self.tasks)])
+        table = [text.diff_text(self.differences)] if self.differences else []
+        return "\n".join([*lines, *map(str, self.tasks), *table])
 
 
 def ranges(numbers: list[int]) -> str:

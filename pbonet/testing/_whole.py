@@ -10,29 +10,44 @@ from __future__ import annotations
 
 import heapq
 import time
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
-from pbonet.errors import PbonetError
-from pbonet.log import CDR, HEAD_DTYPE, RECORD, Log, LogWriter, RunAbout, head, size
+from pbonet.errors import LogError, PbonetError
+from pbonet.log import (
+    CDR,
+    HEAD_DTYPE,
+    RECORD,
+    Log,
+    LogWriter,
+    RunAbout,
+    head,
+    size,
+    text,
+)
+from pbonet.master.tools import log_plot
 
 from ._chance import sources_watched
 from ._changed import note_changes
 from ._inputs import Commits
 from ._records import cycles_of, must_have_cycles, not_again
 from ._run import Run, Stop
+from ._trial import Trial
 from ._verdict import Replayed, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+    from collections.abc import Mapping, Sequence
 
     from pbonet.config import Variable
     from pbonet.log import Table, TaskLife
 
     from ._inputs import Key
+    from ._trial import Params
 
 _HEAD_END = len(CDR) + HEAD_DTYPE.itemsize
 
@@ -79,6 +94,7 @@ class _Part(Run):
         libraries: Folders of modules, before those of the recording.
         verdict: The verdict to fill.
         rtol: How far a float may be off.
+        tried: Parameters for which other values than the recorded ones are used.
     """
 
     def __init__(
@@ -88,8 +104,10 @@ class _Part(Run):
         libraries: Sequence[str | Path],
         verdict: Verdict,
         rtol: float,
+        *,
+        tried: Trial | None,
     ) -> None:
-        super().__init__(life, made, libraries, verdict, rtol)
+        super().__init__(life, made, libraries, verdict, rtol, tried=tried)
         self._made = made
         self.name = life.name
         self._busy = False
@@ -195,17 +213,24 @@ def rerun(
     libraries: Sequence[str | Path] = (),
     rtol: float = 0.0,
     out: Path | None = None,
+    params: Params | None = None,
+    plot: Path | None = None,
 ) -> Replayed:
     """Run the code of several tasks again together, in recorded time.
 
-    A simulation is simulated again, from the files that its log carries.
+    A simulation is simulated again, from the files that its log carries, unless
+    parameters are tried.
 
     Args:
         path: The log, the folder of a run, or a `Log`.
-        tasks: The tasks; none: all. For the others the record is used.
+        tasks: The tasks; none: those of `params`, or else all. For the others the
+            record is used.
         libraries: Folders of modules, searched before those of the recording.
         rtol: Relative tolerance for floats; 0: identical to the bit.
         out: A log to write, with the new outputs of the tasks.
+        params: Parameters to try in place of the recorded ones, by task and name. A
+            value holds for the whole run, also where the recording has a `set` of it.
+        plot: A picture to draw, of the outputs that differ.
 
     Raises:
         LogError: There is no log there, no cycle of a task that is named, or of any, or
@@ -213,17 +238,61 @@ def rerun(
         UnknownTaskError: The log has no such task.
         PbonetError: The module of a task that is named does not load, or does not fit
             its RMOD; or a simulation cannot be simulated any more.
+        ParameterError: There is no such parameter, or its value is refused.
     """
     log = path if isinstance(path, Log) else Log(path)
-    if log.about.get("seconds"):
+    trials = {task: Trial(values) for task, values in (params or {}).items()}
+    named = list(dict.fromkeys([*tasks, *trials]))
+    again = partial(_again, log, named, trials, libraries=libraries, rtol=rtol)
+    if not (params or plot):
+        return again(out)
+    with TemporaryDirectory(prefix="pbonet-") as folder:
+        file = out or Path(folder, "replay.mcap")
+        found = again(file)
+        now = Log(file)
+        names = [one.task for one in found.tasks]
+        found.differences = text.diff(log, now, names)
+        if plot is not None:
+            _draw(found, log, now, plot)
+    return found
+
+
+def _draw(found: Replayed, log: Log, now: Log, plot: Path) -> None:
+    """Draw the outputs that differ.
+
+    Raises:
+        LogError: None does, or the plot cannot be written.
+    """
+    rows = found.differences
+    names = [row["variable"] for row in rows if row["first"] is not None]
+    if not names:
+        raise LogError(
+            "no output differs, so there is nothing to draw",
+            where=str(log.path),
+            remedy="leave the plot out, or use `pbonet log plot`",
+        )
+    log_plot.draw(log, names, plot, now)
+
+
+def _again(
+    log: Log,
+    named: Sequence[str],
+    trials: Mapping[str, Trial],
+    out: Path | None,
+    *,
+    libraries: Sequence[str | Path],
+    rtol: float,
+) -> Replayed:
+    if log.about.get("seconds") and not trials:
         from ._simulated import simulated
 
-        return simulated(log, tasks, libraries=libraries, rtol=rtol, out=out)
+        return simulated(log, named, libraries=libraries, rtol=rtol, out=out)
     log.load()
-    names = list(tasks or log.tasks)
-    verdicts = {task: Verdict(task=task) for task in names}
+    names = named or log.tasks
+    verdicts = {task: Verdict(task=task, trial=bool(trials)) for task in names}
     for verdict in verdicts.values():
         note_changes(verdict, log, libraries)
+        _note_trial(verdict, log, trials)
     made: dict[Table, _Made] = {}
     parts: list[_Part] = []
     begun = time.perf_counter()
@@ -237,18 +306,28 @@ def rerun(
                 continue
             one = made[life.table]
             try:
-                parts.append(_Part(life, one, libraries, verdicts[task], rtol))
+                tried, verdict = trials.get(task), verdicts[task]
+                parts.append(_Part(life, one, libraries, verdict, rtol, tried=tried))
             except PbonetError as error:  # for the others the record is used
-                if tasks:
+                if named:
                     raise
                 verdicts[task].gaps.append(str(error))
-    must_have_cycles(log, list(verdicts.values()), tasks)
+    must_have_cycles(log, list(verdicts.values()), named)
     _go(parts)
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
     _sum_up(found, parts)
     if out is not None:
         _write(log, {name: one.made for name, one in made.items()}, out)
     return found
+
+
+def _note_trial(verdict: Verdict, log: Log, trials: Mapping[str, Trial]) -> None:
+    """Note in a verdict which parameters are tried."""
+    if (trial := trials.get(verdict.task)) is None:
+        return
+    about = log.task_about(verdict.task)
+    verdict.tried = trial.sentences(about.rmod, about.rmod_name)
+    verdict.params = [one for one in verdict.params if not trial.has(one.name)]
 
 
 def _go(parts: list[_Part]) -> None:
@@ -307,8 +386,8 @@ def _records(life: TaskLife, made: dict[Key, bytes]) -> list[bytes]:
         data = made.get(key)
         if data is None:
             data = life.schema.group(message)
-        text = message[len(CDR) : _HEAD_END]
-        total = RECORD.size + len(text) + len(data)
+        begin = message[len(CDR) : _HEAD_END]
+        total = RECORD.size + len(begin) + len(data)
         parts += [RECORD.pack(total, 0, len(data), 0, 0, 0)]
-        parts += [text, data]
+        parts += [begin, data]
     return parts

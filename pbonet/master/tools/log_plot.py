@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from pbonet.log import Log
 
 
-def draw(log: Log, variables: Sequence[str], out: Path) -> None:
+def draw(
+    log: Log, variables: Sequence[str], out: Path, replayed: Log | None = None
+) -> None:
     """Draw each variable under the other, all on one axis of time.
 
     Where a variable has several writers, each change is marked with the new one.
@@ -22,6 +24,7 @@ def draw(log: Log, variables: Sequence[str], out: Path) -> None:
         log: The run.
         variables: Which.
         out: The picture; its suffix says of which kind.
+        replayed: The same run with other values, which are dashed.
 
     Raises:
         UnknownVariableError: No task wrote one of them.
@@ -46,7 +49,13 @@ def draw(log: Log, variables: Sequence[str], out: Path) -> None:
         writers = log.writers(name)
         about = log.task_about(writers[0][1])
         units = next((v.units for v in about.outvar if v.name == name), "")
-        axis.plot(time, values, linewidth=0.8)
+        lines = axis.plot(time, values, linewidth=0.8)
+        if replayed is not None:
+            lines[0].set_label("recorded")
+            axis.set_prop_cycle(None)
+            dashed = axis.plot(*replayed.series(name), linewidth=0.8, linestyle="--")
+            dashed[0].set_label("replayed")
+            axis.legend(loc="upper right")
         for begin, task in writers if len(writers) > 1 else ():
             axis.axvline(begin, color="gray", linewidth=0.8, linestyle="--")
             axis.annotate(task, (begin, 1), xycoords=("data", "axes fraction"), size=7)

@@ -62,6 +62,8 @@ def test_help_of_a_verb_says_defaults_ranges_and_variables(call):
         (("swap", str(PUMA / "puma.sbs"), "qrdiff,jt"), ["qrdiff,jttrace"]),
         (("display", "--domain", "x", str(PUMA / "puma.sbs"), "NDO"), ["NDOF"]),
         (("events", str(PUMA / "puma.sbs"), "--task", "jt"), ["jttrace"]),
+        (("replay", "x", "--set", "pid", "KP", "--ver"), []),
+        (("replay", "x", "--set", "pid", "KP", "2", "--ver"), ["--verify"]),
         (("check", ""), []),
         (("nonsense", ""), []),
     ],
