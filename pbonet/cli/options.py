@@ -46,6 +46,7 @@ Host = A[
     ),
 ]
 TakeOver = A[bool, Option("Take the subsystem over from a master that still runs.")]
+Yes = A[bool, Option("Take over CRITICAL tasks that are ON without a question.")]
 
 
 class Reach(NamedTuple):
@@ -68,6 +69,7 @@ def _place(
     keys: Path | None,
     library: list[Path] | None,
     take_over: bool = False,
+    yes: bool = False,
 ) -> Place:
     reach = _reach(domain=domain, connect=connect, keys=keys)
     return Place(
@@ -75,7 +77,22 @@ def _place(
         connect=reach.connect,
         libraries=tuple(map(str, library or ())),
         take_over=take_over,
+        confirm=_agree if yes else _ask,
     )
+
+
+def _agree(_: str) -> bool:
+    """Return that the user agrees, as said by --yes."""
+    return True
+
+
+def _ask(question: str) -> bool:
+    """Return whether the user agrees; nobody is there to ask without a terminal."""
+    if not sys.stdin.isatty():
+        return False
+    sys.stderr.write(f"{question} [y/N] ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
 
 
 _REACH = (
@@ -85,7 +102,14 @@ _REACH = (
 )
 _PLACE = (*_REACH, parameter("library", Library))
 TO_WATCH = Compound(_PLACE, _place)
-TO_CHANGE = Compound((*_PLACE, parameter("take_over", TakeOver, default=False)), _place)
+TO_CHANGE = Compound(
+    (
+        *_PLACE,
+        parameter("take_over", TakeOver, default=False),
+        parameter("yes", Yes, default=False),
+    ),
+    _place,
+)
 
 Agents = A[Reach, Compound(_REACH, _reach)]
 Watching = A[Place, TO_WATCH]

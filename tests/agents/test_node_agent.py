@@ -20,6 +20,7 @@ from pbonet.errors import (
     NodeError,
     ParameterError,
     RealTimeError,
+    Severity,
     StateError,
     SvarError,
     SvarLayoutError,
@@ -261,6 +262,24 @@ def test_second_master_needs_take_over(arm, nodes):
     assert f"epoch {new.epoch}" in error.expected
     assert new.status("a").cycle >= before
     assert new.off("a").state == "OFF"
+
+
+def test_a_take_over_is_an_event_for_all_masters_and_a_probe_of_it_is_not(arm, nodes):
+    levels = {"LEVEL": 1}
+    arm.spawn("c", "holds", out="Y1", invar="Y0", critical=True, local=levels)
+    arm.on("c")
+    other = Master(nodes, "arm0", "arm", take_over=True, probe=True)
+    assert (other.claimed.taken_from, other.claimed.critical) == (arm.name, ["c"])
+    assert other.epoch == arm.epoch
+    new = Master(nodes, "arm0", "arm", take_over=True)
+    event = new.wait_event("TAKEN_OVER", "")
+    assert (event.subsystem, event.severity) == ("", Severity.WARNING)
+    assert event.text == (
+        f"master {new.name} took subsystem arm over from master {arm.name}, which "
+        "lives; CRITICAL tasks ON: c"
+    )
+    assert len(new.events("TAKEN_OVER")) == 1
+    assert new.off("c").state == "OFF"
 
 
 def test_master_that_is_gone_is_replaced(arm, nodes):

@@ -242,26 +242,40 @@ class FakeAgent:
                 got=", ".join(sorted(others)),
             )
         epoch, holder = self.claims.get(request.subsystem, (0, ""))
-        if holder and holder != request.client and not request.take_over:
-            key = key_expressions.master(self.world.domain, request.subsystem, holder)
-            if session.alive(self.session, key):
-                raise ClaimError(
-                    "another master steers the subsystem",
-                    where=self.name,
-                    got=holder,
-                    remedy="end it, or take over",
-                )
+        alive = holder != request.client and self.world_has(request.subsystem, holder)
+        if alive and not request.take_over:
+            raise ClaimError(
+                "another master steers the subsystem",
+                where=self.name,
+                got=holder,
+                remedy="end it, or take over",
+            )
+        if request.probe:
+            return self.claimed(epoch, holder if alive else "")
         if request.svar:
             if error := self.fail.get(("open table", "")):
                 raise error
             self.open_table(request)
         self.claims[request.subsystem] = (epoch + 1, request.client)
         self.exclusive = request.subsystem if request.usage == "exclusive" else ""
+        return self.claimed(epoch + 1, holder if alive else "")
+
+    def world_has(self, subsystem: str, master: str) -> bool:
+        key = key_expressions.master(self.world.domain, subsystem, master)
+        return bool(master) and session.alive(self.session, key)
+
+    def claimed(self, epoch: int, holder: str) -> m.Claimed:
         status = self.do_status(m.Status())
         load = self.world.library.load
         return m.Claimed(
-            epoch=epoch + 1,
+            epoch=epoch,
             tasks=list(self.tasks),
+            critical=[
+                task.name
+                for task in self.tasks.values()
+                if task.state == "ON" and parse_rmod(task.text, task.name).critical
+            ],
+            taken_from=holder,
             rmods={task.name: task.text for task in self.tasks.values()},
             modules={one.task: load(one.module).info for one in status.tasks},
             status=status,

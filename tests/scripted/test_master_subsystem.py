@@ -95,6 +95,58 @@ def test_master_that_takes_over_locks_the_former_out(robot, world):
         successor.detach()
 
 
+def test_a_take_over_that_one_rtpu_refuses_takes_none(robot, world, agents):
+    robot.spawn("jttrace", "arm1")
+    agents["arm1"].claims["leg"] = (1, "another")
+    with pytest.raises(ClaimError, match=r"^arm1: the RTPU belongs to another"):
+        other(robot, world, take_over=True).open()
+    robot.control("puma_pidg", "on")
+    robot.control("jttrace", "on")
+
+
+def test_a_take_over_that_fails_later_releases_nothing_of_the_old_master(
+    robot, world, agents
+):
+    robot.spawn("jttrace", "arm0")
+    agents["arm0"].fail["open table", ""] = NodeError("no room", where="arm0")
+    with pytest.raises(NodeError, match="no room"):
+        other(robot, world, take_over=True).open()
+    assert "puma" in agents["arm1"].claims, "though it has no tasks"
+
+
+def test_critical_tasks_that_are_on_are_taken_over_only_when_confirmed(robot, world):
+    asked = []
+
+    def confirm(question):
+        asked.append(question)
+        return len(asked) > 1
+
+    robot.control("puma_pidg", "on")
+    master = robot.clients.client.name
+    with pytest.raises(ClaimError) as caught:
+        other(robot, world, take_over=True).open()
+    assert str(caught.value) == (
+        "puma: tasks that are CRITICAL and ON are taken over only when confirmed "
+        f"(got arm0: puma_pidg, of master {master}); end that master; or confirm: "
+        "with --yes in a script, with Subsystem(..., confirm=...) in a program"
+    )
+    with pytest.raises(ClaimError, match="only when confirmed"):
+        other(robot, world, take_over=True, confirm=confirm).open()
+    robot.control("puma_pidg", "off")
+    robot.control("puma_pidg", "on")
+    with other(robot, world, take_over=True, confirm=confirm) as successor:
+        assert (
+            asked
+            == [
+                "CRITICAL tasks are ON and have a master that lives "
+                f"(arm0: puma_pidg, of master {master}). Take them over?"
+            ]
+            * 2
+        )
+        successor.control("puma_pidg", "off")
+        successor.detach()
+
+
 def test_master_that_comes_after_finds_the_tasks_running(arm, world):
     arm.start("puma")
     arm.detach()

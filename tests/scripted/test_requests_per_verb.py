@@ -140,9 +140,9 @@ def test_set_is_refused_while_another_master_lives(world, agents, puma, sent):
         with pytest.raises(ClaimError, match="another master steers"):
             oneshot.run(puma, "set", args, place)
         assert sent() == {"arm0": ["claim"]}
-        over = Place(domain=world.domain, take_over=True)
+        over = Place(domain=world.domain, take_over=True, confirm=lambda _: True)
         oneshot.run(puma, "set", args, over)
-        assert sent() == {"arm0": ["claim", "set"], "arm1": ["claim"]}
+        assert sent() == {"arm0": ["claim", "claim", "set"], "arm1": ["claim"] * 2}
         for task in ("puma_pidg", "jttrace"):
             with pytest.raises(ClaimError, match="another master has taken over"):
                 arm.control(task, "off")

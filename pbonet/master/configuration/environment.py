@@ -9,7 +9,7 @@ from msgspec import Struct
 from msgspec.structs import asdict
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
 
@@ -20,6 +20,8 @@ class Place(Struct, frozen=True, kw_only=True):
     connect: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
     take_over: bool = False
+    confirm: Callable[[str], bool] | None = None
+    """Asked before tasks that are CRITICAL and ON are taken over; None: refused."""
 
     @property
     def arguments(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from pbonet.lazy import logger
 from pbonet.xm.net import key_expressions, messages as m, rpc
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pbonet.config import RtpuEntry, SbsFile
 
@@ -114,17 +114,22 @@ class RtpuClients:
         svar: str = "",
         svar_name: str = "",
         take_over: bool = False,
+        confirm: Callable[[str], bool] | None = None,
         partly: bool = False,
     ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
         """Reserve RTPUs and open the table there, on its keeper before the others.
 
-        On failure none stays reserved by this call.
+        A master that lives is replaced only after every RTPU has said that it would
+        grant the claim. On failure none stays reserved by this call, except one that
+        was taken from such a master: its claim is open to others from then on.
 
         Args:
             rtpus: Which; None: every one.
             svar: The text of the table's ``.svar`` file; empty: open no table.
             svar_name: The name of that file, for messages.
             take_over: Replace a master that lives.
+            confirm: Asked, with a sentence, before tasks that are CRITICAL and ON are
+                taken over; None: that is refused.
             partly: Be content with those that answer.
 
         Returns:
@@ -155,6 +160,8 @@ class RtpuClients:
             for name in self.keeper_first
             if name in wanted
         }
+        if take_over:
+            self._probe(claims, confirm, partly=partly)
         first = [name for name in claims if name == self.sbs.keeper]
         results: dict[str, m.Claimed] = {}
         errors: list[PbonetError] = []
@@ -167,17 +174,55 @@ class RtpuClients:
         self._agents |= {
             name: claimed.agent for name, claimed in results.items() if claimed.agent
         }
-        unheard = [
-            one for one in errors if isinstance(one, (UnreachableError, NoAnswerError))
-        ]
-        if errors and not (partly and results and len(unheard) == len(errors)):
-            self.give_back(results)
-            rpc.raise_all(
-                f"{len(errors)} of {len(claims)} RTPUs of the subsystem "
-                f"{self.sbs.subsystem} cannot be had",
-                errors,
-            )
+        if not (partly and _only_unheard(results, errors)):
+            self._refuse(errors, len(claims), results)
         return results, errors
+
+    def _probe(
+        self,
+        claims: Mapping[str, m.Request],
+        confirm: Callable[[str], bool] | None,
+        *,
+        partly: bool,
+    ) -> None:
+        """Ask every RTPU whether it would grant the claim, and the user if need be."""
+        probes = {
+            name: msgspec.structs.replace(one, probe=True)
+            for name, one in claims.items()
+        }
+        found, errors = self.client.call_all(probes, m.Claimed)
+        if not (partly and _only_unheard(found, errors)):
+            self._refuse(errors, len(claims), {})
+        concerned = [
+            f"{rtpu}: {' '.join(one.critical)}, of master {one.taken_from}"
+            for rtpu, one in sorted(found.items())
+            if one.taken_from and one.critical
+        ]
+        if not concerned:
+            return
+        what = "; ".join(concerned)
+        text = f"CRITICAL tasks are ON and have a master that lives ({what})"
+        if confirm is None or not confirm(f"{text}. Take them over?"):
+            self.drop()
+            raise ClaimError(
+                "tasks that are CRITICAL and ON are taken over only when confirmed",
+                where=self.sbs.subsystem,
+                got=what,
+                remedy="end that master; or confirm: with --yes in a script, with "
+                "Subsystem(..., confirm=...) in a program",
+            )
+
+    def _refuse(
+        self, errors: list[PbonetError], count: int, granted: dict[str, m.Claimed]
+    ) -> None:
+        """Raise the errors of a claim, if there are any, after it was undone."""
+        if errors:
+            self.give_back(granted)
+        rpc.raise_all(
+            f"{len(errors)} of {count} RTPUs of the subsystem {self.sbs.subsystem} "
+            "cannot be had",
+            errors,
+        )
 
     def call(
         self,
@@ -220,8 +265,16 @@ class RtpuClients:
         return errors
 
     def give_back(self, claims: dict[str, m.Claimed]) -> None:
-        """Undo a failed claim; RTPUs with tasks of the subsystem stay as they were."""
-        free = [name for name, claimed in claims.items() if not claimed.tasks]
+        """Undo a failed claim.
+
+        RTPUs with tasks of the subsystem stay claimed, and those that were taken from
+        a master that lives.
+        """
+        free = [
+            name
+            for name, claimed in claims.items()
+            if not (claimed.tasks or claimed.taken_from)
+        ]
         if free:
             _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
             for error in errors:
@@ -271,3 +324,9 @@ class RtpuClients:
             self.client.domain, self.sbs.subsystem, self.client.name
         )
         self._token = self.client.announce(key)
+
+
+def _only_unheard(results: Mapping[str, object], errors: Sequence[PbonetError]) -> bool:
+    """Return whether some RTPUs answered, and the others did not answer at all."""
+    unheard = (UnreachableError, NoAnswerError)
+    return bool(results) and all(isinstance(error, unheard) for error in errors)

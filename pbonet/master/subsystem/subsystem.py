@@ -79,6 +79,8 @@ class Subsystem:
         kind: The kind of master, as the first part of its client name.
         watch: Only read: claim nothing, change nothing.
         take_over: Replace a master that is still alive.
+        confirm: Asked, with a sentence, before tasks that are CRITICAL and ON are taken
+            over from a master that lives; without it that is refused.
         embed: Start agents for RTPUs without one; they end with the subsystem.
         virtual: Run in virtual time, in this process, without agents and devices: time
             passes only while the program waits.
@@ -104,6 +106,7 @@ class Subsystem:
         kind: str = "master",
         watch: bool = False,
         take_over: bool = False,
+        confirm: Callable[[str], bool] | None = None,
         embed: bool = False,
         virtual: bool = False,
         partly: bool = False,
@@ -139,6 +142,7 @@ class Subsystem:
         self._connect = connect
         self._kind = kind
         self._take_over = take_over
+        self._confirm = confirm
         self._partly = partly
         self.inbox = Inbox()
         self._task_set: SubsystemTasks | None = None
@@ -255,7 +259,12 @@ class Subsystem:
         )
         try:
             if not self.watch:
-                task_set.take(take_over=self._take_over, partly=self._partly, task=task)
+                task_set.take(
+                    take_over=self._take_over,
+                    partly=self._partly,
+                    task=task,
+                    confirm=self._confirm,
+                )
             self.inbox.clear()
             statuses = task_set.refresh(
                 strict=False, rtpus=list(clients.epochs) if task else None

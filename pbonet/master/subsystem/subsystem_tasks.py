@@ -111,13 +111,21 @@ class SubsystemTasks:
             self._unread.pop(task, None)
         return self._model
 
-    def take(self, *, take_over: bool, partly: bool, task: str = "") -> None:
+    def take(
+        self,
+        *,
+        take_over: bool,
+        partly: bool,
+        task: str = "",
+        confirm: Callable[[str], bool] | None = None,
+    ) -> None:
         """Claim the RTPUs, open the table, and take in the existing tasks there.
 
         Args:
             take_over: Replace a master that lives; then every RTPU is claimed.
             partly: Be content with the RTPUs that answer, and warn of the others.
             task: Claim only the RTPU of this task, if the task is where its files say.
+            confirm: Asked before tasks that are CRITICAL and ON are taken over.
 
         Raises:
             ClaimError: An RTPU belongs to another subsystem or another master.
@@ -129,7 +137,9 @@ class SubsystemTasks:
         others = [
             name for name in self.clients.names if name not in self.clients.epochs
         ]
-        claims, errors = self._claim(others, take_over=take_over, partly=partly)
+        claims, errors = self._claim(
+            others, take_over=take_over, partly=partly, confirm=confirm
+        )
         self.warn(map(str, errors))
         self._take_in(claims)
 
@@ -143,13 +153,19 @@ class SubsystemTasks:
         return task in self.model
 
     def _claim(
-        self, rtpus: list[str], *, take_over: bool = False, partly: bool = False
+        self,
+        rtpus: list[str],
+        *,
+        take_over: bool = False,
+        partly: bool = False,
+        confirm: Callable[[str], bool] | None = None,
     ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
         return self.clients.claim(
             rtpus,
             svar=self.files.table_text,
             svar_name=self.files.table.file,
             take_over=take_over,
+            confirm=confirm,
             partly=partly or self.clients.claimed,
         )
 

@@ -79,12 +79,10 @@ class Claims:
         Raises:
             ClaimError: Another subsystem or another master holds the RTPU.
         """
-        self._check_settings(request)
+        self.judge(request, masters=masters, busy=busy)
+        for name in self._lapsed(request.subsystem, masters, busy):
+            del self._entries[name]
         held = self._entries.get(request.subsystem)
-        if held is not None and held.client != request.client:
-            self._check_take_over(request, held, masters)
-        self._drop_dead(request.subsystem, masters, busy)
-        self._check_others(request)
         if held is not None and held.client == request.client:
             epoch = held.epoch
         else:
@@ -103,6 +101,39 @@ class Claims:
         )
         self._entries[request.subsystem] = entry
         return entry
+
+    def judge(
+        self,
+        request: Claim,
+        *,
+        masters: Collection[tuple[str, str]] | None,
+        busy: Collection[str],
+    ) -> None:
+        """Refuse a claim that `claim` would refuse, and change nothing.
+
+        Raises:
+            ClaimError: As `claim` says.
+        """
+        self._check_settings(request)
+        held = self._entries.get(request.subsystem)
+        if held is not None and self.holder(request, masters):
+            _check_take_over(self._rtpu, request, held)
+        self._check_others(request, self._lapsed(request.subsystem, masters, busy))
+
+    def holder(
+        self, request: Claim, masters: Collection[tuple[str, str]] | None
+    ) -> str:
+        """Return the other master that lives and has the claim; empty: there is none.
+
+        Args:
+            request: A claim of the same subsystem.
+            masters: As for `claim`.
+        """
+        held = self._entries.get(request.subsystem)
+        if held is None or held.client == request.client:
+            return ""
+        gone = masters is not None and (held.subsystem, held.client) not in masters
+        return "" if gone else held.client
 
     def check(self, request: Request) -> Entry:
         """Return the claim under which `request` comes.
@@ -157,37 +188,29 @@ class Claims:
                 remedy="correct MINFREQ and MAXFREQ in the .sbs file",
             )
 
-    def _check_take_over(
-        self,
-        request: Claim,
-        held: Entry,
-        masters: Collection[tuple[str, str]] | None,
-    ) -> None:
-        gone = masters is not None and (held.subsystem, held.client) not in masters
-        if not (gone or request.take_over):
-            raise ClaimError(
-                f"subsystem {held.subsystem} has a master already",
-                where=self._rtpu,
-                got=f"master {held.client}, epoch {held.epoch}",
-                remedy="end that master, or take over with --take-over",
-            )
-
-    def _drop_dead(
+    def _lapsed(
         self,
         subsystem: str,
         masters: Collection[tuple[str, str]] | None,
         busy: Collection[str],
-    ) -> None:
-        """Forget claims of others whose master is gone and that have no task left."""
+    ) -> list[str]:
+        """Return other subsystems whose master is gone and that have no task left."""
         if masters is None:
-            return
-        for name, entry in list(self._entries.items()):
-            gone = (name, entry.client) not in masters
-            if name != subsystem and gone and name not in busy:
-                del self._entries[name]
+            return []
+        return [
+            name
+            for name, entry in self._entries.items()
+            if name != subsystem
+            and (name, entry.client) not in masters
+            and name not in busy
+        ]
 
-    def _check_others(self, request: Claim) -> None:
-        others = [e for name, e in self._entries.items() if name != request.subsystem]
+    def _check_others(self, request: Claim, lapsed: Collection[str]) -> None:
+        others = [
+            entry
+            for name, entry in self._entries.items()
+            if name != request.subsystem and name not in lapsed
+        ]
         for other in others:
             if other.usage == "exclusive" or request.usage == "exclusive":
                 raise ClaimError(
@@ -206,6 +229,16 @@ class Claims:
                     got=f"SCHEDULER {request.scheduler}",
                     remedy="give both the same SCHEDULER, or one of them another RTPU",
                 )
+
+
+def _check_take_over(rtpu: str, request: Claim, held: Entry) -> None:
+    if not request.take_over:
+        raise ClaimError(
+            f"subsystem {held.subsystem} has a master already",
+            where=rtpu,
+            got=f"master {held.client}, epoch {held.epoch}",
+            remedy="end that master, or take over with --take-over",
+        )
 
 
 def check(rtpu: str, entry: Entry | None, request: Request) -> Entry:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet.errors import PbonetError, ProtocolError, Severity, StateError
 from pbonet.node.wire import Answers, being_stopped, rtpu_messages
+from pbonet.pbo import State
 from pbonet.xm.net import codec, messages as m
 
 from . import (
@@ -158,7 +159,13 @@ class RequestHandlers:
 
     def _claim_knowing(self, request: m.Claim, masters: Masters) -> Result:
         rtpu = self._rtpu
+        holder = rtpu.claims.holder(request, masters)
         before = rtpu.claims.get(request.subsystem)
+        if request.probe:
+            rtpu.claims.judge(request, masters=masters, busy=rtpu.busy())
+            if request.svar:
+                rtpu.tables.judge(request)
+            return self._claimed(request.subsystem, before, holder), []
         entry = rtpu.claims.claim(request, masters=masters, busy=rtpu.busy())
         self._close_orphaned_tables()
         if request.svar:
@@ -169,20 +176,35 @@ class RequestHandlers:
                 raise
         rtpu.rank()
         rtpu.publish_claims()
+        claimed = self._claimed(request.subsystem, entry, holder)
         if before is None or before.epoch != entry.epoch:
-            rtpu.events.add(
-                Severity.INFO,
-                "CLAIM",
-                f"{entry.usage} use by master {entry.client}, epoch {entry.epoch}",
-                subsystem=entry.subsystem,
-            )
-        return self._claimed(entry), []
+            self._announce(entry, claimed)
+        return claimed, []
 
-    def _claimed(self, entry: Entry) -> m.Claimed:
-        tasks = self._rtpu.of(entry.subsystem)
+    def _announce(self, entry: Entry, claimed: m.Claimed) -> None:
+        """Report a claim; all masters on the RTPU learn of one that was taken over."""
+        text = f"{entry.usage} use by master {entry.client}, epoch {entry.epoch}"
+        self._rtpu.events.add(Severity.INFO, "CLAIM", text, subsystem=entry.subsystem)
+        if claimed.taken_from:
+            on = " ".join(claimed.critical) or "none"
+            self._rtpu.events.add(
+                Severity.WARNING,
+                "TAKEN_OVER",
+                f"master {entry.client} took subsystem {entry.subsystem} over from "
+                f"master {claimed.taken_from}, which lives; CRITICAL tasks ON: {on}",
+            )
+
+    def _claimed(self, subsystem: str, entry: Entry | None, holder: str) -> m.Claimed:
+        tasks = self._rtpu.of(subsystem)
         return m.Claimed(
-            epoch=entry.epoch,
+            epoch=entry.epoch if entry is not None else 0,
             tasks=[task.name for task in tasks],
+            critical=[
+                task.name
+                for task in tasks
+                if task.facts.rmod.critical and task.state is State.ON
+            ],
+            taken_from=holder,
             rmods={task.name: task.facts.text for task in tasks},
             modules={task.name: task.ready.info for task in tasks if task.ready},
         )

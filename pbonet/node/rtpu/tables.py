@@ -110,6 +110,22 @@ class Tables:
             )
         return opened
 
+    def judge(self, request: Claim) -> SvarFile:
+        """Return what the file of a table says, and change nothing.
+
+        Raises:
+            ConfigError: The text of the file is wrong.
+            SvarLayoutError: The table is open with another layout.
+        """
+        run_folder.check_name("a subsystem", request.subsystem)
+        file = parse_svar(request.svar, request.svar_name)
+        held = self._open.get(request.subsystem)
+        layout = Table.layout_of(file.variables)
+        if held is not None and held.table.layout != layout:
+            name = table_name(self._domain, request.subsystem)
+            raise _other_layout(name, layout, held.table.layout)
+        return file
+
     def open(self, request: Claim) -> None:
         """Create or attach the subsystem's table.
 
@@ -117,15 +133,10 @@ class Tables:
             ConfigError: The text of the file is wrong.
             SvarError: The table cannot be made, or exists with another layout.
         """
-        run_folder.check_name("a subsystem", request.subsystem)
-        file = parse_svar(request.svar, request.svar_name)
-        layout = Table.layout_of(file.variables)
-        name = table_name(self._domain, request.subsystem)
-        held = self._open.get(request.subsystem)
-        if held is not None:
-            if held.table.layout != layout:
-                raise _other_layout(name, layout, held.table.layout)
+        file = self.judge(request)
+        if request.subsystem in self._open:
             return
+        name = table_name(self._domain, request.subsystem)
         table = self._create(name, file) if request.keep else self._attach(name, file)
         self._open[request.subsystem] = Opened(table, file, request.keep)
         self._changed()

@@ -66,6 +66,7 @@ class Claim(Request, tag="claim"):
 
     The same subsystem may claim again when the former master's token is gone, or with
     `take_over`; the epoch then increases and the former master's commands are refused.
+    With `probe` the RTPU only answers what it would answer, and changes nothing.
 
     With the text of a ``.svar`` file the subsystem's table is opened, too: it is
     created, or attached if the machine already has it. A table with another layout is
@@ -78,6 +79,7 @@ class Claim(Request, tag="claim"):
     minfreq: float = 1.0
     maxfreq: float = 1000.0
     take_over: bool = False
+    probe: bool = False
     svar: str = ""
     """Text of the ``.svar`` file; empty: the table is not touched."""
     svar_name: str = ""
@@ -395,6 +397,10 @@ class Claimed(Struct, kw_only=True):
     epoch: int
     tasks: list[str] = []
     """Existing tasks of the subsystem on the RTPU."""
+    critical: list[str] = []
+    """Those that are CRITICAL and ON."""
+    taken_from: str = ""
+    """The master that lives and had the claim before; empty if there is none."""
     rmods: dict[str, str] = {}
     """Text of the ``.rmod`` that each of them was spawned from."""
     modules: dict[str, Any] = {}

@@ -59,6 +59,24 @@ def test_take_over_replaces_a_living_master(claims):
     assert claims.check(m.Release(subsystem="arm", client="b", epoch=12)) is new
 
 
+def test_a_claim_that_is_only_judged_changes_nothing(claims):
+    claim(claims, "arm", "a")
+    before = claims.entries()
+    wanted = m.Claim(subsystem="arm", client="b", take_over=True)
+    claims.judge(wanted, masters=alive("arm/a"), busy=())
+    assert claims.holder(wanted, alive("arm/a")) == "a"
+    assert claims.holder(wanted, None) == "a"
+    assert claims.holder(wanted, []) == ""
+    with pytest.raises(ClaimError, match="has a master already"):
+        claims.judge(m.Claim(subsystem="arm", client="b"), masters=None, busy=())
+    other = m.Claim(subsystem="leg", client="c")
+    claims.judge(other, masters=[], busy=())
+    assert claims.holder(other, None) == ""
+    with pytest.raises(ClaimError, match="subsystem arm uses the RTPU"):
+        claims.judge(other, masters=[], busy=["arm"])
+    assert claims.entries() == before
+
+
 def test_a_namesake_of_another_subsystem_does_not_count_as_alive(claims):
     claim(claims, "arm", "a")
     assert claim(claims, "arm", "b", masters=alive("leg/a")).epoch == 12
