@@ -87,7 +87,7 @@ def _agree(_: str) -> bool:
 
 
 def _ask(question: str) -> bool:
-    """Return whether the user agrees; nobody is there to ask without a terminal."""
+    """Return whether the user agrees, who is asked only at a terminal."""
     if not sys.stdin.isatty():
         return False
     sys.stderr.write(f"{question} [y/N] ")

@@ -393,6 +393,8 @@ class FakeAgent:
 
     def do_status(self, request: m.Status) -> m.RtpuStatus:
         tasks = [self.task(request.task)] if request.task else self.tasks.values()
+        if request.reset:
+            self.did(f"reset {request.task}")
         return m.RtpuStatus(
             rtpu=self.name,
             backend="park",

@@ -84,6 +84,15 @@ def test_status_asks_each_rtpu_once(verb):
     assert verb("status", task=["jttrace"]) == {"arm0": ["status"], "arm1": ["status"]}
 
 
+def test_status_restarts_the_extremes_of_the_tasks_that_it_shows(verb, world):
+    assert verb("status", task=["jttrace"], reset=True) == {
+        "arm0": ["status"],
+        "arm1": ["status", "status"],
+    }
+    resets = [done for done in world.log if done[1].startswith("reset")]
+    assert resets == [("arm1", "reset jttrace")]
+
+
 def test_swap_on_one_rtpu_takes_five(verb):
     asked = verb("swap", old="jttrace", new="jtball")
     assert asked["arm0"] == ["claim"]

@@ -108,6 +108,8 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     cpu_min_ns: int
     """Since armed, without the first cycle (section 6.7.1); 0 before the second."""
     cpu_max_ns: int
+    restarted: bool
+    """The two may lack cycles since the task was armed, as a restart was requested."""
     cpu_first_ns: int
     """Of the first cycle since armed, which is in no extreme."""
     cpu_now_ns: int

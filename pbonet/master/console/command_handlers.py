@@ -68,6 +68,8 @@ def status(session: SessionState, given: Given) -> Data:
         for task in rtpu.tasks
         if not wanted or task.task in wanted
     ]
+    if given.get("reset"):
+        tasks = session.subsystem.task_set.restart_extremes(tasks)
     profiles = session.baselines.since(tasks)
     return {
         "fields": list(fields),

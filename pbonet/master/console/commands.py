@@ -453,9 +453,11 @@ COMMANDS: Final = (
         (
             Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),
             Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
+            Arg("reset", Kind.FLAG, "then restart minC, maxC, minU, maxU", Use.NAMED),
         ),
         examples=(
             ("status", "Show all tasks."),
+            ("status reset=yes", "Show them; the next extremes are of new cycles."),
             ("status jttrace fields=state,refF,mezF", "Show three columns of one."),
         ),
         run=command_handlers.status,

@@ -50,17 +50,17 @@ FIELDS: Final = (
     Field("minU", "%", "CPU share of the shortest cycle: minC per period"),
     Field("maxU", "%", "CPU share of the longest cycle: maxC per period"),
     Field("avgU", "%", "CPU share of the mean cycle: avgC per period"),
-    Field("minC", "s", "shortest CPU time of a cycle since on, without the first"),
-    Field("maxC", "s", "longest CPU time of a cycle since on, without the first"),
+    Field("minC", "s", "shortest CPU time of a cycle since on or reset; not the first"),
+    Field("maxC", "s", "longest CPU time of a cycle since on or reset; not the first"),
     Field("avgC", "s", "mean CPU time of one cycle"),
     Field("warn", "", "warnings since the last status"),
     Field("failed", "", "cycles that ended in an error, since the last status"),
     Field("firstC", "s", "CPU time of the first cycle since on"),
     Field("nowC", "s", "CPU time of the present cycle so far"),
     Field("prio", "", "user priority, from the data flow"),
-    Field("jitter", "s", "longest delay from release to cycle, since on"),
+    Field("jitter", "s", "longest delay from release to cycle, since spawned"),
     Field("faults", "", "minor page faults since on"),
-    Field("retries", "", "copy-ins that reached the retry bound, since on"),
+    Field("retries", "", "copy-ins that reached the retry bound, since spawned"),
     Field("xfer", "%", "share of the CPU time spent on transfers of variables"),
     Field("module", "", "module that the RMOD names"),
     Field("version", "", "version of the module's code that was loaded"),
@@ -98,7 +98,7 @@ class Profile(Struct, frozen=True, kw_only=True):
     task: str
     fields: dict[str, Value]
     warning: str = ""
-    """The first warning since the last status; shown once."""
+    """The newest warning since the last status; shown once."""
     error: str = ""
     """Shown as long as the task is in ERROR."""
     timing: str = ""

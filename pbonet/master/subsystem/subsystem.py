@@ -854,14 +854,20 @@ class Subsystem:
     # -- looking ----------------------------------------------------------------------
 
     @overload
-    def status(self, task: str) -> m.TaskStatus: ...
-
-    @overload
-    def status(self, task: list[str] | tuple[str, ...] = ...) -> list[m.TaskStatus]: ...
+    def status(self, task: str, *, reset: bool = ...) -> m.TaskStatus: ...
 
     @overload
     def status(
-        self, task: str | Sequence[str] = ..., *, fields: str | Sequence[str]
+        self, task: list[str] | tuple[str, ...] = ..., *, reset: bool = ...
+    ) -> list[m.TaskStatus]: ...
+
+    @overload
+    def status(
+        self,
+        task: str | Sequence[str] = ...,
+        *,
+        fields: str | Sequence[str],
+        reset: bool = ...,
     ) -> list[Profile]: ...
 
     def status(
@@ -869,6 +875,7 @@ class Subsystem:
         task: str | Sequence[str] = (),
         *,
         fields: str | Sequence[str] | None = None,
+        reset: bool = False,
     ) -> m.TaskStatus | list[m.TaskStatus] | list[Profile]:
         """Return the status of one task, of several, or of all (`sbsStatus`).
 
@@ -877,6 +884,9 @@ class Subsystem:
             fields: Columns of the command ``status``, ``all`` or ``default``, or an
                 empty sequence for those of `status_set`. The result is then that of the
                 command, with counters since the program's previous such call.
+            reset: Let minC, maxC, minU and maxU begin with the next cycle of each task;
+                the result has them until now. A cycle that ends at this moment may be
+                missing in both.
 
         Returns:
             A record for one task, a list for several. Counters count from the task's
@@ -885,6 +895,7 @@ class Subsystem:
         Raises:
             UnknownTaskError: A task does not exist.
             StateError: A field does not exist.
+            AccessError: An observer asks for `reset`.
             SeveralError: No RTPU answers; if there is only one RTPU, its own error is
                 raised.
         """
@@ -893,6 +904,8 @@ class Subsystem:
         found = [t for t in self.status_all() if not wanted or t.task in wanted]
         for name in wanted:
             self.model.find(name)
+        if reset:
+            found = self.task_set.restart_extremes(found)
         if fields is not None:
             return [one.only(shown) for one in self.baselines.since(found)]
         if not isinstance(task, str):

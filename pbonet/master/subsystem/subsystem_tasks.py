@@ -276,6 +276,19 @@ class SubsystemTasks:
             self._unwritten.seen(cause for rtpu in statuses for cause in rtpu.illegal)
         return statuses
 
+    def restart_extremes(self, tasks: Iterable[m.TaskStatus]) -> list[m.TaskStatus]:
+        """Restart the extremes of CPU time; return the status that has them until now.
+
+        Raises:
+            AccessError: An observer asks for it.
+            PbonetError: As `rpc.Client.call` and the agent say.
+        """
+        found: list[m.TaskStatus] = []
+        for task in tasks:
+            request = m.Status(task=task.task, reset=True)
+            found += self.clients.call(task.rtpu, request, m.RtpuStatus).tasks
+        return found
+
     def note(self, status: m.TaskStatus) -> None:
         """Enter a task's status and signals into the task model."""
         self._inbox.note(status)

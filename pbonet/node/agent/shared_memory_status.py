@@ -191,6 +191,9 @@ class SharedMemoryStatus:
     ) -> m.RtpuStatus:
         whose, core = request.subsystem, self._open()
         entry = self._claim(whose)
+        if request.reset:
+            for one in self._of(request, seen):
+                core.restart_extremes(one.task.slot)
         return status.rtpu_status(
             self._rtpu,
             entry.scheduler if entry else "",

@@ -134,6 +134,8 @@ class CoreTable:
         With `last` the task returns from `Slot.run` after its next cycle, and keeps
         that cycle's level.
         """
+    def restart_extremes(self, i: int) -> None:
+        """Ask the task to let its extremes of CPU time begin with its next cycle."""
     def follow(self, i: int, slots: Collection[int]) -> None:
         """Engage a standby when one of these slots falls.
 

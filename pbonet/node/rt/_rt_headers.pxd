@@ -106,6 +106,7 @@ cdef extern from "slot.h" nogil:
     int64_t rt_step(const rt_task *task)
     void rt_account(rt_task *task, const rt_cost *cost)
     void rt_request(rt_slot *slot, uint32_t ask)
+    void rt_ask_restart(rt_slot *slot)
     uint64_t rt_mark_cpu(rt_task *task)
     uint64_t rt_faults()
     void rt_count_faults(rt_slot *slot, uint64_t n)
@@ -175,6 +176,7 @@ cdef extern from "view.h" nogil:
     struct rt_view:
         int life, dead, pid, kind, crit, priority, mode, level
         int rank, drop, handler, tells, hangs, hung, comes, called, fell, n_sections
+        int restarted
         int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns
         uint64_t dispatcher_missed, errors, overruns, held_off
         uint64_t *failures

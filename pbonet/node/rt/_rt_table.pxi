@@ -144,6 +144,9 @@ cdef class CoreTable:
     def request(self, int i, *, bint last=False) -> None:
         rt_request(self.slot(i), RT_ASK_LAST if last else RT_ASK_COMMAND)
 
+    def restart_extremes(self, int i) -> None:
+        rt_ask_restart(self.slot(i))
+
     def follow(self, int i, slots) -> None:
         cdef uint64_t after[RT_MASKS]
         memset(after, 0, sizeof(after))
@@ -219,6 +222,7 @@ cdef class CoreTable:
             stable_cycles=v.stable, on_cycles=v.on_cycles, on_missed=v.on_missed,
             on_failed=v.on_failed, on_cpu_ns=v.on_cpu_ns, on_faults=v.on_faults, cpu_total_ns=v.cpu_total_ns,
             cpu_last_ns=v.cpu_last_ns, cpu_min_ns=v.cpu_min_ns, cpu_max_ns=v.cpu_max_ns,
+            restarted=bool(v.restarted),
             cpu_first_ns=v.cpu_first_ns, cpu_now_ns=_under_way(&v),
             copy_in_ns=v.copy_in_ns, copy_out_ns=v.copy_out_ns, torn=v.torn,
             stale=v.stale, faults=v.faults, ring_lost=v.ring_lost,

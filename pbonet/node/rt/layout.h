@@ -165,8 +165,11 @@ struct rt_section {                     /* a timed part of the cycle, written by
     _Atomic uint64_t count, total_ns, min_ns, max_ns;
 };
 
+enum rt_restart { RT_SINCE_ON = 0, RT_RESTART = 1, RT_RESTARTED = 2 };
+
 struct rt_stats {
     _Alignas(64) _Atomic uint32_t seq;  /* odd while being written */
+    _Atomic uint32_t restart;           /* rt_restart, of cpu_min_ns and cpu_max_ns */
     _Atomic uint64_t on_ns, last_rel_ns; /* last_rel_ns: 0 until a cycle has run */
     _Atomic uint64_t cycles, late, failed, stable, torn, stale, faults, ring_lost;
     _Atomic uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults;

@@ -127,6 +127,7 @@ static inline void rt_arm(struct rt_task *task)
         rt_put(&s->on_failed, rt_get(&s->failed));
         rt_put(&s->on_cpu_ns, rt_get(&s->cpu_total_ns));
         rt_put(&s->on_faults, rt_get(&s->faults));
+        atomic_store_explicit(&s->restart, RT_SINCE_ON, memory_order_relaxed);
         rt_put(&s->cpu_min_ns, 0);
         rt_put(&s->cpu_max_ns, 0);
         rt_put(&s->cpu_first_ns, 0);
@@ -311,6 +312,12 @@ static inline void rt_request(struct rt_slot *slot, uint32_t ask)
     rt_futex_wake(&slot->grant.bell);
 }
 
+/* Ask the task to let its extremes begin with its next cycle; `on` does it, too. */
+static inline void rt_ask_restart(struct rt_slot *slot)
+{
+    atomic_store_explicit(&slot->stats.restart, RT_RESTART, memory_order_relaxed);
+}
+
 /* Nanoseconds since the release of the last executed cycle: the `dt` of this one. */
 static inline int64_t rt_step(const struct rt_task *task)
 {
@@ -321,6 +328,14 @@ static inline int64_t rt_step(const struct rt_task *task)
     if (task->kind != RT_PERIODIC)
         return task->rel_ns - (int64_t)rt_get(&slot->stats.on_ns);
     return atomic_load(&slot->config.period_ns);
+}
+
+/* Let the extremes begin with the cycle that is being accounted. */
+static inline void rt_restart_extremes(struct rt_stats *s)
+{
+    atomic_store_explicit(&s->restart, RT_RESTARTED, memory_order_relaxed);
+    rt_put(&s->cpu_min_ns, 0);
+    rt_put(&s->cpu_max_ns, 0);
 }
 
 /* The cost of one cycle; times of CLOCK_MONOTONIC, cpu of the thread. */
@@ -349,6 +364,8 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     if (first) {                /* counted apart from the others: Stewart 1994, 6.7.1 */
         rt_put(&s->cpu_first_ns, cost->cpu_ns);
     } else {
+        if (atomic_load_explicit(&s->restart, memory_order_relaxed) == RT_RESTART)
+            rt_restart_extremes(s);
         if (cost->cpu_ns > rt_get(&s->cpu_max_ns))
             rt_put(&s->cpu_max_ns, cost->cpu_ns);
         if (cost->cpu_ns < rt_get(&s->cpu_min_ns) || !rt_get(&s->cpu_min_ns))

@@ -13,6 +13,7 @@ struct rt_section_view {
 struct rt_view {
     int life, dead, pid, kind, crit, priority, mode, level;
     int rank, drop, handler, tells, hangs, hung, comes, called, fell, n_sections;
+    int restarted;                      /* the extremes may lack cycles since `on` */
     int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
     uint64_t aborted, skipped, handlers, stale_failures;
@@ -52,6 +53,7 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     v->cpu_last_ns = rt_get(&s->cpu_last_ns);
     v->cpu_min_ns = rt_get(&s->cpu_min_ns);
     v->cpu_max_ns = rt_get(&s->cpu_max_ns);
+    v->restarted = atomic_load(&s->restart) != RT_SINCE_ON;
     v->cpu_first_ns = rt_get(&s->cpu_first_ns);
     v->cpu_mark_ns = rt_get(&s->cpu_mark_ns);
     v->copy_in_ns = rt_get(&s->copy_in_ns);

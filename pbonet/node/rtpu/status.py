@@ -128,11 +128,11 @@ def task_profile(
     """Return a task's execution profile.
 
     The histogram runs since the task was spawned, the exact extremes since it was
-    turned on; after a second `on` the edges of its bins bound the earlier cycles.
+    turned on, or they were restarted; the edges of its bins bound the earlier cycles.
     """
     bins = [index for index, count in enumerate(histograms.cpu) if count]
     least, most = slot.cpu_min_ns * _NS, slot.cpu_max_ns * _NS
-    if bins and slot.on_cycles:
+    if bins and (slot.on_cycles or slot.restarted):
         least = min(least or math.inf, edge_ns(bins[0]) * _NS)
         most = max(most, edge_ns(bins[-1] + 1) * _NS)
     return TaskProfile(

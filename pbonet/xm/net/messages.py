@@ -240,6 +240,8 @@ class Status(Request, tag="status"):
     """Ask for status; does not disturb tasks. Result: `RtpuStatus`."""
 
     task: str | None = None
+    reset: bool = False
+    """Restart the extremes of the CPU time, which the result still contains."""
 
 
 class Profile(Request, tag="profile"):
@@ -398,7 +400,7 @@ class Claimed(Struct, kw_only=True):
     tasks: list[str] = []
     """Existing tasks of the subsystem on the RTPU."""
     critical: list[str] = []
-    """Those that are CRITICAL and ON."""
+    """Names of those tasks that are CRITICAL and ON."""
     taken_from: str = ""
     """The master that lives and had the claim before; empty if there is none."""
     rmods: dict[str, str] = {}

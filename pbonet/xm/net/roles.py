@@ -13,7 +13,7 @@ from . import messages as m
 
 LEAVES = ("sbs", "status")
 _LOOKING = {
-    *("hello", "links", "get", "status", "profile", "display", "modules", "events"),
+    *("hello", "links", "get", "profile", "display", "modules", "events"),
     *("xm_stat", "xm_list", "xm_read"),
 }
 """The ``op`` of requests that change nothing."""
@@ -23,6 +23,8 @@ def only_looks(request: m.Request) -> bool:
     """Return whether the request changes nothing."""
     if isinstance(request, m.Sigmask | m.Job):
         return not request.changes
+    if isinstance(request, m.Status):
+        return not request.reset
     return request.__struct_config__.tag in _LOOKING or (
         isinstance(request, m.Freq) and request.hz is None
     )
@@ -47,8 +49,8 @@ def check(request: m.Request, key: str) -> None:
         raise AccessError(
             "this key accepts only requests that change nothing",
             where=key,
-            expected="hello, links, status, profile, display, modules, events, get, "
-            "reading files, and freq, sigmask and job without changes",
+            expected="hello, links, status without reset, profile, display, modules, "
+            "events, get, reading files, and freq, sigmask and job without changes",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys",
         )

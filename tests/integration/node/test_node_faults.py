@@ -372,6 +372,25 @@ def test_a_task_that_is_only_slow_gets_its_level_back(arm):
     assert len(arm.events("HANGS", "slow")) == 1
 
 
+def test_extremes_restart_on_request_and_the_profile_keeps_all_cycles(arm):
+    arm.spawn("slow", "slow_once", out="Y0", freq=200.0)
+    arm.on("slow")
+    arm.wait_cycles("slow", 20)
+    assert arm.status("slow").max_c >= 0.5
+    asked = arm.ask(m.Status(task="slow", reset=True), m.RtpuStatus).tasks[0]
+    assert asked.max_c >= 0.5, "the extremes until then"
+    now = wait_for(
+        lambda: (one := arm.status("slow")).max_c < 0.5 and one, "new extremes"
+    )
+    assert 0 < now.min_c <= now.max_c
+    assert now.first_c == asked.first_c
+    assert arm.ask(m.Profile(), list[m.TaskProfile])[0].most >= 0.5
+    arm.off("slow")
+    arm.on("slow")
+    arm.wait_cycles("slow", 2)
+    assert arm.status("slow").max_c < 0.5
+
+
 def test_stop_is_bounded_and_says_what_was_forced(arm):
     arm.spawn("good", "counts", out="Y1")
     arm.spawn("bad", "hangs_in_off", out="Y2")

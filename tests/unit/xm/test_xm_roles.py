@@ -7,7 +7,14 @@ from pbonet.xm.net import messages as m, roles
 
 @pytest.mark.parametrize(
     "request_",
-    [m.Display(), m.Freq(task="a"), m.Sigmask(), m.Sigmask(task="a"), m.Job()],
+    [
+        m.Display(),
+        m.Status(),
+        m.Freq(task="a"),
+        m.Sigmask(),
+        m.Sigmask(task="a"),
+        m.Job(),
+    ],
     ids=repr,
 )
 def test_what_only_asks_is_for_everybody(request_):
@@ -23,6 +30,7 @@ def test_what_only_asks_is_for_everybody(request_):
         m.Job(told=m.Standing(name="a", file="a.job")),
         m.Job(forget=True),
         m.Write(name="X", values=[1.0]),
+        m.Status(reset=True),
     ],
     ids=repr,
 )
