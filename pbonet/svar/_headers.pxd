@@ -4,7 +4,7 @@ from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 
 cdef extern from "local.h" nogil:
     enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_CAUSES_EACH, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
-    enum: PB_FREE, PB_LEFT, PB_STUCK, PB_GROUP_VARS, PB_GROUP_CONSTS
+    enum: PB_FREE, PB_LEFT, PB_GROUP_VARS, PB_GROUP_CONSTS, PB_SOUND, PB_NO_MEMORY, PB_OVERWRITTEN
     enum: PB_KEEPER
     struct pb_stamp:
         int64_t time_ns
@@ -29,8 +29,8 @@ cdef extern from "local.h" nogil:
     struct pb_table:
         uint8_t *base
         pb_live *live
-        pb_static *fixed
-        pb_var *vars
+        const pb_static *fixed
+        const pb_var *vars
         pb_reg *regs
     struct pb_last:
         uint64_t uid, number
@@ -95,8 +95,9 @@ cdef extern from "local.h" nogil:
     uint64_t pb_number(uint64_t head)
     void pb_lay_out(pb_static *s, pb_var *vars, uint64_t spare)
     int pb_format(void *base, pb_static *s, pb_var *vars, const void *text, const void *values)
-    pb_table pb_table_at(void *base)
-    int pb_verify(const void *base, uint64_t bytes)
+    pb_table pb_table_at(void *base, const void *fixed)
+    int pb_verify(const void *base, uint64_t bytes, void **own)
+    bint pb_sound(pb_table *t)
     int pb_look(pb_table *t, uint32_t v, void *to, pb_view *view)
     bint pb_written(pb_table *t, uint32_t v)
     int pb_set(pb_table *t, uint32_t v, const void *value, int64_t now_ns, bint wait)

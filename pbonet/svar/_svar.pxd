@@ -12,6 +12,7 @@ cdef class Arena:
     cdef const char *machine_text
     cdef void *core            # struct pb_table
     cdef void *base
+    cdef void *own             # this process's copy of the static part
     cdef size_t bytes
     cdef int fd
     cdef unsigned long long looked_at   # the last result of `causes`: a struct pb_seen

@@ -1,10 +1,11 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
-# distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h watch.h
+# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h watch.h
 """Thin wrapper of the C headers: buffers in, numbers out; Python raises the errors."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
 from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
+from libc.stdlib cimport free
 from libc.string cimport memcpy, memset, strncpy
 from posix.mman cimport (MADV_DONTFORK, MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE,
                          madvise, mmap, munmap)
@@ -88,6 +89,7 @@ cdef class Arena:
             pb_region_remove(self.base)
             munmap(self.base, self.bytes)
             close(self.fd)
+        free(self.own)
 
     def format(self, Blueprint plan not None, const uint8_t[::1] values) -> int:
         """Fill fresh zeroed memory; returns an errno."""
@@ -98,10 +100,17 @@ cdef class Arena:
 
     def verify(self) -> int:
         """Verify the file; no other method may be called unless this returns 0."""
-        cdef int verdict = pb_verify(self.base, self.bytes)
-        if verdict == 0:
-            table(self)[0] = pb_table_at(self.base)
+        free(self.own)
+        cdef int verdict = pb_verify(self.base, self.bytes, &self.own)
+        if verdict == PB_NO_MEMORY:
+            raise MemoryError("no room for the table's records")
+        if verdict == PB_SOUND:
+            table(self)[0] = pb_table_at(self.base, self.own)
         return verdict
+
+    def sound(self) -> bool:
+        """Return whether nothing has overwritten the mutable part, as far as it shows."""
+        return pb_sound(table(self))
 
     @property
     def fileno(self) -> int:
@@ -117,12 +126,12 @@ cdef class Arena:
 
     @property
     def layout(self) -> bytes:
-        return (<char *>table(self).fixed.layout)[:16]
+        return (<const char *>table(self).fixed.layout)[:16]
 
     @property
     def text(self) -> bytes:
-        cdef pb_static *fixed = table(self).fixed
-        return (<char *>self.base)[fixed.text:fixed.text + fixed.text_bytes]
+        cdef const pb_static *fixed = table(self).fixed
+        return (<const char *>self.own)[fixed.text:fixed.text + fixed.text_bytes]
 
     @property
     def generation(self) -> int:
@@ -134,7 +143,7 @@ cdef class Arena:
         return pb_changes(table(self))
 
     def look(self, unsigned v, uint8_t[::1] to):
-        """Copy a variable; returns its provenance, or None."""
+        """Copy a variable; returns its provenance, None if there was no whole copy."""
         cdef pb_view view
         if v >= table(self).fixed.n_vars or <size_t>to.shape[0] < table(self).vars[v].bytes:
             raise ValueError("no room for the variable")
@@ -157,13 +166,14 @@ cdef class Arena:
     def registers(self):
         """Return (index, uid, owner, pid, task, bytes, commits, held) of those in use.
 
-        None when the lock could not be taken.
+        A negative code when the lock could not be taken.
         """
         cdef bytearray memory = bytearray(table(self).fixed.n_regs * sizeof(pb_reg))
         cdef pb_reg *regs = <pb_reg *>PyByteArray_AS_STRING(memory)
         cdef uint32_t r
-        if pb_registers(table(self), regs) != 0:
-            return None
+        cdef int code = pb_registers(table(self), regs)
+        if code != 0:
+            return code
         return [(r, regs[r].uid, regs[r].owner, regs[r].pid,
                  regs[r].task.decode(errors="replace"), regs[r].bytes, pb_number(regs[r].head),
                  regs[r].state != PB_LEFT)
@@ -185,7 +195,7 @@ cdef class Arena:
 
     cdef bint c_illegal(self) noexcept nogil:
         cdef pb_seen seen
-        seen.changes = 0
+        seen.changes, seen.up = 0, False
         return pb_illegal(table(self), &seen)
 
     def raise_illegal(self, bytes cause, bytes raiser, bytes machine) -> int:

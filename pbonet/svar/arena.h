@@ -8,6 +8,10 @@
  * The directory is itself a register (register.h): one entry per variable names the
  * register that holds its newest value, and says whether a task owns it now. The number of
  * its newest commit is the table's generation.
+ *
+ * Any process of the user can overwrite the file. So each process copies the static part
+ * when it attaches, and uses only that copy; what it reads of the mutable part is checked
+ * before it becomes an index or an address (sound.h).
  */
 #ifndef PBONET_ARENA_H
 #define PBONET_ARENA_H
@@ -21,7 +25,7 @@
 
 #define PB_MAGIC "pbSVAR\r\n"
 
-enum { PB_VERSION = 4, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
+enum { PB_VERSION = 5, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
 
 struct pb_static {
     char magic[8];
@@ -50,8 +54,11 @@ struct pb_live {
     _Alignas(PB_LINE) _Atomic uint64_t generation; /* head of the directory */
     _Atomic uint64_t changes;  /* incremented by every change of the flag, and by every end */
     _Atomic uint64_t unlisted; /* number of entries that did not fit */
-    _Alignas(PB_LINE) pthread_mutex_t lock; /* taken by claimers only */
-    uint64_t uids;
+    /* Taken by claimers only. A C library may end a process that locks arbitrary bytes, so
+     * a claimer checks first that the words around the lock are PB_GUARD. */
+    _Alignas(PB_LINE) uint64_t before;
+    pthread_mutex_t lock;
+    uint64_t after, uids;
     _Atomic uint64_t words[PB_CAUSES]; /* of the flag's entries: phase and process */
     struct pb_cause causes[PB_CAUSES];
 };
@@ -75,15 +82,24 @@ struct pb_entry {
     uint32_t reg;
     uint32_t live; /* a task owns it now */
     uint64_t at;   /* place in the register's group */
+    uint64_t sum;  /* of the above, the variable, and the register's place: pb_sum */
 };
+
+/* Where a register's slots are. It does not change while a directory names the register. */
+struct pb_place {
+    uint64_t slots, stride, uid;
+};
+
+#define PB_GUARD UINT64_C(0x70625356415221a5)
 
 /* Differs between C libraries, and between machines whose locks differ in size. */
 #define PB_ABI (uint32_t)(sizeof(struct pb_live) + sizeof(pthread_mutex_t))
 
+/* A table as a process uses it: the static part is its own copy. */
 struct pb_table {
     uint8_t *base;
-    struct pb_static *fixed;
-    struct pb_var *vars;
+    const struct pb_static *fixed;
+    const struct pb_var *vars;
     struct pb_live *live;
     struct pb_reg *regs;
 };
@@ -111,10 +127,11 @@ static inline void pb_lay_out(struct pb_static *s, struct pb_var *vars, uint64_t
                                               spare * pb_stride(s->keep_stamps)), 4096);
 }
 
-static inline struct pb_table pb_table_at(void *base) {
-    struct pb_static *s = base;
+/* A table mapped at `base`, with a verified static part at `fixed`. */
+static inline struct pb_table pb_table_at(void *base, const void *fixed) {
+    const struct pb_static *s = fixed;
     uint8_t *b = base;
-    return (struct pb_table){b, s, (struct pb_var *)(b + s->vars),
+    return (struct pb_table){b, s, (const struct pb_var *)((const uint8_t *)fixed + s->vars),
                              (struct pb_live *)(b + s->live), (struct pb_reg *)(b + s->regs)};
 }
 

@@ -6,20 +6,23 @@
  * unchanged except possibly the register loaded last, and that one was copied whole, every
  * group was current at the instant of the last first load. Otherwise repeat, at most
  * PB_TRIES times; after that, whole groups are accepted, and the result says that the cut is
- * not proven. Nothing waits: no iteration depends on another process's progress.
+ * not proven. Nothing waits: no iteration depends on another process's progress. A table
+ * that was overwritten is recognized when the plan is made (sound.h); after that a copy only
+ * checks that the generation is the plan's and that no head jumped.
  */
 #ifndef PBONET_CUT_H
 #define PBONET_CUT_H
 
-#include "arena.h"
+#include "sound.h"
 
 enum { PB_TRIES = 16, PB_TRIES_WHOLE = 256, PB_CROWD = 4096 };
-enum pb_result { PB_CONSISTENT, PB_WHOLE, PB_LOST };
+enum pb_result { PB_CONSISTENT, PB_WHOLE, PB_LOST, PB_OVERWRITTEN };
+enum pb_planned { PB_PLANNED, PB_OUTDATED, PB_INVALID };
 
 struct pb_source {
     struct pb_reg *reg;
     uint8_t *slots;
-    uint64_t stride, uid, head;
+    uint64_t stride, uid, head; /* head: of the last copy; before it, of the plan */
     bool outside; /* no task of this machine writes it, so no log holds its commits */
 };
 
@@ -44,7 +47,7 @@ struct pb_plan {
     struct pb_source *sources;
     struct pb_piece *pieces;
     struct pb_age *ages;
-    uint64_t generation; /* the directory's head; 0: none yet */
+    uint64_t generation; /* the directory's head; 0: none yet, no directory has it */
     bool all_ages; /* read every variable's stamp, not only of those with MAXAGE */
 };
 
@@ -59,21 +62,19 @@ static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p,
     uint32_t i = 0;
     while (i < p->n_sources && p->sources[i].reg != reg) i++;
     if (i == p->n_sources) {
+        const struct pb_place at = pb_place_of(reg);
         p->sources[p->n_sources++] = (struct pb_source){
-            reg, t->base + atomic_load_explicit(&reg->slots, memory_order_relaxed),
-            atomic_load_explicit(&reg->stride, memory_order_relaxed),
-            atomic_load_explicit(&reg->uid, memory_order_relaxed), 0, pb_is_outside(t, reg)};
+            reg, t->base + at.slots, at.stride, at.uid, pb_read_begin(&reg->head),
+            pb_is_outside(t, reg)};
     }
     return i;
 }
 
-/* Whether the variable is inside a slot, and the slots inside the file: a reader of a
- * damaged table must fail and not crash. */
-static inline bool pb_fits(const struct pb_table *t, const struct pb_source *s, uint64_t at,
-                           uint64_t bytes) {
-    const uint64_t from = (uint64_t)(s->slots - t->base), size = t->fixed->size;
-    return from >= t->fixed->arena && from <= size && s->stride <= (size - from) / PB_SLOTS &&
-           at <= s->stride && bytes + PB_LINE <= s->stride - at;
+/* Whether an entry is valid, with the place of its register as the plan has it. */
+static inline bool pb_source_fits(const struct pb_table *t, uint32_t v, const struct pb_entry *e,
+                                  const struct pb_source *s) {
+    const struct pb_place at = {(uint64_t)(s->slots - t->base), s->stride, s->uid};
+    return pb_fits(t, v, e, &at) && pb_is_head(s->head);
 }
 
 static inline void pb_add_piece(struct pb_plan *p, struct pb_piece new) {
@@ -86,21 +87,24 @@ static inline void pb_add_piece(struct pb_plan *p, struct pb_piece new) {
     }
 }
 
-/* Build the plan for `generation`; false when that is no longer the newest. */
-static inline bool pb_replan(const struct pb_table *t, struct pb_plan *p,
-                             uint64_t generation) {
+/* Build the plan for `generation`; outdated when that is no longer the newest, invalid when
+ * it is and its directory is not one that a claimer made. */
+static inline enum pb_planned pb_replan(const struct pb_table *t, struct pb_plan *p,
+                                        uint64_t generation) {
     const struct pb_entry *dir = pb_directory(t, generation);
+    bool valid = pb_numbered(t, generation);
     p->generation = 0;
     p->n_sources = p->n_pieces = p->n_ages = 0;
-    for (uint32_t i = 0; i < p->n_vars; i++) {
+    for (uint32_t i = 0; i < p->n_vars && valid; i++) {
         const uint32_t v = p->vars[i];
         const struct pb_var *var = t->vars + v;
         struct pb_entry e;
         uint32_t source;
         pb_copy(&e, dir + v, sizeof e);
-        if (e.reg >= t->fixed->n_regs) return false;
+        valid = e.reg < t->fixed->n_regs;
+        if (!valid) break;
         source = pb_source_of(t, p, e.reg);
-        if (!pb_fits(t, p->sources + source, e.at, var->bytes)) return false;
+        valid = pb_source_fits(t, v, &e, p->sources + source);
         pb_add_piece(p, (struct pb_piece){source, PB_LINE + e.at, p->to[i], var->bytes});
         if (var->maxage_ns || p->all_ages)
             p->ages[p->n_ages++] = (struct pb_age){
@@ -112,9 +116,10 @@ static inline bool pb_replan(const struct pb_table *t, struct pb_plan *p,
     /* SYNC POINT C1, partners R1 (directory slot) and O1 (register fields): nothing above
      * may be used, not even to compute an address, unless it belongs to this generation. */
     pb_read_fence();
-    if (pb_read_end(&t->live->generation) != generation) return false;
+    if (pb_read_end(&t->live->generation) != generation) return PB_OUTDATED;
+    if (!valid) return PB_INVALID;
     p->generation = generation;
-    return true;
+    return PB_PLANNED;
 }
 
 static inline void pb_copy_pieces(struct pb_plan *p, uint8_t *to) {
@@ -146,9 +151,15 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
         bool same = true, whole = true;
         /* SYNC POINT C2, partner R2 in pb_write_end on the generation. */
         uint64_t generation = pb_read_begin(&t->live->generation);
-        if (generation != p->generation && !pb_replan(t, p, generation)) continue;
+        if (generation != p->generation || !generation) {
+            const enum pb_planned planned = pb_replan(t, p, generation);
+            if (planned == PB_INVALID) return PB_OVERWRITTEN;
+            if (planned == PB_OUTDATED) continue;
+        }
         for (uint32_t i = 0; i < p->n_sources; i++) {
-            p->sources[i].head = pb_read_begin(&p->sources[i].reg->head);
+            const uint64_t head = pb_read_begin(&p->sources[i].reg->head);
+            if (pb_jumped(p->sources[i].head, head)) return PB_OVERWRITTEN;
+            p->sources[i].head = head;
             PBONET_STEP(20);
         }
         pb_copy_pieces(p, to);

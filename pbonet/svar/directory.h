@@ -11,8 +11,6 @@
 
 #include "lock.h"
 
-enum { PB_RIVAL = -1, PB_FULL = -2, PB_STUCK = -3, PB_ALIVE = -4 };
-
 /* The last commit of a register. */
 struct pb_last {
     uint64_t uid, number;
@@ -23,6 +21,7 @@ struct pb_group {
     struct pb_reg *reg;
     uint8_t *slots;
     uint64_t stride, bytes, uid;
+    uint64_t head; /* of its last commit: it is the only writer */
     uint32_t n;
     const uint32_t *vars; /* their indices, ascending */
     const uint64_t *at;   /* their places in the group */
@@ -52,9 +51,13 @@ static inline void pb_commit_raw(struct pb_reg *reg, uint8_t *slots, uint64_t st
     pb_write_end(&reg->head, next, pb_crowded(reg, next));
 }
 
-static inline void pb_commit_group(struct pb_group *g, const void *data,
+/* False, without writing, when the register's head is not what its writer stored. */
+static inline bool pb_commit_group(struct pb_group *g, const void *data,
                                    struct pb_stamp stamp) {
+    if (pb_write_last(&g->reg->head) != g->head) return false;
     pb_commit_raw(g->reg, g->slots, g->stride, data, g->bytes, stamp);
+    g->head = pb_write_last(&g->reg->head);
+    return true;
 }
 
 /* The generation, for a caller that only checks for changes. */
@@ -62,20 +65,25 @@ static inline uint64_t pb_generation_seen(const struct pb_table *t) {
     return pb_number(pb_read_begin(&t->live->generation));
 }
 
-/* Copy the descriptions of all registers; returns 0 or PB_STUCK. */
+/* Copy the descriptions of all registers; returns 0 or a negative code. */
 static inline int pb_registers(const struct pb_table *t, struct pb_reg *copies) {
-    if (pb_lock(t->live)) return PB_STUCK;
+    const int code = pb_lock(t, true);
+    if (code) return code;
     pb_copy(copies, t->regs, t->fixed->n_regs * sizeof *copies); /* heads may still change */
-    pb_unlock(t->live);
+    pb_unlock(t);
+    for (uint32_t r = 0; r < t->fixed->n_regs; r++) copies[r].task[PB_NAME - 1] = 0;
     return 0;
 }
 
 /* Begin the next directory: a copy of the current one. */
 static inline struct pb_entry *pb_next(const struct pb_table *t, uint64_t *head) {
     const struct pb_entry *now = pb_directory(t, pb_generation(t));
+    struct pb_stamp stamp = {0, 0};
     struct pb_entry *next;
     *head = pb_write_begin(&t->live->generation);
     next = pb_directory(t, *head);
+    stamp.cycle = pb_number(*head);
+    pb_copy_out((uint8_t *)next - PB_LINE, &stamp, sizeof stamp);
     pb_copy_out(next, now, t->fixed->n_vars * sizeof *now);
     return next;
 }
@@ -106,11 +114,11 @@ static inline void pb_sweep(const struct pb_table *t, uint8_t *named) {
 static inline uint64_t pb_room(const struct pb_table *t, uint64_t bytes) {
     uint64_t at = t->fixed->arena;
     for (uint32_t r = 0; r < t->fixed->n_regs; r++) {
-        const struct pb_reg *reg = t->regs + r;
-        uint64_t from = atomic_load_explicit(&reg->slots, memory_order_relaxed);
-        uint64_t to = from + PB_SLOTS * atomic_load_explicit(&reg->stride, memory_order_relaxed);
-        if (atomic_load_explicit(&reg->state, memory_order_relaxed) == PB_FREE) continue;
-        if (from >= at + bytes || to <= at) continue;
+        const struct pb_place used = pb_place_of(t->regs + r);
+        const uint64_t to = used.slots + PB_SLOTS * used.stride;
+        if (atomic_load_explicit(&t->regs[r].state, memory_order_relaxed) == PB_FREE) continue;
+        if (!pb_inside(t, &used)) return 0; /* overwritten; `at` would not always grow */
+        if (used.slots >= at + bytes || to <= at) continue;
         at = to; /* occupied: continue after it and check all registers again */
         r = (uint32_t)-1;
     }
@@ -141,6 +149,7 @@ static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
      * that no longer names the register. */
     atomic_thread_fence(memory_order_release);
     g->uid = ++t->live->uids;
+    g->head = pb_write_last(&reg->head);
     atomic_store_explicit(&reg->slots, slots, memory_order_relaxed);
     atomic_store_explicit(&reg->stride, stride, memory_order_relaxed);
     atomic_store_explicit(&reg->uid, g->uid, memory_order_relaxed);
@@ -159,13 +168,13 @@ static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
     return found;
 }
 
-/* The same with the lock taken here; may also return PB_STUCK. */
+/* The same with the lock taken here; may also return PB_STUCK or PB_GONE. */
 static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
                            const struct pb_reg *who, uint8_t *named) {
-    int code;
-    if (pb_lock(t->live)) return PB_STUCK;
+    int code = pb_lock(t, true);
+    if (code) return code;
     code = pb_take_register(t, g, who, named);
-    pb_unlock(t->live);
+    pb_unlock(t);
     return code;
 }
 

@@ -72,6 +72,7 @@ static inline bool pb_illegal(const struct pb_table *t, struct pb_seen *seen) {
 static inline bool pb_cause_at(const struct pb_table *t, uint32_t i, uint64_t word,
                                uint64_t changes, struct pb_cause *copy) {
     pb_copy(copy, t->live->causes + i, sizeof *copy);
+    copy->cause[PB_TEXT - 1] = copy->raiser[PB_NAME - 1] = copy->machine[PB_NAME - 1] = 0;
     /* SYNC POINT F5, partner F6: bytes of a later entry imply a changed number. */
     pb_read_fence();
     return atomic_load_explicit(t->live->words + i, memory_order_relaxed) == word &&
@@ -181,7 +182,7 @@ static inline int pb_clear(const struct pb_table *t, const struct pb_cause *whic
 }
 
 /* Free what a dead process holds: the variables of register `r`, and its entries of the
- * flag. Returns 0, PB_STUCK, or PB_ALIVE. */
+ * flag. Returns 0 or a negative code. */
 static inline int pb_reap(const struct pb_table *t, uint32_t r, uint64_t uid) {
     struct pb_reg who;
     uint64_t dead;

@@ -10,16 +10,17 @@
  * a lock that is held is not waited for. */
 static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value,
                          int64_t now_ns, bool wait) {
+    const int code = pb_lock(t, wait);
     struct pb_reg *reg = t->regs + PB_KEEPER;
     uint8_t *slots = t->base + t->fixed->arena, *slot, *before;
     uint64_t head, stride = pb_stride(t->fixed->keep_bytes);
     struct pb_stamp stamp = {now_ns, 0};
     const struct pb_entry *now;
     uint8_t *mark;
-    if (wait ? pb_lock(t->live) : pb_lock_now(t->live)) return PB_STUCK;
+    if (code) return code;
     now = pb_directory(t, pb_generation(t)) + v;
-    if (now->live && pb_alive(t->regs + now->reg)) {
-        pb_unlock(t->live);
+    if (now->live && pb_alive(pb_reg_of(t, now))) {
+        pb_unlock(t);
         return PB_RIVAL;
     }
     before = pb_slot(slots, stride, pb_write_last(&reg->head));
@@ -33,11 +34,11 @@ static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value
     pb_write_end(&reg->head, head, true);
     if (now->reg != PB_KEEPER || now->live) {
         struct pb_entry *next = pb_next(t, &head);
-        struct pb_entry kept = {PB_KEEPER, 0, t->vars[v].keep};
+        const struct pb_entry kept = pb_entry_in(t, v, PB_KEEPER, 0, t->vars[v].keep);
         pb_copy_out(next + v, &kept, sizeof kept);
         pb_publish(t, head);
     }
-    pb_unlock(t->live);
+    pb_unlock(t);
     return 0;
 }
 
@@ -46,12 +47,13 @@ static inline int pb_format(void *base, const struct pb_static *s, const struct 
                             const void *text, const void *values) {
     struct pb_static *fixed = base;
     uint64_t head;
+    struct pb_stamp stamp = {0, 0};
     struct pb_table t;
     struct pb_reg *keeper;
     struct pb_entry *first;
     *fixed = *s;
-    t = pb_table_at(base);
-    memcpy(t.vars, vars, s->n_vars * sizeof *vars);
+    t = pb_table_at(base, base);
+    memcpy(t.base + s->vars, vars, s->n_vars * sizeof *vars);
     memcpy(t.base + s->text, text, s->text_bytes);
     keeper = t.regs + PB_KEEPER;
     atomic_store(&keeper->slots, s->arena);
@@ -61,10 +63,13 @@ static inline int pb_format(void *base, const struct pb_static *s, const struct 
                   s->keep_stamps, (struct pb_stamp){0, 0});
     head = pb_write_begin(&t.live->generation);
     first = pb_directory(&t, head);
+    stamp.cycle = pb_number(head);
+    memcpy((uint8_t *)first - PB_LINE, &stamp, sizeof stamp);
     for (uint32_t v = 0; v < s->n_vars; v++)
-        first[v] = (struct pb_entry){PB_KEEPER, 0, vars[v].keep};
+        first[v] = pb_entry_in(&t, v, PB_KEEPER, 0, vars[v].keep);
     pb_publish(&t, head);
     atomic_store(&t.live->changes, 1);
+    t.live->before = t.live->after = PB_GUARD;
     memcpy(fixed->magic, PB_MAGIC, sizeof fixed->magic);
     fixed->version = PB_VERSION;
     fixed->abi = PB_ABI;
@@ -72,16 +77,53 @@ static inline int pb_format(void *base, const struct pb_static *s, const struct 
     return pb_lock_make(&t.live->lock);
 }
 
-enum pb_verdict { PB_SOUND, PB_NO_TABLE, PB_OTHER_VERSION, PB_CUT_SHORT, PB_DAMAGED };
+enum pb_verdict { PB_SOUND, PB_NO_TABLE, PB_OTHER_VERSION, PB_CUT_SHORT, PB_DAMAGED, PB_NO_MEMORY };
 
-/* Verify `bytes` of a file before use; nothing beyond them is touched. */
-static inline enum pb_verdict pb_verify(const void *base, uint64_t bytes) {
-    const struct pb_static *s = base;
-    if (bytes < sizeof *s || memcmp(s->magic, PB_MAGIC, sizeof s->magic)) return PB_NO_TABLE;
+static inline enum pb_verdict pb_verify_header(const struct pb_static *s, uint64_t bytes) {
+    if (memcmp(s->magic, PB_MAGIC, sizeof s->magic)) return PB_NO_TABLE;
     if (s->version != PB_VERSION || s->abi != PB_ABI) return PB_OTHER_VERSION;
     if (s->size != bytes) return s->size > bytes ? PB_CUT_SHORT : PB_DAMAGED;
-    if (s->live > bytes || s->live < sizeof *s) return PB_DAMAGED;
-    return pb_checksum(base, s->live) == s->checksum ? PB_SOUND : PB_DAMAGED;
+    return s->live > bytes || s->live < sizeof *s ? PB_DAMAGED : PB_SOUND;
+}
+
+/* Whether the places in a static part are those that pb_lay_out gives. */
+static inline bool pb_laid_out(const struct pb_static *s) {
+    const uint64_t at = pb_round(sizeof *s, PB_LINE);
+    struct pb_static again = *s;
+    struct pb_var *vars;
+    bool same;
+    if (s->vars != at || s->text_bytes > s->live || s->n_vars > s->live / sizeof *vars) return false;
+    if (at + s->n_vars * sizeof *vars + s->text_bytes > s->live) return false;
+    vars = malloc(s->n_vars * sizeof *vars + 1);
+    if (!vars) return false;
+    memcpy(vars, (const uint8_t *)s + at, s->n_vars * sizeof *vars);
+    pb_lay_out(&again, vars, 0);
+    same = again.size <= s->size;
+    again.size = s->size;
+    same &= !memcmp(&again, s, sizeof again) &&
+            !memcmp(vars, (const uint8_t *)s + at, s->n_vars * sizeof *vars);
+    free(vars);
+    return same;
+}
+
+/* Verify `bytes` of a file before use; nothing beyond them is touched. If it is sound,
+ * `*own` is a copy of its static part, to be freed, which nothing can overwrite. */
+static inline enum pb_verdict pb_verify(const void *base, uint64_t bytes, void **own) {
+    struct pb_static header;
+    enum pb_verdict verdict;
+    *own = NULL;
+    if (bytes < sizeof header) return PB_NO_TABLE;
+    memcpy(&header, base, sizeof header);
+    verdict = pb_verify_header(&header, bytes);
+    if (verdict != PB_SOUND) return verdict;
+    if (!(*own = malloc(header.live))) return PB_NO_MEMORY;
+    memcpy(*own, base, header.live);
+    if (!memcmp(*own, &header, sizeof header) &&
+        pb_checksum(*own, header.live) == header.checksum && pb_laid_out(*own))
+        return PB_SOUND;
+    free(*own);
+    *own = NULL;
+    return PB_DAMAGED;
 }
 
 #endif

@@ -17,6 +17,7 @@ enum pb_flags {
     PB_COMMIT_NONFINITE = 16,
     PB_COMMIT_LIMIT = 32,
     PB_COMMIT_NOT_OWNER = 64,
+    PB_TABLE_OVERWRITTEN = 128, /* of a copy or a commit */
 };
 
 enum { PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON, PB_PLANS };
@@ -46,6 +47,7 @@ struct pb_local {
     uint32_t fault_var; /* of the last refused commit, or the stale input */
     uint64_t fault_element;
     struct pb_seen flag;
+    uint64_t generation; /* the last one that a commit found valid; 0: none */
 };
 
 static inline int64_t pb_time(const struct pb_local *l) {
@@ -87,6 +89,7 @@ static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
     result = pb_cut(&l->table, p, staging ? staging : l->data, &l->counts.retries);
     if (result != PB_CONSISTENT) {
         flags |= PB_COPY_TORN;
+        if (result == PB_OVERWRITTEN) return PB_TABLE_OVERWRITTEN;
         l->counts.torn++;
         if (result == PB_LOST) l->counts.lost++;
         if (staging) return flags | PB_COPY_KEPT;
@@ -154,8 +157,11 @@ static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     struct pb_view view;
     struct pb_age age = {.var = v, .maxage_ns = l->table.vars[v].maxage_ns};
     const struct pb_plan one = {.n_ages = age.maxage_ns != 0, .ages = &age};
-    if (pb_look(&l->table, v, l->data + at, &view) != PB_CONSISTENT)
-        return PB_COPY_TORN | PB_COPY_LOST;
+    switch (pb_look(&l->table, v, l->data + at, &view)) {
+    case PB_CONSISTENT: break;
+    case PB_OVERWRITTEN: return PB_TABLE_OVERWRITTEN;
+    default: return PB_COPY_TORN | PB_COPY_LOST;
+    }
     age.stamp = view.stamp;
     return pb_stale(l, &one);
 }
@@ -169,14 +175,35 @@ static inline bool pb_stands(const struct pb_local *l, const struct pb_group *g,
         pb_copy(&e, pb_directory(&l->table, head) + g->vars[i], sizeof e);
         pb_read_fence();
         if (pb_whole(head, pb_read_end(&l->table.live->generation)))
-            return l->table.regs + e.reg == g->reg;
+            return pb_reg_of(&l->table, &e) == g->reg;
     }
     return false;
 }
 
+/* Why the group may not be committed: another task has its variables, or the table is lost. */
+static inline int pb_not_mine(const struct pb_local *l) {
+    return pb_sound(&l->table) ? PB_COMMIT_NOT_OWNER : PB_TABLE_OVERWRITTEN;
+}
+
 /* The number of the last commit of a group; 0 when it has no register. */
 static inline uint64_t pb_committed(const struct pb_outputs *o) {
-    return o->group.reg ? pb_number(pb_write_last(&o->group.reg->head)) : 0;
+    return o->group.reg ? pb_number(o->group.head) : 0;
+}
+
+/* Whether readers can find what a task commits: the directory's head is a valid one. */
+static inline bool pb_readable(struct pb_local *l) {
+    uint64_t head = pb_read_begin(&l->table.live->generation);
+    for (int tries = 0; head != l->generation || !head; tries++) {
+        const bool valid = pb_numbered(&l->table, head);
+        const uint64_t last = head;
+        pb_read_fence(); /* SYNC POINT C5: what was read is of this generation */
+        head = pb_read_end(&l->table.live->generation);
+        if (head != last && tries < PB_TRIES_WHOLE) continue;
+        if (!valid) return false;
+        l->generation = last;
+        break;
+    }
+    return true;
 }
 
 /* Commit a group; returns flags, and changes nothing in the table if any is set. */
@@ -184,9 +211,11 @@ static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, int64_t no
                             uint64_t cycle) {
     int flags;
     if (!o->group.n) return 0;
-    if (!pb_is_mine(o)) return PB_COMMIT_NOT_OWNER;
+    if (!pb_is_mine(o)) return pb_not_mine(l);
     if ((flags = pb_judge(l, o))) return flags;
-    pb_commit_group(&o->group, l->data + o->first, (struct pb_stamp){now_ns, cycle});
+    if (!pb_readable(l) ||
+        !pb_commit_group(&o->group, l->data + o->first, (struct pb_stamp){now_ns, cycle}))
+        return PB_TABLE_OVERWRITTEN;
     l->counts.commits++;
     return 0;
 }
@@ -200,10 +229,11 @@ static inline int pb_commit_one(struct pb_local *l, struct pb_outputs *o, uint32
     uint64_t next;
     uint8_t *slot;
     int flags;
-    if (!pb_is_mine(o)) return PB_COMMIT_NOT_OWNER;
-    if (o == l->outputs + PB_GROUP_CONSTS && !pb_stands(l, g, i)) return PB_COMMIT_NOT_OWNER;
+    if (!pb_is_mine(o)) return pb_not_mine(l);
+    if (o == l->outputs + PB_GROUP_CONSTS && !pb_stands(l, g, i)) return pb_not_mine(l);
     if ((flags = pb_judge_one(l, o, i))) return flags;
-    last = pb_slot(g->slots, g->stride, pb_write_last(&g->reg->head)) + PB_LINE;
+    if (!pb_readable(l) || pb_write_last(&g->reg->head) != g->head) return PB_TABLE_OVERWRITTEN;
+    last = pb_slot(g->slots, g->stride, g->head) + PB_LINE;
     next = pb_write_begin(&g->reg->head);
     slot = pb_slot(g->slots, g->stride, next) + PB_LINE;
     pb_copy_out(slot, last, g->bytes);
@@ -211,6 +241,7 @@ static inline int pb_commit_one(struct pb_local *l, struct pb_outputs *o, uint32
                 l->table.vars[g->vars[i]].bytes);
     pb_copy_out(slot - PB_LINE, &stamp, sizeof stamp);
     pb_write_end(&g->reg->head, next, pb_crowded(g->reg, next));
+    g->head = pb_write_last(&g->reg->head);
     l->counts.commits++;
     return 0;
 }

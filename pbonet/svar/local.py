@@ -19,7 +19,7 @@ from pbonet.errors import (
 
 from . import guards, layout, table_files
 from ._svar import Arena, LocalTable as NativeTable, now_ns as clock_ns, process_start
-from .result_codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
+from .result_codes import CONSTS, FULL, GONE, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
 from .table_records import Counts
 
 if TYPE_CHECKING:
@@ -357,8 +357,8 @@ class LocalTable(shm.Closeable, NativeTable):
         self._check(code)
 
     def _check(self, code: int) -> None:
-        if code == STUCK:
-            raise table_files.stuck(self._table)
+        if code in {STUCK, GONE}:
+            raise table_files.locked_out(self._table, code)
         if code == FULL:
             raise SvarFullError(
                 f"no register is free for {self._task}",

@@ -8,7 +8,7 @@
 #ifndef PBONET_LOCK_H
 #define PBONET_LOCK_H
 
-#include "arena.h"
+#include "sound.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -63,28 +63,28 @@ static inline int pb_lock_wait(pthread_mutex_t *lock) {
     return pthread_mutex_timedlock(lock, &until);
 }
 
-/* Returns 0, or an errno: ETIMEDOUT when the holder of the lock does not run. */
-static inline int pb_lock(struct pb_live *live) {
-    int error;
-    /* SYNC POINT L1, partner L2 in pb_unlock: the new holder sees what the old one wrote,
-     * whether that one unlocked or died (the kernel's hand-over also orders memory). */
-    error = pb_lock_wait(&live->lock);
-    if (error == EOWNERDEAD) error = pthread_mutex_consistent(&live->lock);
-    PBONET_STEP(5);
-    return error;
-}
-
-/* As pb_lock for a caller that must not wait: EBUSY when the lock is held. */
-static inline int pb_lock_now(struct pb_live *live) {
-    int error = pthread_mutex_trylock(&live->lock); /* SYNC POINT L1 */
-    return error == EOWNERDEAD ? pthread_mutex_consistent(&live->lock) : error;
-}
-
-static inline void pb_unlock(struct pb_live *live) {
+static inline void pb_unlock(const struct pb_table *t) {
     PBONET_STEP(6);
     /* SYNC POINT L2, partner L1 in pb_lock. */
-    pthread_mutex_unlock(&live->lock);
+    pthread_mutex_unlock(&t->live->lock);
     PBONET_STEP(7);
+}
+
+/* Returns 0, PB_STUCK when the holder of the lock does not run or, without `wait`, when
+ * there is one, or PB_GONE. */
+static inline int pb_lock(const struct pb_table *t, bool wait) {
+    pthread_mutex_t *lock = &t->live->lock;
+    int error;
+    if (!pb_guarded(t->live)) return PB_GONE;
+    /* SYNC POINT L1, partner L2 in pb_unlock: the new holder sees what the old one wrote,
+     * whether that one unlocked or died (the kernel's hand-over also orders memory). */
+    error = wait ? pb_lock_wait(lock) : pthread_mutex_trylock(lock);
+    if (error == EOWNERDEAD) error = pthread_mutex_consistent(lock);
+    PBONET_STEP(5);
+    if (error) return PB_STUCK;
+    if (pb_sound(t)) return 0;
+    pb_unlock(t);
+    return PB_GONE;
 }
 
 /* When the process started, in ticks since boot; 0 if there is none or it is a zombie,

@@ -24,7 +24,8 @@ static inline enum pb_result pb_look(const struct pb_table *t, uint32_t v, void 
     uint64_t tries = 0;
     struct pb_entry e;
     for (int i = 0; i < PB_TRIES_WHOLE; i++) {
-        if (pb_cut(t, &plan, to, &tries) == PB_LOST) return PB_LOST;
+        const enum pb_result result = pb_cut(t, &plan, to, &tries);
+        if (result == PB_LOST || result == PB_OVERWRITTEN) return result;
         pb_copy(&e, pb_directory(t, plan.generation) + v, sizeof e);
         pb_copy(view->task, source.reg->task, sizeof view->task);
         /* SYNC POINT C5, partners R1 and O1: the entry and the name are of this generation. */
@@ -48,7 +49,7 @@ static inline bool pb_written(const struct pb_table *t, uint32_t v) {
         struct pb_entry e;
         struct pb_reg owner;
         pb_copy(&e, pb_directory(t, head) + v, sizeof e);
-        pb_copy(&owner, t->regs + e.reg % t->fixed->n_regs, sizeof owner);
+        pb_copy(&owner, pb_reg_of(t, &e), sizeof owner);
         /* SYNC POINT C5: as in pb_look. */
         pb_read_fence();
         if (pb_read_end(&t->live->generation) != head) continue;

@@ -5,16 +5,17 @@
 
 #include "directory.h"
 
-/* Whether the newest value of a variable equals `value`; the caller holds the lock. The
+/* Whether the newest value of variable `v` equals `value`; the caller holds the lock. The
  * owner may go on writing, so the copy is repeated until it is whole; false if it never is. */
-static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry *e,
-                                 const uint8_t *value, uint64_t bytes) {
-    const struct pb_reg *reg = t->regs + e->reg;
-    uint8_t *slots = t->base + atomic_load_explicit(&reg->slots, memory_order_relaxed);
-    uint64_t stride = atomic_load_explicit(&reg->stride, memory_order_relaxed);
+static inline bool pb_peek_equal(const struct pb_table *t, uint32_t v, const struct pb_entry *e,
+                                 const uint8_t *value) {
+    const uint64_t bytes = t->vars[v].bytes;
+    const struct pb_reg *reg = pb_reg_of(t, e);
+    const struct pb_place place = pb_place_of(reg);
+    if (!pb_fits(t, v, e, &place)) return false;
     for (int tries = 0; tries < 64; tries++) {
         uint64_t word, head = pb_read_begin(&reg->head);
-        const uint8_t *from = pb_slot(slots, stride, head) + PB_LINE + e->at;
+        const uint8_t *from = pb_slot(t->base + place.slots, place.stride, head) + PB_LINE + e->at;
         bool same = true;
         for (uint64_t i = 0; i < bytes && same; i += sizeof word) {
             pb_copy(&word, from + i, sizeof word);
@@ -36,17 +37,18 @@ static inline struct pb_last pb_last_of(const struct pb_reg *reg) {
 
 /* Record the last commits of the owners of the group's variables, now that the predecessors
  * have ended: an owner that commits later was turned on again and does not hand over.
- * `ends` has room for each variable and must stay in place. Returns 0 or PB_STUCK. */
+ * `ends` has room for each variable and must stay in place. Returns 0 or a negative code. */
 static inline int pb_note_ends(const struct pb_table *t, struct pb_group *g,
                                struct pb_last *ends) {
     const struct pb_entry *now;
-    if (pb_lock(t->live)) return PB_STUCK;
+    const int code = pb_lock(t, true);
+    if (code) return code;
     now = pb_directory(t, pb_generation(t));
     for (uint32_t i = 0; i < g->n; i++) {
         const struct pb_entry *e = now + g->vars[i];
-        ends[i] = e->live ? pb_last_of(t->regs + e->reg) : (struct pb_last){0, UINT64_MAX};
+        ends[i] = e->live ? pb_last_of(pb_reg_of(t, e)) : (struct pb_last){0, UINT64_MAX};
     }
-    pb_unlock(t->live);
+    pb_unlock(t);
     g->ends = ends;
     return 0;
 }
@@ -67,11 +69,13 @@ static inline bool pb_hands_over(const struct pb_group *g, uint32_t i,
  * value stays with that owner (thesis, section 3.5: only a different value is a conflict). */
 static inline int pb_may(const struct pb_table *t, const struct pb_group *g, uint32_t i,
                          const uint8_t *data, bool constants) {
-    const struct pb_entry *e = pb_directory(t, pb_generation(t)) + g->vars[i];
-    const struct pb_reg *holder = t->regs + e->reg;
-    if (!e->live || holder == g->reg || pb_hands_over(g, i, holder) || !pb_alive(holder))
+    struct pb_entry e;
+    const struct pb_reg *holder;
+    pb_copy(&e, pb_directory(t, pb_generation(t)) + g->vars[i], sizeof e);
+    holder = pb_reg_of(t, &e);
+    if (!e.live || holder == g->reg || pb_hands_over(g, i, holder) || !pb_alive(holder))
         return PB_TAKE;
-    if (constants && pb_peek_equal(t, e, data + g->at[i], t->vars[g->vars[i]].bytes))
+    if (constants && pb_peek_equal(t, g->vars[i], &e, data + g->at[i]))
         return PB_SHARE;
     return PB_REFUSE;
 }
@@ -120,46 +124,51 @@ static inline int pb_renew(const struct pb_table *t, struct pb_group *g, bool ta
 /* Whether a claim would be refused now; asked before a module is turned on, not binding. */
 static inline int pb_ask(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
                          bool constants, uint32_t *rival) {
-    int code = 0;
-    if (pb_lock(t->live)) return PB_STUCK;
+    int code = pb_lock(t, true);
+    if (code) return code;
     if (pb_refused(t, g, data, constants, rival))
         code = PB_RIVAL;
     else if (pb_divided(t, g, data, constants))
         code = pb_renew(t, g, false);
-    pb_unlock(t->live);
+    pb_unlock(t);
     return code;
 }
 
-/* Commit the group and take all its variables, as one event. Returns 0, PB_STUCK, PB_FULL,
- * or PB_RIVAL with the variable that another live task owns. */
+/* Commit the group and take all its variables, as one event. Returns 0 or a negative code,
+ * PB_RIVAL with the variable that another live task owns. */
 static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
                            struct pb_stamp stamp, bool constants, uint32_t *rival) {
     struct pb_group old;
     uint64_t head;
     struct pb_entry *next;
-    if (pb_lock(t->live)) return PB_STUCK;
+    int code = pb_lock(t, true);
+    if (code) return code;
     if (pb_refused(t, g, data, constants, rival)) {
-        pb_unlock(t->live);
+        pb_unlock(t);
         return PB_RIVAL;
     }
     g->ends = NULL; /* checked once: a later commit of an owner must not divide the claim */
     old = *g;
     if (pb_divided(t, g, data, constants) && pb_renew(t, g, true)) {
-        pb_unlock(t->live);
+        pb_unlock(t);
         return PB_FULL;
     }
-    pb_commit_group(g, data, stamp);
+    if (!pb_commit_group(g, data, stamp)) {
+        pb_unlock(t);
+        return PB_GONE;
+    }
     atomic_store_explicit(&g->reg->state, PB_HELD, memory_order_relaxed);
     next = pb_next(t, &head);
     for (uint32_t i = 0; i < g->n; i++) {
-        struct pb_entry mine = {(uint32_t)(g->reg - t->regs), 1, g->at[i]};
+        const uint32_t v = g->vars[i];
+        struct pb_entry mine = pb_entry_in(t, v, (uint32_t)(g->reg - t->regs), 1, g->at[i]);
         if (pb_may(t, &old, i, data, constants) == PB_TAKE)
-            pb_copy_out(next + g->vars[i], &mine, sizeof mine);
+            pb_copy_out(next + v, &mine, sizeof mine);
     }
     pb_publish(t, head);
     if (g->reg != old.reg)
         atomic_store_explicit(&old.reg->state, PB_LEFT, memory_order_relaxed);
-    pb_unlock(t->live);
+    pb_unlock(t);
     return 0;
 }
 
@@ -172,14 +181,15 @@ static inline int pb_let_go(const struct pb_table *t, uint32_t r, uint64_t uid, 
     struct pb_entry *next;
     uint64_t head;
     uint32_t v = 0;
-    if (pb_lock(t->live)) return PB_STUCK;
+    const int code = pb_lock(t, true);
+    if (code) return code;
     if (atomic_load_explicit(&t->regs[r].uid, memory_order_relaxed) != uid ||
         atomic_load_explicit(&t->regs[r].state, memory_order_relaxed) == PB_FREE) {
-        pb_unlock(t->live);
+        pb_unlock(t);
         return 0;
     }
     if (dead && pb_alive(t->regs + r)) {
-        pb_unlock(t->live);
+        pb_unlock(t);
         return PB_ALIVE;
     }
     now = pb_directory(t, pb_generation(t));
@@ -187,13 +197,13 @@ static inline int pb_let_go(const struct pb_table *t, uint32_t r, uint64_t uid, 
     if (v < t->fixed->n_vars) {
         next = pb_next(t, &head);
         for (; v < t->fixed->n_vars; v++) {
-            struct pb_entry left = {r, 0, next[v].at};
+            const struct pb_entry left = pb_entry_in(t, v, r, 0, next[v].at);
             if (next[v].reg == r) pb_copy_out(next + v, &left, sizeof left);
         }
         pb_publish(t, head);
     }
     if (leave) atomic_store_explicit(&t->regs[r].state, PB_LEFT, memory_order_relaxed);
-    pb_unlock(t->live);
+    pb_unlock(t);
     return 0;
 }
 

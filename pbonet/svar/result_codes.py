@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-RIVAL, FULL, STUCK, ALIVE = -1, -2, -3, -4
+RIVAL, FULL, STUCK, ALIVE, GONE = -1, -2, -3, -4, -5
 """Results of changes of ownership; 0 is success."""
 
 CONSTS, IN, ON = range(3)
@@ -22,8 +22,6 @@ class Verdict(IntEnum):
     OTHER_VERSION = 2
     CUT_SHORT = 3
     DAMAGED = 4
-    MOVING_PART = 5
-    """In the mutable part; reported by `Table.check_moving_part`, not by the header."""
 
 
 class Flags(IntFlag):
@@ -43,3 +41,5 @@ class Flags(IntFlag):
     """Nothing was committed: a value is outside MIN and MAX, with LIMIT error."""
     COMMIT_NOT_OWNER = 64
     """Nothing was committed: the task has not claimed its variables."""
+    TABLE_OVERWRITTEN = 128
+    """Nothing was copied or committed: the table was overwritten."""

@@ -19,7 +19,7 @@ from pbonet.errors import (
 from . import guards, layout as lay, table_files
 from ._svar import CAUSES, CAUSES_EACH, Arena, Blueprint, now_ns
 from .local import LocalTable
-from .result_codes import ALIVE, FULL, RIVAL, STUCK, Verdict
+from .result_codes import ALIVE, FULL, GONE, RIVAL, STUCK, Verdict
 from .table_records import Cause, Register, VarInfo
 
 if TYPE_CHECKING:
@@ -124,20 +124,10 @@ class Table(shm.Closeable):
             table = cls(name, path, arena)
         except msgspec.MsgspecError:
             raise table_files.damaged(path, Verdict.DAMAGED) from None
-        table.check_moving_part()
+        table.must_be_whole()
         if layout is not None and table.layout != layout:
             raise table_files.other_layout(str(path), layout, table.layout)
         return table
-
-    def check_moving_part(self) -> None:
-        """Refuse a table whose directory refers to invalid places.
-
-        Raises:
-            SvarDamagedError: A variable cannot be read.
-        """
-        for index, variable in enumerate(self._variables):
-            if self._open().look(index, _room(variable)) is None:
-                raise table_files.damaged(self.path, Verdict.MOVING_PART)
 
     @staticmethod
     def layout_of(variables: Sequence[Variable]) -> str:
@@ -188,6 +178,7 @@ class Table(shm.Closeable):
 
         Raises:
             UnknownVariableError: There is no variable of that name or index.
+            SvarDamagedError: The table was overwritten.
         """
         return self._read_raw(self._number(which))[0]
 
@@ -248,8 +239,8 @@ class Table(shm.Closeable):
                 got=f"owner {owner}",
                 remedy=f"turn {owner} off first",
             )
-        if wait:
-            self._check_stuck(code)
+        if wait or code != STUCK:
+            self._check_lock(code)
         return code != STUCK
 
     def peek(
@@ -270,7 +261,7 @@ class Table(shm.Closeable):
     def put(self, number: int, data: NDArray[np.uint8], time_ns: int) -> bool:
         """Set a variable to another machine's value; return whether it has no owner."""
         code = self._open().set(number, data, time_ns)
-        self._check_stuck(code)
+        self._check_lock(code)
         return code != RIVAL
 
     def local(
@@ -325,10 +316,11 @@ class Table(shm.Closeable):
 
         Raises:
             SvarError: The lock between claimers was not available in time.
+            SvarDamagedError: The table was overwritten.
         """
         found = self._open().registers()
-        if found is None:
-            raise table_files.stuck(self.name)
+        if isinstance(found, int):
+            raise table_files.locked_out(self.name, found)
         return [Register(*fields) for fields in found]
 
     def reap(self, owner: int | str) -> list[str]:
@@ -344,7 +336,7 @@ class Table(shm.Closeable):
 
         Raises:
             SvarOwnerError: The process still runs.
-            SvarDamagedError: The file was truncated.
+            SvarDamagedError: The file was truncated or overwritten.
         """
         arena = self._open()
         self.must_be_whole()
@@ -353,7 +345,7 @@ class Table(shm.Closeable):
         gone: set[int] = set()
         for register in held:
             code = arena.reap(register.index, register.uid)
-            self._check_stuck(code)
+            self._check_lock(code)
             if code != ALIVE:
                 gone.add(register.uid)
         if held and not gone:
@@ -437,12 +429,12 @@ class Table(shm.Closeable):
         return code
 
     def must_be_whole(self) -> None:
-        """Refuse a table whose file was truncated; see `survive_cuts`.
+        """Refuse a table whose file was truncated (see `survive_cuts`) or overwritten.
 
         Raises:
-            SvarDamagedError: Mapped bytes are missing.
+            SvarDamagedError: Mapped bytes are missing, or the directory is not valid.
         """
-        table_files.must_be_whole(self.path, self.arena.fileno, self.arena.size)
+        table_files.must_be_whole(self.path, self._open())
 
     @property
     def arena(self) -> Arena:
@@ -486,6 +478,7 @@ class Table(shm.Closeable):
         room = _room(variable)
         seen = self._open().look(number, room)
         if seen is None:
+            self.must_be_whole()
             raise SvarError(
                 f"{variable.name} could not be read completely",
                 where=self.name,
@@ -494,9 +487,9 @@ class Table(shm.Closeable):
         dtype = np.dtype(variable.dtype)
         return room[: variable.nelem * dtype.itemsize].view(dtype), seen
 
-    def _check_stuck(self, code: int) -> None:
-        if code == STUCK:
-            raise table_files.stuck(self.name)
+    def _check_lock(self, code: int) -> None:
+        if code in {STUCK, GONE}:
+            raise table_files.locked_out(self.name, code)
 
 
 def _room(variable: Variable) -> NDArray[np.uint8]:

@@ -18,10 +18,17 @@ from pbonet.errors import (
 )
 
 from ._svar import STATIC_BYTES, VERSION, Arena
-from .result_codes import Verdict
+from .result_codes import GONE, Verdict
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+OVERWRITTEN = "the table was overwritten in shared memory"
+RESTART = (
+    "stop the subsystem, which removes the file, and start it again; find the module "
+    "or program that wrote there: an index out of bounds in native code, or a file "
+    "opened by mistake"
+)
 
 FILES = shm.Files("table", SvarExistsError, SvarAccessError, SvarFullError)
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
@@ -86,13 +93,13 @@ def open_file(path: Path) -> tuple[int, int]:
     return fd, size
 
 
-def must_be_whole(path: Path, fd: int, size: int) -> None:
-    """Refuse a file that was truncated after it was mapped.
+def must_be_whole(path: Path, arena: Arena) -> None:
+    """Refuse a file that was truncated or overwritten after it was mapped.
 
     Raises:
-        SvarDamagedError: Mapped bytes are missing.
+        SvarDamagedError: Mapped bytes are missing, or the directory is not valid.
     """
-    left = os.fstat(fd).st_size
+    size, left = arena.size, os.fstat(arena.fileno).st_size
     if left < size:
         raise SvarDamagedError(
             "the table's file was truncated while it was in use",
@@ -102,6 +109,8 @@ def must_be_whole(path: Path, fd: int, size: int) -> None:
             remedy="its tasks will die: stop the subsystem, which removes the file, "
             "and start it again; find out who writes to shared memory files",
         )
+    if not arena.sound():
+        raise overwritten(str(path))
 
 
 def _missing(path: Path) -> SvarMissingError:
@@ -133,6 +142,13 @@ def no_lock(path: Path, error: int) -> SvarError:
     )
 
 
+def overwritten(where: str = "") -> SvarDamagedError:
+    """Return the error for a table whose mutable part was overwritten."""
+    return SvarDamagedError(
+        OVERWRITTEN, where=where, expected="what its tasks committed", remedy=RESTART
+    )
+
+
 def closed(name: str) -> SvarError:
     """Return the error for a closed table."""
     return SvarError(
@@ -140,8 +156,15 @@ def closed(name: str) -> SvarError:
     )
 
 
-def stuck(where: str) -> SvarError:
-    """Return the error for a lock whose holder does not run."""
+def locked_out(where: str, code: int) -> SvarError:
+    """Return the error for a lock that could not be taken.
+
+    Args:
+        where: The table.
+        code: STUCK when its holder does not run, GONE when the table was overwritten.
+    """
+    if code == GONE:
+        return overwritten(where)
     return SvarError(
         "the lock between claimers was not free for 2 s",
         where=where,
@@ -174,7 +197,6 @@ def damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
     what = {
         Verdict.NO_TABLE: "the file is not a state variable table",
         Verdict.CUT_SHORT: "the table's file is truncated",
-        Verdict.MOVING_PART: "the table's directory was overwritten",
     }.get(verdict, "the table's file was overwritten, its checksum is wrong")
     return SvarDamagedError(
         what,

@@ -29,6 +29,12 @@ static inline void *zeroed(size_t bytes) {
     return memset(p, 0, pb_round(bytes + 1, PB_LINE));
 }
 
+static inline struct pb_table rig_attach(void *base, uint64_t bytes) {
+    void *own;
+    if (pb_verify(base, bytes, &own) != PB_SOUND) die("pb_verify");
+    return pb_table_at(base, own);
+}
+
 static inline struct pb_table rig_table(uint64_t words) {
     struct pb_static s = {.n_vars = ALL};
     struct pb_var vars[ALL];
@@ -42,8 +48,7 @@ static inline struct pb_table rig_table(uint64_t words) {
     values = zeroed(s.keep_stamps);
     if (pb_format(base, &s, vars, "", values)) die("pb_format");
     free(values);
-    if (pb_verify(base, s.size) != PB_SOUND) die("pb_verify");
-    return pb_table_at(base);
+    return rig_attach(base, s.size);
 }
 
 static inline void rig_plan(struct pb_plan *p, const uint32_t *vars, const uint64_t *to, uint32_t n) {

@@ -24,7 +24,7 @@ def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
 
     Raises:
         UnknownVariableError: The table has no variable of that name.
-        SvarDamagedError: Its file was truncated.
+        SvarDamagedError: Its file was truncated or overwritten.
     """
     wanted = list(names or table.names())
     if len(wanted) == 1:
@@ -33,7 +33,9 @@ def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
         return found
     with table.local("display", os.getpid(), invar=wanted) as local:
         flags = local.copy_in()
-        if flags & Flags.COPY_LOST:
+        if flags & Flags.TABLE_OVERWRITTEN:
+            table.must_be_whole()
+        if flags & (Flags.COPY_LOST | Flags.TABLE_OVERWRITTEN):
             return [_value(table, name, whole=False) for name in wanted]
         whole = not flags & Flags.COPY_TORN
         values = [_of_cut(table, local, name, whole=whole) for name in wanted]

@@ -42,7 +42,7 @@ SLOTS = RT_SLOTS
 MIN_PERIOD_NS = RT_MIN_PERIOD_NS
 COMMAND_LEVEL = RT_COMMAND_LEVEL
 DISPATCHER_LEVEL = RT_DISPATCHER_LEVEL
-LEAVE = 8 | 16 | 32 | 64
+LEAVE = 8 | 16 | 32 | 64 | 128
 globals().update(Ring=_ring.Ring, Record=_ring.Record, parse=_ring.parse)  # a cimported name is C's alone
 _BACKENDS = {RT_NONE: "", RT_FIFO: "fifo", RT_PARK: "park"}
 

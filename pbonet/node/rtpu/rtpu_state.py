@@ -440,9 +440,9 @@ class Rtpu:
     def _died(self, task: Task, code: int, slot: SlotStatus) -> None:
         """Report a task that ended unasked, and remember its last status."""
         text = f"the task ended by itself: {describe_end(code)}"
-        cut = self.tables.cut(task.facts.subsystem)
-        if cut and code == -signal.SIGBUS:
-            text = f"the task ended with its table: {cut}"
+        damage = self.tables.damage(task.facts.subsystem)
+        if damage and code == -signal.SIGBUS:
+            text = f"the task ended with its table: {damage}"
         if slot.hangs:
             text = (
                 "the task ended itself: timing_failure() did not return, not even when "
@@ -520,11 +520,11 @@ class Rtpu:
                 self.core.status(),
                 [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
             )
-            for subsystem, cut in self.tables.harmed():
+            for subsystem, damage in self.tables.harmed():
                 self.events.add(
                     Severity.ERROR,
-                    "TABLE_TRUNCATED" if cut else "TABLE_REMOVED",
-                    cut or "the table's file was removed; running tasks continue",
+                    "TABLE_DAMAGED" if damage else "TABLE_REMOVED",
+                    damage or "the table's file was removed; running tasks continue",
                     subsystem=subsystem,
                 )
             self.notify_changed()

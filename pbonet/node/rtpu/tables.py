@@ -44,7 +44,7 @@ class Opened(Struct):
     file: SvarFile
     keep: bool
     missed: bool = False
-    """True once its file was found to be gone or truncated."""
+    """True once its file was found to be gone or damaged."""
 
 
 class Tables:
@@ -77,15 +77,15 @@ class Tables:
         return self._open.get(subsystem)
 
     def sound(self, subsystem: str) -> Opened | None:
-        """Return the subsystem's table if it is open, and its file whole."""
-        return None if self.cut(subsystem) else self._open.get(subsystem)
+        """Return the subsystem's table if it is open, and its file not damaged."""
+        return None if self.damage(subsystem) else self._open.get(subsystem)
 
     def need(self, subsystem: str) -> Opened:
         """Return the subsystem's table.
 
         Raises:
             SvarMissingError: It is not open.
-            SvarDamagedError: Its file was truncated.
+            SvarDamagedError: Its file was truncated or overwritten.
         """
         opened = self._open.get(subsystem)
         if opened is None:
@@ -98,7 +98,7 @@ class Tables:
 
         Raises:
             SvarMissingError: It is not open, or its file was removed.
-            SvarDamagedError: Its file was truncated.
+            SvarDamagedError: Its file was truncated or overwritten.
         """
         opened = self.need(subsystem)
         if not opened.table.path.exists():
@@ -167,20 +167,20 @@ class Tables:
         """Return the subsystems whose table's file was harmed since the last call.
 
         Returns:
-            Each with how it was truncated; with no text where it was removed.
+            Each with its damage; with no text where the file was removed.
         """
         found: list[tuple[str, str]] = []
         for subsystem, opened in self._open.items():
             if opened.missed:
                 continue
-            cut = self.cut(subsystem)
-            if cut or not opened.table.path.exists():
+            damage = self.damage(subsystem)
+            if damage or not opened.table.path.exists():
                 opened.missed = True
-                found.append((subsystem, cut))
+                found.append((subsystem, damage))
         return found
 
-    def cut(self, subsystem: str) -> str:
-        """Return how a subsystem's table was truncated; empty when it was not."""
+    def damage(self, subsystem: str) -> str:
+        """Return how a subsystem's table was truncated or overwritten; empty: not."""
         opened = self._open.get(subsystem)
         if opened is not None:
             try:

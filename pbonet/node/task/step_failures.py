@@ -18,6 +18,7 @@ from pbonet.pbo import (
     said,
     text_of,
 )
+from pbonet.svar import table_files
 
 if TYPE_CHECKING:
     from pbonet.node.wire import Outcome, Rule, Step
@@ -34,9 +35,11 @@ REFUSED = {
     16: "an output is not a finite number",
     32: "an output is outside its limits",
     64: "the outputs belong to another task",
+    128: table_files.OVERWRITTEN,
 }
 """Flags of a copy (`pbonet.svar.Flags`) that are errors of the task, with texts."""
 ALL_REFUSED = sum(REFUSED)
+OVERWRITTEN = 128
 OUTSIDE = 32
 ABOUT_ELEMENT = frozenset({16, OUTSIDE})
 
@@ -85,6 +88,8 @@ def refused(flags: int, blamed: Blamed) -> SvarError:
         flags: At least one of them is in `REFUSED`.
         blamed: The variable and element to which they refer.
     """
+    if flags & OVERWRITTEN:
+        return table_files.overwritten()
     bit, text = next(item for item in REFUSED.items() if flags & item[0])
     keeps = "the table keeps its last values"
     if bit not in ABOUT_ELEMENT or not blamed.variable:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from .local import Group
 
-VERSION, STATIC_BYTES = 4, 136
+VERSION, STATIC_BYTES = 5, 136
 SLOTS, LINE = 4, 64
 _EVER = 1 << 64
 _NUMBERS = (1 << 56) - 1
@@ -33,7 +33,17 @@ FREE, HELD, ENDED, LEFT = range(4)
 _MAGIC = b"pbSVAR\r\n"
 _STATIC = struct.Struct("<8s4I2Q16s10Q")
 _MUTEX = {"x86_64": 40, "aarch64": 48}.get(platform.machine(), 40)
-_UIDS = 64 + _MUTEX
+_BEFORE, _AFTER, _UIDS = 64, 72 + _MUTEX, 80 + _MUTEX
+_GUARD = 0x70625356415221A5
+_ENTRY = struct.Struct("<IIQQ")
+_FACTORS = (  # of variable, register and live, place, slots, stride, uid
+    0xBF58476D1CE4E5B9,
+    0x94D049BB133111EB,
+    0xFF51AFD7ED558CCD,
+    0xC4CEB9FE1A85EC53,
+    0xD6E8FEB86659FD93,
+    0xA0761D6478BD642F,
+)
 _REG_BYTES, _TASK, _TASK_BYTES = 256, 144, 64
 _STATE, _SLOTS, _STRIDE, _UID, _CROWD = range(64, 104, 8)
 _BYTES, _OWNER, _PID, _START, _SPACE = range(104, 144, 8)
@@ -87,7 +97,7 @@ class Blueprint:
         live = _round(records + len(text), LINE)
         regs = live + _LIVE_BYTES
         directory = regs + regs_n * _REG_BYTES
-        dir_stride = _stride(16 * n)
+        dir_stride = _stride(_ENTRY.size * n)
         arena = directory + SLOTS * dir_stride
         slots = _stride(keep) + regs_n * _stride(LINE) + spare * _stride(stamps)
         self.size = _round(arena + SLOTS * slots, 4096)
@@ -124,6 +134,8 @@ class Arena(Flag):
         entries = ((0, 0, self.keep_of(v)) for v in range(self.n_vars))
         self._publish(dict(enumerate(entries)))
         self._set(self.live + 8, 1)
+        self._set(self.live + _BEFORE, _GUARD)
+        self._set(self.live + _AFTER, _GUARD)
         self._set(32, self._checksum())
         return 0
 
@@ -212,18 +224,45 @@ class Arena(Flag):
 
     def entry(self, v: int, head: int = 0) -> tuple[int, int, int]:
         """Return (register, live, place) of a variable."""
-        at = self.dir + (head or self.dir_head) % SLOTS * self.dir_stride + LINE
-        reg, live, place = struct.unpack_from("<IIQ", self.map, at + 16 * v)
+        reg, live, place, _ = self._stored(v, head or self.dir_head)
         return reg, live, place
+
+    def _stored(self, v: int, head: int) -> tuple[int, int, int, int]:
+        at = self.dir + head % SLOTS * self.dir_stride + LINE
+        reg, live, place, total = _ENTRY.unpack_from(self.map, at + _ENTRY.size * v)
+        return reg, live, place, total
+
+    def _sum(self, v: int, entry: tuple[int, int, int]) -> int:
+        """Return the check word of an entry (sound.h)."""
+        r, live, place = entry
+        geometry = (self.reg(r, field) for field in (_SLOTS, _STRIDE, _UID))
+        words = (v, r << 32 | live, place, *geometry)
+        total = sum(x * factor for x, factor in zip(words, _FACTORS, strict=True))
+        return (0x9E3779B97F4A7C15 + total) % _EVER
+
+    def sound(self) -> bool:
+        """Return whether nothing has overwritten the mutable part."""
+        head = self.dir_head
+        at = self.dir + head % SLOTS * self.dir_stride
+        guards = (self._get(self.live + place) for place in (_BEFORE, _AFTER))
+        if {*guards} != {_GUARD} or self._get(at + 8) != head >> 8 or not head:
+            return False
+        entries = (self._stored(v, head) for v in range(self.n_vars))
+        return all(
+            entry[0] < self.n_regs and entry[3] == self._sum(v, entry[:3])
+            for v, entry in enumerate(entries)
+        )
 
     def _publish(self, changes: dict[int, tuple[int, int, int]]) -> None:
         head = advance(self.dir_head, _EVER)
         old = self.dir + self.dir_head % SLOTS * self.dir_stride + LINE
         new = self.dir + head % SLOTS * self.dir_stride + LINE
-        size = 16 * self.n_vars
+        size = _ENTRY.size * self.n_vars
+        struct.pack_into("<qQ", self.map, new - LINE, 0, head >> 8)
         self.map[new : new + size] = self.map[old : old + size]
         for v, entry in changes.items():
-            struct.pack_into("<IIQ", self.map, new + 16 * v, *entry)
+            at = new + _ENTRY.size * v
+            _ENTRY.pack_into(self.map, at, *entry, self._sum(v, entry))
         self._set(self.live, head)
 
     # -- ownership (directory.h, owner.h, keeper.h) ------------------------------------

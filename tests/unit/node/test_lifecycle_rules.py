@@ -91,6 +91,7 @@ def test_the_flags_are_those_of_the_table():
         | Flags.COMMIT_NONFINITE
         | Flags.COMMIT_LIMIT
         | Flags.COMMIT_NOT_OWNER
+        | Flags.TABLE_OVERWRITTEN
     )
     assert {Flags(bit) for bit in REFUSED} >= {Flags(bit) for bit in ABOUT_ELEMENT}
     about = Flags.COMMIT_NONFINITE | Flags.COMMIT_LIMIT

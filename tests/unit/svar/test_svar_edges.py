@@ -40,15 +40,15 @@ def patch(path: Path, at: int, value: int) -> None:
 
 
 def age(path: Path, at: int) -> None:
-    """Let a head be two commits away from its last number."""
-    patch(path, at, (WRAP - 2) << 8 | word(path, at) & 0xFF)
+    """Let a head be three commits away from the first number."""
+    patch(path, at, (WRAP - 3) << 8 | word(path, at) & 0xFF)
 
 
 def test_commits_go_on_behind_the_last_number(table):
+    age(table.path, word(table.path, REGS) + REG_BYTES)  # the first free register
     writer = table.local("w", ME, outvar=["V0"])
     reader = table.local("r", ME, invar=["V0", "V1"])
     writer.claim()
-    age(table.path, word(table.path, REGS) + REG_BYTES)
     numbers = []
     for value in range(6):
         writer.array("V0")[:] = value
@@ -60,7 +60,10 @@ def test_commits_go_on_behind_the_last_number(table):
 
 
 def test_generations_go_on_behind_the_last_number(table):
-    age(table.path, word(table.path, LIVE))
+    live = word(table.path, LIVE)
+    age(table.path, live)
+    slot = word(table.path, live) % 4 * word(table.path, DIR_STRIDE)
+    patch(table.path, word(table.path, DIR) + slot + 8, WRAP - 3)
     reader = table.local("r", ME, invar=["V0"])
     tasks = [table.local(f"t{i}", ME, outvar=["V0"]) for i in range(2)]
     for value in range(6):
@@ -212,9 +215,11 @@ def test_a_directory_that_points_nowhere_is_refused(table, what):
         good = word(table.path, at)
         for bad in (0x7FFFFFFF, (1 << 64) - 64, 1 << 20):
             patch(table.path, at, bad)
-            with pytest.raises(SvarDamagedError, match="directory was overwritten"):
+            with pytest.raises(
+                SvarDamagedError, match="was overwritten in shared memory"
+            ):
                 Table.attach("arm")
-            assert reader.copy_in() & Flags.COPY_LOST
+            assert reader.copy_in() == Flags.TABLE_OVERWRITTEN
             patch(table.path, at, good)
         Table.attach("arm").close()
         assert reader.copy_in() == 0

@@ -332,7 +332,7 @@ def test_another_magic_is_no_table(table):
 def test_another_version_is_refused_with_both_numbers(table):
     patch(table.path, 8, struct.pack("<I", 99))
     with pytest.raises(
-        SvarLayoutError, match=r"expected table version 4 .*, got table version 99"
+        SvarLayoutError, match=r"expected table version 5 .*, got table version 99"
     ):
         Table.attach("arm")
 
