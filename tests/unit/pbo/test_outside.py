@@ -23,6 +23,7 @@ from pbonet.outside import (
     using,
 )
 from pbonet.testing import _outside
+from pbonet.testing._chance import Chance
 from pbonet.xm.ipc import mailboxes, names
 
 ABOUT = TaskAbout(
@@ -56,7 +57,7 @@ def played(program, heard):
     """Run it again on what was heard."""
     player = Player()
     player.lost = player.feed(heard)
-    with _outside.only(player, ABOUT):
+    with _outside.only(player, ABOUT, Chance()):
         return program()
 
 
