@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
 Key = tuple[str, str]
 """Subsystem and task."""
+_ON = (Mode.ON, Mode.COMMAND)
+"""Modes of a task that is ON: between cycles, or at a command."""
 WATCH_PERIOD = 0.5
 """Seconds between checks of what is not reported: lost files, the dispatcher."""
 GLANCE = 0.005
@@ -82,7 +84,8 @@ class Rtpu:
         self.flags = Flags(config.name, self.tables, events)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}
-        """The last status of tasks that died, until they are killed or respawned."""
+        """The last status of tasks that died or were ended by force while they were ON,
+        until they are killed (again) or respawned."""
         self.told: dict[Key, tuple[int | None, int]] = {}
         """Criticality and priority as the master gave them."""
         self.spawned: dict[Key, tuple[int | None, int]] = {}
@@ -417,11 +420,14 @@ class Rtpu:
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop((task.facts.subsystem, task.name), None)
-        if task.stopping:
-            self.flags.down(task.facts.subsystem, task.name)
-        else:
-            # The flag is up before the task's own entries go.
+        # The flag is up before the task's own entries go.
+        if not task.stopping:
             self._died(task, code, slot)
+        elif slot.mode in _ON and task.facts.subsystem not in self.stopping:
+            self._leave_tomb(task, "the task was ended by force while it was ON")
+            self._raise_flag(task, "has died")
+        else:
+            self.flags.down(task.facts.subsystem, task.name)
         self._reap(task)
         self.fallbacks.update(task)
         self.rank()
@@ -448,11 +454,8 @@ class Rtpu:
                 "the task ended itself: timing_failure() did not return, not even when "
                 "it was aborted"
             )
-        task.ending = text
-        last = task.last_status or self.status_of(task)
-        last.error, last.tid = text, 0
+        last = self._leave_tomb(task, text)
         last.signals["ERROR"] += 1
-        self.tombs[task.facts.subsystem, task.name] = last
         was_on = slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON
         if was_on or slot.comes:
             self._raise_flag(task, "has died")
@@ -469,6 +472,14 @@ class Rtpu:
             bits=int(Signal.ERROR),
             place=own_place(trace) or crash_place(trace),
         )
+
+    def _leave_tomb(self, task: Task, text: str) -> TaskStatus:
+        """Keep the last status of a task that did not end in order, and return it."""
+        task.ending = text
+        last = task.last_status or self.status_of(task)
+        last.error, last.tid = text, 0
+        self.tombs[task.facts.subsystem, task.name] = last
+        return last
 
     def bury(self, subsystem: str, name: str) -> None:
         """Forget a task that died, and what was raised for it."""

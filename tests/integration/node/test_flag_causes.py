@@ -242,6 +242,24 @@ def test_a_task_that_is_off_is_killed_in_no_hurry(arm, nodes, tmp_path):
     assert texts(arm, "ILLEGAL") == []
 
 
+@pytest.mark.parametrize("module", ["hangs_in_cycle", "hangs_in_off"])
+def test_a_task_that_is_ended_by_force_leaves_the_flag_as_any_that_died(arm, module):
+    """No master follows up: what it wrote has no writer until somebody decides."""
+    arm.spawn("bad", module, out="Y0", freq=100.0)
+    hold(arm, "Y0")
+    arm.on("bad")
+    if module == "hangs_in_cycle":
+        arm.wait_event("HANGS", "bad")
+    arm.kill("bad", limit=1.0)
+    arm.wait_event("FORCED", "bad")
+    assert illegal(arm) == ["bad has died (arm0/bad)"]
+    assert arm.status("bad").state == "NOT-CREATED"
+    wait_level(arm, -1.0)
+    arm.kill("bad")
+    wait_level(arm, 3.0)
+    assert illegal(arm) == []
+
+
 def set_hot(arm, word):
     arm.ask(m.Set(task="fire", name="hot", value=word), list[m.ParamValue])
 
