@@ -34,7 +34,10 @@ from .records import (
 from .schema import StepSchema, TaskSchema, record_size, times
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
+
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import ChunkIndex
 
 CHUNK: Final = 256 << 10
 """Bytes of messages in a chunk, before compression."""
@@ -74,6 +77,34 @@ class _Whole:
 
     def close(self) -> None:
         self._file.close()
+
+
+class _ChunkIndexes:
+    """The index of the file's chunks, in the form in which it is written at the end.
+
+    It stands for the library's list of records, which takes five times the memory.
+    """
+
+    def __init__(self) -> None:
+        self._packed = bytearray()
+        self.count = 0
+
+    def append(self, index: ChunkIndex) -> None:
+        """Add the record of a chunk."""
+        from mcap.data_stream import RecordBuilder
+
+        builder: Any = RecordBuilder()
+        index.write(builder)
+        self._packed += builder.end()
+        self.count += 1
+
+    def __iter__(self) -> Iterator[_ChunkIndexes]:
+        """Yield what writes all records."""
+        yield self
+
+    def write(self, builder: RecordBuilder) -> None:
+        """Write all records."""
+        builder.write(self._packed)
 
 
 class _Task:
@@ -123,6 +154,8 @@ class LogWriter:
             chunk_size=CHUNK,
             compression=CompressionType.ZSTD,
         )
+        self._chunks = _ChunkIndexes()
+        setattr(self._writer, "_Writer__chunk_indices", self._chunks)  # noqa: B010
         self._tasks: dict[int, _Task] = {}
         self._json: dict[str, int] = {}
         self._step_schema = 0
@@ -155,6 +188,11 @@ class LogWriter:
     def size(self) -> int:
         """The size of the file so far."""
         return self._stream.tell()
+
+    @property
+    def chunks(self) -> int:
+        """The number of chunks so far, each of which takes some memory to the end."""
+        return self._chunks.count
 
     def attach(self, file: Attached) -> None:
         """Attach a file; a different file of the same name gets a number.

@@ -15,7 +15,7 @@ from pbonet.config.model import AgentConfig
 from pbonet.log import Log, TaskAbout
 from pbonet.node.agent.agent import Agent
 from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders
-from pbonet.node.recorder import recorder_process as recording
+from pbonet.node.recorder import log_rotation, recorder_process as recording
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rtpu import orphaned_rings
 from pbonet.node.wire import rtpu_messages
@@ -82,6 +82,21 @@ def test_a_log_goes_on_in_another_file_by_time(ring, tmp_path) -> None:
     (life,) = log.lives("a")
     assert log.arrays("a")["cycle"].tolist() == [1, 2, 3], "read as one"
     assert len(life.records) == 3
+
+
+def test_a_log_goes_on_in_another_file_when_it_has_many_chunks(
+    ring, tmp_path, monkeypatch
+) -> None:
+    """Their index is in the recorder's memory, so its size has a limit."""
+    monkeypatch.setattr(log_rotation, "MOST_CHUNKS", 2)
+    monkeypatch.setattr(recording, "FLUSH", 0.0)
+    recorder = begin(tmp_path, [])
+    for n in range(5):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+    recorder.end()
+    assert len(Log(tmp_path / "r").parts) >= 2
+    assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3, 4, 5]
 
 
 def test_without_a_limit_it_stays_in_one(ring, tmp_path) -> None:
