@@ -49,6 +49,15 @@ class _ParamsMeta(msgspec.StructMeta):
             made.__declared__ = _declared(made, Declaring(made, here()))
         return made
 
+    def __call__(cls, *args: object, **values: object) -> Any:  # noqa: ANN401
+        """Make parameters; an error has the caller's line, and none of this file."""
+        __tracebackhide__ = True  # of pytest
+        try:
+            _check_fields(cls, args, values)
+            return super().__call__(**values)
+        except ParameterError as error:
+            raise error.with_traceback(None) from None
+
 
 class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsMeta):
     """Base of a module's parameters: frozen, keyword-only, checked when made.
@@ -65,7 +74,8 @@ class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsM
     dimension. Required parameters come first.
 
     Raises:
-        ParameterError: A value is mistyped or out of bounds.
+        ParameterError: A name is unknown or missing, or a value is mistyped or out of
+            bounds.
     """
 
     __declared__: ClassVar[dict[str, Param]] = {}
@@ -89,17 +99,33 @@ def make_params(kind: type[P], values: Mapping[str, object]) -> P:
     Raises:
         ParameterError: A name is unknown or missing, or a value is refused.
     """
+    __tracebackhide__ = True  # of pytest
     fields = {about.name: field for field, about in kind.__declared__.items()}
     for name in values:
         if name not in fields:
             raise _unknown(kind, name, kind.__name__)
-    given = {fields[name]: value for name, value in values.items()}
-    for field in structs.fields(kind):
-        if field.required and field.name not in given:
-            error = _missing(kind, kind.__declared__[field.name], {}, kind.__name__)
-            error.remedy = f"give it a value: params={kind.__name__}({field.name}=...)"
+    return kind(**{fields[name]: value for name, value in values.items()})
+
+
+def _check_fields(cls: Any, args: object, values: Mapping[str, object]) -> None:  # noqa: ANN401
+    """Refuse values without a name, unknown names, and missing ones."""
+    if args:
+        call = ", ".join(f"{name}=..." for name in cls.__declared__)
+        raise ParameterError(
+            f"{cls.__name__} takes parameters by name",
+            where=cls.__name__,
+            expected=f"{cls.__name__}({call})",
+            got=f"a value without one: {args}",
+            remedy="name each of them",
+        )
+    for name in values:
+        if name not in cls.__declared__:
+            raise _unknown(cls, name, cls.__name__)
+    for field in structs.fields(cls):
+        if field.required and field.name not in values:
+            error = _missing(cls, cls.__declared__[field.name], {}, cls.__name__)
+            error.remedy = f"give it a value: {cls.__name__}({field.name}=...)"
             raise error
-    return kind(**given)
 
 
 class Line(Protocol):

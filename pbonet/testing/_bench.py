@@ -95,6 +95,7 @@ class Bench(Generic[M]):
         seed: int = 0,
         **more: Any,  # noqa: ANN401 - numbers and arrays
     ) -> None:
+        __tracebackhide__ = True  # of pytest
         ports = module.__interface__.ports
         values = {**(values or {}), **more}
         shapes = _shapes(module, values)
@@ -517,6 +518,7 @@ def _size(word: str, value: Any) -> int:  # noqa: ANN401 - whatever was given
 def _params(
     module: type[PortBasedObject[Any]], given: Params | Mapping[str, object] | None
 ) -> Params:
+    __tracebackhide__ = True  # of pytest
     if isinstance(given, Params):
         return given
     return make_params(module.__params__, given or {})

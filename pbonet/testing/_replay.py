@@ -121,7 +121,24 @@ def replay(
         LogError: There is no log, or the task has no cycle in it.
         UnknownTaskError: The log has no such task.
     """
+    __tracebackhide__ = True  # of pytest
     (verdict,) = verify(path, [task], libraries=libraries, rtol=rtol)
     if not verdict.good:
-        raise DivergedError(str(verdict))
+        raise DivergedError(_failure(verdict))
     return verdict
+
+
+def _failure(verdict: Verdict) -> str:
+    """Return in one line what differs where, why that may be, and what to do."""
+    known = [f"{verdict.cycles} of {verdict.recorded} cycles identical"]
+    if verdict.divergence is not None:
+        what = f"{verdict.task} differs from its log: {verdict.divergence}"
+        remedy = "correct the module, or record a new log if the change is wanted"
+        known += verdict.gaps
+    else:
+        first, *more = [*verdict.gaps, "not every cycle could be run again"]
+        what = f"{verdict.task} cannot be verified: {first}"
+        remedy = "remove that cause, and record a new log"
+        known += more[:-1]
+    details = "; ".join([*known, *map(str, (*verdict.changed, *verdict.params))])
+    return f"{what} ({details}); {remedy}"

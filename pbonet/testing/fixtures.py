@@ -20,6 +20,7 @@ def replayed(request: pytest.FixtureRequest) -> Callable[..., Verdict]:
     """Run a task's code again on a log; a relative path is beside the test's file."""
 
     def run(path: str | Path, task: str, **more: Any) -> Verdict:  # noqa: ANN401
+        __tracebackhide__ = True
         return replay(Path(request.path).parent / path, task, **more)
 
     return run

@@ -199,7 +199,7 @@ def test_lost_records_make_a_gap_in_what_is_verified(shop) -> None:
     (one,) = verify(path, ["a"])
     assert (one.cycles, one.recorded, one.divergence) == (4, 4, None)
     assert one.gaps == ["2 records were lost after cycle 3"]
-    with pytest.raises(DivergedError, match="not verifiable: 2 records were lost"):
+    with pytest.raises(DivergedError, match="a cannot be verified: 2 records were"):
         replay(path, "a")
 
 
@@ -239,19 +239,53 @@ def test_the_fixture_looks_beside_the_test(shop, tmp_path) -> None:
     (tmp_path / "conftest.py").write_text(
         'pytest_plugins = ["pbonet.testing.fixtures"]\n'
     )
-    (tmp_path / "test_it.py").write_text(
-        "def test_it(replayed):\n    assert replayed('run.mcap', 'b').cycles == 2\n"
+    status, out = pytest_on(
+        tmp_path,
+        "def test_it(replayed):\n    assert replayed('run.mcap', 'b').cycles == 2\n",
     )
+    assert status == 0, out
+    assert "1 passed" in out
+
+
+def pytest_on(folder, code):
+    """Return the status and output of pytest on the code of a test."""
+    (folder / "test_it.py").write_text(code)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
     done = subprocess.run(
         [*command, "test_it.py"],
-        cwd=tmp_path,
+        cwd=folder,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stdout
-    assert "1 passed" in done.stdout
+    return done.returncode, done.stdout
+
+
+def test_pytest_ends_with_what_differs_and_the_line_of_the_test(shop, tmp_path) -> None:
+    shop.cycles(3)
+    shop.log()
+    shop.code.write_text(ADDS.replace("= 0.1", "= 0.2"))
+    status, out = pytest_on(
+        tmp_path,
+        "from pbonet.testing import Bench, replay\n"
+        "from adds import Adds, Gain\n\n"
+        "def test_log():\n    replay('run.mcap', 'a')\n\n"
+        "def test_gain():\n    Gain(gain='much')\n\n"
+        "def test_bench():\n    Bench(Adds, params={'gian': 2.0}, n=2)\n",
+    )
+    assert status == 1
+    sections = out.partition("short test summary")[0].split("\n____")[1:]
+    ends = [one.rstrip("=\n ").splitlines() for one in sections]
+    wanted = [
+        (5, "DivergedError: a differs from its log: cycle 1: Y0[0] is ", "or record a"),
+        (8, "Gain.gain: parameter gain has the wrong type (", "a value of that type"),
+        (11, "Gain: Gain has no parameter gian (", "did you mean gain?"),
+    ]
+    for lines, (number, begin, end) in zip(ends, wanted, strict=True):
+        *_, error, _, place = lines
+        assert place.startswith(f"test_it.py:{number}: "), lines
+        assert begin in error
+        assert end in error
 
 
 def test_the_recorder_writes_what_is_in_the_rings(shop, tmp_path) -> None:

@@ -1,5 +1,7 @@
 """Parameters: declared once, decoded from LOCAL lines, refused in whole sentences."""
 
+import traceback
+from pathlib import Path
 from typing import Annotated as A, ClassVar, Literal
 
 import numpy as np
@@ -199,10 +201,36 @@ def test_parameters_are_frozen_and_keyword_only():
     gains = Gains(kp=1.0, axes=1)
     with pytest.raises(AttributeError):
         gains.kp = 2.0
-    with pytest.raises(TypeError):
+    with pytest.raises(
+        ParameterError, match="Gains takes parameters by name"
+    ) as caught:
         Gains(1.0, 1)
-    with pytest.raises(TypeError, match="Unexpected keyword argument 'kpp'"):
+    assert caught.value.expected.startswith("Gains(kp=..., ")
+    with pytest.raises(ParameterError, match=r"no parameter kpp .*mean kp"):
         Gains(kp=1.0, axes=1, kpp=3.0)
+    with pytest.raises(ParameterError, match=r"needs parameter axes: .*Gains\(axes="):
+        Gains(kp=1.0)
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        lambda: Gains(kp=-1.0, axes=1),
+        lambda: Gains(kp="1", axes=1),
+        lambda: Gains(kp=1.0),
+        lambda: Gains(kp=1.0, axes=1, kpp=3.0),
+        lambda: Gains(1.0),
+    ],
+)
+def test_the_stack_of_a_refusal_ends_with_the_line_that_caused_it(refused) -> None:
+    with pytest.raises(ParameterError) as caught:
+        refused()
+    frames = traceback.extract_tb(caught.value.__traceback__)
+    assert [Path(one.filename).name for one in frames[-2:]] == [
+        Path(__file__).name,
+        "_params.py",
+    ]
+    assert "Gains(" in (frames[-2].line or "")
 
 
 def test_parameters_from_python_values():
@@ -211,7 +239,7 @@ def test_parameters_from_python_values():
         make_params(Gains, {"kpp": 2.0})
     with pytest.raises(ParameterError, match="Gains needs parameter axes") as caught:
         make_params(Gains, {"kp": 2.0})
-    assert caught.value.remedy == "give it a value: params=Gains(axes=...)"
+    assert caught.value.remedy == "give it a value: Gains(axes=...)"
 
 
 def test_one_value_is_changed():
