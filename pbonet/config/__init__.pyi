@@ -40,7 +40,12 @@ from .rmod import (
     rmod_name as rmod_name,
     write_rmod as write_rmod,
 )
-from .sbs import parse_sbs as parse_sbs, read_sbs as read_sbs, write_sbs as write_sbs
+from .sbs import (
+    LONGEST_HANG as LONGEST_HANG,
+    parse_sbs as parse_sbs,
+    read_sbs as read_sbs,
+    write_sbs as write_sbs,
+)
 from .svar import (
     parse_svar as parse_svar,
     read_svar as read_svar,

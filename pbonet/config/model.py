@@ -179,6 +179,8 @@ class RtpuEntry(Struct, frozen=True, kw_only=True):
     errprint: ErrPrint = ErrPrint.WARNINGS
     minfreq: float = 1.0
     maxfreq: float = 1000.0
+    hangtime: float = 0.1
+    """Seconds of CPU time after which a cycle that has used up its period hangs."""
     place: Place | None = None
 
 

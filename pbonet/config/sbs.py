@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HEAD = Grammar("SUBSYSTEM SVARFILE [MASTER]", after=("RTPU",))
-RTPU = Grammar("RTPU [SCHEDULER|USAGE|ERRPRINT|MINFREQ|MAXFREQ]", after=("RTPU", "EOF"))
+RTPU = Grammar(
+    "RTPU [SCHEDULER|USAGE|ERRPRINT|MINFREQ|MAXFREQ|HANGTIME]", after=("RTPU", "EOF")
+)
+LONGEST_HANG = 3600.0
+"""Seconds; the largest HANGTIME."""
 
 
 def read_sbs(path: str | Path) -> SbsFile:
@@ -90,6 +94,7 @@ def _rtpu(reader: Reader, former: dict[str, RtpuEntry]) -> RtpuEntry:
         errprint=_option(block, "ERRPRINT", ErrPrint.WARNINGS, "a kind of messages"),
         minfreq=_hertz(reader, block, "MINFREQ", 1.0),
         maxfreq=_hertz(reader, block, "MAXFREQ", 1000.0),
+        hangtime=_hangtime(reader, block),
         place=name.place,
     )
     if entry.minfreq >= entry.maxfreq:
@@ -124,6 +129,15 @@ def _hertz(reader: Reader, block: Block, keyword: str, default: float) -> float:
     return words.real(reader, words.single(line, "a frequency in Hz"), "Hz above 0")
 
 
+def _hangtime(reader: Reader, block: Block) -> float:
+    line = block.get("HANGTIME")
+    if line is None:
+        return 0.1
+    word = words.single(line, "a CPU time in seconds")
+    wanted = f"a CPU time above 0, up to {LONGEST_HANG:g} s"
+    return words.real(reader, word, wanted, high=LONGEST_HANG, open_high=False)
+
+
 def write_sbs(record: SbsFile) -> str:
     """Return the text of a ``.sbs`` file with the content of `record`.
 
@@ -145,5 +159,6 @@ def write_sbs(record: SbsFile) -> str:
             text_line("ERRPRINT", rtpu.errprint.value),
             text_line("MINFREQ", number(rtpu.minfreq)),
             text_line("MAXFREQ", number(rtpu.maxfreq)),
+            text_line("HANGTIME", number(rtpu.hangtime)),
         ]
     return same_again(record, "".join([*lines, "EOF\n"]), parse_sbs)

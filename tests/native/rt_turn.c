@@ -49,7 +49,7 @@ static void disturb(struct rt_table *t, int i)
 {
     struct rt_settings s = {.pid = -1, .crit = -1, .priority = -1, .kind = -1,
                             .period_ns = -1, .deadline_ns = -1, .minc_ns = -1,
-                            .maxc_ns = -1, .drop = -1, .handler = -1, .tells = -1};
+                            .maxc_ns = -1, .hang_ns = -1, .drop = -1, .handler = -1, .tells = -1};
     struct rt_part part = {.mode = -1, .locked = -1};
     uint64_t after[RT_MASKS];
     struct rt_config *c = &t->slots[i].config;

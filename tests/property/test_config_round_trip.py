@@ -166,6 +166,7 @@ def sbss(draw: st.DrawFn) -> SbsFile:
             errprint=draw(st.sampled_from(ErrPrint)),
             minfreq=low,
             maxfreq=high,
+            hangtime=draw(st.floats(1e-6, 3600.0)),
         )
         rtpus.append(entry)
     return SbsFile(

@@ -152,6 +152,7 @@ class RtpuClients:
                 errprint=self.entries[name].errprint,
                 minfreq=self.entries[name].minfreq,
                 maxfreq=self.entries[name].maxfreq,
+                hangtime=self.entries[name].hangtime,
                 take_over=take_over,
                 svar=svar,
                 svar_name=svar_name,

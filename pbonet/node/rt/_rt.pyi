@@ -102,6 +102,7 @@ class CoreTable:
         kind: int | None = None,
         minc_ns: int | None = None,
         maxc_ns: int | None = None,
+        hang_ns: int | None = None,
         drop: int | None = None,
         handler: int | None = None,
         tells: bool | None = None,
@@ -121,6 +122,7 @@ class CoreTable:
             minc_ns: CPU time guaranteed to each cycle; 0 for none.
             maxc_ns: CPU time reserved for each cycle, or for a server's period; 0 for
                 no limit.
+            hang_ns: CPU time after which a cycle that has used up its period hangs.
             drop: Criticality once the reserve is used up.
             handler: Criticality of the module's failure handler; 0 for the task's own.
             tells: The module has a failure handler.

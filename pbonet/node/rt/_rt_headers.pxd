@@ -47,7 +47,7 @@ cdef extern from "table.h" nogil:
         int fd, member
     struct rt_settings:
         int32_t pid, crit, priority, kind, drop, handler, tells
-        int64_t period_ns, deadline_ns, minc_ns, maxc_ns
+        int64_t period_ns, deadline_ns, minc_ns, maxc_ns, hang_ns
     int rt_attach(rt_map *map, const char *path, int core, int member)
     void rt_detach(rt_map *map, const char *path)
     void rt_unmap(rt_map *map)

@@ -108,16 +108,19 @@ cdef class CoreTable:
         rt_kick(self.t)
 
     def configure(self, int i, *, pid=None, period_ns=None, deadline_ns=None, crit=None,
-                  priority=None, kind=None, minc_ns=None, maxc_ns=None, drop=None,
-                  handler=None, tells=None) -> None:
+                  priority=None, kind=None, minc_ns=None, maxc_ns=None, hang_ns=None,
+                  drop=None, handler=None, tells=None) -> None:
         cdef rt_slot *slot = self.slot(i)
         cdef rt_settings s = rt_settings(pid=-1, crit=-1, priority=-1, kind=-1,
                                          period_ns=-1, deadline_ns=-1, minc_ns=-1,
-                                         maxc_ns=-1, drop=-1, handler=-1, tells=-1)
+                                         maxc_ns=-1, hang_ns=-1, drop=-1, handler=-1,
+                                         tells=-1)
         if minc_ns is not None:
             s.minc_ns = _within("minc_ns", minc_ns, 0, 1 << 61)
         if maxc_ns is not None:
             s.maxc_ns = _within("maxc_ns", maxc_ns, 0, 1 << 61)
+        if hang_ns is not None:
+            s.hang_ns = _within("hang_ns", hang_ns, 1, 1 << 61)
         if drop is not None:
             s.drop = _within("drop", drop, 0, 63)
         if handler is not None:

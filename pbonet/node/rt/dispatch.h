@@ -32,6 +32,7 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     int64_t deadline = atomic_load_explicit(&c->deadline_ns, memory_order_relaxed);
     int64_t minc = atomic_load_explicit(&c->minc_ns, memory_order_relaxed);
     int64_t maxc = atomic_load_explicit(&c->maxc_ns, memory_order_relaxed);
+    int64_t hang = atomic_load_explicit(&c->hang_ns, memory_order_relaxed);
     int32_t drop = atomic_load_explicit(&c->drop, memory_order_relaxed);
     int32_t handler = atomic_load_explicit(&c->handler, memory_order_relaxed);
     int32_t tells = atomic_load_explicit(&c->tells, memory_order_relaxed);
@@ -56,6 +57,7 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     s->deadline = deadline;
     s->minc = minc;
     s->maxc = maxc;
+    s->hang = hang;
     s->drop = drop;
     s->handler = handler;
     s->tells = tells != 0;
@@ -197,7 +199,7 @@ static inline void rt_latch_overrun(struct rt_table *t, int i, struct rt_state *
     if (s->overrun == RT_HUNG)
         return;
     int64_t used = cpu(&t->slots[i]) - s->overrun_mark;
-    uint8_t overrun = used >= RT_HUNG_NS ? RT_HUNG : used >= s->period ? RT_LAST : RT_OVER;
+    uint8_t overrun = used >= s->hang ? RT_HUNG : used >= s->period ? RT_LAST : RT_OVER;
     if (overrun <= s->overrun)
         return;
     s->overrun = overrun;

@@ -44,7 +44,7 @@ enum {
 #define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
 #define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
 #define RT_STALL_NS INT64_C(20000000)
-#define RT_HUNG_NS INT64_C(100000000)    /* CPU time of a cycle after it used up its period */
+#define RT_HANG_NS INT64_C(100000000)    /* default of `hang_ns` */
 #define RT_NEVER INT64_MAX
 
 enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2, RT_STANDS = 3 };
@@ -81,6 +81,7 @@ struct rt_config {
     _Atomic int32_t member;
     _Atomic int64_t period_ns, deadline_ns;
     _Atomic int64_t minc_ns, maxc_ns;   /* 0: none; maxc of a server: its capacity */
+    _Atomic int64_t hang_ns;            /* CPU time of a cycle beyond its period: it hangs */
     _Atomic int32_t drop;               /* criticality once maxc is used up */
     _Atomic int32_t handler;            /* of the failure handler; 0: the task's own */
     _Atomic int32_t tells;              /* the module has a failure handler */
@@ -145,7 +146,7 @@ struct rt_state {
     int32_t rank, drop, handler;        /* rank: the current criticality */
     uint32_t told, handled, wish;
     uint32_t heard;                     /* `post.events` of a device, as last read */
-    int64_t minc, maxc;
+    int64_t minc, maxc, hang;
     int64_t clock, mark;                /* CPU clock: last read; start of the reserve */
     int64_t check_ns;                   /* time of the next check; 0: none */
     int64_t locked_ns;                  /* when a critical section is forced to end */

@@ -396,6 +396,7 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     atomic_store(&c->deadline_ns, 0);
     atomic_store(&c->minc_ns, 0);
     atomic_store(&c->maxc_ns, 0);
+    atomic_store(&c->hang_ns, RT_HANG_NS);
     atomic_store(&c->drop, 0);
     atomic_store(&c->handler, 0);
     atomic_store(&c->tells, 0);
@@ -449,7 +450,7 @@ static inline int rt_alloc(struct rt_table *t, int member, const char *rtpu,
 /* New settings of a slot; -1 leaves a value as it is. */
 struct rt_settings {
     int32_t pid, crit, priority, kind, drop, handler, tells;
-    int64_t period_ns, deadline_ns, minc_ns, maxc_ns;
+    int64_t period_ns, deadline_ns, minc_ns, maxc_ns, hang_ns;
 };
 
 static inline void rt_set32(_Atomic int32_t *to, int32_t value)
@@ -480,6 +481,7 @@ static inline void rt_configure(struct rt_table *t, int i, const struct rt_setti
     rt_set32(&c->tells, s->tells);
     rt_set64(&c->minc_ns, s->minc_ns);
     rt_set64(&c->maxc_ns, s->maxc_ns);
+    rt_set64(&c->hang_ns, s->hang_ns);
     rt_config_end(c, gen);
     pthread_mutex_unlock(&t->edit);
 }

@@ -74,7 +74,7 @@ static inline void rt_set_rank(struct rt_table *t, int i, struct rt_state *s, in
 
 /* A cycle has used up its period; it continues with the deadline of the next one. It may
  * have been delayed by others. If it uses the CPU time of another whole period it goes last
- * among equally critical tasks, and if it uses RT_HUNG_NS it hangs. */
+ * among equally critical tasks, and once it has used `hang`, it hangs. */
 static inline void rt_overruns(const struct rt_table *t, int i, struct rt_state *s,
                                rt_cpu_fn cpu)
 {

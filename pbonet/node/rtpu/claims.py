@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 
+from pbonet.config import LONGEST_HANG
 from pbonet.errors import ClaimError
 from pbonet.xm.net import Standing
 
@@ -32,6 +33,7 @@ class Entry(Struct, kw_only=True):
     errprint: str
     minfreq: float
     maxfreq: float
+    hangtime: float
     job: Standing | None = None
     """The current job, on the RTPU that keeps the table."""
 
@@ -97,6 +99,7 @@ class Claims:
             errprint=request.errprint,
             minfreq=request.minfreq,
             maxfreq=request.maxfreq,
+            hangtime=request.hangtime,
             job=held.job if held is not None else None,
         )
         self._entries[request.subsystem] = entry
@@ -186,6 +189,14 @@ class Claims:
                 expected="0 < minfreq < maxfreq, in Hz",
                 got=f"{request.minfreq:g} to {request.maxfreq:g}",
                 remedy="correct MINFREQ and MAXFREQ in the .sbs file",
+            )
+        if not 0 < request.hangtime <= LONGEST_HANG:
+            raise ClaimError(
+                "the time after which a cycle hangs is not usable",
+                where=self._rtpu,
+                expected=f"above 0, up to {LONGEST_HANG:g} s",
+                got=f"{request.hangtime:g} s",
+                remedy="correct HANGTIME in the .sbs file",
             )
 
     def _lapsed(

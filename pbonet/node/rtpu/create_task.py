@@ -9,7 +9,7 @@ import msgspec
 from msgspec import structs
 
 from pbonet.analysis.schedule import Kind
-from pbonet.config import TaskType, parse_rmod
+from pbonet.config import RtpuEntry, TaskType, parse_rmod
 from pbonet.errors import (
     NoAnswerError,
     ParameterError,
@@ -154,6 +154,12 @@ class Limits(TypedDict, total=False):
     maxc_ns: int
 
 
+def hang_ns(rtpu: Rtpu, subsystem: str) -> int:
+    """Return the CPU time after which a cycle beyond its period hangs."""
+    entry = rtpu.claims.get(subsystem) or RtpuEntry(name=rtpu.name)
+    return _ns(entry.hangtime)
+
+
 def limits(rmod: Rmod, freq: float) -> Limits:
     """Return the limits the dispatcher watches for a task that runs at `freq` Hz.
 
@@ -181,7 +187,11 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
     key = (request.subsystem, request.task)
     ring = f"{rtpu.config.domain}.{request.subsystem}.{request.task}"
     rtpu.core.configure(
-        slot, kind=KINDS[rmod.tasktype], handler=rmod.handler or 0, **limits(rmod, freq)
+        slot,
+        kind=KINDS[rmod.tasktype],
+        handler=rmod.handler or 0,
+        hang_ns=hang_ns(rtpu, request.subsystem),
+        **limits(rmod, freq),
     )
     spec = rtpu_messages.TaskSpec(
         domain=rtpu.config.domain,

@@ -78,6 +78,7 @@ class Claim(Request, tag="claim"):
     errprint: str = "warnings"
     minfreq: float = 1.0
     maxfreq: float = 1000.0
+    hangtime: float = 0.1
     take_over: bool = False
     probe: bool = False
     svar: str = ""

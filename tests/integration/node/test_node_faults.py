@@ -1,6 +1,7 @@
 """Modules that misbehave: reported, contained, cleaned up; siblings miss nothing."""
 
 import os
+import re
 import signal
 import threading
 from pathlib import Path
@@ -359,6 +360,15 @@ def test_a_more_urgent_task_that_hangs_blocks_nobody(
     assert not alive(tid)
     arm.wait_cycles("good", 5)
     assert len(arm.events("HANGS", "bad")) == 1
+
+
+def test_a_cycle_hangs_after_the_time_that_the_subsystem_declares(nodes):
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", hangtime=1.0)
+    arm.spawn("bad", "hangs_in_cycle", freq=100.0)
+    arm.on("bad")
+    text = arm.wait_event("HANGS", "bad").text
+    assert float(re.search(r"has taken (\S+) s of CPU time", text)[1]) >= 1.0
 
 
 def test_a_task_that_is_only_slow_gets_its_level_back(arm):

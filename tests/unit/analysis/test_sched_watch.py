@@ -103,6 +103,17 @@ def test_a_device_s_cycle_hangs_in_the_same_way(core) -> None:
     assert not one.status().hung
 
 
+def test_the_time_after_which_a_cycle_hangs_can_be_set(core) -> None:
+    one = core(hang_ns=15 * MS)
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True)
+    one.until(20 * MS)
+    one.at(30 * MS, cpu_ns=14 * MS)
+    assert not one.status().hung
+    one.at(40 * MS, cpu_ns=1 * MS)
+    assert one.status().hung
+
+
 def test_a_new_leader_sets_the_level_that_the_last_one_took_from_a_hung_task(core):
     """The last one may have been killed between its decision and the system call."""
     one = core()

@@ -148,6 +148,8 @@ def test_a_released_claim_is_gone_and_its_epoch_never_comes_again(claims):
         {"minfreq": 5.0, "maxfreq": 5.0},
         {"maxfreq": float("inf")},
         {"minfreq": float("nan")},
+        {"hangtime": 0.0},
+        {"hangtime": float("inf")},
     ],
 )
 def test_wishes_that_cannot_be(claims, wish):
