@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -164,6 +165,17 @@ def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_me
     assert "the agent of arm1 has ended: SIGKILL" in out
     wait_for(lambda: not left_of(nodes), "the end of the RTPU process")
     assert list(shared_memory.iterdir()) == []
+
+
+def test_a_low_limit_of_open_files_is_raised(run):
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (32, hard))
+    try:
+        process = run("--record", "off", "--seconds", "0.2")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    _, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err
 
 
 def test_interrupt_during_the_start_undoes_it(run, nodes):

@@ -12,7 +12,7 @@ from pbonet.config import Library
 from pbonet.errors import PbonetError, SeveralError, Severity, StateError
 from pbonet.master.configuration import Files
 from pbonet.master.subsystem import Embedded, RecordingControl, Subsystem, profiling
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import messages as m, open_files
 
 from . import live_status, render, summary
 from .network_interface import Port
@@ -103,6 +103,7 @@ class Run:
         Raises:
             PbonetError: The job could not be started; nothing of it is left.
         """
+        open_files.ensure("run")
         agents = self._agents
         with self._interrupts.caught(), agents:
             names = [entry.name for entry in self.files.sbs.rtpus]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.config import absent
 from pbonet.node import rt
+from pbonet.xm.net import open_files
 
 from . import systemd_notify
 from .agent import Agent
@@ -130,8 +131,12 @@ def main(
 
     Returns:
         The exit status: 0, or 1 if it ended by itself or a process had to be killed.
+
+    Raises:
+        NodeError: It cannot start, or too few files may be open.
     """
     agent = Agent(config, backend=backend)
+    open_files.ensure(agent.name)
     life = AgentRun(agent, again)
     life.heed_signals()
     agent.start()

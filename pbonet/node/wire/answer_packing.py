@@ -6,7 +6,7 @@ import traceback
 from typing import TYPE_CHECKING
 
 from pbonet.errors import NodeError, PbonetError, StateError, SvarFullError
-from pbonet.xm.net import codec, messages as m
+from pbonet.xm.net import codec, messages as m, open_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,6 +58,8 @@ class Answers:
                 got=str(error),
                 remedy="free space in /dev/shm, or enlarge it",
             )
+        if limited := open_files.used_up(self._rtpu, error):
+            return limited
         op = type(request).__name__
         text = f"{op} failed inside pbonet: {type(error).__name__}: {error}"
         trace = "".join(traceback.format_exception(error))

@@ -8,6 +8,7 @@ from . import (
     file_messages as file_messages,
     key_expressions as key_expressions,
     messages as messages,
+    open_files as open_files,
     pki as pki,
     resource_messages as resource_messages,
     roles as roles,
