@@ -45,6 +45,7 @@ RUNS = {
     "combine": "combine",
     "record": "record",
     "kills": "kills",
+    "soak": "soak",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -60,6 +61,7 @@ QUICK = {
     "aperiodic": "--seconds 1",
     "startup": "--rounds 2",
     "kills": "--rounds 2",
+    "soak": "--minutes 0.1",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",
