@@ -22,7 +22,7 @@ from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError, StateError, UnreachableError
 from pbonet.master.configuration import environment
-from pbonet.xm.net import credentials, session
+from pbonet.xm.net import credentials, run_folder, session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -177,7 +177,10 @@ class Embedded:
         ]
 
     def stop(self) -> list[str]:
-        """End the agents in order; return the RTPUs that had to be killed."""
+        """End the agents in order; return the RTPUs that had to be killed.
+
+        An RTPU process whose agent has died ends by itself; that is waited for, too.
+        """
         for child in self.children:
             if child.process.poll() is None:
                 child.process.terminate()
@@ -192,8 +195,17 @@ class Embedded:
                 child.process.wait()
                 killed.append(child.rtpu)
             child.output.close()
+        while self._remains() and time.monotonic() < deadline:
+            time.sleep(_LOOK)
         self.children = []
         return killed
+
+    def _remains(self) -> bool:
+        """Return whether an RTPU process of these agents still runs."""
+        return any(
+            run_folder.is_held(run_folder.Places(self._domain, child.rtpu).ctl_lock)
+            for child in self.children
+        )
 
     def __enter__(self) -> Self:
         return self

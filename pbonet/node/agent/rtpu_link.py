@@ -26,6 +26,7 @@ from pbonet.node.rtpu import SnapshotChanges, cleanup
 from pbonet.node.wire import rtpu_messages
 
 from . import start_rtpu
+from .stopped_processes import PERIOD
 
 if TYPE_CHECKING:
     from collections.abc import Generator
@@ -188,9 +189,6 @@ class RtpuLink:
     def shut_down(self, timeout: float) -> bool:
         """Let all tasks be turned OFF in order; return whether it ended by itself."""
         self._closing = True
-        if self.info is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self.info.pid, signal.SIGCONT)  # it may be stopped
         with contextlib.suppress(NodeError):
             self.send(rtpu_messages.Shutdown(timeout))
         by_itself = self._ended(timeout + 3.0, kill=True)
@@ -432,9 +430,14 @@ class RtpuLink:
         except ProcessLookupError:
             return True
         try:
-            ended = start_rtpu.readable(pidfd, timeout)
+            deadline = time.monotonic() + timeout
+            ended = False
+            while not ended and (left := deadline - time.monotonic()) > 0.0:
+                if kill:  # it may be stopped, and later again
+                    _send_signal(pidfd, signal.SIGCONT)
+                ended = start_rtpu.readable(pidfd, min(left, PERIOD))
             if kill and not ended:
-                signal.pidfd_send_signal(pidfd, signal.SIGKILL)
+                _send_signal(pidfd, signal.SIGKILL)
                 start_rtpu.readable(pidfd, 5.0)
         finally:
             os.close(pidfd)
@@ -475,6 +478,11 @@ class RtpuLink:
         how = describe_end(code) if code is not None else reason
         said = start_rtpu.log_tail(self._places)
         return f"{how}\n{said}" if said else how
+
+
+def _send_signal(pidfd: int, which: signal.Signals) -> None:
+    with contextlib.suppress(ProcessLookupError):  # it has just ended
+        signal.pidfd_send_signal(pidfd, which)
 
 
 def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:

@@ -285,6 +285,7 @@ class Task:
             )
         try:
             self.child.sock.send(data)
+            self.child.send_signal(signal.SIGCONT)  # it may be stopped
         except OSError as error:
             raise TaskDiedError(
                 "the task takes no messages",
