@@ -2,6 +2,9 @@
 
 from libc.stdint cimport int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 
+cdef extern from "<string.h>" nogil:
+    size_t strnlen(const char *text, size_t most)
+
 cdef extern from "doze.h" nogil:
     enum: TB_VERSION, TB_TEXT, TB_WHO, TB_ROLES, TB_ALIGN
     enum: TB_WRITER, TB_READER, TB_CARER
@@ -33,8 +36,8 @@ cdef extern from "doze.h" nogil:
     int tb_verify(const tb_buffer *b, uint64_t bytes)
     uint64_t tb_number(uint64_t word)
     bint tb_news(const tb_buffer *b)
-    bint tb_write(tb_buffer *b, const tb_stamp *stamp, const void *data)
-    int tb_read(tb_buffer *b, tb_stamp *stamp, void *data, bint again)
+    int tb_write(tb_buffer *b, uint64_t bytes, const tb_stamp *stamp, const void *data)
+    int tb_read(tb_buffer *b, uint64_t bytes, tb_stamp *stamp, void *data, bint again)
     int64_t tb_now()
     void tb_wake(uint32_t *bell)
     int tb_doze(tb_buffer *b, int64_t until_ns)
@@ -47,10 +50,13 @@ cdef extern from "message.h" nogil:
         uint16_t version, text_bytes
         uint64_t number, source
         int64_t stamp_ns, age_ns
-    uint64_t tb_message_bytes(const tb_buffer *b)
-    void tb_pack(const tb_buffer *b, const tb_stamp *stamp, const void *data,
+    struct tb_form:
+        const void *text
+        uint64_t text_bytes, bytes
+    uint64_t tb_message_bytes(const tb_form *f)
+    void tb_pack(const tb_form *f, const tb_stamp *stamp, const void *data,
                  int64_t now_ns, uint8_t *to)
     int tb_unpack(const uint8_t *message, uint64_t bytes, tb_head *head)
     int tb_written(const tb_head *head, int64_t now_ns, bint known, int64_t offset_ns,
                    int64_t error_ns, int64_t *time_ns)
-    bint tb_fits(const tb_buffer *b, const uint8_t *message, const tb_head *head)
+    bint tb_fits(const tb_form *f, const uint8_t *message, const tb_head *head)

@@ -69,6 +69,8 @@ cdef class Buffer:
 
     cdef tb_buffer *b
     cdef size_t bytes
+    cdef tb_form form           # our own, as the file may be overwritten
+    cdef readonly bytes text
     cdef readonly int fileno
     cdef readonly str path
 
@@ -104,9 +106,19 @@ cdef class Buffer:
         if tb_size(record) > self.bytes or len(text) > TB_TEXT:
             raise ValueError("the file is too small for it")
         tb_make(self.open(), record, source, text, len(text))
+        self.keep_form(text, record)
+
+    cdef void keep_form(self, bytes text, uint64_t record):
+        self.text = text        # keeps the memory in place
+        self.form = tb_form(text=PyBytes_AS_STRING(text), text_bytes=len(text), bytes=record)
 
     def verify(self) -> None:
         cdef int verdict = tb_verify(self.open(), self.bytes)
+        if not verdict:
+            self.keep_form((<char *>self.b.text)[:min(self.b.text_bytes, <unsigned>TB_TEXT)],
+                     self.b.bytes)
+            if tb_size(self.form.bytes) != self.bytes:  # it has changed since
+                verdict = TB_DAMAGED
         if verdict == TB_BAD_VERSION:
             raise XmLayoutError("the buffer was made by another version of pbonet",
                                 where=self.path, expected=f"version {TB_VERSION}",
@@ -122,12 +134,9 @@ cdef class Buffer:
                                  remedy="stop the processes that use it, and remove it")
 
     @property
-    def text(self) -> bytes:
-        return (<char *>self.open().text)[:self.b.text_bytes]
-
-    @property
     def record(self) -> int:
-        return self.open().bytes
+        self.open()
+        return self.form.bytes
 
     @property
     def written(self) -> int:
@@ -151,7 +160,8 @@ cdef class Buffer:
         self.b.roles[role].pid = os.getpid()
 
     def who(self, int role) -> str:
-        return (<bytes>self.open().roles[role].who).decode(errors="replace")
+        cdef const char *who = self.open().roles[role].who
+        return who[:strnlen(who, TB_WHO)].decode(errors="replace")
 
 
 cdef class End(Buffer):
@@ -193,6 +203,13 @@ cdef class End(Buffer):
         return self.stamp.time_ns
 
 
+cdef _refuse_memory(Buffer self):
+    raise XmDamagedError("the link's memory was overwritten", where=self.path,
+                         expected="what its two ends wrote",
+                         remedy="stop the processes that use the link, remove the file, and "
+                         "find the module or program that wrote there")
+
+
 cdef int _send(Out self, int64_t now_ns) except -1:
     # Not a C method: a `Writer` has the vtable of `End`, which lacks those of `Out`.
     cdef tb_buffer *b = self.ready()
@@ -200,7 +217,10 @@ cdef int _send(Out self, int64_t now_ns) except -1:
         self.raw[...] = self.own
     self.stamp.number += 1
     self.stamp.time_ns = self.stamp.stamp_ns = now_ns if now_ns else tb_now()
-    if tb_write(b, &self.stamp, self.copy):
+    cdef int code = tb_write(b, self.form.bytes, &self.stamp, self.copy)
+    if code < 0:
+        _refuse_memory(self)
+    if code:
         tb_ring(&later, &b.bell)
     return 0
 
@@ -251,15 +271,18 @@ cdef class Out(End):
                               &written)
         if code:
             _refuse_message(code, &head, len(message))
-        if not turned and not tb_fits(b, at, &head):
+        if not turned and not tb_fits(&self.form, at, &head):
             return False
-        if <uint64_t>len(message) != sizeof(tb_head) + head.text_bytes + b.bytes:
+        if <uint64_t>len(message) != sizeof(tb_head) + head.text_bytes + self.form.bytes:
             raise ProtocolError("the record is cut short", where=self.path,
                                 remedy="run the same pbonet version on every machine")
         self.stamp = tb_stamp(number=head.number & 0xffffffffffffff, source=head.source,
                               time_ns=written, stamp_ns=head.stamp_ns)
-        if tb_write(b, &self.stamp,
-                    self.copy if turned else at + sizeof(tb_head) + head.text_bytes):
+        code = tb_write(b, self.form.bytes, &self.stamp,
+                        self.copy if turned else at + sizeof(tb_head) + head.text_bytes)
+        if code < 0:
+            _refuse_memory(self)
+        if code:
             tb_wake(&b.bell)
         return True
 
@@ -286,19 +309,26 @@ cdef class In(End):
         """Copy the newest record, or replay it from a log; False: nothing new."""
         cdef bint new = False
         if self.outside is None:
-            return tb_read(self.ready(), &self.stamp, self.copy, not self.met)
+            return self.fetch_own()
         if self.outside.player is not None:
             return self.play(self.outside.ask(None, default=b""))
         try:
-            new = tb_read(self.ready(), &self.stamp, self.copy, not self.met)
+            new = self.fetch_own()
         except BaseException as error:
             self.outside.failed(error)
             raise
         self.outside.calls += 1
         if new and self.outside.recording():
             self.outside.put(TAPE_RAW, &self.stamp, sizeof(tb_stamp), self.copy,
-                             self.b.bytes)
+                             self.form.bytes)
         return new
+
+    cdef bint fetch_own(self) except -1:
+        cdef int code = tb_read(self.ready(), self.form.bytes, &self.stamp, self.copy,
+                                not self.met)
+        if code < 0:
+            _refuse_memory(self)
+        return code
 
     cdef bint play(self, bytes heard) except -1:
         if not heard:
@@ -341,8 +371,8 @@ cdef class In(End):
             if not self.read():
                 return None
         tb_paced(&self.pace, self.stamp.time_ns, self.lost - lost)
-        packed = PyBytes_FromStringAndSize(NULL, tb_message_bytes(b))
-        tb_pack(b, &self.stamp, self.copy, tb_now(),
+        packed = PyBytes_FromStringAndSize(NULL, tb_message_bytes(&self.form))
+        tb_pack(&self.form, &self.stamp, self.copy, tb_now(),
                 <uint8_t *>PyBytes_AS_STRING(packed))
         return packed
 

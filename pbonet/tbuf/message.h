@@ -25,22 +25,28 @@ struct tb_head {
 };
 _Static_assert(sizeof(struct tb_head) == 40, "the fields have no padding");
 
-static inline uint64_t tb_message_bytes(const struct tb_buffer *b) {
-    return sizeof(struct tb_head) + b->text_bytes + b->bytes;
+/* The layout of a record, and its size: a process's own copy of both. */
+struct tb_form {
+    const void *text;
+    uint64_t text_bytes, bytes;
+};
+
+static inline uint64_t tb_message_bytes(const struct tb_form *f) {
+    return sizeof(struct tb_head) + f->text_bytes + f->bytes;
 }
 
 /* Pack a record into memory of tb_message_bytes. */
-static inline void tb_pack(const struct tb_buffer *b, const struct tb_stamp *stamp,
+static inline void tb_pack(const struct tb_form *f, const struct tb_stamp *stamp,
                            const void *data, int64_t now_ns, uint8_t *to) {
     struct tb_head head = {
-        {'p', 'b', 'T', 'B'}, htole16(TB_MESSAGE_VERSION), htole16((uint16_t)b->text_bytes),
+        {'p', 'b', 'T', 'B'}, htole16(TB_MESSAGE_VERSION), htole16((uint16_t)f->text_bytes),
         htole64(stamp->number), htole64(stamp->source),
         (int64_t)htole64((uint64_t)stamp->stamp_ns),
         (int64_t)htole64((uint64_t)(now_ns - stamp->time_ns)),
     };
     memcpy(to, &head, sizeof head);
-    memcpy(to + sizeof head, b->text, b->text_bytes);
-    memcpy(to + sizeof head + b->text_bytes, data, b->bytes);
+    memcpy(to + sizeof head, f->text, f->text_bytes);
+    memcpy(to + sizeof head + f->text_bytes, data, f->bytes);
 }
 
 /* Check a message and read its head: 0, or why it is invalid. */
@@ -76,11 +82,11 @@ static inline int tb_written(const struct tb_head *head, int64_t now_ns, bool kn
     return 0;
 }
 
-/* Whether a message's record has this buffer's layout, in the same byte order. */
-static inline bool tb_fits(const struct tb_buffer *b, const uint8_t *from,
+/* Whether a message's record has this layout, in the same byte order. */
+static inline bool tb_fits(const struct tb_form *f, const uint8_t *from,
                            const struct tb_head *head) {
-    return head->text_bytes == b->text_bytes &&
-           !memcmp(from + sizeof *head, b->text, b->text_bytes);
+    return head->text_bytes == f->text_bytes &&
+           !memcmp(from + sizeof *head, f->text, f->text_bytes);
 }
 
 #endif

@@ -10,6 +10,10 @@
  * one compare-and-exchange, or by two if the reader took the last record in between; after
  * that the reader cannot change the word again. The reader takes the newest by one atomic
  * or. Neither ever waits for the other; docs/tbuf.md has the argument.
+ *
+ * Any process of the user can overwrite the file. So each process keeps the size of a record
+ * itself, and checks the word before it names a slot, and the number in the slot that it
+ * reads.
  */
 #ifndef PBONET_TRIPLE_H
 #define PBONET_TRIPLE_H
@@ -78,16 +82,21 @@ static inline void tb_make(struct tb_buffer *b, uint64_t bytes, uint64_t source,
     b->magic = TB_MAGIC;
 }
 
+/* Whether a word names two different slots, and has no other bits than a writer and a reader
+ * set. Zero is not valid. */
+static inline bool tb_valid(uint64_t word) {
+    unsigned newest = word & 3, before = word >> 2 & 3;
+    return newest < TB_SLOTS && before < TB_SLOTS && newest != before && !(word & 0xe0);
+}
+
 /* Check a mapped file; 0, or why it cannot be used. */
 static inline int tb_verify(const struct tb_buffer *b, uint64_t bytes) {
     if (bytes < sizeof *b) return TB_DAMAGED;
     if (b->magic == __builtin_bswap64(TB_MAGIC)) return TB_SWAPPED;
     if (b->magic != TB_MAGIC) return TB_DAMAGED;
     if (b->version != TB_VERSION) return TB_BAD_VERSION;
-    uint64_t word = atomic_load(&b->word);
     bool sound = b->bytes <= bytes && b->size == bytes && tb_size(b->bytes) == bytes &&
-                 b->text_bytes <= TB_TEXT && (word & 3) < TB_SLOTS &&
-                 (word >> 2 & 3) < TB_SLOTS && (word & 3) != (word >> 2 & 3);
+                 b->text_bytes <= TB_TEXT && tb_valid(atomic_load(&b->word));
     return sound ? 0 : TB_DAMAGED;
 }
 
@@ -99,8 +108,8 @@ static inline unsigned tb_held(uint64_t word) {
     return word & TB_TAKEN ? tb_newest(word) : word >> 2 & 3;
 }
 
-static inline struct tb_stamp *tb_slot(struct tb_buffer *b, unsigned slot) {
-    return (struct tb_stamp *)(b->slots + slot * tb_stride(b->bytes));
+static inline struct tb_stamp *tb_slot(struct tb_buffer *b, uint64_t bytes, unsigned slot) {
+    return (struct tb_stamp *)(b->slots + slot * tb_stride(bytes));
 }
 
 /* A slot that is neither the newest nor the reader's; it stays so until we publish. */
@@ -109,18 +118,22 @@ static inline unsigned tb_spare(uint64_t word) {
     return newest == held ? (newest + 1) % TB_SLOTS : TB_SLOTS - newest - held;
 }
 
-/* Write a record; returns whether a sleeping reader must be woken (tb_wake). */
-static inline bool tb_write(struct tb_buffer *b, const struct tb_stamp *stamp,
-                            const void *data) {
+/* Write a record of `bytes`: 1 when a sleeping reader must be woken (tb_wake), 0 when not, or
+ * TB_DAMAGED. */
+static inline int tb_write(struct tb_buffer *b, uint64_t bytes, const struct tb_stamp *stamp,
+                           const void *data) {
     /* SYNC POINT T1, partner T2: acquire, so that the reader's copy from this slot, which it
      * has left, comes before our writes to it. */
     uint64_t next, word = atomic_load_explicit(&b->word, memory_order_acquire);
-    unsigned slot = tb_spare(word);
-    struct tb_stamp *to = tb_slot(b, slot);
+    unsigned slot;
+    struct tb_stamp *to;
+    if (!tb_valid(word)) return TB_DAMAGED;
+    slot = tb_spare(word);
+    to = tb_slot(b, bytes, slot);
     PBONET_STEP(1);
     *to = *stamp;
     PBONET_STEP(2);
-    memcpy((uint8_t *)to + TB_ALIGN, data, b->bytes);
+    memcpy((uint8_t *)to + TB_ALIGN, data, bytes);
     PBONET_STEP(3);
     do {
         next = stamp->number << 8 | (uint64_t)tb_held(word) << 2 | slot;
@@ -140,12 +153,16 @@ static inline bool tb_news(const struct tb_buffer *b) {
     return !(atomic_load(&b->word) & TB_TAKEN);
 }
 
-/* Copy the newest record: 1, or 0 if it was taken before and not `again`, or if none was
- * ever written. The writer does not change the copied slot until the next call. */
-static inline int tb_read(struct tb_buffer *b, struct tb_stamp *stamp, void *data,
-                          bool again) {
+/* Copy the newest record of `bytes`: 1, or 0 if it was taken before and not `again`, or if
+ * none was ever written, or TB_DAMAGED. The writer does not change the copied slot until the
+ * next call. */
+static inline int tb_read(struct tb_buffer *b, uint64_t bytes, struct tb_stamp *stamp,
+                          void *data, bool again) {
+    const struct tb_stamp *from;
+    struct tb_stamp found;
     /* SYNC POINT T3, partner T2. */
     uint64_t word = atomic_load_explicit(&b->word, memory_order_acquire);
+    if (!tb_valid(word)) return TB_DAMAGED; /* before it is changed */
     if (word & TB_TAKEN) {
         if (!again || !tb_number(word)) return 0;
     } else {
@@ -155,10 +172,13 @@ static inline int tb_read(struct tb_buffer *b, struct tb_stamp *stamp, void *dat
         word = atomic_fetch_or(&b->word, TB_TAKEN);
         PBONET_STEP(6);
     }
-    const struct tb_stamp *from = tb_slot(b, tb_newest(word));
-    *stamp = *from;
+    if (!tb_valid(word)) return TB_DAMAGED;
+    from = tb_slot(b, bytes, tb_newest(word));
+    found = *from;
+    if ((found.number ^ tb_number(word)) << 8) return TB_DAMAGED;
+    *stamp = found;
     PBONET_STEP(7);
-    memcpy(data, (const uint8_t *)from + TB_ALIGN, b->bytes);
+    memcpy(data, (const uint8_t *)from + TB_ALIGN, bytes);
     PBONET_STEP(8);
     return 1;
 }

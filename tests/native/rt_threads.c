@@ -112,7 +112,8 @@ int main(int argc, char **argv)
                                 .period_ns = 1000000 + 300000 * i, .deadline_ns = 0};
         require(rt_alloc(table, member, "rtpu", "task") == i, "alloc");
         rt_configure(table, i, &s);
-        rings[i] = calloc(1, sizeof(struct ring) + 65536 + 64);
+        rings[i] = calloc(1, sizeof(struct ring));
+        rings[i]->file = calloc(1, sizeof(struct ring_file) + 65536 + 64);
         ring_init(rings[i], 65536, 0);
     }
     require(!rt_start(&loop), "start");
@@ -122,8 +123,10 @@ int main(int argc, char **argv)
     for (int i = 0; i <= TASKS; i++)
         pthread_join(threads[i], NULL);
     rt_stop(&loop);
-    for (int i = 0; i < TASKS; i++)
+    for (int i = 0; i < TASKS; i++) {
+        free(rings[i]->file);
         free(rings[i]);
+    }
     free(table);
     return 0;
 }

@@ -37,10 +37,10 @@ static int found_late(int *rung) {
     pthread_create(&sleeper, NULL, sleep_paced, &found);
     while (atomic_load(&buffer->bell)) {} /* until it looks without a bell */
     struct tb_stamp stamp = {.number = 1};
-    *rung = tb_write(buffer, &stamp, &stamp);
+    *rung = tb_write(buffer, BYTES, &stamp, &stamp);
     if (*rung) tb_wake(&buffer->bell);
     pthread_join(sleeper, NULL);
-    tb_read(buffer, &stamp, &(uint64_t){0}, false);
+    tb_read(buffer, BYTES, &stamp, &(uint64_t){0}, false);
     return found;
 }
 

@@ -38,7 +38,7 @@ static void put(void) {
     uint64_t data[WORDS];
     struct tb_stamp stamp = {.number = tb_number(atomic_load(&buffer->word)) + 1};
     for (int i = 0; i < WORDS; i++) data[i] = stamp.number;
-    tb_write(buffer, &stamp, data);
+    tb_write(buffer, BYTES, &stamp, data);
     written = stamp.number;
     wrote++;
 }
@@ -46,7 +46,9 @@ static void put(void) {
 static void get(void) {
     uint64_t data[WORDS], before = written;
     struct tb_stamp stamp;
-    if (!tb_read(buffer, &stamp, data, false)) {
+    const int found = tb_read(buffer, BYTES, &stamp, data, false);
+    torn += found < 0;
+    if (found <= 0) {
         old += last < before;
         return;
     }

@@ -50,14 +50,16 @@ static void put(void) {
     uint64_t data[WORDS];
     struct tb_stamp stamp = {.number = tb_number(atomic_load(&buffer->word)) + 1};
     for (int i = 0; i < WORDS; i++) data[i] = stamp.number;
-    if (tb_write(buffer, &stamp, data)) tb_wake(&buffer->bell);
+    if (tb_write(buffer, BYTES, &stamp, data) > 0) tb_wake(&buffer->bell);
     atomic_store(&shared->written, stamp.number);
 }
 
 static void get(bool again) {
     uint64_t data[WORDS], before = atomic_load(&shared->written);
     struct tb_stamp stamp;
-    if (!tb_read(buffer, &stamp, data, again)) {
+    const int found = tb_read(buffer, BYTES, &stamp, data, again);
+    if (found < 0) atomic_fetch_add(&shared->torn, 1);
+    if (found <= 0) {
         if (atomic_load(&shared->last) < before) atomic_fetch_add(&shared->old, 1);
         return;
     }

@@ -89,8 +89,8 @@ MUTANTS = {
         "} while (atomic_store(&b->word, next), 0);",
     ),
     "published before it is whole": (
-        "b->bytes);\n    PBONET_STEP(3);\n    do {",
-        "b->bytes / 2);\n    PBONET_STEP(3);\n    do {",
+        "bytes);\n    PBONET_STEP(3);\n    do {",
+        "bytes / 2);\n    PBONET_STEP(3);\n    do {",
     ),
     "taken without telling": (
         "word = atomic_fetch_or(&b->word, TB_TAKEN);",

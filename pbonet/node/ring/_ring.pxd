@@ -4,13 +4,14 @@ from libc.stdint cimport int64_t, uint32_t, uint64_t
 
 
 cdef extern from "pbonet/node/ring/ring.h" nogil:
-    const uint64_t RING_MAGIC
     enum:
-        RING_VERSION, RING_SYNC
+        RING_SYNC
     const uint32_t RING_STABLE
+    struct ring_file:
+        pass
     struct ring:
-        uint64_t magic, capacity
-        uint32_t version, about
+        ring_file *file
+        uint64_t capacity
     struct ring_record:
         uint32_t size, n_consumed, bytes, in_bytes, heard_bytes
         uint64_t cycle
@@ -18,6 +19,7 @@ cdef extern from "pbonet/node/ring/ring.h" nogil:
         uint64_t cpu_ns, uid, number, lost
         uint32_t flags, kind
     void ring_init(ring *r, uint64_t capacity, uint32_t about)
+    bint ring_use(ring *r, uint64_t bytes)
     enum:
         RING_WANT_NEW
         RING_WANT_ALL
@@ -36,7 +38,8 @@ cdef extern from "pbonet/node/ring/ring.h" nogil:
 
 
 cdef class Ring:
-    cdef ring *r
+    cdef ring own
+    cdef ring *r               # `own`; NULL: closed
     cdef object memory, view
     cdef int fd
     cdef bint consumer

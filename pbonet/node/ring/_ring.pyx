@@ -84,18 +84,18 @@ cdef class Ring:
                 os.unlink(path)
             fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             try:
-                os.posix_fallocate(fd, 0, sizeof(ring) + size + len(about))
+                os.posix_fallocate(fd, 0, sizeof(ring_file) + size + len(about))
             except OSError:
                 os.close(fd)
                 os.unlink(path)
                 raise
         except OSError as error:
             raise RealTimeError("the ring cannot be made", where=path, got=error.strerror,
-                                expected=f"{sizeof(ring) + size + len(about)} bytes",
+                                expected=f"{sizeof(ring_file) + size + len(about)} bytes",
                                 remedy="make room there") from None
         cdef Ring self = _map_ring(name, path, fd)
         if about:
-            self.memory[sizeof(ring) + size:] = about
+            self.memory[sizeof(ring_file) + size:] = about
         ring_init(self.r, size, len(about))
         return self
 
@@ -110,11 +110,7 @@ cdef class Ring:
         return _map_ring(name, path, fd).check()
 
     cdef Ring check(self):
-        cdef bint good = self.view.shape[0] > <Py_ssize_t>sizeof(ring)
-        if good:
-            good = (self.r.magic == RING_MAGIC and self.r.version == RING_VERSION
-                    and self.r.capacity + self.r.about == self.view.shape[0] - sizeof(ring))
-        if not good:
+        if not ring_use(self.r, self.view.shape[0]):
             self.close()
             raise NodeError("the file is not a ring, or is of another version", where=self.path)
         return self
@@ -130,7 +126,7 @@ cdef class Ring:
 
     @property
     def about(self) -> bytes:
-        return bytes(self.memory[sizeof(ring) + self.open().capacity:])
+        return bytes(self.memory[sizeof(ring_file) + self.open().capacity:])
 
     def put(self, const unsigned char[::1] data, *, uint64_t cycle=0, unsigned kind=0,
             int64_t now_ns=0, uint64_t uid=0, uint64_t number=0) -> bool:
@@ -207,5 +203,6 @@ cdef Ring _map_ring(str name, str path, int fd):
         self.memory.madvise(mmap.MADV_DONTFORK)  # a module may fork
     view = self.memory
     self.view = view
-    self.r = <ring *>&view[0]
+    self.own.file = <ring_file *>&view[0]
+    self.r = &self.own
     return self

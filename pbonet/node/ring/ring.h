@@ -18,7 +18,7 @@ enum { RING_SYNC = 9 };                         /* a kind: pbonet.log.Step.SYNC 
 #define RING_STABLE (UINT32_C(1) << 31)
 
 /* The text `about` follows the data: it describes the ring to the process that drains it. */
-struct ring {
+struct ring_file {
     uint64_t magic;
     uint32_t version, about;                /* about: bytes of that text */
     uint64_t capacity;                      /* of data, a power of two */
@@ -27,6 +27,13 @@ struct ring {
     _Alignas(64) _Atomic uint64_t tail;     /* consumer */
     _Atomic uint32_t want;                  /* RING_WANT_*: inputs requested by it */
     _Alignas(64) unsigned char data[];
+};
+
+/* A ring as a process uses it. The capacity is its own: the file may be overwritten by any
+ * process of the user, and no place in it may then be outside the mapping. */
+struct ring {
+    struct ring_file *file;
+    uint64_t capacity;
 };
 
 /* The head of a record; the data, the consumed pairs, the inputs and the input from outside
@@ -43,12 +50,25 @@ struct ring_record {
 
 static inline void ring_init(struct ring *r, uint64_t capacity, uint32_t about)
 {
-    r->version = RING_VERSION;
-    r->about = about;
     r->capacity = capacity;
+    r->file->version = RING_VERSION;
+    r->file->about = about;
+    r->file->capacity = capacity;
     /* SYNC POINT: a process that maps the ring reads `magic` first. */
     atomic_thread_fence(memory_order_release);
-    r->magic = RING_MAGIC;
+    r->file->magic = RING_MAGIC;
+}
+
+/* Use a file that another process made; 0 when its `bytes` are not a ring's. */
+static inline int ring_use(struct ring *r, uint64_t bytes)
+{
+    const struct ring_file *file = r->file;
+    if (bytes <= sizeof *file || file->magic != RING_MAGIC || file->version != RING_VERSION)
+        return 0;
+    r->capacity = file->capacity;
+    return r->capacity && !(r->capacity & (r->capacity - 1)) &&
+           r->capacity <= bytes - sizeof *file &&
+           file->about == bytes - sizeof *file - r->capacity;
 }
 
 static inline void ring_copy_in(struct ring *r, uint64_t at, const void *from, uint64_t n)
@@ -58,9 +78,9 @@ static inline void ring_copy_in(struct ring *r, uint64_t at, const void *from, u
         return;
     if (first > n)
         first = n;
-    memcpy(r->data + place, from, first);
+    memcpy(r->file->data + place, from, first);
     if (n > first)
-        memcpy(r->data, (const char *)from + first, n - first);
+        memcpy(r->file->data, (const char *)from + first, n - first);
 }
 
 static inline void ring_copy_out(const struct ring *r, uint64_t at, void *to, uint64_t n)
@@ -68,9 +88,9 @@ static inline void ring_copy_out(const struct ring *r, uint64_t at, void *to, ui
     uint64_t place = at & (r->capacity - 1), first = r->capacity - place;
     if (first > n)
         first = n;
-    memcpy(to, r->data + place, first);
+    memcpy(to, r->file->data + place, first);
     if (n > first)
-        memcpy((char *)to + first, r->data, n - first);
+        memcpy((char *)to + first, r->file->data, n - first);
 }
 
 static inline uint64_t ring_size(const struct ring_record *record)
@@ -82,25 +102,26 @@ static inline uint64_t ring_size(const struct ring_record *record)
 /* Whether there is room for a record; its size is known before it is filled. */
 static inline int ring_fits(const struct ring *r, const struct ring_record *record)
 {
-    uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
+    uint64_t head = atomic_load_explicit(&r->file->head, memory_order_relaxed);
     /* SYNC POINT: ring_done stores `tail` after the records before it have been copied. */
-    uint64_t tail = atomic_load_explicit(&r->tail, memory_order_acquire);
-    return ring_size(record) <= r->capacity - (head - tail);
+    uint64_t tail = atomic_load_explicit(&r->file->tail, memory_order_acquire);
+    const uint64_t used = head - tail; /* more than the capacity: it was overwritten */
+    return used <= r->capacity && ring_size(record) <= r->capacity - used;
 }
 
 static inline uint32_t ring_wants(const struct ring *r)
 {
-    return atomic_load_explicit(&r->want, memory_order_relaxed);
+    return atomic_load_explicit(&r->file->want, memory_order_relaxed);
 }
 
 static inline void ring_want(struct ring *r, uint32_t bits)
 {
-    atomic_fetch_or_explicit(&r->want, bits, memory_order_relaxed);
+    atomic_fetch_or_explicit(&r->file->want, bits, memory_order_relaxed);
 }
 
 static inline void ring_wanted(struct ring *r)
 {
-    atomic_fetch_and_explicit(&r->want, ~(uint32_t)RING_WANT_NEW, memory_order_relaxed);
+    atomic_fetch_and_explicit(&r->file->want, ~(uint32_t)RING_WANT_NEW, memory_order_relaxed);
 }
 
 /* Write inputs to their place in the next record, `at` bytes into its inputs. The caller
@@ -108,7 +129,7 @@ static inline void ring_wanted(struct ring *r)
 static inline void ring_stage(struct ring *r, const struct ring_record *record, uint64_t at,
                               const void *from, uint64_t n)
 {
-    uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
+    uint64_t head = atomic_load_explicit(&r->file->head, memory_order_relaxed);
     ring_copy_in(r, head + sizeof *record + record->bytes +
                  (uint64_t)record->n_consumed * 16 + at, from, n);
 }
@@ -119,10 +140,10 @@ static inline int ring_put(struct ring *r, struct ring_record *record,
                            const uint64_t *consumed, const void *data,
                            const void *heard)
 {
-    uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
-    uint64_t lost = atomic_load_explicit(&r->lost, memory_order_relaxed);
+    uint64_t head = atomic_load_explicit(&r->file->head, memory_order_relaxed);
+    uint64_t lost = atomic_load_explicit(&r->file->lost, memory_order_relaxed);
     if (!ring_fits(r, record)) {
-        atomic_store_explicit(&r->lost, lost + 1, memory_order_relaxed);
+        atomic_store_explicit(&r->file->lost, lost + 1, memory_order_relaxed);
         return 0;
     }
     record->size = (uint32_t)ring_size(record);
@@ -135,33 +156,33 @@ static inline int ring_put(struct ring *r, struct ring_record *record,
                  (uint64_t)record->n_consumed * 16 + record->in_bytes, heard,
                  record->heard_bytes);
     /* SYNC POINT: ring_ready loads `head` before it reads records. */
-    atomic_store_explicit(&r->head, head + record->size, memory_order_release);
+    atomic_store_explicit(&r->file->head, head + record->size, memory_order_release);
     return 1;
 }
 
 /* Bytes of complete waiting records; more than the capacity means a damaged ring. */
 static inline uint64_t ring_ready(const struct ring *r)
 {
-    return atomic_load_explicit(&r->head, memory_order_acquire) -
-           atomic_load_explicit(&r->tail, memory_order_relaxed);
+    return atomic_load_explicit(&r->file->head, memory_order_acquire) -
+           atomic_load_explicit(&r->file->tail, memory_order_relaxed);
 }
 
 static inline uint64_t ring_lost(const struct ring *r)
 {
-    return atomic_load_explicit(&r->lost, memory_order_relaxed);
+    return atomic_load_explicit(&r->file->lost, memory_order_relaxed);
 }
 
 /* Copy `n` waiting bytes out; ring_done frees their space. */
 static inline void ring_look(const struct ring *r, void *to, uint64_t n)
 {
-    ring_copy_out(r, atomic_load_explicit(&r->tail, memory_order_relaxed), to, n);
+    ring_copy_out(r, atomic_load_explicit(&r->file->tail, memory_order_relaxed), to, n);
 }
 
 static inline void ring_done(struct ring *r, uint64_t n)
 {
-    uint64_t tail = atomic_load_explicit(&r->tail, memory_order_relaxed);
+    uint64_t tail = atomic_load_explicit(&r->file->tail, memory_order_relaxed);
     /* SYNC POINT: ring_put loads `tail` before it overwrites these bytes. */
-    atomic_store_explicit(&r->tail, tail + n, memory_order_release);
+    atomic_store_explicit(&r->file->tail, tail + n, memory_order_release);
 }
 
 #endif

@@ -120,6 +120,45 @@ def test_a_count_that_only_fits_in_32_bits_is_not_followed(ring) -> None:
         ring.drain()
 
 
+OVERWRITTEN = """
+import os, random, sys
+from pbonet.errors import NodeError
+from pbonet.node.rt import _rt
+for seed in range(60):
+    ring = _rt.Ring.create("sub.hit", 4096)
+    for n in range(3):
+        assert ring.put(bytes([n]) * 64)
+    size = os.path.getsize(ring.path)
+    pick = random.Random(seed)
+    n = pick.choice([size, 192, pick.randrange(8, size)])
+    with open(ring.path, "r+b") as file:
+        file.write(pick.randbytes(n) if sys.argv[1] == "random" else bytes(n))
+    for _ in range(100):
+        ring.put(b"x" * 64)
+        ring.want()
+    try:
+        assert all(len(record.data) <= 4096 for record in ring.drain())
+    except NodeError as error:
+        assert "the ring is damaged" in str(error)
+    assert len(ring.about) <= size
+    ring.destroy()
+print("survived")
+"""
+
+
+@pytest.mark.parametrize("kind", ["random", "zero"])
+@pytest.mark.usefixtures("ring")
+def test_a_ring_that_is_overwritten_ends_no_process(kind) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", OVERWRITTEN, kind],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "survived\n", "")
+
+
 @pytest.mark.usefixtures("ring")
 def test_a_closed_ring_says_so() -> None:
     other = _rt.Ring.attach("sub.task")
