@@ -26,7 +26,7 @@ import numpy as np
 from pbonet.pbo import line_of
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
     from types import FrameType, ModuleType
 
 _DEVICES: Final = frozenset({"/dev/random", "/dev/urandom"})
@@ -45,6 +45,8 @@ class Chance:
         """The function or device, and the line; empty: there was no such number."""
         self.seeded: set[str] = set()
         """Shared generators that the module has seeded."""
+        self.states: dict[str, Any] = {}
+        """Their states while another task runs; each had a process of its own."""
 
     def loaded_from(self, files: Sequence[str]) -> None:
         """Note the numbers that a module used while it was loaded, maybe long ago."""
@@ -67,13 +69,19 @@ class _Watch:
         self.chance: Chance | None = None
         self.at_load: dict[str, str] = {}
         """By file, the first number that was used while it was loaded."""
+        self._generators: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {}
+        """How the state of each shared generator is read and set."""
         self._hooked = False
 
     @contextmanager
     def sources(self) -> Generator[None]:
         """Replace the functions that give random numbers, in this block."""
-        shared: ModuleType = importlib.import_module("numpy.random.mtrand")
+        shared: Any = importlib.import_module("numpy.random.mtrand")
         entropy: Any = importlib.import_module("numpy.random.bit_generator")
+        self._generators = {
+            "random": (random.getstate, random.setstate),
+            "numpy.random": (shared.get_state, shared.set_state),
+        }
         if not self._hooked:  # a hook stays as long as its process
             sys.addaudithook(self._on_audit)
             self._hooked = True
@@ -89,6 +97,20 @@ class _Watch:
             own: Any = random.Random  # noqa: S311 - the class
             _put(stack, own.seed, self._own_seed(own.seed), own)
             yield
+
+    def switch(self, chance: Chance | None) -> Chance | None:
+        """Note for another task from now, with its shared generators; return the last.
+
+        A generator that the task has not seeded is left as it is.
+        """
+        before, self.chance = self.chance, chance
+        if before is not None:
+            before.states = {
+                name: self._generators[name][0]() for name in before.seeded
+            }
+        for name, state in chance.states.items() if chance is not None else ():
+            self._generators[name][1](state)
+        return before
 
     def _replace_shared(
         self, stack: ExitStack, name: str, *modules: ModuleType
@@ -205,8 +227,8 @@ sources_watched = _watch.sources
 @contextmanager
 def noting(chance: Chance) -> Generator[None]:
     """Note uses of random numbers in this block, within `sources_watched`."""
-    before, _watch.chance = _watch.chance, chance
+    before = _watch.switch(chance)
     try:
         yield
     finally:
-        _watch.chance = before
+        _watch.switch(before)

@@ -155,6 +155,28 @@ def test_what_a_module_seeds_is_no_chance(tmp_path, drawn, first) -> None:
     assert verdict.divergence.element == 1, "the seeded number is the same"
 
 
+@pytest.mark.parametrize(
+    ("own", "shared"),
+    [
+        (
+            ("self.made.random()", "random.Random(3)"),
+            ("random.random()", "random.seed(3)"),
+        ),
+        (
+            ("self.made.random()", "np.random.RandomState(3)"),
+            ("np.random.random()", "np.random.seed(3)"),
+        ),
+    ],
+    ids=["random", "numpy"],
+)
+def test_each_task_has_the_shared_generator_for_itself(tmp_path, own, shared) -> None:
+    """As in a recording of processes, which one of its own stands for here."""
+    path = recorded(tmp_path, draws(*own))
+    (tmp_path / "adds.py").write_text(draws(*shared))
+    assert rerun(path).good, str(rerun(path))
+    assert all(one.good for one in verify(path))
+
+
 @pytest.mark.parametrize("first", ["np.random.default_rng()", "random.Random()"])
 def test_a_generator_without_a_seed_is_named_where_it_is_made(tmp_path, first) -> None:
     path = recorded(tmp_path, draws("self.made.random()", first))
