@@ -140,6 +140,8 @@ class TaskAbout(Struct, kw_only=True):
     """Whether the calls of its handler of timing failures are recorded."""
     seed: int = 0
     """Where its random numbers begin."""
+    tried: list[str] = []
+    """Parameters that a replay used in place of those of the RMOD, with both values."""
 
     @property
     def topic(self) -> str:

@@ -124,6 +124,7 @@ def task_info(
         "longest": float(gaps[~away].max(initial=0)) * 1e-9,
         "jitter_max": float(delays.max()) if len(delays) else 0.0,
         "variables": log.variables(task),
+        "tried": about.tried,
     }
 
 
@@ -174,6 +175,10 @@ def info_text(data: JsonObject) -> str:
         row += f"{1e3 * task['longest']:>8.2f} ms"
         lines.append(f"{row}  {' '.join(task['variables'])}")
     lines += _states_text(data["tasks"])
+    tried = [
+        (name, one) for name, task in data["tasks"].items() for one in task["tried"]
+    ]
+    lines += [f"{name} was replayed with {one}" for name, one in tried]
     if data["events"]:
         counts = ", ".join(f"{count} {code}" for code, count in data["events"].items())
         lines += ["", f"events: {counts}"]

@@ -306,8 +306,8 @@ def _again(
                 continue
             one = made[life.table]
             try:
-                tried, verdict = trials.get(task), verdicts[task]
-                parts.append(_Part(life, one, libraries, verdict, rtol, tried=tried))
+                trial, verdict = trials.get(task), verdicts[task]
+                parts.append(_Part(life, one, libraries, verdict, rtol, tried=trial))
             except PbonetError as error:  # for the others the record is used
                 if named:
                     raise
@@ -317,7 +317,8 @@ def _again(
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
     _sum_up(found, parts)
     if out is not None:
-        _write(log, {name: one.made for name, one in made.items()}, out)
+        tried = {one.task: one.tried for one in found.tasks}
+        _write(log, {name: one.made for name, one in made.items()}, tried, out)
     return found
 
 
@@ -355,8 +356,20 @@ def _sum_up(found: Replayed, parts: list[_Part]) -> None:
     found.seconds = max((one.seconds for one in found.tasks), default=0.0)
 
 
-def _write(log: Log, each: dict[Table, dict[Key, bytes]], out: Path) -> None:
-    """Write a log of the new outputs, by table, with the other records."""
+def _write(
+    log: Log,
+    each: Mapping[Table, dict[Key, bytes]],
+    tried: Mapping[str, list[str]],
+    out: Path,
+) -> None:
+    """Write a log of the new outputs, by table, with the other records.
+
+    Args:
+        log: What was recorded.
+        each: The new outputs.
+        tried: By task, parameters with other values than the recorded ones.
+        out: The new log.
+    """
     about = log.parts[0].about or RunAbout(
         run="", job="", subsystem="", domain="", rtpu=""
     )
@@ -366,7 +379,9 @@ def _write(log: Log, each: dict[Table, dict[Key, bytes]], out: Path) -> None:
     for life in log.all_lives():
         made = each.get(life.table, {})
         hidden = life.about.hidden if _partly(life, made) else []
-        told = msgspec.structs.replace(life.about, hidden=hidden)
+        told = msgspec.structs.replace(
+            life.about, hidden=hidden, tried=tried.get(life.name, [])
+        )
         number = writer.add_task(told, life.origin)
         writer.add(number, b"".join(_records(life, made)))
     writer.close()

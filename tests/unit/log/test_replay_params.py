@@ -10,7 +10,7 @@ from adding_module import ADDS, SVAR
 from log_of_python_tasks import RMOD, Shop
 
 from pbonet.errors import ParameterError, UnknownTaskError
-from pbonet.log import Log
+from pbonet.log import Log, text
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.testing import ChangedParam, rerun, verify
@@ -107,6 +107,9 @@ def test_another_value_is_tried_on_the_recorded_inputs(path, tmp_path, value) ->
     assert row["largest"] == np.abs(now - then).max()
     then, now = (Log(one).arrays("b")["Y1"] for one in (path, out))
     assert np.array_equal(then, now), "its record is used"
+    assert Log(out).task_about("a").tried == verdict.tried
+    said = "a was replayed with gain 1.5, recorded 0.75"
+    assert said in text.info_text(text.info(Log(out))).splitlines()
 
 
 def test_tasks_that_are_named_read_the_new_outputs(path, tmp_path) -> None:
