@@ -114,6 +114,10 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """Of the first cycle since armed, which is in no extreme."""
     cpu_now_ns: int
     """Of the cycle or event under way, up to now (the thesis's qc)."""
+    wall_total_ns: int
+    """Time from the begin to the end of all cycles."""
+    held_ns: int
+    """Time for which the dispatcher held the task so that others could run (`park`)."""
     copy_in_ns: int
     """Total time of copy-ins; divide by `cycles`."""
     copy_out_ns: int

@@ -25,6 +25,7 @@ _BELOW: Final = {
     "STANDBY": "standby",
     "WARNING": "warning",
     "TIMING": "timing",
+    "WAITS": "waits",
     "ERROR": "error",
 }
 """Marks of lines below a task, and their texts."""

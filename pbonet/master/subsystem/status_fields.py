@@ -102,9 +102,11 @@ class Profile(Struct, frozen=True, kw_only=True):
     error: str = ""
     """Shown as long as the task is in ERROR."""
     timing: str = ""
+    """Timing failures since the last status."""
+    waits: str = ""
+    """How long its cycles wait for something other than the core."""
     standby: str = ""
     """The task that it is the fallback of, and whether it stands by."""
-    """Timing failures since the last status."""
 
     def only(self, names: Iterable[str]) -> Profile:
         """Return it with these fields alone."""
@@ -193,6 +195,7 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
         warning=now.warning if warn > 0 else "",
         error=now.error if now.state == "ERROR" else "",
         timing=_timing_text(now, before),
+        waits=now.waits,
         standby=_standby_text(now),
     )
 

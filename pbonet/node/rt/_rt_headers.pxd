@@ -187,7 +187,7 @@ cdef extern from "view.h" nogil:
         uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults
         uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns
         uint64_t cpu_first_ns, cpu_mark_ns
-        uint64_t copy_in_ns, copy_out_ns, jitter_max_ns
+        uint64_t wall_total_ns, held_ns, copy_in_ns, copy_out_ns, jitter_max_ns
         uint64_t *jitter
         uint64_t *cpu
     struct rt_core_view:

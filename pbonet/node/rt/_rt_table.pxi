@@ -227,6 +227,7 @@ cdef class CoreTable:
             cpu_last_ns=v.cpu_last_ns, cpu_min_ns=v.cpu_min_ns, cpu_max_ns=v.cpu_max_ns,
             restarted=bool(v.restarted),
             cpu_first_ns=v.cpu_first_ns, cpu_now_ns=_under_way(&v),
+            wall_total_ns=v.wall_total_ns, held_ns=v.held_ns,
             copy_in_ns=v.copy_in_ns, copy_out_ns=v.copy_out_ns, torn=v.torn,
             stale=v.stale, faults=v.faults, ring_lost=v.ring_lost,
             jitter_max_ns=v.jitter_max_ns,

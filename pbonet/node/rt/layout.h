@@ -177,6 +177,8 @@ struct rt_stats {
     _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
     _Atomic uint64_t cpu_first_ns;       /* of the first cycle after `on` */
     _Atomic uint64_t cpu_mark_ns;        /* the thread's CPU clock at this cycle's start */
+    _Atomic uint64_t wall_total_ns;      /* time from begin to end of all cycles */
+    _Atomic uint64_t held_ns;            /* time for which the dispatcher held the task */
     _Atomic uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
     _Atomic uint64_t aborted, skipped, handlers, stale_failures;
     _Atomic uint64_t delivery_last_ns, delivery_max_ns; /* failure to handler's start */

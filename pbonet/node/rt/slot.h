@@ -240,8 +240,12 @@ static inline int rt_wait(struct rt_task *task, int served)
 /* Wait while the dispatcher holds the task; async-signal-safe. */
 static inline void rt_hold_still(struct rt_slot *slot)
 {
+    if (!atomic_load(&slot->grant.parked))
+        return;
+    int64_t since = rt_now();
     while (atomic_load(&slot->grant.parked))
         rt_futex_wait(&slot->grant.parked, 1, 0);
+    rt_add(&slot->stats.held_ns, (uint64_t)(rt_now() - since));
 }
 
 /* Begin to serve an external event: a server's capacity and the deadline of a task with a
@@ -360,6 +364,7 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     rt_add(&s->stale, (uint64_t)cost->stale);
     rt_add(&s->ring_lost, (uint64_t)cost->lost);
     rt_add(&s->cpu_total_ns, cost->cpu_ns);
+    rt_add(&s->wall_total_ns, (uint64_t)(cost->end_ns - cost->start_ns));
     rt_put(&s->cpu_last_ns, cost->cpu_ns);
     if (first) {                /* counted apart from the others: Stewart 1994, 6.7.1 */
         rt_put(&s->cpu_first_ns, cost->cpu_ns);

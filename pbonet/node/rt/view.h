@@ -23,7 +23,7 @@ struct rt_view {
     uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults;
     uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
     uint64_t cpu_first_ns, cpu_mark_ns;
-    uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
+    uint64_t wall_total_ns, held_ns, copy_in_ns, copy_out_ns, jitter_max_ns;
     uint64_t jitter[RT_BINS], cpu[RT_BINS];
 };
 
@@ -56,6 +56,8 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     v->restarted = atomic_load(&s->restart) != RT_SINCE_ON;
     v->cpu_first_ns = rt_get(&s->cpu_first_ns);
     v->cpu_mark_ns = rt_get(&s->cpu_mark_ns);
+    v->wall_total_ns = rt_get(&s->wall_total_ns);
+    v->held_ns = rt_get(&s->held_ns);
     v->copy_in_ns = rt_get(&s->copy_in_ns);
     v->copy_out_ns = rt_get(&s->copy_out_ns);
     v->jitter_max_ns = rt_get(&s->jitter_max_ns);

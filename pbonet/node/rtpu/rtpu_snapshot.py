@@ -65,6 +65,8 @@ class TaskSnapshot(Struct, kw_only=True):
     """Names and bits of the module's own signals."""
     fallback_of: str
     stands_by: bool
+    waits: str = ""
+    """How long its cycles wait for other things than the core; empty: they do not."""
 
 
 class SnapshotChanges(Struct, tag="known", kw_only=True):
@@ -141,6 +143,7 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
         own=task.signals,
         fallback_of=rtpu.fallbacks.of(task),
         stands_by=bool(task.stands_by),
+        waits=task.waits,
     )
 
 

@@ -36,6 +36,7 @@ from .tables import Tables
 from .task_handle import crash_place, describe_end
 from .task_signals import Signals
 from .timing_failure_events import TimingFailureEvents
+from .waiting_cycles import WaitingCycles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -100,6 +101,7 @@ class Rtpu:
         self.turned_on = 0
         self.signals = Signals(events)
         self._timing_failures = TimingFailureEvents(events)
+        self._waiting_cycles = WaitingCycles(events)
         self.spawner = self._make_spawner(forks)
         self.core: rt.CoreTable
         self.dispatcher: rt.Dispatcher
@@ -527,10 +529,12 @@ class Rtpu:
             self.owned_constants.check()
             self.fallbacks.update_all()
             self.signals.report_missing(self.core, self.tasks.values())
-            self._timing_failures.report_new(
-                self.core.status(),
-                [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
-            )
+            tasks = [
+                (task, self.core.snapshot(task.facts.slot))
+                for task in self.tasks.values()
+            ]
+            self._timing_failures.report_new(self.core.status(), tasks)
+            self._waiting_cycles.check(tasks)
             for subsystem, damage in self.tables.harmed():
                 self.events.add(
                     Severity.ERROR,

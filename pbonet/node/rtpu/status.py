@@ -102,6 +102,7 @@ def task_status(
         signals=by_name(signals, task.own),
         fallback_of=task.fallback_of,
         stands_by=task.stands_by,
+        waits=task.waits,
         sections={
             one.name: SectionStatus(
                 count=one.count,

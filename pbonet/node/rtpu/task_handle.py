@@ -112,6 +112,8 @@ class Task:
         self.warnings = 0
         self.warning = ""
         self.error = ""
+        self.waits = ""
+        """How long its cycles wait for something other than the core."""
         self.ending = ""
         """How its process ended, once that is known."""
         self.left = False

@@ -98,6 +98,8 @@ class TaskStatus(Struct, kw_only=True):
     """The task whose fallback it is."""
     stands_by: bool = False
     """Whether it is ready to be released in place of that task."""
+    waits: str = ""
+    """How long its cycles wait for other things than the core; empty: they do not."""
     signals: dict[str, int] = {}
     """Number of signals of each kind sent since it was spawned, without masked ones."""
 

@@ -366,6 +366,25 @@ def test_a_more_urgent_task_that_hangs_blocks_nobody(
     assert len(arm.events("HANGS", "bad")) == 1
 
 
+@pytest.mark.parametrize("backend", ["auto", "park"])
+def test_a_cycle_that_waits_is_told_from_one_that_others_delay(nodes, backend):
+    nodes.agent("arm0", backend=backend)
+    arm = nodes.master("arm0", "arm")
+    arm.spawn("busy", "overruns", out="Y1", freq=60.0)
+    arm.spawn("bad", "waits_in_cycle", freq=100.0)
+    arm.spawn("below", "counts", out="Y2", freq=5.0)
+    for task in ("busy", "bad", "below"):
+        arm.on(task)
+    text = arm.wait_event("WAITS", "bad").text
+    assert re.search(r"takes 2\d(\.\d)? ms, of which it computes for 0\.\d+ ms", text)
+    assert "cycle() of module waits_in_cycle" in text
+    arm.wait_cycles("below", 5)
+    status = arm.status()
+    assert status["bad"].waits
+    assert not status["busy"].waits
+    assert not status["below"].waits
+
+
 def test_a_cycle_hangs_after_the_time_that_the_subsystem_declares(nodes):
     nodes.agent("arm0")
     arm = nodes.master("arm0", "arm", hangtime=1.0)
