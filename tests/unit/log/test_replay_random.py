@@ -219,3 +219,13 @@ def test_a_simulation_that_draws_otherwise_is_not_verifiable(
     for verdict in [*again.tasks, *verify(log)]:
         assert verdict.divergence is None
         assert "but it uses random.random at " in verdict.gaps[0]
+
+
+def test_the_verb_ends_with_the_status_of_what_cannot_be_verified(
+    call, tmp_path
+) -> None:
+    path = recorded(tmp_path, draws("random.random()"))
+    for words in (("--verify",), ()):
+        status, out, _ = call("replay", path, "a", *words)
+        assert status == 3
+        assert "  not verifiable: cycle 1: Y0 differs, but it uses random.random" in out
