@@ -163,6 +163,8 @@ class CoreTable:
         """Record that a caller has ended; return whether it was expected."""
     def died(self, i: int) -> None:
         """Report to the dispatcher that the task's process is gone."""
+    def relevel(self) -> None:
+        """Ask the dispatcher to set the levels of all tasks again."""
     def reap(self) -> None:
         """Free the slots of other RTPUs that ended together with their tasks."""
     def find(self, rtpu: str, task: str) -> int | None:

@@ -58,6 +58,7 @@ cdef extern from "table.h" nogil:
     void rt_died(rt_table *t, int i)
     void rt_follow(rt_table *t, int i, int kind, const uint64_t *after, uint64_t callers)
     void rt_kick(rt_table *t)
+    void rt_relevel(rt_table *t)
     int64_t rt_time(const rt_table *t)
     int rt_is_virtual(const rt_table *t)
 

@@ -99,6 +99,9 @@ cdef class CoreTable:
         rt_kick(self.t)
         return i
 
+    def relevel(self) -> None:
+        rt_relevel(self.open())
+
     def reap(self) -> None:
         rt_reap_others(self.t, self.map.member)
 

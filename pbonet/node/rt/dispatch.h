@@ -412,7 +412,8 @@ static inline struct muf_item rt_item(const struct rt_state *s, int i)
 
 /* Take one turn; returns the time of the next event, 0 for none.
  *
- * `lead` marks the first turn of a new leader, which does not know the tasks' priorities.
+ * `lead` marks the first turn of a new leader, which does not know the tasks' priorities, and
+ * a turn after another program has changed one.
  * The records of the turn are trace[trace_end .. trace_next) until rt_turn_end.
  */
 static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lead,

@@ -219,6 +219,7 @@ struct rt_table {
 
     _Alignas(64) _Atomic uint32_t mailbox;  /* futex: changes when there is news */
     _Atomic uint32_t fallen;            /* futex: changes when a task goes to ERROR */
+    _Atomic uint32_t relevel;           /* asks the leader to set all levels again */
     _Atomic uint32_t waiting;           /* park: tasks that wait for a cycle to end */
     _Atomic uint32_t high;              /* slots ever used: the bound of every scan */
     _Atomic int32_t backend;            /* rt_backend of the leader */

@@ -120,6 +120,7 @@ static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
         atomic_fetch_add(&t->stalls, 1);
         atomic_fetch_add(&t->stalled_ns, (uint64_t)(now - due));
     }
+    lead |= atomic_load(&t->relevel) && atomic_exchange(&t->relevel, 0);
     due = rt_turn(t, now, backend == RT_PARK, lead, rt_task_cpu);
     t->due_ns = due;
     uint64_t from = atomic_load_explicit(&t->trace_end, memory_order_relaxed);

@@ -79,6 +79,13 @@ static inline void rt_kick(struct rt_table *t)
     rt_futex_wake(&t->mailbox);
 }
 
+/* Ask the leader to set the levels of all tasks again: another program changed one. */
+static inline void rt_relevel(struct rt_table *t)
+{
+    atomic_store(&t->relevel, 1);
+    rt_kick(t);
+}
+
 static inline int rt_init_mutex(pthread_mutex_t *mutex)
 {
     pthread_mutexattr_t attr;

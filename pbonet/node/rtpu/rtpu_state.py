@@ -31,6 +31,7 @@ from .fallbacks import Fallbacks
 from .fork_client import Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
+from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
@@ -102,6 +103,7 @@ class Rtpu:
         self.signals = Signals(events)
         self._timing_failures = TimingFailureEvents(events)
         self._waiting_cycles = WaitingCycles(events)
+        self._scheduling: SchedulingCheck
         self.spawner = self._make_spawner(forks)
         self.core: rt.CoreTable
         self.dispatcher: rt.Dispatcher
@@ -157,6 +159,7 @@ class Rtpu:
             self._awake = cpu_idle_states.IdleStateLock()
             self.limits += self._awake.limits
         self.core = rt.CoreTable(self.config.core, member=True)
+        self._scheduling = SchedulingCheck(self.core, self.events)
         self.dispatcher = rt.Dispatcher(self.core, self.config.backend)
         self.dispatcher.start()
         self.vigil = rt.Vigil(self.dispatcher)
@@ -535,6 +538,7 @@ class Rtpu:
             ]
             self._timing_failures.report_new(self.core.status(), tasks)
             self._waiting_cycles.check(tasks)
+            self._scheduling.check(tasks)
             for subsystem, damage in self.tables.harmed():
                 self.events.add(
                     Severity.ERROR,

@@ -273,6 +273,28 @@ def test_a_module_cannot_take_priorities_or_processes_of_the_node(arm):
     assert int(status["CapBnd"], 16) & beyond == 0
 
 
+@pytest.mark.usefixtures("sibling")
+def test_a_priority_and_a_core_that_another_program_changes_are_put_right(arm):
+    tid = arm.spawn("bad", "counts").tid
+    arm.on("bad")
+    arm.wait_cycles("bad", 5)
+    os.sched_setaffinity(tid, range(os.cpu_count()))
+    arm.wait_event("SCHEDULING_CHANGED", "bad")
+    wait_for(lambda: os.sched_getaffinity(tid) == {CORE}, "its core")
+    if arm.rtpu_status().backend == "fifo":
+        os.sched_setscheduler(tid, os.SCHED_OTHER, os.sched_param(0))
+        wait_for(lambda: len(arm.events("SCHEDULING_CHANGED", "bad")) == 2, "the event")
+        texts = [event.text for event in arm.events("SCHEDULING_CHANGED", "bad")]
+        assert [text.partition(" (expected ")[0] for text in texts] == [
+            f"it may run on cores {' '.join(map(str, range(os.cpu_count())))}",
+            "its main thread is scheduled by SCHED_OTHER 0",
+        ]
+        wait_for(lambda: level(tid) > 3, "its level")
+    before = arm.status("bad").cycle
+    arm.wait_cycles("bad", before + 5)
+    assert not arm.events("SCHEDULING_CHANGED", "good")
+
+
 def test_children_end_when_the_rtpu_process_is_killed(arm, tmp_path):
     file = tmp_path / "pids"
     arm.spawn("bad", "leaves_children", local={"PIDS": file})
