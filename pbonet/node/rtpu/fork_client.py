@@ -9,6 +9,7 @@ import select
 import signal
 import socket
 import sys
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -26,6 +27,8 @@ ORPHANED = 256
 """Exit code of a child that outlived the fork server: the real one is unknown."""
 END_TIME = 1.0
 """Seconds in which a fork server ends, and reports the end of a child."""
+LARGEST_CROWD = 128
+"""Processes that a task may have besides its own; threads do not count."""
 ROUSE_PERIOD = 0.1
 """Seconds between signals to a child that may wait; without `off` it ends in one."""
 START_TIME = 20.0
@@ -171,6 +174,23 @@ class Spawner:
     def pid(self) -> int:
         """The fork server's process id, 0 when there is none."""
         return self._server.pid if self._server else 0
+
+    def crowds(self) -> dict[int, int]:
+        """Return tasks that have more processes than they may, with their number.
+
+        RLIMIT_NPROC would count what other programs of the user start, and does not
+        apply to root. Orphans are children of the fork server, in their task's session.
+        """
+        adopted = Counter(
+            one.session
+            for pid in process_setup.listed_children(self.pid)
+            if pid not in self._children and (one := process_setup.stat(pid))
+        )
+        found = {
+            pid: process_setup.descendants(pid, LARGEST_CROWD) + adopted[pid]
+            for pid in self._children
+        }
+        return {pid: count for pid, count in found.items() if count > LARGEST_CROWD}
 
     async def start(self) -> None:
         """Wait until the first fork server can fork, or start another one.

@@ -28,7 +28,7 @@ from . import (
 from .claims import Claims
 from .constant_owners import ConstantOwners
 from .fallbacks import Fallbacks
-from .fork_client import Server, Spawner
+from .fork_client import LARGEST_CROWD, Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
 from .scheduling_check import SchedulingCheck
@@ -454,6 +454,7 @@ class Rtpu:
         damage = self.tables.damage(task.facts.subsystem)
         if damage and code == -signal.SIGBUS:
             text = f"the task ended with its table: {damage}"
+        text = task.blame or text
         if slot.hangs:
             text = (
                 "the task ended itself: timing_failure() did not return, not even when "
@@ -485,6 +486,19 @@ class Rtpu:
         last.error, last.tid = text, 0
         self.tombs[task.facts.subsystem, task.name] = last
         return last
+
+    def _end_crowds(self) -> None:
+        """End tasks that start processes without end; their death names the cause."""
+        crowds = self.spawner.crowds()
+        for task in self.tasks.values():
+            count = crowds.get(task.child.pid, 0)
+            if count and not task.blame:
+                task.blame = (
+                    f"module {task.facts.rmod.module} has started {count} processes "
+                    f"(expected at most {LARGEST_CROWD} at a time), and was ended with "
+                    "them"
+                )
+                task.child.send_signal(signal.SIGKILL)
 
     def bury(self, subsystem: str, name: str) -> None:
         """Forget a task that died, and what was raised for it."""
@@ -539,6 +553,7 @@ class Rtpu:
             self._timing_failures.report_new(self.core.status(), tasks)
             self._waiting_cycles.check(tasks)
             self._scheduling.check(tasks)
+            self._end_crowds()
             for subsystem, damage in self.tables.harmed():
                 self.events.add(
                     Severity.ERROR,

@@ -112,6 +112,8 @@ class Task:
         self.warnings = 0
         self.warning = ""
         self.error = ""
+        self.blame = ""
+        """Why the RTPU process has ended it, if it did."""
         self.waits = ""
         """How long its cycles wait for something other than the core."""
         self.ending = ""

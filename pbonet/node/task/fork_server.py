@@ -32,6 +32,8 @@ FDS = 4
 """Number of files in a request: socket, output, specification, crash text."""
 CRASHED = 70
 """Exit code of a child that ended with an uncaught exception."""
+SETTLE_TIME = 0.05
+"""Seconds after a task's end until its remaining processes are searched for again."""
 
 
 def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
@@ -108,6 +110,8 @@ class ForkServer:
         self._control = control
         self._children: dict[int, int] = {}
         """Process ids by the descriptor that is readable at the end."""
+        self._rest = False
+        """A task has ended, and more of its processes may become children here."""
         self._decoder = msgspec.msgpack.Decoder(rtpu_messages.Fork)
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
@@ -115,7 +119,10 @@ class ForkServer:
     def serve(self) -> int:
         """Serve until the RTPU process closes the socket."""
         while True:
-            for key, _ in self._selector.select():
+            ready = self._selector.select(SETTLE_TIME if self._rest else None)
+            if not ready:
+                self._rest = self._end_rest()
+            for key, _ in ready:
                 if key.fileobj is self._control:
                     if not self._take_request():
                         self._end_rest()
@@ -161,16 +168,19 @@ class ForkServer:
             os.killpg(pid, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
         self._end_rest()
+        self._rest = True
         code = os.waitstatus_to_exitcode(status)
         self._control.send(rtpu_messages.encode(rtpu_messages.Exited(pid, code)))
 
-    def _end_rest(self) -> None:
+    def _end_rest(self) -> bool:
         """End the processes that ended tasks have left, and reap them.
+
+        Returns whether there were any: others whose parents were among them may follow.
 
         They became children of this process when their own parent ended. One in the
         session of a living task may still be used by it.
         """
-        tasks = set(self._children.values())
+        tasks, found = set(self._children.values()), False
         for pid in process_setup.children(os.getpid()):
             one = process_setup.stat(pid)
             if one is None or pid in tasks:
@@ -180,6 +190,8 @@ class ForkServer:
             with contextlib.suppress(OSError):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
+                found = True
+        return found
 
 
 def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:

@@ -179,6 +179,30 @@ def children(pid: int) -> list[int]:
     return [one for one in _processes() if (s := stat(one)) and s.parent == pid]
 
 
+def listed_children(pid: int) -> list[int]:
+    """Return the children of a process; none if the kernel has no such list.
+
+    Reads a few files, where `children` reads those of all processes.
+    """
+    found: list[int] = []
+    for thread in Path(f"/proc/{pid}/task").glob("*/children"):
+        try:
+            found += map(int, thread.read_text(encoding="ascii").split())
+        except OSError:  # the thread has ended
+            continue
+    return found
+
+
+def descendants(pid: int, most: int) -> int:
+    """Return how many processes descend from `pid`; far above `most` it may be less."""
+    count, parents = 0, [pid]
+    while parents and count <= most:
+        found = listed_children(parents.pop())
+        count += len(found)
+        parents += found
+    return count
+
+
 def mark() -> str:
     """Return the mark of the RTPU process that this process is or descends from."""
     return os.environ.get(MARK, "")

@@ -13,13 +13,32 @@ from watching import wait_for
 
 from pbonet.errors import (
     MethodError,
+    ModuleLoadError,
     NoAnswerError,
     PbonetError,
     Severity,
     StateError,
     TaskDiedError,
 )
+from pbonet.node.wire import process_setup
 from pbonet.xm.net import messages as m
+
+DELETES_ITSELF = """
+from pathlib import Path
+from typing import Annotated as A
+
+from pbonet import OutVar, PortBasedObject, Vector
+
+
+class DeletesItself(PortBasedObject):
+    y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+    def init(self) -> None:
+        Path(__file__).unlink()
+
+    def cycle(self, dt: float) -> None:
+        self.y[0] += 1.0
+"""
 
 
 @pytest.fixture
@@ -271,6 +290,63 @@ def test_a_module_cannot_take_priorities_or_processes_of_the_node(arm):
     )  # module, ptrace, admin, boot
     assert int(status["CapEff"], 16) & beyond == 0
     assert int(status["CapBnd"], 16) & beyond == 0
+
+
+@pytest.mark.usefixtures("sibling")
+class TestHarming:
+    """What else a module may do costs its own task, and is said by name."""
+
+    def test_processes_without_end(self, arm):
+        arm.spawn("bad", "forks_without_end", freq=20.0)
+        arm.on("bad")
+        text = arm.wait_event("TASK_DIED", "bad").text
+        assert "module forks_without_end has started" in text
+        assert "processes (expected at most 128 at a time)" in text
+        server, good = arm.nodes.fork_server("arm0"), arm.status("good").tid
+        wait_for(lambda: process_setup.children(server) == [good], "their end")
+
+    def test_memory_without_end(self, arm):
+        arm.spawn("bad", "eats_memory")
+        arm.on("bad")
+        wait_for(lambda: arm.status("bad").state == "ERROR", "the end of memory")
+        assert "MemoryError" in arm.status("bad").error
+        arm.kill("bad")
+
+    def test_blocked_signals(self, arm):
+        """It is contained without them, and `kill` ends it."""
+        tid = arm.spawn("bad", "blocks_signals", freq=100.0).tid
+        arm.on("bad")
+        arm.wait_event("TIMING_FAILURE", "bad")
+        assert arm.value("Y0").values[1] == 0.0
+        arm.kill("bad")
+        assert not alive(tid)
+
+    def test_threads_that_stay(self, arm):
+        tid = arm.spawn("bad", "leaves_threads").tid
+        arm.on("bad")
+        arm.wait_cycles("bad", 5)
+        arm.kill("bad")
+        assert not alive(tid)
+        assert arm.events("FORCED", "bad") == []
+
+    def test_its_own_file_deleted(self, arm, nodes):
+        nodes.write_module("deletes_itself", DELETES_ITSELF)
+        arm.spawn("bad", "deletes_itself")
+        arm.on("bad")
+        arm.wait_cycles("bad", 5)
+        arm.kill("bad")
+        arm.refused(ModuleLoadError, arm.spawn, "bad", "deletes_itself")
+
+    def test_views_that_are_kept(self, arm):
+        """What it writes after its last cycle is seen by no other task."""
+        text = rmod("keeps_views", invar="X")
+        tid = arm.spawn("bad", "keeps_views", text=text).tid
+        arm.on("bad")
+        arm.wait_cycles("bad", 5)
+        arm.kill("bad")
+        assert not alive(tid)
+        assert arm.events("TASK_DIED", "bad") == []
+        assert max(arm.value("Y0").values) < 1e6
 
 
 @pytest.mark.usefixtures("sibling")
