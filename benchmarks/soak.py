@@ -106,7 +106,7 @@ class Soak:
 
     def grown(self) -> list[str]:
         """Return what has grown over the second half."""
-        found = []
+        found: list[str] = []
         for name, samples in self.samples.items():
             half = later(samples)
             own = slope([(one.seconds, float(one.own_kb)) for one in samples])
