@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 from msgspec import Struct, structs
 
-from pbonet.ports import Kind, Port, shape_text
+from pbonet.ports import Kind, Port, is_safe, shape_text
 
 from ._combine import Part, combination, methods, signals
 from ._object import PortBasedObject
@@ -49,7 +49,7 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     methods: tuple[str, ...]
     """Methods that the module writes itself."""
     critical_ok: bool
-    """True when it has `stable`, and so may be marked CRITICAL."""
+    """True when it has `stable`, or safe values, and so may be marked CRITICAL."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
@@ -117,7 +117,7 @@ def combined_info(
             for param in one.info.params
         ),
         methods=written,
-        critical_ok="stable" in written,
+        critical_ok="stable" in written or is_safe(whole.ports),
         signals=signals(told),
         parts=tuple(parts),
         within=whole.within,
@@ -159,7 +159,7 @@ def describe(
         ports=declared.ports,
         params=_params(cls),
         methods=declared.methods,
-        critical_ok="stable" in declared.methods,
+        critical_ok="stable" in declared.methods or is_safe(declared.ports),
         signals=declared.signals,
     )
 
@@ -228,9 +228,8 @@ def render(info: ModuleInfo) -> str:
         ]
         lines += ["signals", *_table(signals), ""]
     lines.append(f"methods   {' '.join(info.methods)}")
-    lines.append(
-        f"CRITICAL  {'possible' if info.critical_ok else 'no: has no stable()'}"
-    )
+    lacks = "no: has no stable(), and no safe values"
+    lines.append(f"CRITICAL  {'possible' if info.critical_ok else lacks}")
     if info.parts:
         lines += ["", "parts"]
         lines += _table([(p.name, p.info.name, p.info.version) for p in info.parts])
