@@ -70,6 +70,7 @@ cdef extern from "local.h" nogil:
     struct pb_plan:
         uint32_t n_vars, n_sources
         const pb_freshness *fresh
+        uint32_t *age_of
         uint64_t generation
         const uint32_t *vars
         const uint64_t *to

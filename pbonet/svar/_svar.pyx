@@ -301,6 +301,8 @@ cdef class LocalTable:
         for i, (maxage_ns, action, passes) in enumerate(limits):
             f[i].maxage_ns, f[i].action, f[i].passes = maxage_ns, action, passes
         plan.fresh = f
+        plan.age_of = <uint32_t *>room(self.kept, plan.n_vars, sizeof(uint32_t))
+        plan.generation = 0     # make it anew
         if which == PB_PLAN_IN:
             local(self).fresh.settle_ns = <int64_t>(settle * 1e9)
             local(self).fresh.renewals = <pb_renewal *>room(self.kept, plan.n_vars,

@@ -56,31 +56,33 @@ static inline int64_t pb_time(const struct pb_local *l) {
     return l->virtual_ns ? l->virtual_ns : pb_now();
 }
 
+/* The age of an in-var at its last copy; NULL when none was read. */
+static inline const struct pb_age *pb_in_age(const struct pb_local *l, uint32_t v) {
+    const struct pb_plan *p = l->plans + PB_PLAN_IN;
+    for (uint32_t i = 0; i < p->n_vars && p->age_of && p->n_ages; i++)
+        if (p->vars[i] == v) return p->ages + p->age_of[i];
+    for (uint32_t i = 0; i < p->n_ages && !p->age_of; i++)
+        if (p->ages[i].var == v) return p->ages + i;
+    return NULL;
+}
+
 /* Whether an in-var is too old now, by the stamp of its last copy. */
 static inline bool pb_is_stale(const struct pb_local *l, uint32_t v) {
-    const struct pb_plan *p = l->plans + PB_PLAN_IN;
-    const int64_t now = pb_time(l);
-    for (uint32_t i = 0; i < p->n_ages; i++)
-        if (p->ages[i].var == v) return pb_too_old(p->ages + i, now);
-    return false;
+    const struct pb_age *age = pb_in_age(l, v);
+    return age && pb_too_old(age, pb_time(l));
 }
 
 /* The time since an in-var was written, by the stamp of its last copy; -1: never written. */
 static inline int64_t pb_age_of(const struct pb_local *l, uint32_t v) {
-    const struct pb_plan *p = l->plans + PB_PLAN_IN;
-    for (uint32_t i = 0; i < p->n_ages; i++)
-        if (p->ages[i].var == v)
-            return p->ages[i].stamp.time_ns ? pb_time(l) - p->ages[i].stamp.time_ns : -1;
-    return -1;
+    const struct pb_age *age = pb_in_age(l, v);
+    return age && age->stamp.time_ns ? pb_time(l) - age->stamp.time_ns : -1;
 }
 
 /* The stamp of what is computed from this in-var alone; 0: its age does not count. */
 static inline int64_t pb_stamp_from(const struct pb_local *l, uint32_t v) {
-    const struct pb_plan *p = l->plans + PB_PLAN_IN;
-    for (uint32_t i = 0; i < p->n_ages; i++)
-        if (p->ages[i].var == v && pb_counts(p->ages + i))
-            return p->ages[i].stamp.time_ns ? p->ages[i].stamp.time_ns : PB_LONG_AGO;
-    return 0;
+    const struct pb_age *age = pb_in_age(l, v);
+    if (!age || !pb_counts(age)) return 0;
+    return age->stamp.time_ns ? age->stamp.time_ns : PB_LONG_AGO;
 }
 
 /* Judge the ages of a plan's variables; returns flags. */
