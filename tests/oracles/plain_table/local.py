@@ -119,9 +119,7 @@ class LocalTable:
 
     action = 0  # inputs have no freshness here
 
-    def take(
-        self, which: int, now: int, cycle: int, own: int = 0
-    ) -> tuple[int, int]:
+    def take(self, which: int, now: int, cycle: int, own: int = 0) -> tuple[int, int]:
         """Judge, commit and claim a group."""
         assert not own
         group = self.groups[which]

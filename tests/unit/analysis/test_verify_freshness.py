@@ -40,11 +40,14 @@ def test_a_circle_without_new_information_is_refused() -> None:
     assert "OutVar(..., new=True)" in one.remedy
 
 
-@pytest.mark.parametrize("tasks", [
-    (robot(new=True), pd()),
-    (robot(feedback=True), pd()),
-    (robot(), pd(feedback=True)),
-])
+@pytest.mark.parametrize(
+    "tasks",
+    [
+        (robot(new=True), pd()),
+        (robot(feedback=True), pd()),
+        (robot(), pd(feedback=True)),
+    ],
+)
 def test_one_declaration_opens_the_circle(tasks) -> None:
     assert found(limits(Q=0.05, U=0.05, REF=None), *tasks) == []
 
