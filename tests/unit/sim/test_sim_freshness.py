@@ -159,8 +159,8 @@ def test_the_declared_time_passes_before_it_goes_on(tmp_path) -> None:
 def test_stable_that_answers_old_inputs_does_not_lock_the_chain(tmp_path) -> None:
     """The robot's answer is an input of those for whose output it waits.
 
-    It says when it has measured, in `cycle` only: what `stable` wrote would be as old as
-    the last cycle, and all of the circle would wait for each other.
+    It says when it has measured, in `cycle` only: what `stable` wrote would be as old
+    as the last cycle, and all of the circle would wait for each other.
     """
     robot = MODULES["robot"].replace(
         "        self.q = self.u\n",
