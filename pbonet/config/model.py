@@ -198,6 +198,8 @@ class SbsFile(Struct, frozen=True, kw_only=True):
     svarfile: str
     master: str | None = None
     """The RTPU that keeps the table; None means the first one named."""
+    strict: bool = False
+    """Whether a configuration is refused that has something unsafe."""
     rtpus: tuple[RtpuEntry, ...]
 
     @property

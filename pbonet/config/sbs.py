@@ -16,7 +16,7 @@ from .write import number, same_again, text_line
 if TYPE_CHECKING:
     from pathlib import Path
 
-HEAD = Grammar("SUBSYSTEM SVARFILE [MASTER]", after=("RTPU",))
+HEAD = Grammar("SUBSYSTEM SVARFILE [MASTER|STRICT]", after=("RTPU",))
 RTPU = Grammar(
     "RTPU [SCHEDULER|USAGE|ERRPRINT|MINFREQ|MAXFREQ|HANGTIME]", after=("RTPU", "EOF")
 )
@@ -52,6 +52,7 @@ def parse_sbs(text: str | bytes, file: str = "<text>") -> SbsFile:
         subsystem=words.label(words.single(head["SUBSYSTEM"], "a name"), "a subsystem"),
         svarfile=words.path(head["SVARFILE"], "the name of a .svar file"),
         master=_master(head, rtpus),
+        strict=(line := head.get("STRICT")) is not None and words.yes(line),
         rtpus=tuple(rtpus.values()),
     )
 
@@ -150,6 +151,8 @@ def write_sbs(record: SbsFile) -> str:
     ]
     if record.master is not None:
         lines.append(text_line("MASTER", record.master))
+    if record.strict:
+        lines.append(text_line("STRICT", "yes"))
     for rtpu in record.rtpus:
         lines += [
             "\n",

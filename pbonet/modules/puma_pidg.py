@@ -48,6 +48,8 @@ class PumaPidg(PortBasedObject[Gains]):
     away, makes the arm jump; r starts where the arm is.
     """
 
+    robot_interface = True
+
     ndof: A[int, OutConst("NDOF", "1", "none", "degrees of freedom")]
     dh: A[Matrix, OutConst("DH", "6,4", "mixed", "rows of theta, d, a, alpha")]
     q_ref: A[Vector, InVar("Q_REF", "6", "rad", "reference joint position")]

@@ -50,6 +50,8 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     """Methods that the module writes itself."""
     critical_ok: bool
     """True when it has `stable`, or safe values, and so may be marked CRITICAL."""
+    robot_interface: bool = False
+    """Whether it turns what it reads into motion."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
@@ -118,6 +120,7 @@ def combined_info(
         ),
         methods=written,
         critical_ok="stable" in written or is_safe(whole.ports),
+        robot_interface=any(one.info.robot_interface for one in parts),
         signals=signals(told),
         parts=tuple(parts),
         within=whole.within,
@@ -160,6 +163,7 @@ def describe(
         params=_params(cls),
         methods=declared.methods,
         critical_ok="stable" in declared.methods or is_safe(declared.ports),
+        robot_interface=cls.robot_interface,
         signals=declared.signals,
     )
 

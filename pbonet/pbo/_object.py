@@ -88,6 +88,9 @@ class PortBasedObject(Generic[P]):
     __interface__: ClassVar[Interface] = Interface((), ())
     __params__: ClassVar[type[Params]] = Params
     __abstract__: ClassVar[bool] = True
+    robot_interface: ClassVar[bool] = False
+    """Whether the module turns what it reads into motion, as a drive's module does.
+    Such a task should be CRITICAL, and `pbonet check` says so."""
     __within__: ClassVar[tuple[Port, ...]] = ()
     """Ports of a combination's parts that are none of it; see `combination`."""
 

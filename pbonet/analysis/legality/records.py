@@ -65,6 +65,10 @@ class Code(StrEnum):
     """Some deadlines may be missed."""
     NO_MAXAGE = "no-maxage"
     """A join connector that goes by age reads a variable that never grows old."""
+    NO_LIMIT = "no-limit"
+    """An input that comes from elsewhere may have any age."""
+    UNSAFE_ROBOT = "unsafe-robot"
+    """A robot interface goes on while the configuration is illegal."""
     STAMP_LOOP = "stamp-loop"
     """Tasks pass on each other's age, which only grows."""
     HOLD_LOOP = "hold-loop"
@@ -180,6 +184,10 @@ class Configuration(Struct, frozen=True, kw_only=True):
     on: frozenset[str] = frozenset()
     rtpus: tuple[RtpuEntry, ...] = ()
     """Of the ``.sbs`` file."""
+    machines: Mapping[str, str] = {}
+    """The machine of each RTPU, where it is known."""
+    strict: bool = False
+    """Whether what is unsafe is refused (``STRICT``)."""
     producers: Mapping[str, tuple[str, ...]] = {}
     """RMODs of the library that write a variable, by variable; for remedies."""
     limit: float = 1.0

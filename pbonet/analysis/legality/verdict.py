@@ -20,6 +20,7 @@ from .misspelt import as_meant
 from .order import check_initialization
 from .parts import check_ports, check_task
 from .records import Code, Configuration, Problem, Severity, Task
+from .safety import check_safety
 from .shapes import check_shapes
 from .times import check_times
 from .timing import check_loads, check_traffic
@@ -124,6 +125,7 @@ def check(configuration: Configuration) -> list[Problem]:
         check_constants,
         check_ages,
         check_circles,
+        check_safety,
         check_units,
         check_initialization,
         check_loads,

@@ -219,6 +219,7 @@ def planned(
     empty = legality.Configuration(
         svar=files.table,
         rtpus=files.sbs.rtpus,
+        strict=files.sbs.strict,
         producers=files.producers(),
         limit=PLANNED,
     )

@@ -84,6 +84,10 @@ class RtpuClients:
             self._agents[rtpu] = self.call(rtpu, m.Hello(), m.AgentInfo)
         return self._agents[rtpu]
 
+    def machines(self) -> dict[str, str]:
+        """Return the machine of each RTPU that has described itself."""
+        return {name: agent.machine for name, agent in self._agents.items()}
+
     def share_a_machine(self, one: str, other: str) -> bool:
         """Return whether two RTPUs are known to be on one machine, with one table."""
         if one == other:

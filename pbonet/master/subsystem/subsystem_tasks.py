@@ -434,6 +434,8 @@ class SubsystemTasks:
             tasks=tuple(member.task for member in self.model),
             on=frozenset(member.name for member in self.model if member.is_on),
             rtpus=self.files.sbs.rtpus,
+            machines=self.clients.machines(),
+            strict=self.files.sbs.strict,
             producers=self.files.producers() if self._whole else {},
             limit=schedule.PLANNED,
         )

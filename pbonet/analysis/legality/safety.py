@@ -1,0 +1,106 @@
+"""What is unsafe in a configuration: data of any age, and robots that nothing stops.
+
+An input that comes from another machine or over a link stands still when its writer is
+lost, and looks as it did. A robot interface turns what it reads into motion. Both are
+warnings, and with ``STRICT yes`` in the ``.sbs`` file they are refused.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.ports import Kind
+
+from .freshness import max_age
+from .records import Code, Problem, Severity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.ports import Port
+
+    from .records import Configuration, Task
+
+RECEIVER = "tbuf_receive"
+"""The module of the library that writes what comes over a link."""
+
+
+def check_safety(configuration: Configuration) -> Iterator[Problem]:
+    """Yield the inputs of running tasks without a limit of age, and unsafe robots."""
+    severity = Severity.REFUSE if configuration.strict else Severity.WARN
+    for task in configuration.running:
+        yield from _old_inputs(configuration, task, severity)
+        yield from _robot(task, severity)
+
+
+def _old_inputs(
+    configuration: Configuration, task: Task, severity: Severity
+) -> Iterator[Problem]:
+    ports = task.info.ports if task.info else ()
+    for port in ports:
+        if port.kind is not Kind.INVAR:
+            continue
+        variable = task.rmod.svar_name(port.name)
+        limit = max_age(port, configuration.table.get(variable))
+        way = _way(configuration, task, variable)
+        if way and limit is None:
+            yield _without_limit(task, port, variable, way, severity)
+
+
+def _way(configuration: Configuration, task: Task, variable: str) -> str:
+    """Return how a variable comes here from elsewhere; empty if it does not."""
+    for writer in configuration.running:
+        if variable not in writer.outputs:
+            continue
+        if writer.rmod.module == RECEIVER:
+            return f"over the link that {writer.name} receives"
+        machines = configuration.machines
+        here, there = machines.get(task.rtpu), machines.get(writer.rtpu)
+        if here and there and here != there:
+            return f"from {writer.name} on another machine ({writer.rtpu})"
+    return ""
+
+
+def _without_limit(
+    task: Task, port: Port, variable: str, way: str, severity: Severity
+) -> Problem:
+    return Problem(
+        code=Code.NO_LIMIT,
+        severity=severity,
+        what=f"{task.name} reads {variable}, which comes {way}, whatever its age",
+        where=task.place("INVAR"),
+        expected="a limit of its age: when the other side is lost the last value stays",
+        remedy=f"write MAXAGE and seconds under NAME {variable} in the .svar file, or "
+        f"max_age=... at the port {port.name} of {task.rmod.module}",
+        tasks=(task.name,),
+        ports=(port.name,),
+        variables=(variable,),
+    )
+
+
+def _robot(task: Task, severity: Severity) -> Iterator[Problem]:
+    if task.info is None or not task.info.robot_interface:
+        return
+    if not task.info.critical_ok:
+        yield Problem(
+            code=Code.UNSAFE_ROBOT,
+            severity=severity,
+            what=f"{task.name} is a robot interface, and its module {task.rmod.module} "
+            "does not say what to do when the configuration is illegal",
+            where=task.place("MODULE"),
+            expected="stable(), or a safe value of each out-var",
+            remedy=f"write stable(self, dt) in {task.rmod.module}, and CRITICAL in "
+            f"{task.rmod.name}.rmod",
+            tasks=(task.name,),
+        )
+    elif not task.rmod.critical:
+        yield Problem(
+            code=Code.UNSAFE_ROBOT,
+            severity=severity,
+            what=f"{task.name} is a robot interface and not CRITICAL, so it acts on its "
+            "inputs while the configuration is illegal",
+            where=task.place("MODULE"),
+            expected="CRITICAL",
+            remedy=f"write CRITICAL in {task.rmod.name}.rmod",
+            tasks=(task.name,),
+        )
