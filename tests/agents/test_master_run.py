@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -29,6 +28,7 @@ from pbonet.master.subsystem.embedded_agents import assign_cores
 from pbonet.xm.net import run_folder, session
 
 ROOT = Path(__file__).parents[2]
+FEW_FILES = ("sh", "-c", 'ulimit -Sn 32; exec "$0" "$@"')
 
 
 @pytest.fixture
@@ -36,9 +36,9 @@ def run(nodes, puma):
     """Start ``pbonet run`` on the PUMA job; it is ended with the test."""
     started = []
 
-    def start(*words, job=None):
+    def start(*words, job=None, under=()):
         file = str(job or puma.with_suffix(".job"))
-        command = [sys.executable, "-m", "pbonet.cli", "run", file]
+        command = [*under, sys.executable, "-m", "pbonet.cli", "run", file]
         process = subprocess.Popen(
             [*command, *map(str, words), "--domain", nodes.domain],
             stdout=subprocess.PIPE,
@@ -168,12 +168,7 @@ def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_me
 
 
 def test_a_low_limit_of_open_files_is_raised(run):
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (32, hard))
-    try:
-        process = run("--record", "off", "--seconds", "0.2")
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    process = run("--record", "off", "--seconds", "0.2", under=FEW_FILES)
     _, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
 
