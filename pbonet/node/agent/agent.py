@@ -175,7 +175,7 @@ class Agent:
         info = self._link.open()
         self._stopped.start()
         self._about = self._describe()
-        self._mail = Mail(self._session, self.places, self.config.files)
+        self._mail = Mail(self._session, self.places, self.config.files, self._note)
         self._server = Server(
             self._session,
             *(self.config.domain, self.name),
