@@ -435,7 +435,8 @@ def test_stop_reaches_the_others_when_one_agent_is_gone(arm, agents):
     with pytest.raises(SeveralError) as caught:
         arm.stop()
     assert caught.value.what == (
-        "an RTPU did not confirm the stop; on the others was turned off: puma_pidg"
+        "an RTPU did not confirm the stop; on the others was turned off: puma_pidg; "
+        "may still be ON: arm1: grav_comp qrdiff jttrace"
     )
     assert [error.where for error in caught.value.errors] == ["arm1"]
     assert agents["arm0"].tasks == {}

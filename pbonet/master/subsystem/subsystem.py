@@ -841,12 +841,13 @@ class Subsystem:
             The tasks that were turned off normally, and those terminated by force.
 
         Raises:
-            SeveralError: An RTPU did not confirm; the others were stopped.
+            SeveralError: An RTPU did not confirm; the others were stopped, and their
+                agents stop it as soon as they see it again.
         """
         self.stopped.set()
-        stopped, errors = self.task_set.stop()
+        stopped, errors, unsure = self.task_set.stop()
         self.inbox.clear()
-        configuration.must_be_stopped(stopped, errors)
+        configuration.must_be_stopped(stopped, errors, unsure)
         if self.clients.claimed:
             self.task_set.settle()
         return stopped

@@ -6,6 +6,7 @@ that the next verification uses the real state, not the requested one.
 
 from __future__ import annotations
 
+import secrets
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
@@ -625,11 +626,15 @@ class SubsystemTasks:
             except PbonetError as error:
                 logger("pbonet.master").debug("off %s: %s", name, error)
 
-    def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
-        """Stop every RTPU at once; return the results and the errors."""
-        order = self.order_of_off()
+    def stop(self) -> tuple[m.Stopped, list[PbonetError], dict[str, list[str]]]:
+        """Stop every RTPU at once.
+
+        Returns:
+            The results, the errors, and the tasks that may still be ON, by RTPU.
+        """
+        order, stop_id = self.order_of_off(), secrets.token_hex(8)
         results, errors = self.clients.each(
-            lambda _: m.Stop(timeout=STOP_TIME, order=order),
+            lambda _: m.Stop(timeout=STOP_TIME, order=order, stop_id=stop_id),
             m.Stopped,
             timeout=STOP_TIME + rpc.ANSWER_TIME,
         )
@@ -638,10 +643,13 @@ class SubsystemTasks:
             off=[task for one in results.values() for task in one.off],
             killed=[task for one in results.values() for task in one.killed],
         )
-        for member in self.model:
+        unsure: dict[str, list[str]] = {}
+        for member in list(self.model):
             if member.rtpu in results:
                 self.model.remove(member.name)
-        return stopped, errors
+            elif member.is_on:
+                unsure.setdefault(member.rtpu, []).append(member.name)
+        return stopped, errors, unsure
 
 
 def _place(file: str) -> str:
