@@ -155,16 +155,28 @@ def test_stopped_processes_end_with_a_master_that_was_killed(run, nodes, shared_
 
 
 def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_memory):
+    """And its recorder is stopped at that time; it is continued then, and ends."""
     process = run()
     until_on(process)
     running = processes_of("PBONET_RUN_DIR", str(nodes.folder))
     agent = next(pid for pid, command in running if "--name arm1" in command)
+    recorder = next(
+        pid
+        for pid, command in running
+        if "recorder_process" in command and parent_of(pid) == agent
+    )
+    os.kill(agent, signal.SIGSTOP)  # so that it does not continue the recorder
+    os.kill(recorder, signal.SIGSTOP)
     os.kill(agent, signal.SIGKILL)
     out, err = process.communicate(timeout=200)
     assert process.returncode == 1, err
     assert "the agent of arm1 has ended: SIGKILL" in out
     wait_for(lambda: not left_of(nodes), "the end of the RTPU process")
     assert list(shared_memory.iterdir()) == []
+
+
+def parent_of(pid):
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 def test_a_low_limit_of_open_files_is_raised(run):
