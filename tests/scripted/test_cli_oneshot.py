@@ -137,6 +137,16 @@ def test_verb_asks_the_master_that_serves_the_port(pbonet, world, puma, agents):
     assert agents["arm0"].tasks == {}
 
 
+def test_a_verb_steers_what_remains_when_an_rtpu_is_lost(standing, agents):
+    agents["arm0"].close()
+    assert standing("off", "jttrace").returncode == 0
+    done = standing("on", "jttrace")
+    assert done.returncode == 0, done.stderr
+    assert "WARNING> arm0: no agent of this name can be reached" in done.stderr
+    assert agents["arm1"].tasks["jttrace"].state == "ON"
+    assert standing("start", "puma").returncode == 1
+
+
 def test_stop_needs_no_file_and_no_claim(standing, world, puma, agents):
     with Subsystem(puma, domain=world.domain, take_over=True) as arm:
         arm.detach()
