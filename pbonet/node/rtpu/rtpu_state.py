@@ -31,12 +31,11 @@ from .fallbacks import Fallbacks
 from .fork_client import LARGEST_CROWD, Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
-from .repeated_warnings import RepeatedWarnings
 from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
-from .task_signals import Signals
+from .task_signals import RepeatedWarnings, Signals
 from .timing_failure_events import TimingFailureEvents
 from .waiting_cycles import WaitingCycles
 
