@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pbonet.config.model import Variable
-from pbonet.svar import Table
+from pbonet.svar import Freshness, Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -121,12 +121,13 @@ class Rivals:
             f"bench{os.getpid()}-{case.arrays}-{case.length}-{int(finite)}",
             [
                 Variable(name=n, type="double", nelem=case.length, finite=finite)
-                for n in names
+                for n in [*names, "OUT"]
             ],
         )
         me = os.getpid()
         writer = self.table.local("writer", me, outvar=names)
-        reader = self.table.local("reader", me, invar=names)
+        reader = self.table.local("reader", me, invar=names, outvar=["OUT"])
+        reader.keep_fresh({self.table.index(name): Freshness() for name in names})
         for i, name in enumerate(names):
             writer.array(name)[:] = i + 0.5
         writer.claim()

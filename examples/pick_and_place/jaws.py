@@ -45,10 +45,10 @@ class Jaws(PortBasedObject[Drive]):
     drives: A[int, OutConst("DRIVES", "1", "none", "number of drives")]
     wish: A[float, InVar("WIDTH_REF", "1", "m", "how far open they shall be")]
     tip: A[Vector, InVar("X_TIP", "3", "m", "where the jaws are")]
-    width: A[float, OutVar("WIDTH", "1", "m", "how far open they are")]
-    pressing: A[float, OutVar("FORCE", "1", "N", "with which they press")]
-    held: A[bool, OutVar("HELD", "1", "none", "whether they hold a part")]
-    part: A[Vector, OutVar("PART", "3", "m", "where the part is")]
+    width: A[float, OutVar("WIDTH", "1", "m", "how far open they are", new=True)]
+    pressing: A[float, OutVar("FORCE", "1", "N", "with which they press", new=True)]
+    held: A[bool, OutVar("HELD", "1", "none", "whether they hold a part", new=True)]
+    part: A[Vector, OutVar("PART", "3", "m", "where the part is", new=True)]
 
     def init(self) -> None:
         """Put a part where it lies."""

@@ -32,7 +32,12 @@ from .model import (
     TaskType as TaskType,
     Variable as Variable,
 )
-from .needs import Missing as Missing, missing_methods as missing_methods
+from .needs import (
+    Missing as Missing,
+    critical_action as critical_action,
+    missing_methods as missing_methods,
+    stale_action as stale_action,
+)
 from .reader import load as load
 from .rmod import (
     parse_rmod as parse_rmod,

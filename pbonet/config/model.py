@@ -122,6 +122,12 @@ class Rmod(Struct, frozen=True, kw_only=True):
     crit: int | None = None
     handler: int | None = None
     """Criticality of the handler of timing failures; None for the task's own."""
+    stale: str | None = None
+    """The action while an input is too old: a value of `pbonet.ports.Stale`. None: as
+    the module's ports say."""
+    settle: float | None = None
+    """Seconds that all inputs must have been fresh before it goes on; None: until each
+    has come twice more."""
     rtpu: str | None = None
     local: dict[str, LocalLine] = {}
     places: dict[str, Place] = {}

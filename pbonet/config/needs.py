@@ -1,10 +1,11 @@
-"""Methods that an RMOD counts on and its module does not have."""
+"""Methods that an RMOD counts on: those that its module lacks, and when they run."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
 from pbonet.pbo import METHODS
+from pbonet.ports import Stale, lacks
 
 from .model import TaskType
 
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.pbo import ModuleInfo
+    from pbonet.ports import Port
 
     from .model import Rmod
 
@@ -28,8 +30,9 @@ class Missing(NamedTuple):
 def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
     """Yield the methods that `rmod` counts on and the module does not write.
 
-    A task that the clock does not time waits in `sync`, and HANDLER is the criticality
-    of `timing_failure`. (What CRITICAL counts on, `stable`, the executor looks after.)
+    A task that the clock does not time waits in `sync`, HANDLER is the criticality of
+    `timing_failure`, and STALE may call `stable` or write safe values. (What CRITICAL
+    counts on, the executor looks after.)
     """
     if rmod.tasktype is not TaskType.PERIODIC and "sync" not in info.methods:
         yield _missing(
@@ -39,6 +42,13 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             f"TASKTYPE {rmod.tasktype}",
             "write there how the task waits for its event, or make it periodic",
         )
+    if rmod.stale and (lack := lacks(rmod.stale, info.ports, info.methods)):
+        yield Missing(
+            f"module {info.name} cannot do STALE {rmod.stale}",
+            str(rmod.places.get("STALE", rmod.file)),
+            f"{lack} in {info.file or info.name}",
+            "write it there, or another action after STALE",
+        )
     if rmod.handler is not None and "timing_failure" not in info.methods:
         yield _missing(
             rmod,
@@ -47,6 +57,18 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             f"HANDLER {rmod.handler}",
             "implement the reaction there, or take HANDLER out of the .rmod file",
         )
+
+
+def critical_action(info: ModuleInfo) -> str:
+    """Return what a CRITICAL task does in place of `cycle`: a value of `Stale`."""
+    return Stale.STABLE if "stable" in info.methods else Stale.SAFE
+
+
+def stale_action(rmod: Rmod, info: ModuleInfo, port: Port) -> str:
+    """Return what a task does while an in-var is too old; empty: it goes on."""
+    if rmod.stale or port.stale:
+        return rmod.stale or port.stale
+    return critical_action(info) if rmod.critical else ""
 
 
 def _missing(

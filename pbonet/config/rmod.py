@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from msgspec import structs
 
 from pbonet.errors import did_you_mean
+from pbonet.ports import Stale
 
 from . import words
 from .blocks import Block, Grammar, read_block
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 GRAMMAR = Grammar(
     "MODULE|COMBINE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE "
-    "[FREQ|PERIOD] [CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|RTPU]",
+    "[FREQ|PERIOD] [CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|STALE|RTPU]",
     after=("LOCAL", "EOF"),
     either=(("MODULE", "COMBINE"), ("FREQ", "PERIOD")),
 )
@@ -89,6 +90,7 @@ def _parse(
         words.single(block["TASKTYPE"], "one task type"), TaskType, "a task type"
     )
     times = read_timing(reader, block, tasktype)
+    stale, settle = _stale(reader, block)
     local, places = _local(reader)
     reader.finish()
     module, parts = _code(block, sections, (*above, name))
@@ -107,6 +109,8 @@ def _parse(
         critical=_critical(block),
         crit=criticality(reader, block, "CRIT"),
         handler=criticality(reader, block, "HANDLER"),
+        stale=stale,
+        settle=settle,
         rtpu=_rtpu(block),
         local=local,
         places={**block.places, **places},
@@ -291,6 +295,28 @@ def _critical(block: Block) -> bool:
     return line is not None and (not line.words or words.yes(line))
 
 
+def _stale(reader: Reader, block: Block) -> tuple[str | None, float | None]:
+    """Return the action while an input is too old, and for how long it lasts on."""
+    line = block.get("STALE")
+    if line is None:
+        return None, None
+    if not 1 <= len(line.words) <= 2:  # noqa: PLR2004 - as the message says
+        raise fault(
+            "STALE needs an action, and may have seconds",
+            line.place,
+            expected=f"{' or '.join(Stale)}, and how long all inputs must have been "
+            "fresh before the task goes on",
+            got=quote(line.rest) if line.rest else "nothing",
+            remedy="write such as: STALE hold, or STALE stable 0.2",
+        )
+    action = words.choice(line.words[0], Stale, "an action").value
+    if len(line.words) == 1:
+        return action, None
+    return action, words.real(
+        reader, line.words[1], "seconds, 0 or more", open_low=False
+    )
+
+
 def _rtpu(block: Block) -> str | None:
     line = block.get("RTPU")
     return words.label(words.single(line, "an RTPU"), "an RTPU") if line else None
@@ -352,6 +378,9 @@ def _text(record: Rmod) -> str:
             lines.append(text_line(keyword, number(value)))
     if record.critical:
         lines.append(text_line("CRITICAL", "yes"))
+    if record.stale is not None:
+        after = "" if record.settle is None else f" {number(record.settle)}"
+        lines.append(text_line("STALE", record.stale + after))
     if record.rtpu is not None:
         lines.append(text_line("RTPU", record.rtpu))
     if record.local:

@@ -1,6 +1,6 @@
 from . import export as export, orders as orders, text as text
 from .code import code_of as code_of
-from .cycles import COLUMNS as COLUMNS, STABLE as STABLE, Cycles as Cycles
+from .cycles import COLUMNS as COLUMNS, Cycles as Cycles
 from .damage import Lost as Lost
 from .events import LOG_SCHEMA as LOG_SCHEMA, log_message as log_message
 from .fields import field_name as field_name, variable_name as variable_name
@@ -29,7 +29,10 @@ from .scan import is_complete as is_complete
 from .schema import (
     CDR as CDR,
     HEAD_DTYPE as HEAD_DTYPE,
+    HELD as HELD,
     RECORD as RECORD,
+    SAFE as SAFE,
+    STABLE as STABLE,
     StepSchema as StepSchema,
     head as head,
 )

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags")
 """Columns of a cycle besides its values: times of CLOCK_MONOTONIC, its number, CPU
 time (all in nanoseconds), and the flags of its copies."""
-STABLE: Final = 1 << 31
-"""The flag of a cycle in which ``stable`` ran."""
 
 
 class Written(NamedTuple):

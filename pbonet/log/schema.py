@@ -46,6 +46,10 @@ HEAD: Final[tuple[tuple[str, str, str], ...]] = (
 HEAD_DTYPE: Final = np.dtype([(name, kind) for name, kind, _ in HEAD])
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
+HELD: Final = 1 << 30
+"""The flag of a cycle that was skipped because an input was too old."""
+SAFE: Final = 1 << 29
+"""The flag of a cycle in which the safe values were written."""
 RECORD: Final = struct.Struct("<IIIIII")
 """Size, pairs, bytes of out-vars, of inputs, of inputs from outside, and a spare."""
 _HEAD_BYTES: Final = HEAD_DTYPE.itemsize

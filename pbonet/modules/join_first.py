@@ -13,7 +13,8 @@ class JoinFirst(PortBasedObject[Params]):
     Two modules that produce the same variable get different ones by SVARALIAS, the
     better one Z1, and this module makes the one that others read out of the two. It
     warns when it changes from one to the other, and fails when neither is valid, so
-    that no reader takes an old value for a new one. Joins can be chained.
+    that no reader takes an old value for a new one; z has the age of the one that is
+    taken. Joins can be chained.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]
@@ -32,5 +33,6 @@ class JoinFirst(PortBasedObject[Params]):
                 self.task.warn(f"{port.upper()} is taken, not {self._taken.upper()}")
                 self._taken = port
             self.z[:] = values
+            self.task.pass_age_of(port)
             return
         self.task.fail("neither Z1 nor Z2 is finite and no older than its MAXAGE")

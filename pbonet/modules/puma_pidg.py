@@ -53,8 +53,8 @@ class PumaPidg(PortBasedObject[Gains]):
     q_ref: A[Vector, InVar("Q_REF", "6", "rad", "reference joint position")]
     qd_ref: A[Vector, InVar("Q^_REF", "6", "rad/s", "reference joint velocity")]
     t_grav: A[Vector, InVar("T_GRAV", "6", "N*m", "torque that balances gravity")]
-    q: A[Vector, OutVar("Q_MEZ", "6", "rad", "measured joint position")]
-    qd: A[Vector, OutVar("Q^_MEZ", "6", "rad/s", "measured joint velocity")]
+    q: A[Vector, OutVar("Q_MEZ", "6", "rad", "measured joint position", new=True)]
+    qd: A[Vector, OutVar("Q^_MEZ", "6", "rad/s", "measured joint velocity", new=True)]
 
     def init(self) -> None:
         self.ndof = N

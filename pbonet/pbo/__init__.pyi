@@ -3,6 +3,7 @@ from ._bind import (
     bind as bind,
     check_sizes as check_sizes,
     memory as memory,
+    write_safe as write_safe,
 )
 from ._combine import Fault as Fault, Part as Part, faults as faults
 from ._combined import Combined as Combined, PartClass as PartClass, combine as combine

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -43,6 +43,23 @@ def memory(instance: PortBasedObject[Any]) -> Memory:
     """Return what `instance` is bound to."""
     found: Memory = vars(instance)[_MEMORY]
     return found
+
+
+def write_safe(instance: PortBasedObject[Any]) -> Callable[[float], None]:
+    """Return a function that writes the safe value of each out-var that has one."""
+    arrays = memory(instance).arrays
+    values = [
+        (array, np.broadcast_to(np.array(port.safe), array.shape).astype(array.dtype))
+        for port in type(instance).__interface__.ports
+        if port.safe is not None
+        for array in (arrays[port.attr],)
+    ]
+
+    def write(dt: float) -> None:  # noqa: ARG001 - called in place of `cycle`
+        for array, safe in values:
+            array[:] = safe
+
+    return write
 
 
 def check_sizes(instance: PortBasedObject[Any], kind: Kind) -> None:
@@ -183,15 +200,30 @@ def part_context(whole: PortBasedObject[Any], part: Part) -> TaskContext:
         outer = attrs[attr]
         return outer is not None and task.is_stale is not None and task.is_stale(outer)
 
+    def age(attr: str) -> float:
+        outer = attrs[attr]
+        return 0.0 if outer is None or task.age_of is None else task.age_of(outer)
+
+    def stamp(attr: str) -> int:
+        outer = attrs[attr]
+        return (
+            task.now if outer is None or task.stamp_of is None else task.stamp_of(outer)
+        )
+
     def signal(self: Any, signal: int, text: str = "") -> None:  # noqa: ANN401
         bits = int(signal) & ~sum(own)
         bits |= sum(new for old, new in own.items() if signal & old)
         kind.signal(self, bits, text)
 
-    slots = {"__slots__": ("in_vars", "is_stale"), "signal": signal}
+    slots = {
+        "__slots__": ("age_of", "in_vars", "is_stale", "stamp_of"),
+        "signal": signal,
+    }
     made: Any = object.__new__(type("PartContext", (kind,), slots))
     made.__dict__ = vars(task)
     made.is_stale = stale
+    made.age_of = age
+    made.stamp_of = stamp
     return cast("TaskContext", made)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from msgspec import Struct, structs
 
 from pbonet.errors import DeclarationError
-from pbonet.ports import Kind, Port
+from pbonet.ports import Kind, Port, Stale
 
 from ._object import METHODS
 from ._signals import SIGNALS, Signal, SignalInfo
@@ -206,7 +206,65 @@ def combination(parts: Sequence[Part], published: Iterable[str]) -> Combination:
             (ports if same else within).append(port)
     order = list(Kind)
     ports.sort(key=lambda port: order.index(port.kind))
-    return Combination(tuple(ports), tuple(within), inner, attrs)
+    aged = ages_through(parts, found, outer)
+    whole = tuple(_whole(port, found[port.name], aged) for port in ports)
+    return Combination(whole, tuple(within), inner, attrs)
+
+
+def _whole(port: Port, wire: Wire, aged: Ages) -> Port:
+    """Return the port of a combination with the options that its parts give it."""
+    if port.kind is Kind.OUTVAR:
+        return structs.replace(port, new=port.name not in aged.outputs)
+    if port.kind is not Kind.INVAR:
+        return port
+    limits = [one.port.max_age for one in wire.readers if one.port.max_age is not None]
+    actions = [Stale(one.port.stale) for one in wire.readers if one.port.stale]
+    return structs.replace(
+        port,
+        max_age=min(limits, default=None),
+        stale=max(actions, key=list(Stale).index) if actions else "",
+        feedback=port.name not in aged.inputs,
+    )
+
+
+class Ages(NamedTuple):
+    """Variables of a combination through which ages travel."""
+
+    inputs: frozenset[str]
+    """Inputs whose age is passed on to a published variable."""
+    outputs: frozenset[str]
+    """Published variables that inherit the age of an input."""
+
+
+def ages_through(
+    parts: Sequence[Part], found: Mapping[str, Wire], outer: set[str]
+) -> Ages:
+    """Return how ages travel through a combination: part by part, as its data do."""
+    inputs = [name for name, wire in found.items() if not wire.writers]
+    reached = {name: _inheriting(parts, found, name) & outer for name in inputs}
+    return Ages(
+        frozenset(name for name, to in reached.items() if to),
+        frozenset[str]().union(*reached.values()),
+    )
+
+
+def _inheriting(
+    parts: Sequence[Part], found: Mapping[str, Wire], start: str
+) -> set[str]:
+    """Return the variables that inherit the age of one, directly or through others."""
+    seen: set[str] = set()
+    todo = [start]
+    while todo:
+        for use in found[todo.pop()].readers:
+            if use.port.kind is not Kind.INVAR or use.port.feedback:
+                continue
+            part = parts[use.part]
+            for port in part.ports:
+                name = part.variable(port)
+                if port.kind is Kind.OUTVAR and not port.new and name not in seen:
+                    seen.add(name)
+                    todo.append(name)
+    return seen
 
 
 def _attributes(parts: Sequence[Part], outer: Sequence[Wire]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 from msgspec import Struct, structs
 
-from pbonet.ports import Kind, Port, shape_text
+from pbonet.ports import Kind, Port, is_safe, shape_text
 
 from ._combine import Part, combination, methods, signals
 from ._object import PortBasedObject
@@ -49,7 +49,7 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     methods: tuple[str, ...]
     """Methods that the module writes itself."""
     critical_ok: bool
-    """True when it has `stable`, and so may be marked CRITICAL."""
+    """True when it has `stable`, or safe values, and so may be marked CRITICAL."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
@@ -117,7 +117,7 @@ def combined_info(
             for param in one.info.params
         ),
         methods=written,
-        critical_ok="stable" in written,
+        critical_ok="stable" in written or is_safe(whole.ports),
         signals=signals(told),
         parts=tuple(parts),
         within=whole.within,
@@ -159,7 +159,7 @@ def describe(
         ports=declared.ports,
         params=_params(cls),
         methods=declared.methods,
-        critical_ok="stable" in declared.methods,
+        critical_ok="stable" in declared.methods or is_safe(declared.ports),
         signals=declared.signals,
     )
 
@@ -206,7 +206,7 @@ def render(info: ModuleInfo) -> str:
     """Return `info` as text for people, without colours."""
     lines = [f"{info.name}: {info.doc}", ""]
     ports: list[tuple[str, ...]] = [
-        (port.kind, port.name, port.attr, _type(port), port.unit, port.doc)
+        (port.kind, port.name, port.attr, _type(port), port.unit, _about(port))
         for port in info.ports
     ]
     lines += ["ports", *_table(ports or [("none",)]), "", "parameters"]
@@ -228,9 +228,8 @@ def render(info: ModuleInfo) -> str:
         ]
         lines += ["signals", *_table(signals), ""]
     lines.append(f"methods   {' '.join(info.methods)}")
-    lines.append(
-        f"CRITICAL  {'possible' if info.critical_ok else 'no: has no stable()'}"
-    )
+    lacks = "no: has no stable(), and no safe values"
+    lines.append(f"CRITICAL  {'possible' if info.critical_ok else lacks}")
     if info.parts:
         lines += ["", "parts"]
         lines += _table([(p.name, p.info.name, p.info.version) for p in info.parts])
@@ -243,6 +242,19 @@ def render(info: ModuleInfo) -> str:
         lines.append(f"class     {info.cls} in {info.file or 'unknown file'}")
     lines.append(f"version   {info.version or 'unknown'}")
     return "\n".join(lines) + "\n"
+
+
+def _about(port: Port) -> str:
+    """Return what a port carries, and what its options say about ages."""
+    notes = [
+        "" if port.max_age is None else f"at most {port.max_age:g} s old",
+        f"else {port.stale}" * bool(port.stale),
+        "feedback" * port.feedback,
+        "new" * port.new,
+        "" if port.safe is None else f"safe {' '.join(map(str, port.safe))}",
+    ]
+    said = ", ".join(note for note in notes if note)
+    return f"{port.doc} ({said})" if said else port.doc
 
 
 def _type(port: Port) -> str:

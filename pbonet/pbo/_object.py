@@ -23,6 +23,7 @@ from pbonet.ports import (
     Declaring,
     Port,
     attribute,
+    check_options,
     here,
     make_port,
 )
@@ -118,6 +119,8 @@ class PortBasedObject(Generic[P]):
         _refuse_constructor(cls, body)
         ports = _ports(cls, body)
         methods = _methods(cls, body, abstract=abstract)
+        if not abstract:
+            check_options(body, ports, methods)
         cls.__interface__ = Interface(ports, methods, _signals(cls, body))
 
     def init(self) -> None:

@@ -188,6 +188,10 @@ class TaskContext:
         """Attributes of the module's in-vars."""
         self.is_stale: Callable[[str], bool] | None = None
         """The function that checks the age of an in-var; None if values do not age."""
+        self.age_of: Callable[[str], float] | None = None
+        """Returns the age of an in-var in seconds; None if values do not age."""
+        self.stamp_of: Callable[[str], int] | None = None
+        """Returns the time stamp that outputs made of this in-var alone would have."""
         self.on_illegal: IllegalHook | None = None
         """How the runtime raises or withdraws the task's entries in the flag."""
 
@@ -216,11 +220,13 @@ class TaskContext:
 
     @property
     def stamp_ns(self) -> int:
-        """Time at which the outputs were measured, as `now`; 0: at the copy-out.
+        """Time at which the outputs were measured, as `now`; 0: that of the inputs.
 
-        Set by a module that passes on values older than its cycle, such as those from
-        another machine: ages and MAXAGE of its outputs then count from there. Holds
-        until it is set again, or the task is turned on.
+        With 0 the outputs have the time stamp of the oldest input whose age is passed
+        on, and without such an input that of the copy-out. Set by a module that passes
+        on values of another age, such as those from another machine: ages and MAXAGE of
+        its outputs then count from there. Holds until it is set again, or the task is
+        turned on.
         """
         return self._stamp
 
@@ -311,9 +317,9 @@ class TaskContext:
         return self.watch.timed(name)
 
     def stale(self, port: str) -> bool:
-        """Return whether an in-var is older than the MAXAGE of its variable (5.5.2).
+        """Return whether an in-var is older than its MAXAGE or ``max_age`` (5.5.2).
 
-        A variable that was never written is stale, one without MAXAGE never is.
+        A variable that was never written is stale, one without a limit never is.
 
         Args:
             port: The in-var, as the module spells it: ``self.task.stale("z1")``.
@@ -321,6 +327,40 @@ class TaskContext:
         Raises:
             MethodError: The module has no such in-var.
         """
+        self._need_in_var(port)
+        return self.is_stale is not None and self.is_stale(port)
+
+    def age(self, port: str) -> float:
+        """Return the age of an in-var in seconds; infinite: it was never written.
+
+        It counts from the measurement where its writer passes that on, otherwise from
+        when it was written, and includes the way from another machine.
+
+        Args:
+            port: The in-var, as the module spells it: ``self.task.age("z1")``.
+
+        Raises:
+            MethodError: The module has no such in-var.
+        """
+        self._need_in_var(port)
+        return 0.0 if self.age_of is None else self.age_of(port)
+
+    def pass_age_of(self, port: str) -> None:
+        """Give the outputs the age of this in-var alone, until it is called again.
+
+        For a module that chooses one of several inputs. It sets `stamp_ns`.
+
+        Args:
+            port: The in-var, as the module spells it.
+
+        Raises:
+            MethodError: The module has no such in-var.
+        """
+        self._need_in_var(port)
+        if self.stamp_of is not None:
+            self.stamp_ns = self.stamp_of(port)
+
+    def _need_in_var(self, port: str) -> None:
         if port not in self.in_vars:
             raise MethodError(
                 f"the module has no in-var {port}",
@@ -328,7 +368,6 @@ class TaskContext:
                 expected=" or ".join(sorted(self.in_vars)) or "no in-vars at all",
                 remedy=did_you_mean(port, self.in_vars),
             )
-        return self.is_stale is not None and self.is_stale(port)
 
     def signal(self, signal: Signal | int, text: str = "") -> None:
         """Send `signal` to the master, unless it is masked; never waits.

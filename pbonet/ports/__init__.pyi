@@ -20,7 +20,18 @@ from ._declare import (
     make_port as make_port,
     name_fault as name_fault,
 )
-from ._port import Kind as Kind, Port as Port, accepts as accepts, wanted as wanted
+from ._freshness import (
+    check_options as check_options,
+    is_safe as is_safe,
+    lacks as lacks,
+)
+from ._port import (
+    Kind as Kind,
+    Port as Port,
+    Stale as Stale,
+    accepts as accepts,
+    wanted as wanted,
+)
 from ._shapes import (
     parse_shape as parse_shape,
     shape_text as shape_text,

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, overload
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
+from ._freshness import options_of
 from ._port import Kind, Port
 from ._shapes import parse_shape
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ._source import Declaring
 
 Vector = NDArray[np.float64]
@@ -46,9 +50,10 @@ class Declared:
         doc: What the port carries, in a few words.
     """
 
-    __slots__ = ("words",)
+    __slots__ = ("options", "words")
     kind: ClassVar[Kind]
     words: tuple[object, ...]
+    options: dict[str, object]
 
     if TYPE_CHECKING:
 
@@ -56,12 +61,13 @@ class Declared:
 
     else:
 
-        def __init__(self, *words: object) -> None:
-            self.words = words
+        def __init__(self, *words: object, **options: object) -> None:
+            self.words, self.options = words, options
 
     def __repr__(self) -> str:
         """Return the declaration's text."""
-        return f"{type(self).__name__}({', '.join(map(repr, self.words))})"
+        options = [f"{key}={value!r}" for key, value in self.options.items()]
+        return f"{type(self).__name__}({', '.join([*map(repr, self.words), *options])})"
 
 
 class _Constant(Declared):
@@ -91,20 +97,66 @@ class OutConst(_Constant):
 
 
 class InVar(Declared):
-    """A variable that another task produces; read before `on` and every `cycle`."""
+    """A variable that another task produces; read before `on` and every `cycle`.
+
+    Args:
+        max_age: Seconds, above which the value is too old; MAXAGE of the variable
+            counts if it is less.
+        stale: What the task does then: ``"hold"``, ``"stable"``, ``"safe"`` or
+            ``"error"``; see `Stale`. By default a CRITICAL task does ``"stable"``, or
+            ``"safe"`` if its module has no `stable`, and any other one goes on.
+        feedback: True if the value itself depends on this module's out-vars: its age is
+            not passed on to them.
+    """
 
     __slots__ = ()
     kind = Kind.INVAR
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            name: str,
+            shape: str,
+            unit: str,
+            doc: str,
+            /,
+            *,
+            max_age: float | None = None,
+            stale: Literal["", "hold", "stable", "safe", "error"] = "",
+            feedback: bool = False,
+        ) -> None: ...
 
 
 class OutVar(Declared):
     """A variable that this module produces.
 
     Read before `on`; written after `on`, every `cycle` and `off`.
+
+    Args:
+        new: True if it is new information, such as a measurement; its age counts from
+            when it was written. Otherwise it has the age of the oldest input from which
+            it was computed. The out-vars of a module are all new or none.
+        safe: The value, in the port's unit, that is written while an input is too old
+            and the action is ``"safe"``: one number, or one for each element.
     """
 
     __slots__ = ()
     kind = Kind.OUTVAR
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            name: str,
+            shape: str,
+            unit: str,
+            doc: str,
+            /,
+            *,
+            new: bool = False,
+            safe: float | Sequence[float] | None = None,
+        ) -> None: ...
 
 
 MARKS = tuple(kind.__name__ for kind in (InConst, OutConst, InVar, OutVar))
@@ -135,7 +187,7 @@ def make_port(body: Declaring, attr: str, kind: object, declared: Declared) -> P
             expected=SHAPES,
             got=f'"{size}"',
         ) from None
-    return Port(
+    port = Port(
         attr=attr,
         name=name,
         kind=declared.kind,
@@ -144,6 +196,7 @@ def make_port(body: Declaring, attr: str, kind: object, declared: Declared) -> P
         doc=doc,
         type=_type(body, attr, kind, shape),
     )
+    return structs.replace(port, **options_of(body, port, declared.options))
 
 
 def name_fault(name: str) -> str:

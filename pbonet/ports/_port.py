@@ -30,6 +30,19 @@ class Kind(StrEnum):
         return self in {Kind.INCONST, Kind.OUTCONST}
 
 
+class Stale(StrEnum):
+    """The action of a task while an input is too old; later ones are stronger."""
+
+    HOLD = "hold"
+    """Skip the cycle: the outputs keep their values and their age."""
+    STABLE = "stable"
+    """Run `stable` in place of `cycle`."""
+    SAFE = "safe"
+    """Write the safe value of each out-var in place of `cycle`."""
+    ERROR = "error"
+    """Go to ERROR."""
+
+
 class Port(Struct, frozen=True):
     """One port of a module, as plain data."""
 
@@ -44,6 +57,16 @@ class Port(Struct, frozen=True):
     doc: str
     type: str
     """``float``, ``int`` or ``bool`` for scalars, else such as ``float64[]``."""
+    max_age: float | None = None
+    """Of an in-var: seconds, above which the value is too old."""
+    stale: str = ""
+    """Of an in-var: a value of `Stale`; empty: the task's own default."""
+    feedback: bool = False
+    """Of an in-var: its age is not passed on to the out-vars."""
+    new: bool = False
+    """Of an out-var: it is new information and does not inherit the inputs' age."""
+    safe: tuple[float, ...] | None = None
+    """Of an out-var: what `Stale.SAFE` writes; one number counts for each element."""
 
     @property
     def is_scalar(self) -> bool:

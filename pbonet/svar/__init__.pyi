@@ -1,5 +1,6 @@
 from . import guards as guards, layout as layout, table_files as table_files
 from ._svar import Watch as Watch, now_ns as now_ns, survive_cuts as survive_cuts
+from .freshness import Action as Action, Freshness as Freshness
 from .guards import (
     Blamed as Blamed,
     Check as Check,
@@ -20,6 +21,7 @@ from .result_codes import (
     IN as IN,
     ON as ON,
     OUT_CONSTS as OUT_CONSTS,
+    PASSED_ON as PASSED_ON,
     RIVAL as RIVAL,
     VARS as VARS,
     Flags as Flags,

@@ -5,7 +5,7 @@ from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 cdef extern from "local.h" nogil:
     enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_CAUSES_EACH, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
     enum: PB_FREE, PB_LEFT, PB_GROUP_VARS, PB_GROUP_CONSTS, PB_SOUND, PB_NO_MEMORY, PB_OVERWRITTEN
-    enum: PB_KEEPER
+    enum: PB_KEEPER, PB_COPY_STALE
     struct pb_stamp:
         int64_t time_ns
         uint64_t cycle
@@ -54,10 +54,23 @@ cdef extern from "local.h" nogil:
         bint outside
     struct pb_piece:
         uint64_t bytes
+    uint64_t PB_PASSED_ON
+    struct pb_freshness:
+        int64_t maxage_ns
+        uint32_t action, passes
     struct pb_age:
         uint32_t var
+    struct pb_renewal:
+        uint32_t times
+    struct pb_freshness_state:
+        int64_t settle_ns, oldest_ns
+        pb_renewal *renewals
+        int action
+        bint settling, report
     struct pb_plan:
         uint32_t n_vars, n_sources
+        const pb_freshness *fresh
+        uint32_t *age_of
         uint64_t generation
         const uint32_t *vars
         const uint64_t *to
@@ -87,6 +100,7 @@ cdef extern from "local.h" nogil:
         uint32_t n_consumed, fault_var
         uint64_t fault_element
         pb_seen flag
+        pb_freshness_state fresh
     struct pb_view:
         pb_stamp stamp
         uint64_t uid, seq
@@ -124,7 +138,11 @@ cdef extern from "local.h" nogil:
     int pb_judge(pb_local *l, pb_outputs *o)
     uint64_t pb_committed(const pb_outputs *o)
     void pb_cede(const pb_local *l, pb_outputs *o)
-    int pb_commit(pb_local *l, pb_outputs *o, int64_t now_ns, uint64_t cycle)
+    int64_t pb_age_of(const pb_local *l, uint32_t v)
+    int64_t pb_stamp_from(const pb_local *l, uint32_t v)
+    pb_stamp pb_stamp_of(const pb_freshness_state *s, int64_t own_ns, int64_t now_ns,
+                         uint64_t cycle)
+    int pb_commit(pb_local *l, pb_outputs *o, pb_stamp stamp)
     int pb_commit_one(pb_local *l, pb_outputs *o, uint32_t i, int64_t now_ns, uint64_t cycle)
     int pb_read_one(pb_local *l, uint32_t v, uint64_t at)
 

@@ -43,7 +43,12 @@ cdef class LocalTable:
     cdef unsigned long long stored, stored_set  # generation and commits from outside, see below
     cdef public bint held      # commits are checked, and sent by `publish`
     cdef long long held_ns
+    cdef unsigned long long held_cycle
     cdef int c_copy_in(self) noexcept nogil
+    cdef bint c_aged(self) noexcept nogil       # inputs are stale or settling
+    cdef bint c_to_report(self) noexcept nogil  # others are to know that
+    cdef int c_action(self) noexcept nogil      # while inputs are stale or settling, else 0
+    cdef void c_make_new(self) noexcept nogil   # the next commit does not inherit an age
     # Inputs for a log: c_due returns the bytes of the in-vars if they cannot be rebuilt from
     # what other tasks committed since the last store, else 0; c_input returns them one by
     # one; c_stored marks them as stored.
@@ -51,5 +56,6 @@ cdef class LocalTable:
     cdef int c_inputs(self) noexcept nogil
     cdef const void *c_input(self, int i, size_t *n) noexcept nogil
     cdef void c_stored(self) noexcept nogil
-    cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil
+    # own_ns: the module's own time of the outputs; 0: none
+    cdef int c_commit(self, long long own_ns, long long now_ns, unsigned long long cycle) noexcept nogil
     cdef bint c_illegal(self) noexcept nogil

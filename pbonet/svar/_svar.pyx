@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
-# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h watch.h
+# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h fresh.h local.h survive.h watch.h
 """Thin wrapper of the C headers: buffers in, numbers out; Python raises the errors."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
@@ -250,6 +250,12 @@ cdef inline unsigned long long outside(const pb_plan *p) noexcept nogil:
     return heads
 
 
+cdef inline int send(LocalTable task, pb_stamp stamp) noexcept nogil:
+    task.flags = pb_commit(local(task), local(task).outputs + PB_GROUP_VARS, stamp)
+    task.out_number = pb_committed(local(task).outputs + PB_GROUP_VARS)
+    return task.flags
+
+
 cdef void *room(list kept, size_t n, size_t size):
     memory = bytearray((n or 1) * size)
     kept.append(memory)
@@ -281,6 +287,26 @@ cdef class LocalTable:
         plan.sources = <pb_source *>room(self.kept, n, sizeof(pb_source))
         plan.pieces = <pb_piece *>room(self.kept, n, sizeof(pb_piece))
         plan.ages = <pb_age *>room(self.kept, n, sizeof(pb_age))
+
+    def set_freshness(self, unsigned which, limits, double settle) -> None:
+        """Set how a copy of a plan handles ages.
+
+        Args:
+            limits: Of each variable of the plan: limit in nanoseconds (0: none), action,
+                and whether its age is passed on.
+            settle: Seconds that inputs must have been fresh; negative: two renewals.
+        """
+        cdef pb_plan *plan = local(self).plans + which
+        cdef pb_freshness *f = <pb_freshness *>room(self.kept, plan.n_vars, sizeof(pb_freshness))
+        for i, (maxage_ns, action, passes) in enumerate(limits):
+            f[i].maxage_ns, f[i].action, f[i].passes = maxage_ns, action, passes
+        plan.fresh = f
+        plan.age_of = <uint32_t *>room(self.kept, plan.n_vars, sizeof(uint32_t))
+        plan.generation = 0     # the next copy plans again
+        if which == PB_PLAN_IN:
+            local(self).fresh.settle_ns = <int64_t>(settle * 1e9)
+            local(self).fresh.renewals = <pb_renewal *>room(self.kept, plan.n_vars,
+                                                            sizeof(pb_renewal))
 
     def set_group(self, unsigned which, const uint32_t[::1] vars, const uint64_t[::1] at,
                   size_t first, size_t size, list checks):
@@ -324,16 +350,21 @@ cdef class LocalTable:
                                which == PB_GROUP_CONSTS, &rival)
         return code, rival
 
-    def take(self, unsigned which, long long now, unsigned long long cycle) -> tuple:
+    def take(self, unsigned which, long long now, unsigned long long cycle,
+             long long own=0) -> tuple:
         """Check, commit and claim a group; returns (code, variable), flags in `flags`."""
         cdef uint32_t rival = 0
+        cdef pb_stamp stamp
+        stamp.time_ns, stamp.cycle = now, cycle
+        if which == PB_GROUP_VARS:
+            stamp = pb_stamp_of(&local(self).fresh, own, now, cycle)
         cdef pb_outputs *o = local(self).outputs + which
         cdef int code
         self.flags = pb_judge(local(self), o)
         if self.flags or not o.group.n:
             return 0, 0
         code = pb_claim(table(self.arena), &o.group, local(self).data + o.first,
-                        pb_stamp(now, cycle), which == PB_GROUP_CONSTS, &rival)
+                        stamp, which == PB_GROUP_CONSTS, &rival)
         o.live = o.live or code == 0
         if which == PB_GROUP_VARS:
             self.out_uid, self.out_number = o.group.uid, pb_committed(o)
@@ -385,15 +416,28 @@ cdef class LocalTable:
     cdef int c_copy_in(self) noexcept nogil:
         return copy(self, PB_PLAN_IN)
 
-    cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil:
+    cdef bint c_aged(self) noexcept nogil:
+        if local(self).fresh.renewals == NULL:
+            return (self.flags & PB_COPY_STALE) != 0
+        return local(self).fresh.settling
+
+    cdef bint c_to_report(self) noexcept nogil:
+        return local(self).fresh.report if local(self).fresh.renewals else self.c_aged()
+
+    cdef int c_action(self) noexcept nogil:
+        return local(self).fresh.action if local(self).fresh.settling else 0
+
+    cdef void c_make_new(self) noexcept nogil:
+        local(self).fresh.oldest_ns = 0
+
+    cdef int c_commit(self, long long own_ns, long long now_ns, unsigned long long cycle) noexcept nogil:
+        cdef pb_stamp stamp = pb_stamp_of(&local(self).fresh, own_ns, now_ns, cycle)
         self.cycles = cycle
         if self.held:
             self.flags = pb_judge(local(self), local(self).outputs + PB_GROUP_VARS)
-            self.held_ns = 0 if self.flags else now_ns
+            self.held_ns, self.held_cycle = 0 if self.flags else stamp.time_ns, stamp.cycle
             return self.flags
-        self.flags = pb_commit(local(self), local(self).outputs + PB_GROUP_VARS, now_ns, cycle)
-        self.out_number = pb_committed(local(self).outputs + PB_GROUP_VARS)
-        return self.flags
+        return send(self, stamp)
 
     cdef size_t c_due(self, bint whole) noexcept nogil:
         cdef const pb_plan *p = local(self).plans + PB_PLAN_IN
@@ -436,17 +480,35 @@ cdef class LocalTable:
         """Copy the in-consts; returns flags."""
         return copy(self, PB_PLAN_CONSTS)
 
-    def commit(self, long long now_ns=0, unsigned long long cycle=0) -> int:
+    def commit(self, long long now_ns=0, unsigned long long cycle=0, long long own_ns=0) -> int:
         """Commit the out-vars as one group; returns flags, and nothing is sent if any is set."""
         self.publish()
-        return self.c_commit(now_ns or pb_now(), cycle or self.cycles + 1)
+        return self.c_commit(own_ns, now_ns or pb_now(), cycle or self.cycles + 1)
 
     def publish(self) -> None:
         """Send a commit that was checked while `held` was set; nothing if there is none."""
-        cdef long long now_ns = self.held_ns
+        cdef pb_stamp stamp
+        stamp.time_ns, stamp.cycle = self.held_ns, self.held_cycle
         self.held_ns, self.held = 0, False
-        if now_ns:
-            self.c_commit(now_ns, self.cycles)
+        if stamp.time_ns:
+            send(self, stamp)
+
+    def age_ns(self, unsigned var) -> int:
+        """Return the age of an in-var by its last copy; -1: never written."""
+        return pb_age_of(local(self), var)
+
+    def stamp_from(self, unsigned var) -> int:
+        """Return the stamp of what is computed from this in-var alone; 0: now."""
+        return pb_stamp_from(local(self), var)
+
+    def make_new(self) -> None:
+        """Let the next commit not inherit the age of an input."""
+        self.c_make_new()
+
+    @property
+    def action(self) -> int:
+        """The strongest action of inputs that are stale or settling; 0: none."""
+        return self.c_action()
 
     @property
     def virtual_ns(self) -> int:

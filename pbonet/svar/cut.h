@@ -31,10 +31,17 @@ struct pb_piece {
     uint64_t from, to, bytes;
 };
 
+/* How a task handles the age of one variable that it reads. */
+struct pb_freshness {
+    int64_t maxage_ns; /* 0: no limit */
+    uint32_t action;   /* while it is too old: enum pb_action */
+    uint32_t passes;   /* whether its age is passed on to what the task writes */
+};
+
 struct pb_age {
     uint32_t source, var;
     uint64_t from;
-    int64_t maxage_ns;
+    struct pb_freshness fresh;
     struct pb_stamp stamp;
 };
 
@@ -49,6 +56,10 @@ struct pb_plan {
     struct pb_age *ages;
     uint64_t generation; /* the directory's head; 0: none yet, no directory has it */
     bool all_ages; /* read every variable's stamp, not only of those with MAXAGE */
+    const struct pb_freshness *fresh; /* of each variable, then every stamp is read; NULL:
+                                         only limits count, those of the table */
+    uint32_t *age_of; /* with `fresh`: the entry in `ages` of each variable */
+    bool limited;     /* a variable has a limit */
 };
 
 /* Whether a register is the keeper's, an agent's (TASK@HOST) or a player's (replay:TASK). */
@@ -87,6 +98,20 @@ static inline void pb_add_piece(struct pb_plan *p, struct pb_piece new) {
     }
 }
 
+/* Plan to read the stamp of the plan's variable `i`. Variables that are written together
+ * and handled alike share one. */
+static inline void pb_plan_age(struct pb_plan *p, uint32_t i, struct pb_age new) {
+    uint32_t k = 0;
+    if (!new.fresh.maxage_ns && !p->all_ages && !p->fresh) return;
+    p->limited |= new.fresh.maxage_ns != 0;
+    while (p->fresh && k < p->n_ages &&
+           (p->ages[k].source != new.source || p->ages[k].from != new.from ||
+            memcmp(&p->ages[k].fresh, &new.fresh, sizeof new.fresh))) k++;
+    if (!p->fresh) k = p->n_ages;
+    if (p->age_of) p->age_of[i] = k;
+    if (k == p->n_ages) p->ages[p->n_ages++] = new;
+}
+
 /* Build the plan for `generation`; outdated when that is no longer the newest, invalid when
  * it is and its directory is not one that a claimer made. */
 static inline enum pb_planned pb_replan(const struct pb_table *t, struct pb_plan *p,
@@ -95,6 +120,7 @@ static inline enum pb_planned pb_replan(const struct pb_table *t, struct pb_plan
     bool valid = pb_numbered(t, generation);
     p->generation = 0;
     p->n_sources = p->n_pieces = p->n_ages = 0;
+    p->limited = false;
     for (uint32_t i = 0; i < p->n_vars && valid; i++) {
         const uint32_t v = p->vars[i];
         const struct pb_var *var = t->vars + v;
@@ -106,12 +132,12 @@ static inline enum pb_planned pb_replan(const struct pb_table *t, struct pb_plan
         source = pb_source_of(t, p, e.reg);
         valid = pb_source_fits(t, v, &e, p->sources + source);
         pb_add_piece(p, (struct pb_piece){source, PB_LINE + e.at, p->to[i], var->bytes});
-        if (var->maxage_ns || p->all_ages)
-            p->ages[p->n_ages++] = (struct pb_age){
-                source, v,
-                e.reg == PB_KEEPER ? PB_LINE + t->fixed->keep_stamps + v * sizeof(struct pb_stamp)
-                                   : 0,
-                var->maxage_ns, {0, 0}};
+        pb_plan_age(p, i, (struct pb_age){
+            source, v,
+            e.reg == PB_KEEPER ? PB_LINE + t->fixed->keep_stamps + v * sizeof(struct pb_stamp)
+                               : 0,
+            p->fresh ? p->fresh[i] : (struct pb_freshness){.maxage_ns = var->maxage_ns},
+            {0, 0}});
     }
     /* SYNC POINT C1, partners R1 (directory slot) and O1 (register fields): nothing above
      * may be used, not even to compute an address, unless it belongs to this generation. */

@@ -3,8 +3,8 @@
 #ifndef PBONET_LOCAL_H
 #define PBONET_LOCAL_H
 
-#include "cut.h"
 #include "flag.h"
+#include "fresh.h"
 #include "guard.h"
 #include "keeper.h"
 #include "look.h"
@@ -18,6 +18,7 @@ enum pb_flags {
     PB_COMMIT_LIMIT = 32,
     PB_COMMIT_NOT_OWNER = 64,
     PB_TABLE_OVERWRITTEN = 128, /* of a copy or a commit */
+    PB_COPY_SETTLING = 256, /* inputs are fresh again, but not for long enough */
 };
 
 enum { PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON, PB_PLANS };
@@ -47,6 +48,7 @@ struct pb_local {
     uint32_t fault_var; /* of the last refused commit, or the stale input */
     uint64_t fault_element;
     struct pb_seen flag;
+    struct pb_freshness_state fresh;
     uint64_t generation; /* the last one that a commit found valid; 0: none */
 };
 
@@ -54,30 +56,56 @@ static inline int64_t pb_time(const struct pb_local *l) {
     return l->virtual_ns ? l->virtual_ns : pb_now();
 }
 
-static inline bool pb_too_old(const struct pb_age *age, int64_t now) {
-    return age->maxage_ns &&
-           (!age->stamp.time_ns || now - age->stamp.time_ns > age->maxage_ns);
+/* The age of an in-var at its last copy; NULL when none was read. */
+static inline const struct pb_age *pb_in_age(const struct pb_local *l, uint32_t v) {
+    const struct pb_plan *p = l->plans + PB_PLAN_IN;
+    for (uint32_t i = 0; i < p->n_vars && p->age_of && p->n_ages; i++)
+        if (p->vars[i] == v) return p->ages + p->age_of[i];
+    for (uint32_t i = 0; i < p->n_ages && !p->age_of; i++)
+        if (p->ages[i].var == v) return p->ages + i;
+    return NULL;
 }
 
 /* Whether an in-var is too old now, by the stamp of its last copy. */
 static inline bool pb_is_stale(const struct pb_local *l, uint32_t v) {
-    const struct pb_plan *p = l->plans + PB_PLAN_IN;
-    const int64_t now = pb_time(l);
-    for (uint32_t i = 0; i < p->n_ages; i++)
-        if (p->ages[i].var == v) return pb_too_old(p->ages + i, now);
-    return false;
+    const struct pb_age *age = pb_in_age(l, v);
+    return age && pb_too_old(age, pb_time(l));
 }
 
-static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
-    int64_t now = pb_time(l);
-    for (uint32_t i = 0; i < p->n_ages; i++) {
-        if (!pb_too_old(p->ages + i, now)) continue;
-        l->fault_var = p->ages[i].var;
+/* The time since an in-var was written, by the stamp of its last copy; -1: never written. */
+static inline int64_t pb_age_of(const struct pb_local *l, uint32_t v) {
+    const struct pb_age *age = pb_in_age(l, v);
+    return age && age->stamp.time_ns ? pb_time(l) - age->stamp.time_ns : -1;
+}
+
+/* The stamp of what is computed from this in-var alone; 0: its age does not count. */
+static inline int64_t pb_stamp_from(const struct pb_local *l, uint32_t v) {
+    const struct pb_age *age = pb_in_age(l, v);
+    if (!age || !pb_counts(age)) return 0;
+    return age->stamp.time_ns ? age->stamp.time_ns : PB_LONG_AGO;
+}
+
+/* Judge the ages of a plan's variables; returns flags. */
+static inline int pb_judge_ages(struct pb_local *l, const struct pb_plan *p) {
+    enum pb_action action;
+    int64_t now;
+    uint32_t first;
+    int flags;
+    l->fresh.oldest_ns = p->fresh ? pb_oldest(p) : 0;
+    if (!p->limited) return 0;
+    now = pb_time(l);
+    first = pb_first_stale(p, now, &action);
+    flags = first < p->n_ages ? PB_COPY_STALE : 0;
+    if (flags) {
+        l->fault_var = p->ages[first].var;
         l->fault_element = 0;
         l->counts.stale++;
-        return PB_COPY_STALE;
     }
-    return 0;
+    if (p == l->plans + PB_PLAN_ON) pb_turned_on(&l->fresh);
+    if (p != l->plans + PB_PLAN_IN || !l->fresh.renewals) return flags;
+    if (flags) pb_follow_stale(&l->fresh, p->ages[first].fresh.maxage_ns, now, action);
+    else if (pb_follow_fresh(&l->fresh, p, now)) flags = PB_COPY_SETTLING;
+    return flags;
 }
 
 /* Copy a plan's variables to the local table; returns flags. */
@@ -104,7 +132,7 @@ static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
         l->consumed[2 * i + 1] = pb_number(p->sources[i].head);
     }
     l->n_consumed = p->n_sources;
-    return p->n_ages ? flags | pb_stale(l, p) : flags;
+    return p->n_ages ? flags | pb_judge_ages(l, p) : flags;
 }
 
 /* Check a group's outputs with these checks; returns flags. */
@@ -155,15 +183,18 @@ static inline void pb_cede(const struct pb_local *l, struct pb_outputs *o) {
 /* Copy one variable to any place in the local table; returns flags. */
 static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     struct pb_view view;
-    struct pb_age age = {.var = v, .maxage_ns = l->table.vars[v].maxage_ns};
-    const struct pb_plan one = {.n_ages = age.maxage_ns != 0, .ages = &age};
+    struct pb_age age = {.var = v, .fresh = {.maxage_ns = l->table.vars[v].maxage_ns}};
     switch (pb_look(&l->table, v, l->data + at, &view)) {
     case PB_CONSISTENT: break;
     case PB_OVERWRITTEN: return PB_TABLE_OVERWRITTEN;
     default: return PB_COPY_TORN | PB_COPY_LOST;
     }
     age.stamp = view.stamp;
-    return pb_stale(l, &one);
+    if (!pb_too_old(&age, pb_time(l))) return 0;
+    l->fault_var = v;
+    l->fault_element = 0;
+    l->counts.stale++;
+    return PB_COPY_STALE;
 }
 
 /* Whether a variable of the group is stored in the group's register: a constant to which
@@ -207,14 +238,13 @@ static inline bool pb_readable(struct pb_local *l) {
 }
 
 /* Commit a group; returns flags, and changes nothing in the table if any is set. */
-static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, int64_t now_ns,
-                            uint64_t cycle) {
+static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, struct pb_stamp stamp) {
     int flags;
     if (!o->group.n) return 0;
     if (!pb_is_mine(o)) return pb_not_mine(l);
     if ((flags = pb_judge(l, o))) return flags;
     if (!pb_readable(l) ||
-        !pb_commit_group(&o->group, l->data + o->first, (struct pb_stamp){now_ns, cycle}))
+        !pb_commit_group(&o->group, l->data + o->first, stamp))
         return PB_TABLE_OVERWRITTEN;
     l->counts.commits++;
     return 0;

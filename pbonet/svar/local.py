@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +20,29 @@ from pbonet.errors import (
 
 from . import guards, layout, table_files
 from ._svar import Arena, LocalTable as NativeTable, now_ns as clock_ns, process_start
-from .result_codes import CONSTS, FULL, GONE, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
+from .freshness import plan_limits
+from .result_codes import (
+    CONSTS,
+    FULL,
+    GONE,
+    IN,
+    ON,
+    OUT_CONSTS,
+    RIVAL,
+    STUCK,
+    VARS,
+    Flags,
+)
 from .table_records import Counts
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Generator, Iterable, Mapping
 
     from numpy.typing import NDArray
 
     from pbonet.config import Variable
+
+    from .freshness import Freshness
 
 
 def _never() -> bool:
@@ -49,6 +64,8 @@ class LocalTable(shm.Closeable, NativeTable):
     _places: dict[str | int, tuple[int, int]]
     _groups: tuple[layout.Group, layout.Group]
     _written: dict[str | int, tuple[int, int]]
+    _plans: dict[int, list[int]]
+    _limits: dict[int, float]
     _closed: bool
     _owner: int
 
@@ -96,7 +113,7 @@ class LocalTable(shm.Closeable, NativeTable):
             for place, index in enumerate(group.indices)
             for key in (variables[index].name, index)
         }
-        self._places, self._arrays = {}, {}
+        self._places, self._arrays, self._limits = {}, {}, {}
         for index, place in places.items():
             view = _view(variables[index], data, place)
             for key in (variables[index].name, index):
@@ -106,10 +123,30 @@ class LocalTable(shm.Closeable, NativeTable):
             chosen = sorted(wanted)
             at = np.array([places[i] for i in chosen], np.uint64)
             self.set_plan(which, np.array(chosen, np.uint32), at)
+        self._plans = {IN: sorted(invar), ON: sorted({*invar, *outvar})}
         self._closed = False
         self.given_up = _never
         self._take_registers(pid, places)
         return self
+
+    def keep_fresh(
+        self, freshness: Mapping[int, Freshness], settle: float | None = None
+    ) -> None:
+        """Judge the ages of the in-vars, and pass them on to the out-vars.
+
+        Args:
+            freshness: How, by the index of each in-var.
+            settle: Seconds that inputs must have been fresh before the task goes on;
+                None: until each one with a limit was renewed twice.
+        """
+        written = set(self._groups[VARS].indices)
+        for which, chosen in self._plans.items():
+            limits = plan_limits(self._variables, chosen, freshness, written)
+            self._limits |= {
+                index: limit_ns * 1e-9
+                for index, (limit_ns, _, _) in zip(chosen, limits, strict=True)
+            }
+            self.set_freshness(which, limits, -1.0 if settle is None else settle)
 
     def _take_registers(self, pid: int, places: dict[int, int]) -> None:
         self._owner = 0
@@ -160,10 +197,21 @@ class LocalTable(shm.Closeable, NativeTable):
     @property
     def blamed(self) -> guards.Blamed:
         """Variable and element of the last refused commit or stale copy."""
+        if self.action and self.flags & Flags.COPY_STALE:
+            return self._blamed_age(self.fault[0])
         one, element = guards.blamed(self._variables, self._groups, *self.fault)
         if one.name not in self._arrays:  # no value was refused yet
             return guards.Blamed()
         return guards.blame(one, element, self._arrays[one.name])
+
+    def _blamed_age(self, index: int) -> guards.Blamed:
+        """Return the input that was too old in the last copy, its age and its limit."""
+        age, limit = self.age(index), self._limits[index]
+        return guards.Blamed(
+            self._variables[index].name,
+            got="never written" if age == math.inf else f"{age:.3g} s",
+            expected=f"at most {limit:g} s",
+        )
 
     def names(self) -> list[str]:
         """Return the variables of the local table."""
@@ -197,10 +245,15 @@ class LocalTable(shm.Closeable, NativeTable):
         """
         return self._take(OUT_CONSTS, now_ns, 0)
 
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
+    def claim(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
         """Commit the out-vars and own them all, as one event; returns flags.
 
         Nothing is committed or owned if a flag is set.
+
+        Args:
+            now_ns: The time; 0: read the clock.
+            cycle: The writer's cycle.
+            own_ns: The time of the values, if the module gives one.
 
         Raises:
             SvarOwnerError: A live task owns one of them.
@@ -209,7 +262,7 @@ class LocalTable(shm.Closeable, NativeTable):
         """
         if self.given_up():
             self.take_over_from([])
-        return self._take(VARS, now_ns, cycle)
+        return self._take(VARS, now_ns, cycle, own_ns)
 
     def check_claim(self) -> None:
         """Check, before a module is turned on, whether `claim` would be refused.
@@ -274,6 +327,31 @@ class LocalTable(shm.Closeable, NativeTable):
             self.array(which)
             raise
 
+    def age(self, which: str | int) -> float:
+        """Return the age of an in-var by the last copy, in seconds; inf: never written.
+
+        Raises:
+            UnknownVariableError: The task has no such variable.
+        """
+        try:
+            age_ns = self.age_ns(self._places[which][0])
+        except KeyError:
+            self.array(which)
+            raise
+        return math.inf if age_ns < 0 else age_ns * 1e-9
+
+    def stamp_of(self, which: str | int) -> int:
+        """Return the time of what is computed from an in-var alone; 0: its own time.
+
+        Raises:
+            UnknownVariableError: The task has no such variable.
+        """
+        try:
+            return self.stamp_from(self._places[which][0])
+        except KeyError:
+            self.array(which)
+            raise
+
     def read(self, which: str | int) -> int:
         """Copy one variable to the local table (svarRead, svarReadIx).
 
@@ -324,9 +402,9 @@ class LocalTable(shm.Closeable, NativeTable):
                 remedy="make a new one with Table.local",
             )
 
-    def _take(self, which: int, now_ns: int, cycle: int) -> int:
+    def _take(self, which: int, now_ns: int, cycle: int, own_ns: int = 0) -> int:
         self._must_be_open()
-        code, rival = self.take(which, now_ns or clock_ns(), cycle)
+        code, rival = self.take(which, now_ns or clock_ns(), cycle, own_ns)
         self._judge(code, rival, constants=which == OUT_CONSTS)
         return self.flags
 

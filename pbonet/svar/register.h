@@ -30,8 +30,10 @@ enum { PB_SLOTS = 4, PB_LINE = 64, PB_STREAM = 16384 };
 /* The line before the data of every slot. */
 struct pb_stamp {
     int64_t time_ns; /* CLOCK_MONOTONIC; 0: never written */
-    uint64_t cycle;
+    uint64_t cycle;  /* with PB_PASSED_ON: the time is that of older data */
 };
+
+#define PB_PASSED_ON (UINT64_C(1) << 63)
 
 /* The one copy that may race, with the writer of a slot that is being overwritten. The
  * reader's second load discards the result, so exactly this function is exempt from the

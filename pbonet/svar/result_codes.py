@@ -7,6 +7,9 @@ from enum import IntEnum, IntFlag
 RIVAL, FULL, STUCK, ALIVE, GONE = -1, -2, -3, -4, -5
 """Results of changes of ownership; 0 is success."""
 
+PASSED_ON = 1 << 63
+"""In the cycle of a stamp: the time is that of older data (register.h)."""
+
 CONSTS, IN, ON = range(3)
 """Plans: sets of variables that are copied in."""
 
@@ -43,3 +46,5 @@ class Flags(IntFlag):
     """Nothing was committed: the task has not claimed its variables."""
     TABLE_OVERWRITTEN = 128
     """Nothing was copied or committed: the table was overwritten."""
+    COPY_SETTLING = 256
+    """Inputs that were stale are fresh again, but not for long enough."""

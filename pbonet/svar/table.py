@@ -19,7 +19,7 @@ from pbonet.errors import (
 from . import guards, layout as lay, table_files
 from ._svar import CAUSES, CAUSES_EACH, Arena, Blueprint, now_ns
 from .local import LocalTable
-from .result_codes import ALIVE, FULL, GONE, RIVAL, STUCK, Verdict
+from .result_codes import ALIVE, FULL, GONE, PASSED_ON, RIVAL, STUCK, Verdict
 from .table_records import Cause, Register, VarInfo
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ class Table(shm.Closeable):
             writer=task or None,
             time_ns=time_ns,
             age_ns=age,
-            cycle=cycle,
+            cycle=cycle & ~PASSED_ON,
             seq=seq,
             register=uid,
             stale=stale,

@@ -13,7 +13,8 @@ class VarInfo(Struct, frozen=True):
     writer: str | None
     """The task that wrote the current value; None: INIT, or an operator."""
     time_ns: int
-    """When it was committed, CLOCK_MONOTONIC nanoseconds; 0 if never."""
+    """When it was committed, or the older time of the data from which it was computed,
+    CLOCK_MONOTONIC nanoseconds; 0 if never."""
     age_ns: int | None
     """Nanoseconds since then; None if it was never written."""
     cycle: int

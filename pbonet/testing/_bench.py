@@ -32,7 +32,9 @@ from pbonet.pbo import (
     make_params,
 )
 from pbonet.ports import Kind, Port, solve_shapes
+from pbonet.svar import Action
 
+from ._ages import InputAges
 from ._clock import FakeClock
 from ._table import BenchTable, PortValues, structures
 
@@ -55,6 +57,9 @@ class Bench(Generic[M]):
         critical: As with CRITICAL in the RMOD; `illegal` then selects ``stable``.
         crit: The task's criticality.
         handler: That of its handler of timing failures, as HANDLER in the RMOD.
+        on_stale: What the task does while an input is too old, as STALE in the RMOD.
+        settle: Seconds that all inputs must be fresh before it goes on, as there; None:
+            two cycles.
         clock: Shared with other benches, if need be.
         name: What the task is called.
         seed: Where ``self.task.rng`` begins.
@@ -71,7 +76,10 @@ class Bench(Generic[M]):
         executor: What runs it.
         clock: The time.
         illegal: Whether the illegal-configuration flag is up.
-        stale: In-vars, by attribute, that are older than their MAXAGE.
+        ages: Ages of in-vars in seconds, by attribute; 0 where none is set. One above
+            the port's ``max_age`` is too old.
+        stale: In-vars, by attribute, that are too old whatever their age.
+        output_age: The age in seconds that the outputs had when they were last written.
 
     Raises:
         PortError: A size or an in-const is missing, or values do not fit together.
@@ -90,6 +98,8 @@ class Bench(Generic[M]):
         critical: bool = False,
         crit: int = INSIDE,
         handler: int | None = None,
+        on_stale: str = "",
+        settle: float | None = None,
         clock: FakeClock | None = None,
         name: str = "bench",
         seed: int = 0,
@@ -100,7 +110,15 @@ class Bench(Generic[M]):
         values = {**(values or {}), **more}
         shapes = _shapes(module, values)
         self._log: deque[str] = deque(maxlen=10_000)
-        self.table = BenchTable(ports, shapes, self._log, structures(values))
+        self._ages = InputAges(
+            ports,
+            default=_critical(module) if critical else Action.GO_ON,
+            stale=on_stale,
+            settle=settle,
+        )
+        self.table = BenchTable(
+            ports, shapes, self._log, structures(values), ages=self._ages
+        )
         self.inputs = PortValues(
             self.table, (p for p in ports if p.kind.is_input), "input"
         )
@@ -111,7 +129,6 @@ class Bench(Generic[M]):
         self._fill(ports, shapes, values)
         self.clock = clock or FakeClock()
         self.illegal = False
-        self.stale: set[str] = set()
         self._outbox = BoundedOutbox(10_000)
         self.task = TaskContext(
             name,
@@ -130,7 +147,11 @@ class Bench(Generic[M]):
             {attr: array.reshape(-1) for attr, array in self.table.local.items()},
             self.task,
         )
-        self.task.is_stale = lambda attr: attr in self.stale
+        self.task.is_stale = self._ages.is_stale
+        self.task.age_of = self._ages.age
+        self.task.stamp_of = lambda attr: (
+            self.task.now - round(min(self._ages.age(attr), 1e6) * 1e9)
+        )
         self.task.on_illegal = self._said_illegal
         self._record_methods()
         self.executor = Executor(
@@ -154,7 +175,7 @@ class Bench(Generic[M]):
 
         Args:
             rmod: The ``.rmod`` file; parts of a combination are beside it or in the
-                library. Its LOCAL part, FREQ, CRITICAL and HANDLER are used.
+                library. Its LOCAL part, FREQ, CRITICAL, HANDLER and STALE are used.
             values: As for the constructor, like the following arguments.
             library: Folders with modules beside those of pbonet.
             more: As for the constructor.
@@ -171,9 +192,30 @@ class Bench(Generic[M]):
             "freq": record.freq or 100.0,
             "critical": record.critical,
             "handler": record.handler,
+            "on_stale": record.stale or "",
+            "settle": record.settle,
             "name": record.name,
         }
         return Bench(module, values, **{**told, **more})
+
+    @property
+    def ages(self) -> dict[str, float]:
+        """Ages of in-vars in seconds, by attribute."""
+        return self._ages.given
+
+    @property
+    def stale(self) -> set[str]:
+        """In-vars, by attribute, that are too old whatever their age."""
+        return self._ages.old
+
+    @stale.setter
+    def stale(self, attrs: Iterable[str]) -> None:
+        self._ages.old = set(attrs)
+
+    @property
+    def output_age(self) -> float:
+        """The age of the outputs when they were last written, in seconds."""
+        return self._ages.output
 
     def _said_illegal(self, cause: str, *, up: bool) -> None:
         self.illegal = up  # whatever the cause
@@ -325,6 +367,7 @@ class Bench(Generic[M]):
 
     def _cycle(self, now: int) -> State:
         dt, self._passed = self._passed, 0.0
+        self.table.step = dt
         self._cycling = True
         try:
             return self.executor.cycle(dt, now)
@@ -513,6 +556,11 @@ def _size(word: str, value: Any) -> int:  # noqa: ANN401 - whatever was given
             got=repr(value),
             remedy=f"say `{word}=2` or the like",
         ) from None
+
+
+def _critical(module: type[PortBasedObject[Any]]) -> Action:
+    has_stable = "stable" in module.__interface__.methods
+    return Action.STABLE if has_stable else Action.SAFE
 
 
 def _params(

@@ -6,6 +6,7 @@ files, other programs) is refused where it is opened, so that the verdict can sa
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 import sys
@@ -80,6 +81,7 @@ class Context(TaskContext):
         super().__init__(*args, **more)
         self._told = told
         self.is_stale = lambda _port: told.ask(bool, default=False)
+        self.age_of = lambda _port: told.ask(float, default=math.inf)
 
     @property
     def sigmask(self) -> int:

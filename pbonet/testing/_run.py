@@ -14,7 +14,7 @@ import numpy as np
 
 from pbonet.config import Library, Limit, parse_rmod
 from pbonet.errors import PbonetError, SvarOwnerError
-from pbonet.log import CDR, STABLE, Step, StepSchema, size, unpack
+from pbonet.log import CDR, HELD, SAFE, STABLE, Step, StepSchema, size, unpack
 from pbonet.node.task import RAISED, Executor, check_ports, files_of, set_param
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
 from pbonet.pbo import PythonWatch, bind, decode_params
@@ -29,7 +29,7 @@ from ._trial import Trial
 from ._verdict import Divergence, Verdict
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -51,6 +51,7 @@ class _Copies:
     """
 
     blamed = Blamed()
+    action = 0
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -73,10 +74,13 @@ class _Copies:
         run = self._run
         return self._out(Step.CONSTS_OUT, run.about.outconst, run.consts)
 
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
+    def make_new(self) -> None:
+        """Values have no age here."""
+
+    def claim(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:  # noqa: ARG002
         return self._out(Step.CLAIM, self._run.about.outvar, self._run.group)
 
-    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
+    def commit(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:  # noqa: ARG002
         return self._out(Step.COMMIT, self._run.about.outvar, self._run.group)
 
     def cede(self) -> None:
@@ -348,10 +352,9 @@ class Run:
             return
         self._feed(heard)
         self._source.release = release
-        instance = self._instance
         try:
-            method = instance.stable if flags & STABLE else instance.cycle
-            self._failing.run(method, dt * 1e-9)
+            if method := self._method(flags):
+                self._failing.run(method, dt * 1e-9)
         except RAISED as error:
             self._diverged(f"it raised {type(error).__name__}: {error}")
         finally:
@@ -362,6 +365,14 @@ class Run:
         recorded, made = self._schema.group(message), self.group.tobytes()
         self._verdict.cycles += self.compare(self.about.outvar, recorded, made)
         self._verdict.seconds += dt * 1e-9
+
+    def _method(self, flags: int) -> Callable[[float], None] | None:
+        """Return what ran in a cycle; None: it was skipped."""
+        if flags & HELD:
+            return None
+        if flags & SAFE:
+            return self._executor.write_safe
+        return self._instance.stable if flags & STABLE else self._instance.cycle
 
     def _wait(self, heard: bytes, now: int) -> None:
         """Let the module wait for its event, as it did in the recording."""

@@ -9,7 +9,9 @@ import numpy as np
 from pbonet.errors import PortError, did_you_mean
 from pbonet.node.wire import Step
 from pbonet.ports import Kind, Port
-from pbonet.svar import Blamed
+from pbonet.svar import Action, Blamed
+
+from ._ages import InputAges
 
 if TYPE_CHECKING:
     from collections import deque
@@ -65,6 +67,7 @@ class BenchTable:
         shapes: Their shapes, by attribute.
         log: Gets the name of each copy.
         dtypes: Numpy types by attribute, where the annotation does not say it all.
+        ages: Of the inputs.
     """
 
     def __init__(
@@ -73,6 +76,8 @@ class BenchTable:
         shapes: Mapping[str, tuple[int, ...]],
         log: deque[str],
         dtypes: Mapping[str, np.dtype[Any]] | None = None,
+        *,
+        ages: InputAges | None = None,
     ) -> None:
         self.ports = ports
         kinds = {port.attr: _dtype(port, dtypes or {}) for port in ports}
@@ -81,8 +86,11 @@ class BenchTable:
         }
         self.local = {attr: array.copy() for attr, array in self.globals.items()}
         self.owned = False
-        self.blamed = Blamed()
+        self._blamed = Blamed()
         self._log = log
+        self.ages = ages or InputAges(ports)
+        self.step = 0.0
+        """Seconds since the last cycle."""
 
     def get(self, port: Port) -> Any:  # noqa: ANN401 - a number or an array
         """Return the global value of a port."""
@@ -111,6 +119,27 @@ class BenchTable:
 
     # -- what the executor calls -----------------------------------------------------
 
+    @property
+    def blamed(self) -> Blamed:
+        """The output that was refused, or the input that is too old."""
+        ages = self.ages
+        if ages.action != Action.ERROR:
+            return self._blamed
+        name = next(port.name for port in self.ports if port.attr == ages.worst)
+        limit, age = ages.limit(ages.worst), ages.age(ages.worst)
+        return Blamed(
+            name, 0, f"{age:.3g} s", "" if limit is None else f"at most {limit:g} s"
+        )
+
+    @property
+    def action(self) -> int:
+        """The action because inputs are too old."""
+        return self.ages.action
+
+    def make_new(self) -> None:
+        """Let the next commit not inherit the age of an input."""
+        self.ages.output = 0.0
+
     def copy_in_consts(self) -> int:
         """Copy the in-consts in."""
         return self._in(Step.COPY_IN_CONSTS, Kind.INCONST)
@@ -122,25 +151,29 @@ class BenchTable:
 
     def copy_in(self) -> int:
         """Copy the in-vars in."""
+        self.ages.judge(self.step)
         return self._in(Step.COPY_IN, Kind.INVAR)
 
     def copy_in_on(self) -> int:
         """Copy the in-vars and the out-vars in."""
+        self.ages.turned_on()
         return self._in(Step.COPY_IN_ON, Kind.INVAR, Kind.OUTVAR)
 
     def check_claim(self) -> None:
         """There are no other tasks on a bench."""
 
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
+    def claim(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
         """Copy the out-vars out and own them."""
-        del now_ns, cycle
+        self._age(now_ns, own_ns)
+        del cycle
         flags = self._out(Step.CLAIM, Kind.OUTVAR)
         self.owned = not flags
         return flags
 
-    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
+    def commit(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
         """Copy the out-vars out."""
-        del now_ns, cycle
+        self._age(now_ns, own_ns)
+        del cycle
         return self._out(Step.COMMIT, Kind.OUTVAR)
 
     def cede(self) -> None:
@@ -151,6 +184,10 @@ class BenchTable:
         """Own nothing any more."""
         self._log.append(str(Step.RELEASE))
         self.owned = False
+
+    def _age(self, now_ns: int, own_ns: int) -> None:
+        if own_ns:
+            self.ages.output = (now_ns - own_ns) * 1e-9
 
     def _in(self, step: Step, *kinds: Kind) -> int:
         self._log.append(str(step))
@@ -167,7 +204,7 @@ class BenchTable:
             if array.dtype.kind == "f" and not np.isfinite(array).all():
                 element = int(np.argmin(np.isfinite(array)))
                 value = str(array.reshape(-1)[element].item())
-                self.blamed = Blamed(port.name, element, value)
+                self._blamed = Blamed(port.name, element, value)
                 return NONFINITE
         for port in ports:
             self.globals[port.attr][...] = self.local[port.attr]

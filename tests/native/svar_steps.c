@@ -64,7 +64,7 @@ int main(int argc, char **argv) {
         claim_as(l, writer, counter - 1);
         rig_fill(l, writer, counter);
         steps_left = step;
-        if (*what == 'c' ? pb_commit(l, o, pb_now(), counter)
+        if (*what == 'c' ? pb_commit(l, o, (struct pb_stamp){pb_now(), counter})
                          : pb_commit_one(l, o, VARS - 1, pb_now(), counter)) die("commit");
     } else if (!strcmp(what, "release")) {
         claim_as(l, writer, counter);

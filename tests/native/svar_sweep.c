@@ -28,7 +28,7 @@ static void step(void) {
 static void commit(int w) {
     pb_copy_in(writers[w], writers[w]->plans + PB_PLAN_IN);
     rig_fill(writers[w], w, ++counters[w]);
-    if (pb_commit(writers[w], writers[w]->outputs + PB_GROUP_VARS, pb_now(), counters[w]))
+    if (pb_commit(writers[w], writers[w]->outputs + PB_GROUP_VARS, (struct pb_stamp){pb_now(), counters[w]}))
         die("commit");
 }
 

@@ -83,7 +83,7 @@ static void *writer(void *arg) {
         for (int i = 0; i < CHANGE && !atomic_load_explicit(stop, memory_order_relaxed); i++) {
             pb_copy_in(l, l->plans + PB_PLAN_IN); /* a counter is one word: never torn */
             rig_fill(l, w, ++counter);
-            if (pb_commit(l, l->outputs + PB_GROUP_VARS, pb_now(), counter)) die("commit");
+            if (pb_commit(l, l->outputs + PB_GROUP_VARS, (struct pb_stamp){pb_now(), counter})) die("commit");
             add(&mine->turns, 1);
         }
         if (rig_release(l, false)) die("release");

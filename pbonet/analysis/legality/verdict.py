@@ -14,6 +14,7 @@ from msgspec import Struct, structs
 
 from pbonet.errors import VerificationError, did_you_mean
 
+from .freshness import check_circles
 from .joins import check_ages, check_units
 from .misspelt import as_meant
 from .order import check_initialization
@@ -122,6 +123,7 @@ def check(configuration: Configuration) -> list[Problem]:
         check_readers,
         check_constants,
         check_ages,
+        check_circles,
         check_units,
         check_initialization,
         check_loads,

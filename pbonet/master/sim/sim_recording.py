@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.log import COLUMNS, STABLE, Cycles, Step
+from pbonet.log import COLUMNS, HELD, SAFE, STABLE, Cycles, Step
 from pbonet.node.ring import parse
 from pbonet.svar import group_of
 
@@ -52,7 +52,7 @@ class TaskRecord:
             elif one.kind == Step.CYCLE:
                 number = one.cycle - self._base
                 times = one.start_ns, one.end_ns, one.cpu_ns
-                flags = STABLE if one.stable else 0
+                flags = (STABLE * one.stable) | (one.flags & (HELD | SAFE))
                 row = (one.release_ns, number, *times, flags)
                 self._heads += np.array(row, np.int64).tobytes()
                 self._data += one.data

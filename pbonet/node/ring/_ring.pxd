@@ -6,7 +6,7 @@ from libc.stdint cimport int64_t, uint32_t, uint64_t
 cdef extern from "pbonet/node/ring/ring.h" nogil:
     enum:
         RING_SYNC
-    const uint32_t RING_STABLE
+    const uint32_t RING_HELD, RING_SAFE, RING_STABLE
     struct ring_file:
         pass
     struct ring:

@@ -15,7 +15,10 @@
 enum { RING_VERSION = 3 };
 enum { RING_WANT_NEW = 1, RING_WANT_ALL = 2 };  /* inputs: of the next record, of all */
 enum { RING_SYNC = 9 };                         /* a kind: pbonet.log.Step.SYNC */
+/* What ran in place of `cycle`: `stable`; nothing; the safe values were written. */
 #define RING_STABLE (UINT32_C(1) << 31)
+#define RING_HELD (UINT32_C(1) << 30)
+#define RING_SAFE (UINT32_C(1) << 29)
 
 /* The text `about` follows the data: it describes the ring to the process that drains it. */
 struct ring_file {

@@ -322,6 +322,8 @@ class Slot:
 
     index: int
     failures: Failures
+    action: int
+    """The `pbonet.svar.Action` that ran last in place of `cycle`; 0: `cycle` ran."""
     tape: Tape | None
     """The module's inputs from outside the table, stored in each record."""
     stamp_ns: int
@@ -333,6 +335,8 @@ class Slot:
         local: LocalTable | None,
         *,
         stable: Callable[[float], object] | None = None,
+        safe: Callable[[float], object] | None = None,
+        critical: int = 0,
         sync: Callable[[], object] | None = None,
         ring: Ring | None = None,
         leave: int = ...,
@@ -341,8 +345,9 @@ class Slot:
     ) -> int:
         """Run cycles until something else must be done.
 
-        Per release: copy in, ``cycle(dt)`` (or ``stable(dt)`` while the
-        illegal-configuration flag is up), commit, account, record. Arms the slot when
+        Per release: copy in, ``cycle(dt)`` (or what `critical` says while the
+        illegal-configuration flag is up, or the local table's action while inputs are
+        too old), commit, account, record. Arms the slot when
         it is not armed; on return the slot stays armed, and the task runs at
         COMMAND_LEVEL until it calls `run` again or `disarm`. An exception of the
         module propagates; the cycle then counts as failed and nothing is committed.
@@ -351,7 +356,9 @@ class Slot:
             cycle: Called with the seconds between this release and that of the last
                 executed cycle.
             local: The local table to copy in and out; None copies nothing.
-            stable: Runs instead of `cycle` while the flag is up.
+            stable: Runs for `pbonet.svar.Action.STABLE`.
+            safe: Runs for ``SAFE``.
+            critical: The action while the flag is up; 0: `cycle` runs.
             sync: Blocks until the next event of a task that is not periodic; required
                 for such tasks.
             ring: Gets one record per cycle.
@@ -359,8 +366,8 @@ class Slot:
             failing: Called during the cycle with one of `KINDS` when the dispatcher has
                 found a timing failure; returns CONTINUE, ABORT or SKIP. An exception
                 that it raises ends the cycle and propagates.
-            aged: Called when inputs have become stale, and when they are fresh again.
-                While they are stale `stable` runs.
+            aged: Called when inputs have become too old, and when they have been fresh
+                for long enough.
 
         Returns:
             COMMAND, ORPHAN, FLAGS, ABORTED or LAST; in virtual time IDLE.

@@ -16,7 +16,7 @@ from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node.ring import _ring
 from pbonet.node.rt import rt_capabilities as rights
 from pbonet.node.ring._ring cimport (
-    RING_STABLE, RING_SYNC, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record,
+    RING_HELD, RING_SAFE, RING_STABLE, RING_SYNC, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record,
     ring_stage, ring_wanted, ring_wants,
 )
 from pbonet.node.rt._rt_headers cimport *
@@ -49,7 +49,10 @@ _BACKENDS = {RT_NONE: "", RT_FIFO: "fifo", RT_PARK: "park"}
 cdef enum:
     COPY_TORN = 1
     COPY_STALE = 2
-    COPY_FLAGS = 15
+    COPY_FLAGS = 15 | 256
+
+cdef enum:      # what runs: pbonet.svar.Action
+    GO_ON, HOLD, STABLE, SAFE, ERROR
 
 
 include "_rt_table.pxi"
@@ -69,7 +72,9 @@ cdef class Slot:
     cdef public Tape tape
     cdef readonly Failures failures
     cdef bint vowed, is_aged
-    cdef object aged
+    cdef readonly int action    # what ran last in place of `cycle`; 0: that itself
+    cdef int critical           # what runs while the flag is up; 0: `cycle`
+    cdef object aged, stable_method, safe_method
 
     def __init__(self, CoreTable table not None, int i):
         self.task.table = table.open()
@@ -83,14 +88,15 @@ cdef class Slot:
             rt_guard_slot(&self.task, <xm_steady *>c_steady())
             self.failures.guard()
 
-    def run(self, cycle, LocalTable local, *, stable=None, sync=None, Ring ring=None,
-            int leave=LEAVE, failing=None, aged=None) -> int:
+    def run(self, cycle, LocalTable local, *, stable=None, safe=None, int critical=0,
+            sync=None, Ring ring=None, int leave=LEAVE, failing=None, aged=None) -> int:
         cdef int why, served = 0, last = 0
         cdef bint periodic = rt_kind_of(self.live()) == RT_PERIODIC
         if periodic == (sync is not None):
             raise ValueError("`sync` is required for tasks that are not periodic, and only for them")
         self.failures.handler = failing
-        self.aged = aged
+        self.aged, self.critical = aged, critical
+        self.stable_method, self.safe_method = stable, safe
         if rt_mode_of(self.task.slot) == RT_OFF:
             self.is_aged = False
         self.failures.error = None
@@ -109,10 +115,10 @@ cdef class Slot:
                     served = 1
                     if not periodic and not self.wait_outside(sync, ring):
                         continue
-                    self.once(cycle, local, stable, ring, leave)
+                    self.once(cycle, local, ring, leave)
                     if self.cost.aborted:
                         return ABORTED
-                    if self.flags & leave:
+                    if self.flags & leave or self.action == ERROR:
                         return FLAGS
                     last = rt_was_last(&self.task)
                     if last:
@@ -184,10 +190,21 @@ cdef class Slot:
             rt_end(&self.task)
         return 0
 
-    cdef int once(self, cycle, LocalTable local, stable, Ring ring, int leave) except -1:
+    cdef int choose(self, LocalTable local) except -1:
+        """Choose what runs in place of `cycle` now; 0: that itself."""
+        cdef int action
+        if local.c_to_report() != self.is_aged:
+            self.tell_age(not self.is_aged)
+        if local.c_aged():
+            action = local.c_action()
+            return action if action else self.critical
+        return self.critical if self.critical and local.c_illegal() else GO_ON
+
+    cdef int once(self, cycle, LocalTable local, Ring ring, int leave) except -1:
         """Run one cycle; an exception of the module propagates and marks it failed."""
         cdef rt_cost *cost = &self.cost
         cdef int flags = 0
+        self.action = GO_ON
         memset(cost, 0, sizeof(rt_cost))
         if not rt_begin(&self.task) or self.failures.skip:
             return self.leave_out()
@@ -195,13 +212,12 @@ cdef class Slot:
         cost.start_ns = rt_time(self.task.table)
         if local is not None:
             flags = local.c_copy_in()
-            if ((flags & COPY_STALE) != 0) != self.is_aged:
-                self.tell_age(flags & COPY_STALE)
-            cost.stable = stable is not None and (self.is_aged or local.c_illegal())
+            self.action = self.choose(local)
+        cost.stable = self.action != GO_ON
         cost.torn = flags & COPY_TORN
         cost.stale = (flags & COPY_STALE) != 0
         self.flags = flags
-        cost.failed = (flags & leave) != 0
+        cost.failed = (flags & leave) != 0 or self.action == ERROR
         if ring is not None:
             self.begin_record(local, ring)
         cost.called_ns = rt_time(self.task.table)
@@ -209,7 +225,9 @@ cdef class Slot:
             if not cost.failed:
                 if rt_enter(RT_IN_CYCLE):
                     self.failures.handle()
-                self.call(stable if cost.stable else cycle)
+                if self.action != HOLD:
+                    self.call(self.stable_method if self.action == STABLE else
+                              self.safe_method if self.action == SAFE else cycle)
                 rt_exit()
         except Aborted:
             rt_exit()
@@ -221,9 +239,11 @@ cdef class Slot:
             raise
         finally:
             cost.returned_ns = rt_time(self.task.table)
-            if not cost.failed and local is not None:
+            if not cost.failed and local is not None and self.action != HOLD:
+                if self.action != GO_ON:
+                    local.c_make_new()  # what stands in for `cycle` does not use old inputs
                 self.flags |= local.c_commit(
-                    self.stamp_ns if self.stamp_ns else cost.returned_ns,
+                    0 if self.action != GO_ON else self.stamp_ns, cost.returned_ns,
                     rt_cycles(self.task.slot) + 1)
                 cost.failed = (self.flags & ~COPY_FLAGS) != 0
             self.close(local, ring)
@@ -301,7 +321,10 @@ cdef class Slot:
         r.end_ns = cost.end_ns
         r.dt_ns = self.dt_ns
         r.cpu_ns = cost.cpu_ns
-        r.flags = <uint32_t>self.flags | (RING_STABLE if cost.stable else 0)
+        r.flags = <uint32_t>self.flags
+        if self.action != GO_ON:
+            r.flags |= (RING_STABLE if self.action == STABLE else
+                        RING_HELD if self.action == HOLD else RING_SAFE)
         if local is None:
             return ring_put(ring.r, r, NULL, NULL, heard)
         r.uid, r.number = local.out_uid, local.out_number
@@ -399,7 +422,7 @@ cdef class Slot:
 
     @property
     def stable(self) -> bool:
-        return bool(self.cost.stable)
+        return self.action == STABLE
 
     @property
     def now_ns(self) -> int:

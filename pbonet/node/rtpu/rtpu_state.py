@@ -36,7 +36,7 @@ from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
-from .task_signals import Signals
+from .task_signals import RepeatedWarnings, Signals
 from .timing_failure_events import TimingFailureEvents
 from .waiting_cycles import WaitingCycles
 
@@ -107,6 +107,7 @@ class Rtpu:
         self._chores: set[asyncio.Task[None]] = set()
         self.turned_on = 0
         self.signals = Signals(events)
+        self.warnings = RepeatedWarnings(events)
         self._timing_failures = TimingFailureEvents(events)
         self._waiting_cycles = WaitingCycles(events)
         self._scheduling: SchedulingCheck
@@ -348,18 +349,16 @@ class Rtpu:
         if notice.lost and notice.code != "LOST":
             lost = sum(notice.lost.values())
             notice.text = f"[{lost} notices lost before this one] {notice.text}"
-        if notice.code == "WARNING":
-            task.warnings += 1
-            task.warning = notice.text
-        if notice.error is not None:
-            error = str(PbonetError.from_wire(notice.error))
-            task.error = placed(error, notice.place)
+        _remember(task, notice)
         if notice.code == "ENDING" and task.state is State.ON:
             self._leaves(task)
         if notice.code == "ENGAGED":
             self._engaged(task, notice)
         elif notice.state:
             self.settle(task)
+        if self.warnings.repeats(task, notice, self.now_ns()):
+            self.signals.reported(task, notice.bits)
+            return
         goes_on = notice.state in {"", State.ON}  # a flood at worst, no change of state
         if goes_on and not task.budget.take(self.now_ns()):
             where = task.facts.subsystem
@@ -426,6 +425,7 @@ class Rtpu:
         """Clean up after a task's process, however it ended."""
         task.last_status = self.status_of(task)
         self.signals.end(self.core, task)
+        self.warnings.end(task, self.now_ns())
         self.vigil.forget(task.facts.slot)
         self.core.died(task.facts.slot)
         # After the mark: from here on callers learn that no successor comes.
@@ -554,6 +554,7 @@ class Rtpu:
             self.owned_constants.check()
             self.fallbacks.update_all()
             self.signals.report_missing(self.core, self.tasks.values())
+            self.warnings.report(self.now_ns())
             tasks = [
                 (task, self.core.snapshot(task.facts.slot))
                 for task in self.tasks.values()
@@ -575,3 +576,13 @@ class Rtpu:
                 self.events.add(
                     Severity.FATAL, "DISPATCHER_ENDED", "no tasks are released any more"
                 )
+
+
+def _remember(task: Task, notice: rtpu_messages.Notice) -> None:
+    """Keep the last warning and the last error of a task, for its status."""
+    if notice.code == "WARNING":
+        task.warnings += 1
+        task.warning = notice.text
+    if notice.error is not None:
+        error = str(PbonetError.from_wire(notice.error))
+        task.error = placed(error, notice.place)

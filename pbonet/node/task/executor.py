@@ -68,10 +68,11 @@ class Executor:
         instance: Bound by `pbonet.pbo.bind`.
         copies: Transfers its ports.
         illegal: For a CRITICAL task: returns whether the illegal-configuration flag is
-            up; `cycle` then runs ``stable`` instead.
+            up; `cycle` then runs ``stable`` instead, or writes safe values.
 
     Raises:
-        DeclarationError: A CRITICAL task whose module has no ``stable``.
+        DeclarationError: A CRITICAL task whose module has no ``stable`` and no safe
+            values.
     """
 
     def __init__(
@@ -98,6 +99,15 @@ class Executor:
         self._counted = (
             self.task.source if isinstance(self.task.source, Counted) else None
         )
+
+    @property
+    def critical(self) -> int:
+        """The action in place of `cycle` while the flag is up: `pbonet.svar.Action`."""
+        return self._actions.critical
+
+    def write_safe(self, dt: float) -> None:
+        """Write the safe value of each out-var that has one."""
+        self._actions.safe(dt)
 
     # -- signals ----------------------------------------------------------------------
 

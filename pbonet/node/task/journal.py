@@ -185,14 +185,23 @@ class Journal:
             self._put(Step.DID, msgspec.json.encode(Did("refused", name="check_claim")))
             raise
 
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
+    @property
+    def action(self) -> int:
+        """The action because inputs are too old: a value of `svar.Action`."""
+        return self._local.action
+
+    def make_new(self) -> None:
+        """Let the next commit not inherit the age of an input."""
+        self._local.make_new()
+
+    def claim(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
         """Copy the out-vars out and own them, as one event; returns flags."""
-        flags = self._local.claim(now_ns, cycle)
+        flags = self._local.claim(now_ns, cycle, own_ns)
         return self._copied(Step.CLAIM, flags, self._about.outvar)
 
-    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
+    def commit(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
         """Copy the out-vars out; returns flags."""
-        flags = self._local.commit(now_ns, cycle)
+        flags = self._local.commit(now_ns, cycle, own_ns)
         return self._copied(Step.COMMIT, flags, self._about.outvar)
 
     def cede(self) -> None:

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import DeclarationError, PbonetError, PortError, SvarError
 from pbonet.node.wire import Step
-from pbonet.pbo import Counted, PortBasedObject, check_sizes, memory
-from pbonet.ports import Kind
+from pbonet.pbo import Counted, PortBasedObject, check_sizes, memory, write_safe
+from pbonet.ports import Kind, is_safe
+from pbonet.svar import Action
 
-from .step_failures import ALL_REFUSED, RefusedError, refused
+from .step_failures import ALL_REFUSED, RefusedError, refused, too_old
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,9 +32,12 @@ class LifecycleSteps:
         method: The current or last method; ``stable`` if that runs in place of
             `cycle`.
         cede: Whether a successor takes over the out-vars in its own claim.
+        critical: What runs in place of `cycle` while the flag is up.
+        safe: Writes the safe values of the out-vars.
 
     Raises:
-        DeclarationError: A CRITICAL task whose module has no ``stable``.
+        DeclarationError: A CRITICAL task whose module has no ``stable`` and no safe
+            values.
     """
 
     def __init__(
@@ -42,11 +46,13 @@ class LifecycleSteps:
         copies: Copies,
         illegal: Callable[[], bool] | None,
     ) -> None:
-        cls = type(instance)
-        if illegal is not None and "stable" not in cls.__interface__.methods:
+        declared = type(instance).__interface__
+        has_stable = "stable" in declared.methods
+        if illegal is not None and not has_stable and not is_safe(declared.ports):
             raise DeclarationError(
                 "a CRITICAL task needs a module with stable()",
-                where=cls.__name__,
+                where=type(instance).__name__,
+                expected="stable(), or a safe value of each out-var",
                 remedy="write `def stable(self, dt: float) -> None`, or take CRITICAL "
                 "out of the .rmod file",
             )
@@ -58,11 +64,15 @@ class LifecycleSteps:
         self._copies = copies
         self._illegal = illegal
         self._owns = False
-        law = instance.cycle if illegal is None else self._choose
+        self.critical = Action.GO_ON
+        if illegal is not None:
+            self.critical = Action.STABLE if has_stable else Action.SAFE
+        self.safe = write_safe(instance)
+        self._action = 0
         self.do: dict[Step, Callable[[], object]] = {
             Step.COPY_IN_CONSTS: self._copy_in_consts,
             Step.COPY_OUT_CONSTS: self._copy_out_consts,
-            Step.COPY_IN: lambda: self._accept(copies.copy_in()),
+            Step.COPY_IN: self._copy_in,
             Step.COPY_IN_ON: self._copy_in_on,
             Step.COPY_IN_AGAIN: lambda: self._accept(copies.copy_in_on()),
             Step.CLAIM: self._claim,
@@ -70,7 +80,7 @@ class LifecycleSteps:
             Step.RELEASE: self._release,
             Step.INIT: instance.init,
             Step.ON_METHOD: instance.on,
-            Step.CYCLE: lambda: law(self.dt),
+            Step.CYCLE: lambda: self._choose(self.dt),
             Step.OFF_METHOD: instance.off,
             Step.KILL: instance.kill,
             Step.CLEAR: instance.clear,
@@ -78,13 +88,23 @@ class LifecycleSteps:
             Step.SYNC: instance.sync,
         }
 
+    def _copy_in(self) -> None:
+        self._accept(self._copies.copy_in())
+        self._action = self._copies.action
+        if not self._action and self._illegal is not None and self._illegal():
+            self._action = self.critical
+
     def _choose(self, dt: float) -> None:
-        if self._illegal is not None and self._illegal():
-            self.method = "stable"
-            self._instance.stable(dt)
-        else:
-            self.method = "cycle"
+        """Run `cycle`, or what runs in its place because inputs are too old."""
+        self.method = "stable" if self._action == Action.STABLE else "cycle"
+        if self._action == Action.GO_ON:
             self._instance.cycle(dt)
+        elif self._action == Action.STABLE:
+            self._instance.stable(dt)
+        elif self._action == Action.SAFE:
+            self.safe(dt)
+        elif self._action == Action.ERROR:
+            raise too_old(self._copies.blamed)
 
     def _accept(self, flags: int) -> None:
         """Raise if the flags of a copy show that it was refused."""
@@ -123,16 +143,20 @@ class LifecycleSteps:
         self._accept(self._copies.copy_in_on())
 
     def _claim(self) -> None:
-        self._accept(self._copies.claim(self._stamp, self._task.cyclecount))
+        task = self._task
+        self._accept(self._copies.claim(task.now, task.cyclecount, task.stamp_ns))
         self._owns = True
 
     def _commit(self) -> None:
-        self._accept(self._copies.commit(self._stamp, self._task.cyclecount))
-
-    @property
-    def _stamp(self) -> int:
-        """The time stamp of the outputs."""
-        return self._task.stamp_ns or self._task.now
+        """Copy the outputs out; not in a cycle that was skipped."""
+        action, self._action = self._action, Action.GO_ON
+        if action == Action.HOLD:
+            return
+        if action:
+            self._copies.make_new()
+        task = self._task
+        own_ns = 0 if action else task.stamp_ns
+        self._accept(self._copies.commit(task.now, task.cyclecount, own_ns))
 
     def _release(self) -> None:
         if not self._owns:

@@ -21,6 +21,14 @@ class Copies(Protocol):
         """Variable and element to which the flags of the last commit refer."""
         ...
 
+    @property
+    def action(self) -> int:
+        """The action because inputs are too old: a value of `svar.Action`."""
+        ...
+
+    def make_new(self) -> None:
+        """Let the next commit not inherit the age of an input."""
+
     def copy_in_consts(self) -> int:
         """Copy the in-consts in; returns flags."""
         ...
@@ -40,12 +48,18 @@ class Copies(Protocol):
     def check_claim(self) -> None:
         """Raise if `claim` would, because another task owns an out-var."""
 
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out and own them, as one event; returns flags."""
+    def claim(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
+        """Copy the out-vars out and own them, as one event; returns flags.
+
+        Args:
+            now_ns: The time.
+            cycle: The task's cycle.
+            own_ns: The time of the values, if the module gives one.
+        """
         ...
 
-    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out; returns flags."""
+    def commit(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
+        """Copy the out-vars out; returns flags. Arguments are those of `claim`."""
         ...
 
     def cede(self) -> None:

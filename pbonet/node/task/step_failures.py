@@ -105,6 +105,21 @@ def refused(flags: int, blamed: Blamed) -> SvarError:
     )
 
 
+def too_old(blamed: Blamed) -> SvarError:
+    """Return the error of a task that is to end in ERROR when an input is too old.
+
+    Args:
+        blamed: The input, with its age and its limit.
+    """
+    return SvarError(
+        f"the input {blamed.variable} is too old",
+        expected=blamed.expected,
+        got=blamed.got,
+        remedy="find why its writer, a link or a machine has stopped; clear the task "
+        "when it writes again",
+    )
+
+
 def is_answer(answer: object) -> TypeGuard[Answer]:
     """Return whether a module, typed or not, returned an `Answer`."""
     return isinstance(answer, Answer)

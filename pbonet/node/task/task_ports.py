@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from pbonet.config import missing_methods
+from pbonet.config import missing_methods, stale_action
 from pbonet.errors import DeclarationError, PortError, did_you_mean
 from pbonet.ports import Kind
+from pbonet.svar import Action, Freshness
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from pbonet.config import Rmod
     from pbonet.pbo import ModuleInfo
     from pbonet.svar import LocalTable, Table
+
+    from .journal import Indexed
+
+T = TypeVar("T")
 
 
 def listed(rmod: Rmod) -> dict[Kind, tuple[str, ...]]:
@@ -43,22 +48,41 @@ def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
     )
 
 
-def ages(
-    rmod: Rmod, info: ModuleInfo, stale: Callable[[str], bool]
-) -> Callable[[str], bool]:
-    """Return a function that returns whether the in-var of an attribute is stale.
+def keep_fresh(local: LocalTable, table: Indexed, rmod: Rmod, info: ModuleInfo) -> bool:
+    """Have a task's local table handle ages as its ports and RMOD declare.
+
+    Returns:
+        Whether the task does something else than `cycle` while an input is too old.
+    """
+    new = all(port.new for port in info.ports if port.kind is Kind.OUTVAR)
+    found: dict[int, Freshness] = {}
+    for port in info.ports:
+        if port.kind is Kind.INVAR:
+            name = stale_action(rmod, info, port)
+            action = Action[name.upper()] if name else Action.GO_ON
+            passes = not (new or port.feedback)
+            index = table.index(rmod.svar_name(port.name))
+            found[index] = Freshness(port.max_age, action, passes)
+    local.keep_fresh(found, rmod.settle)
+    return any(one.action for one in found.values())
+
+
+def by_attribute(
+    rmod: Rmod, info: ModuleInfo, of: Callable[[str], T]
+) -> Callable[[str], T]:
+    """Return a function of a variable as one of an in-var's attribute.
 
     Args:
         rmod: Defines the variables of the ports.
         info: The module's description.
-        stale: Returns whether a variable is stale.
+        of: The function of a variable.
     """
     names = {
         port.attr: rmod.svar_name(port.name)
         for port in info.ports
         if port.kind is Kind.INVAR
     }
-    return lambda attr: stale(names[attr])
+    return lambda attr: of(names[attr])
 
 
 def check_ports(rmod: Rmod, info: ModuleInfo) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import gc
+import math
 import os
 import select
 import signal
@@ -27,7 +28,7 @@ from pbonet.node.ring import Ring
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
 from pbonet.outside import ModuleAnswers, Tape, use
 from pbonet.pbo import State, bind, decode_params, text_of
-from pbonet.svar import Table
+from pbonet.svar import Action, Table
 from pbonet.xm import live_on
 
 from . import journal, task_channel
@@ -35,11 +36,11 @@ from .deliver_timing_failure import TimingFailureDelivery
 from .executor import Executor
 from .parameters_in_task import get_params, set_param
 from .slot_timing import SlotWatch
-from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused
+from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused, too_old
 from .successor_calls import Found, Successors
 from .task_channel import Context, RtpuChannel, SlotTime
 from .task_flag_causes import TaskFlagCauses
-from .task_ports import ages, check_ports, local_table
+from .task_ports import by_attribute, check_ports, keep_fresh, local_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -112,6 +113,8 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
+        self._old = ""
+        """The last report of an input that was too old."""
         self.predecessors: list[str] = []
         """The tasks whose out-vars it takes over while it is a standby."""
         self._engaged = b""
@@ -179,6 +182,7 @@ class Host:
         params = decode_params(loaded.cls, self.rmod.settings, where=self.rmod.file)
         self.table = self.attach()
         self.local = local_table(self.table, spec.task, self.rmod)
+        self.reacts = keep_fresh(self.local, self.table, self.rmod, self.info)
         told = journal.about(
             spec, self.rmod, self.info, library, self.table, seed=self.seed()
         )
@@ -211,9 +215,15 @@ class Host:
         }
         self.live_in_process()
         instance = bind(loaded.cls, params, arrays, self.context)
-        stale = ages(self.rmod, self.info, self.local.stale)
+        stale = by_attribute(self.rmod, self.info, self.local.stale)
+        age = by_attribute(self.rmod, self.info, self.local.age)
         self.context.is_stale = lambda port: told_of.ask(
             lambda: stale(port), default=False
+        )
+        stamp = by_attribute(self.rmod, self.info, self.local.stamp_of)
+        self.context.stamp_of = lambda port: stamp(port) or self.context.now
+        self.context.age_of = lambda port: told_of.ask(
+            lambda: age(port), default=math.inf
         )
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.journal, illegal=illegal)
@@ -343,16 +353,22 @@ class Host:
             reason = self.slot.run(
                 instance.cycle,
                 self.local,
-                stable=instance.stable if self.rmod.critical else None,
+                stable=instance.stable,
+                safe=self.executor.write_safe,
+                critical=self.executor.critical,
                 sync=self._sync if self.outside else None,
                 ring=self.ring,
                 leave=ALL_REFUSED,
                 failing=self.telling,
-                aged=self._aged if self.rmod.critical else None,
+                aged=self._aged if self.reacts else None,
             )
             if reason == rt.FLAGS:
                 self.time.cycling = False
-                self._fault(refused(self.slot.flags, self.local.blamed))
+                old = self.slot.action == Action.ERROR
+                blamed = self.local.blamed
+                self._fault(
+                    too_old(blamed) if old else refused(self.slot.flags, blamed)
+                )
             elif reason == rt.ABORTED:
                 self.time.cycling = False
                 self._begin_anew()
@@ -369,9 +385,21 @@ class Host:
         return reason
 
     def _aged(self, stale: bool) -> None:  # noqa: FBT001 - called by the native loop
-        """Report that inputs of a critical task became stale, or are fresh again."""
-        name = self.local.blamed[0]
-        self.flag_causes.aged(f"the input {name} of {self.spec.task} is stale" * stale)
+        """Report that inputs became stale, or have been fresh for long enough.
+
+        A CRITICAL task raises the flag meanwhile; another one acts alone.
+        """
+        if stale:
+            name = self.local.blamed.variable
+            self._old = f"the input {name} of {self.spec.task} is stale"
+        if self.rmod.critical:
+            self.flag_causes.aged(self._old * stale)
+        elif stale:
+            does = Action(self.local.action).name.lower()
+            self.to_rtpu.notice(Severity.WARNING, "STALE", f"{self._old}: {does}")
+        else:
+            text = f"the inputs of {self.spec.task} are fresh again"
+            self.to_rtpu.notice(Severity.INFO, "FRESH", text)
 
     def _sync(self) -> None:
         """Wait as the module's `sync` does; a message that arrives ends the wait."""

@@ -117,8 +117,11 @@ class LocalTable:
             return 0, 0
         return min(self.arena.find(group.bytes)[0], 0), 0
 
-    def take(self, which: int, now: int, cycle: int) -> tuple[int, int]:
+    action = 0  # inputs have no freshness here
+
+    def take(self, which: int, now: int, cycle: int, own: int = 0) -> tuple[int, int]:
         """Judge, commit and claim a group."""
+        assert not own
         group = self.groups[which]
         self.flags = self._guard(group)
         if self.flags or not group.vars:

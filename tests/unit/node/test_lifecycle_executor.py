@@ -226,8 +226,9 @@ def test_a_critical_task_needs_stable():
     with pytest.raises(DeclarationError) as caught:
         Bench(Bare, critical=True)
     assert str(caught.value) == (
-        "Bare: a CRITICAL task needs a module with stable(); write `def stable(self, "
-        "dt: float) -> None`, or take CRITICAL out of the .rmod file"
+        "Bare: a CRITICAL task needs a module with stable() (expected stable(), or a "
+        "safe value of each out-var); write `def stable(self, dt: float) -> None`, or "
+        "take CRITICAL out of the .rmod file"
     )
 
 

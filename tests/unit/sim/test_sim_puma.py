@@ -16,6 +16,10 @@ from pbonet.master.sim.sim_recording import Recording
 
 ROOT = Path(__file__).parents[3]
 JOB = ROOT / "examples" / "puma" / "puma.job"
+SETTLING = 30
+"""Its cycles until each input has come twice more: Q_REF has 50 Hz, the robot 500."""
+FIRST = 2
+"""Cycles of the robot until T_GRAV is computed from a measured posture."""
 
 
 def tracking(recording: Recording) -> np.ndarray:
@@ -64,7 +68,8 @@ def test_the_arm_follows_the_operator(recording: Recording) -> None:
 def test_nothing_was_wrong(recording: Recording) -> None:
     assert recording.about["events"] == []
     for task in recording.tasks:
-        assert not recording.arrays(task)["flags"].any()
+        flags = recording.arrays(task)["flags"]
+        assert not flags[FIRST * (task == "puma_pidg") :].any()
 
 
 def test_gravity_is_that_of_the_posture(recording: Recording) -> None:
@@ -127,8 +132,8 @@ def test_robot_interface_holds_the_arm_when_gravity_compensation_fails() -> None
     arrays = simulation.recording.arrays("puma_pidg")
     stable = arrays["flags"] == STABLE
     assert stable[1500:3500].all()
-    assert not stable[:1500].any()
-    assert not stable[3500:].any()
+    assert not stable[FIRST:1500].any()
+    assert not stable[3500 + SETTLING :].any()
     speed = np.abs(np.diff(arrays["Q_MEZ"], axis=0)).max(axis=0) / 0.002
     asked = np.array([1.2, 1.0, 1.4, 2.4, 2.0, 2.4])  # SPEED in puma_pidg.rmod
     assert np.all(speed < 1.2 * asked), "no jump anywhere"

@@ -51,7 +51,9 @@ def test_a_list_is_carried_out_at_one_instant(simulation: VirtualJob) -> None:
     for task in ("puma_pidg", "forward_kin", "target", "qrdiff", "grav_comp"):
         arrays = simulation.recording.arrays(task)
         assert len(set(np.diff(arrays["release_ns"]))) == 1, "nobody missed a cycle"
-        assert not arrays["flags"].any()
+        assert not arrays["flags"][2 * (task == "puma_pidg") :].any(), (
+            "T_GRAV is old until gravity compensation has read a measured posture"
+        )
     assert len(simulation.recording.arrays("qrint")["cycle"]) == 10
 
 
