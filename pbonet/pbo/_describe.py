@@ -210,7 +210,7 @@ def render(info: ModuleInfo) -> str:
     """Return `info` as text for people, without colours."""
     lines = [f"{info.name}: {info.doc}", ""]
     ports: list[tuple[str, ...]] = [
-        (port.kind, port.name, port.attr, _type(port), port.unit, port.doc)
+        (port.kind, port.name, port.attr, _type(port), port.unit, _about(port))
         for port in info.ports
     ]
     lines += ["ports", *_table(ports or [("none",)]), "", "parameters"]
@@ -246,6 +246,19 @@ def render(info: ModuleInfo) -> str:
         lines.append(f"class     {info.cls} in {info.file or 'unknown file'}")
     lines.append(f"version   {info.version or 'unknown'}")
     return "\n".join(lines) + "\n"
+
+
+def _about(port: Port) -> str:
+    """Return what a port carries, and what its options say about ages."""
+    notes = [
+        "" if port.max_age is None else f"at most {port.max_age:g} s old",
+        f"else {port.stale}" * bool(port.stale),
+        "feedback" * port.feedback,
+        "new" * port.new,
+        "" if port.safe is None else f"safe {' '.join(map(str, port.safe))}",
+    ]
+    said = ", ".join(note for note in notes if note)
+    return f"{port.doc} ({said})" if said else port.doc
 
 
 def _type(port: Port) -> str:

@@ -49,14 +49,16 @@ class _ParamsMeta(msgspec.StructMeta):
             made.__declared__ = _declared(made, Declaring(made, here()))
         return made
 
-    def __call__(cls, *args: object, **values: object) -> Any:  # noqa: ANN401
-        """Make parameters; an error has the caller's line, and none of this file."""
-        __tracebackhide__ = True  # of pytest
-        try:
-            _check_fields(cls, args, values)
-            return super().__call__(**values)
-        except ParameterError as error:
-            raise error.with_traceback(None) from None
+    if not TYPE_CHECKING:  # checkers compare calls with the fields
+
+        def __call__(cls, *args: object, **values: object) -> Any:  # noqa: ANN401
+            """Make parameters; an error has the line of the caller."""
+            __tracebackhide__ = True  # of pytest
+            try:
+                _check_fields(cls, args, values)
+                return super().__call__(**values)
+            except ParameterError as error:
+                raise error.with_traceback(None) from None
 
 
 class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsMeta):

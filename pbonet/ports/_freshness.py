@@ -148,8 +148,10 @@ def _safe(body: Declaring, port: Port, value: object) -> tuple[float, ...] | Non
     )
 
 
-def _items(value: object) -> list[Any]:
-    return list(value) if isinstance(value, Sequence) and value != str(value) else []
+def _items(value: Any) -> list[Any]:  # noqa: ANN401 - whatever was declared
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return []
+    return list(value)  # pyright: ignore[reportUnknownArgumentType]
 
 
 def _size(shape: tuple[int | str, ...]) -> int:

@@ -21,6 +21,7 @@ from .result_codes import (
     IN as IN,
     ON as ON,
     OUT_CONSTS as OUT_CONSTS,
+    PASSED_ON as PASSED_ON,
     RIVAL as RIVAL,
     VARS as VARS,
     Flags as Flags,

@@ -302,7 +302,7 @@ cdef class LocalTable:
             f[i].maxage_ns, f[i].action, f[i].passes = maxage_ns, action, passes
         plan.fresh = f
         plan.age_of = <uint32_t *>room(self.kept, plan.n_vars, sizeof(uint32_t))
-        plan.generation = 0     # make it anew
+        plan.generation = 0     # the next copy plans again
         if which == PB_PLAN_IN:
             local(self).fresh.settle_ns = <int64_t>(settle * 1e9)
             local(self).fresh.renewals = <pb_renewal *>room(self.kept, plan.n_vars,

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -29,6 +28,7 @@ from pbonet.master.subsystem.embedded_agents import assign_cores
 from pbonet.xm.net import run_folder, session
 
 ROOT = Path(__file__).parents[2]
+FEW_FILES = ("sh", "-c", 'ulimit -Sn 32; exec "$0" "$@"')
 
 
 @pytest.fixture
@@ -36,9 +36,9 @@ def run(nodes, puma):
     """Start ``pbonet run`` on the PUMA job; it is ended with the test."""
     started = []
 
-    def start(*words, job=None):
+    def start(*words, job=None, under=()):
         file = str(job or puma.with_suffix(".job"))
-        command = [sys.executable, "-m", "pbonet.cli", "run", file]
+        command = [*under, sys.executable, "-m", "pbonet.cli", "run", file]
         process = subprocess.Popen(
             [*command, *map(str, words), "--domain", nodes.domain],
             stdout=subprocess.PIPE,
@@ -155,10 +155,18 @@ def test_stopped_processes_end_with_a_master_that_was_killed(run, nodes, shared_
 
 
 def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_memory):
+    """And its recorder is stopped at that time; it is continued then, and ends."""
     process = run()
     until_on(process)
     running = processes_of("PBONET_RUN_DIR", str(nodes.folder))
     agent = next(pid for pid, command in running if "--name arm1" in command)
+    recorder = next(
+        pid
+        for pid, command in running
+        if "recorder_process" in command and parent_of(pid) == agent
+    )
+    os.kill(agent, signal.SIGSTOP)  # so that it does not continue the recorder
+    os.kill(recorder, signal.SIGSTOP)
     os.kill(agent, signal.SIGKILL)
     out, err = process.communicate(timeout=200)
     assert process.returncode == 1, err
@@ -167,13 +175,12 @@ def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_me
     assert list(shared_memory.iterdir()) == []
 
 
+def parent_of(pid):
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+
+
 def test_a_low_limit_of_open_files_is_raised(run):
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (32, hard))
-    try:
-        process = run("--record", "off", "--seconds", "0.2")
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    process = run("--record", "off", "--seconds", "0.2", under=FEW_FILES)
     _, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
 

@@ -17,13 +17,19 @@ class Porter(PortBasedObject):
     def init(self):
         self.parts = xm.queue("vision0:parts")
         self.done = xm.queue("vision0:done")
+        self.turn = xm.semaphore("vision0:turn", initial=0)
 
     def sync(self):
         self.parts.wait()
 
     def cycle(self, dt):
         part = self.parts.try_receive()
-        if part is not None:
+        if part == b"all":
+            for number in range(20):
+                self.done.send(bytes([number]), answer=False)
+            self.turn.v(answer=False)
+            xm.interrupt("vision0:door", 7, answer=False)
+        elif part is not None:
             self.done.send(part + b"!" * ("zenoh" in sys.modules))
 """
 
@@ -315,5 +321,27 @@ def test_a_task_waits_for_another_machine(hands, porter):
     here.wait("parts.waiting", "1")
     os.kill(porter.status("porter").tid, signal.SIGKILL)
     here.wait("parts.waiting", "0")
-    for name in ("parts", "done"):
+    here.do("turn = xm.semaphore('turn', initial=0)")
+    for name in ("parts", "done", "turn"):
+        here.do(f"{name}.destroy()")
+
+
+def test_a_task_signals_another_machine_without_waiting(hands, porter):
+    here, _, _ = hands
+    here.do("parts, done = xm.queue('parts'), xm.queue('done')")
+    here.do("turn = xm.semaphore('turn', initial=0)")
+    here.do("came = []; box = xm.Mailbox('door', came.append)")
+    here.do("parts.send(b'all')")
+    here.wait("(box.pending, len(done), turn.value)", "(1, 20, 1)")
+    assert here.do("b''.join(done.receive(0) for _ in range(20))") == repr(
+        bytes(range(20))
+    ), "in their order"
+    assert here.do("box.take()") == "7"
+    here.do("done.destroy()")
+    here.do("box.destroy()")
+    here.do("parts.send(b'all')")
+    here.wait("turn.value", "2")
+    text = porter.wait_event("NOT_DELIVERED").text
+    assert "vision0:done: there is no such queue" in text
+    for name in ("parts", "turn"):
         here.do(f"{name}.destroy()")

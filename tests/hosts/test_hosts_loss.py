@@ -333,3 +333,28 @@ def test_an_agent_that_stays_away_leaves_everything_off(own_lab):
     wait_for(lambda: not own_lab.orphans(), "the end of all")
     assert "off" in diary.read_text()
     diary.unlink()
+
+
+def test_a_stop_reaches_a_machine_that_comes_back(cell, lab, lan):
+    cell.look("arm0", m.Links())  # it greets the other one, as it does every second
+    lan.cut("a", "b")
+    wait_for(lambda: "arm1" not in lab.seen("a"), "the loss of arm1")
+    ended = lab.cli("a", "stop", "cell")
+    assert ended.returncode == 1
+    assert "an RTPU did not confirm the stop" in ended.stderr
+    assert "may still be ON: arm1: sink" in ended.stderr
+    assert "arm0 of host-a has not seen arm1 of host-b" in ended.stderr
+    assert cell.status("arm1", "sink").state == "ON"
+    assert cell.look("arm0", m.Status(), m.RtpuStatus).tasks == []
+    lan.heal_all()
+    wait_for(
+        lambda: not cell.look("arm1", m.Status(), m.RtpuStatus).tasks,
+        "the end of the tasks of arm1",
+    )
+    late = "has reached arm1 only now: sink turned off"
+    wait_for(lambda: late in str(cell.events("arm0", "STOPPED")), "the report")
+    lab.wait_all()
+    again = lab.cli("a", "stop", "cell")
+    assert again.returncode == 0, again.stderr
+    spawn_critical(cell, "arm1")
+    assert cell.on("arm1", "sink").state == "ON", "it is carried out once"

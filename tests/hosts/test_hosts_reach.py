@@ -193,7 +193,7 @@ def _events(lab, code):
 def test_an_old_version_is_told(lab):
     """Both numbers, and what to do."""
     with pytest.raises(ProtocolError) as caught:
-        lab.client("c").call("arm0", m.Hello(v=0), m.AgentInfo)
+        lab.client("c").call("arm0", m.Status(v=0), m.RtpuStatus)
     text = str(caught.value)
     assert "another protocol version" in text
     assert "version 1" in text
@@ -208,7 +208,9 @@ from pbonet.node.agent import agent"""
 def test_doctor_tells_agents_of_other_versions(lab):
     """One of an older release, and one that speaks another protocol."""
     older = f"{TELLS}\nagent.pbonet = Namespace(__version__='0.0.1')\n{AGENT}"
-    newer = f"from pbonet.xm.net import codec\ncodec.VERSION = 2\n{AGENT}"
+    newer = f"""from pbonet.xm.net import codec, messages
+codec.VERSION = messages.VERSION = 2
+{AGENT}"""
     for name, code in (("older", older), ("newer", newer)):
         lab.start(name, "b", listen=(), wait=False, code=code)
     try:
@@ -219,10 +221,11 @@ def test_doctor_tells_agents_of_other_versions(lab):
             lab.stop(name)
     lines = got.stdout.splitlines()
     (old,) = [line for line in lines if "older runs pbonet 0.0.1" in line]
-    (new,) = [line for line in lines if line.startswith("FAIL newer: ")]
+    said = "FAIL newer: it has another protocol version (2, this is 1)"
+    (new,) = [line for line in lines if line.startswith(said)]
     assert old.startswith("WARN")
     assert f"this is {pbonet.__version__}" in old
-    assert "another protocol version" in new
+    assert "only hello and stop work" in new
     for line in (old, new):
         assert "run the same" in line
 

@@ -120,6 +120,7 @@ class FakeAgent:
         self.silent = False
         self.machine = "fake"
         self.fail: dict[tuple[str, str], PbonetError] = {}
+        self.lost: list[m.Lost] = []
         self.slow: dict[str, float] = {}
         self.held: dict[str, threading.Event] = {}
         self.late: list[dict[str, list[float]]] = []
@@ -231,6 +232,7 @@ class FakeAgent:
             version="0",
             python="3",
             claims={name: epoch for name, (epoch, _) in self.claims.items()},
+            lost=self.lost,
         )
 
     def do_claim(self, request: m.Claim) -> m.Claimed:

@@ -14,6 +14,7 @@ import pytest
 
 from pbonet.master.console.network_interface import Port
 from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.xm.net import messages as m
 
 ROOT = Path(__file__).parents[2]
 
@@ -136,6 +137,16 @@ def test_verb_asks_the_master_that_serves_the_port(pbonet, world, puma, agents):
     assert agents["arm0"].tasks == {}
 
 
+def test_a_verb_steers_what_remains_when_an_rtpu_is_lost(standing, agents):
+    agents["arm0"].close()
+    assert standing("off", "jttrace").returncode == 0
+    done = standing("on", "jttrace")
+    assert done.returncode == 0, done.stderr
+    assert "WARNING> arm0: no agent of this name can be reached" in done.stderr
+    assert agents["arm1"].tasks["jttrace"].state == "ON"
+    assert standing("start", "puma").returncode == 1
+
+
 def test_stop_needs_no_file_and_no_claim(standing, world, puma, agents):
     with Subsystem(puma, domain=world.domain, take_over=True) as arm:
         arm.detach()
@@ -153,6 +164,25 @@ def test_stop_needs_no_file_and_no_claim(standing, world, puma, agents):
     assert wrong.returncode == 1
     assert "no RTPU knows a subsystem pumas, so nothing was stopped" in wrong.stderr
     assert "did you mean puma?" in wrong.stderr
+
+
+def test_stop_names_an_rtpu_that_is_not_seen_and_what_was_on_there(standing, agents):
+    on = {"puma": ["jttrace"], "leg": ["walk"]}
+    agents["arm0"].lost = [m.Lost(rtpu="arm2", host="b", near=True, ago=7.0, on=on)]
+    agents["arm1"].lost = [
+        m.Lost(rtpu="arm2", host="b", near=True, ago=9.0, on={}),
+        m.Lost(rtpu="leg0", host="c", near=True, ago=9.0, on={"leg": []}),
+    ]
+    done = standing("stop", "puma", file=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "an RTPU did not confirm the stop" in done.stderr
+    assert "on the others was turned off: jttrace" in done.stderr
+    assert "may still be ON: arm2: jttrace;" in done.stderr
+    assert "arm0 of fakehost has not seen arm2 of b for 7 s" in done.stderr
+    assert "stopped by the other agents as soon as they see it again" in done.stderr
+    error = json.loads(standing("stop", "--json", file=False).stdout)["error"]
+    assert "2 RTPUs did not confirm the stop" in error["what"]
+    assert {one["where"] for one in error["parts"]} == {"arm2", "leg0"}
 
 
 def test_variables_once_again_and_as_csv(standing):

@@ -435,7 +435,8 @@ def test_stop_reaches_the_others_when_one_agent_is_gone(arm, agents):
     with pytest.raises(SeveralError) as caught:
         arm.stop()
     assert caught.value.what == (
-        "an RTPU did not confirm the stop; on the others was turned off: puma_pidg"
+        "an RTPU did not confirm the stop; on the others was turned off: puma_pidg; "
+        "may still be ON: arm1: grav_comp qrdiff jttrace"
     )
     assert [error.where for error in caught.value.errors] == ["arm1"]
     assert agents["arm0"].tasks == {}
@@ -450,9 +451,32 @@ def test_lost_rtpu_keeps_nobody_from_looking_and_turning_off(arm, agents):
     assert "puma_pidg" in arm.model  # as it was last seen
     assert arm.control("jttrace", "off").state == "OFF"
     arm.reconfig([("qrdiff", "off"), ("qrdiff", "kill")])
+
+
+def test_what_remains_can_be_steered_when_an_rtpu_is_lost(arm, agents):
+    """It is judged by those that answer, and each command says who is missing."""
+    arm.start("puma")
+    agents["arm0"].close()
+    arm.heard.clear()
+    arm.off("jttrace")
+    assert arm.on("jttrace") == {"jttrace": "ON"}
+    missing = "judged without arm0, where puma_pidg was seen last: "
+    assert any(text.startswith(missing) for text in arm.heard)
+    arm.reconfig([("qrdiff", "off"), ("qrdiff", "kill")])
+    arm.heard.clear()
+    assert arm.spawn("qrdiff", "arm1").state == "OFF"
+    assert any(text.startswith(missing) for text in arm.heard)
+    assert arm.reconfig([("jttrace", "off"), ("qrdiff", "on")]) == {
+        "jttrace": "OFF",
+        "qrdiff": "ON",
+    }
+    arm.swap("qrdiff", "jttrace")
+    assert agents["arm1"].tasks["jttrace"].state == "ON"
     with pytest.raises(UnreachableError, match="arm0"):
-        arm.control("jttrace", "on")  # nothing can be judged now
-    assert agents["arm1"].tasks["jttrace"].state == "OFF"
+        arm.on("puma_pidg")
+    with pytest.raises(UnreachableError, match="arm0"):
+        arm.start("puma")
+    assert "jttrace" in {one.task for one in arm.status_all()}
 
 
 def test_stop_lets_the_flag_down(arm, agents):

@@ -22,8 +22,15 @@ _ANEW = {
 """The remedy for a task that exists already."""
 
 
-def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
+def must_be_stopped(
+    stopped: m.Stopped, errors: list[PbonetError], unsure: Mapping[str, Sequence[str]]
+) -> None:
     """Raise the errors of a stop; they name the tasks that were stopped nevertheless.
+
+    Args:
+        stopped: The tasks that were stopped.
+        errors: Of the RTPUs that did not confirm.
+        unsure: Tasks that may still be ON, by RTPU.
 
     Raises:
         SeveralError: An RTPU did not confirm; the parts say which, and why.
@@ -34,10 +41,15 @@ def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
     done = (
         " ".join([*stopped.off, *stopped.killed]) or "nothing, because nothing was ON"
     )
+    on = "; ".join(
+        f"{rtpu}: {' '.join(tasks)}" for rtpu, tasks in unsure.items() if tasks
+    )
     raise SeveralError(
-        f"{count} did not confirm the stop; on the others was turned off: {done}",
+        f"{count} did not confirm the stop; on the others was turned off: {done}"
+        + f"; may still be ON: {on}" * bool(on),
         errors,
-        remedy="stop the others by hand, and stop again when they answer",
+        remedy="stop them by hand if they can do harm; an RTPU that was seen before is "
+        "stopped by the other agents as soon as they see it again",
     )
 
 

@@ -63,13 +63,6 @@ class Call(Struct, frozen=True):
         """The task whose RTPU alone is asked; empty if other RTPUs matter, too."""
         return self.given.get("task") or "" if self.command.alone else ""
 
-    @property
-    def judged(self) -> bool:
-        """Whether a judgement on all tasks decides, so that every RTPU must answer."""
-        if self.command.name == "reconfig":
-            return any(signal == "on" for _, signal in self.given["item"])
-        return self.command.judged
-
 
 class CommandSession(SessionState):
     """Takes commands for one interface, and carries them out."""

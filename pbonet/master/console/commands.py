@@ -112,8 +112,8 @@ class Command(Struct, frozen=True):
     """The argument whose last task becomes the default of the next command."""
     changes: bool = False
     """It needs a master that holds the claim."""
-    judged: bool = False
-    """It is verified before, and refused if it would be illegal."""
+    whole: bool = False
+    """Every RTPU must answer, because it starts tasks on all of them."""
     alone: bool = False
     """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
@@ -248,7 +248,6 @@ COMMANDS: Final = (
         "Show or set the frequency of a task.",
         (_TASK, Arg("hz", Kind.NUMBER, "the new frequency, Hz", Use.MAYBE)),
         changes=True,
-        judged=True,
         examples=(
             ("freq puma_pidg", "Show it."),
             ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
@@ -314,7 +313,6 @@ COMMANDS: Final = (
         "Turn tasks on: they run their cycles.",
         (_TASKS, _TEXT),
         changes=True,
-        judged=True,
         examples=(
             ("on puma_pidg", "Turn one task on."),
             ("on cam1 cam2 puma_pidg", "Turn three on, in this order."),
@@ -345,7 +343,6 @@ COMMANDS: Final = (
         "Send several signals in order, verified as one change.",
         (Arg("item", Kind.ITEM, "a task and a signal, such as pid:off", Use.SOME),),
         changes=True,
-        judged=True,
         examples=(
             ("reconfig pid_a:off pid_b:on", "Turn one task off and another on."),
             ("reconfig trace:off trace:kill", "Turn a task off and destroy it."),
@@ -428,7 +425,6 @@ COMMANDS: Final = (
             Arg("hz", Kind.NUMBER, "frequency in place of the .rmod's", Use.MAYBE),
         ),
         changes=True,
-        judged=True,
         examples=(
             ("spawn jttrace", "Create it on the RTPU that its file names."),
             ("spawn jttrace arm1 25", "Create it on RTPU arm1, at 25 Hz."),
@@ -440,7 +436,7 @@ COMMANDS: Final = (
         "Create the tasks of a job and turn them on, on running RTPUs.",
         (_JOB, _WAIT),
         changes=True,
-        judged=True,
+        whole=True,
         examples=(
             ("start teleop", "Verify and start the job in teleop.job."),
             ("start wait=5", "Wait up to 5 s for its conditions."),
@@ -483,7 +479,6 @@ COMMANDS: Final = (
             _DRY,
         ),
         changes=True,
-        judged=True,
         examples=(
             ("swap pid_a pid_b", "Replace one controller by another."),
             ("swap pid_a pid_b dry_run=yes", "Only show what would be done."),
@@ -495,7 +490,7 @@ COMMANDS: Final = (
         "Change to another job; tasks that both have stay ON.",
         (_JOB, _DRY, _WAIT),
         changes=True,
-        judged=True,
+        whole=True,
         examples=(
             ("switch grasp", "Change to the job in grasp.job."),
             ("switch grasp wait=2 dry_run=yes", "Only show what would be done."),

@@ -46,7 +46,7 @@ def run(
         **place.arguments,
         kind=command.replace(" ", "-"),
         watch=not call.changes,
-        partly=not call.judged,
+        partly=not wanted.whole,
         warned=opening.append,
     )
     opened = session.client(place.domain, connect=place.connect)

@@ -142,7 +142,7 @@ def end(task_set: SubsystemTasks, name: str) -> list[PbonetError]:
     """
     task_set.off()
     still_on = [member for member in task_set.model if member.is_on]
-    stopped, errors = task_set.stop()
+    stopped, errors, _ = task_set.stop()
     told = {str(error) for error in errors}
     errors += [error for error in task_set.leave() if str(error) not in told]
     hung = [forced(one) for one in still_on if one.name in stopped.killed]

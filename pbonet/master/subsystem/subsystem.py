@@ -735,7 +735,7 @@ class Subsystem:
         from .condition_gate import ConditionGate, in_time
 
         def attempt() -> Transition:
-            with self._changing(claimed=not dry_run) as task_set:
+            with self._changing(partly=False, claimed=not dry_run) as task_set:
                 wanted = self.files.read_job(job)
                 gate = ConditionGate(task_set, wanted, leaves=True)
                 plan = switching.plan_job(task_set, wanted)
@@ -777,7 +777,7 @@ class Subsystem:
         from .condition_gate import in_time
 
         def attempt() -> list[m.TaskStatus]:
-            with self._changing() as task_set:
+            with self._changing(partly=False) as task_set:
                 wanted = self.files.read_job(job)
                 self.recordings.of(wanted, self.files)
                 try:
@@ -841,12 +841,13 @@ class Subsystem:
             The tasks that were turned off normally, and those terminated by force.
 
         Raises:
-            SeveralError: An RTPU did not confirm; the others were stopped.
+            SeveralError: An RTPU did not confirm; the others were stopped, and their
+                agents stop it as soon as they see it again.
         """
         self.stopped.set()
-        stopped, errors = self.task_set.stop()
+        stopped, errors, unsure = self.task_set.stop()
         self.inbox.clear()
-        configuration.must_be_stopped(stopped, errors)
+        configuration.must_be_stopped(stopped, errors, unsure)
         if self.clients.claimed:
             self.task_set.settle()
         return stopped
@@ -1241,9 +1242,15 @@ class Subsystem:
         self,
         *,
         strict: bool = True,
+        partly: bool = True,
         claimed: bool = True,
         rtpus: Sequence[str] | None = None,
     ) -> ChangeTransaction:
         return ChangeTransaction(
-            self.task_set, self._busy, strict=strict, claimed=claimed, rtpus=rtpus
+            self.task_set,
+            self._busy,
+            strict=strict,
+            partly=partly,
+            claimed=claimed,
+            rtpus=rtpus,
         )

@@ -6,10 +6,13 @@ that the next verification uses the real state, not the requested one.
 
 from __future__ import annotations
 
+import secrets
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from msgspec import structs
 
 from pbonet import config
 from pbonet.analysis import legality, schedule
@@ -55,6 +58,7 @@ SIGNALS = {
 """Signals to a task, and the state that each leads to; None: as before."""
 
 T = TypeVar("T")
+_UNHEARD = (UnreachableError, NoAnswerError)
 
 
 class SubsystemTasks:
@@ -98,7 +102,11 @@ class SubsystemTasks:
         self._fresh: dict[str, m.RtpuStatus] = {}  # for the next `refresh`
         self.accepted: Collection[legality.Code] = ()
         """Problems for which no change is refused."""
-        self._whole = False  # the tasks of every RTPU were asked for
+        self._whole = False  # the tasks of every RTPU are known
+        self.partly = False
+        """Whether a judgement may rest on the RTPUs that answer."""
+        self._missing: set[str] = set()
+        """RTPUs that do not answer: judgements leave their tasks out."""
         self._priorities: dict[str, int] = {}  # as the RTPUs have them
 
     # -- the task model ----------------------------------------------------------------
@@ -241,9 +249,10 @@ class SubsystemTasks:
         Those that were claimed just now have given it with the claim.
 
         Args:
-            strict: Whether every RTPU must answer, because a judgement is to rest on
-                it. Else those that do not are reported as warnings, and their tasks
-                stay as they were last seen.
+            strict: Whether a judgement is to rest on it. Then every RTPU must answer,
+                or with `partly` the tasks of those that do not are left out of it. Else
+                these are only reported, as warnings. Their tasks stay in the model as
+                they were last seen.
             rtpus: Which are asked; None: all.
 
         Raises:
@@ -253,15 +262,21 @@ class SubsystemTasks:
         wanted = self.clients.names if rtpus is None else rtpus
         results = {name: self._fresh[name] for name in wanted if name in self._fresh}
         self._fresh.clear()
-        self._whole = self._whole or len(wanted) == len(self.clients.names)
         asked = [name for name in wanted if name not in results]
         found, errors = self.clients.each(
             lambda _: m.Status(), m.RtpuStatus, rtpus=asked
         )
         results |= found
-        if strict or not results:
+        missing = [name for name in wanted if name not in results]
+        survive = self.partly and all(isinstance(one, _UNHEARD) for one in errors)
+        if not results or (strict and not survive):
             rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
         self.warn(map(str, errors))
+        self._missing = (self._missing - results.keys()) | {*missing}
+        if len(wanted) == len(self.clients.names):
+            self._whole = not missing
+        if strict:
+            self.warn(map(self._without, missing))
         statuses = [results[name] for name in self.clients.names if name in results]
         there = [task for rtpu in statuses for task in rtpu.tasks]
         for status in there:
@@ -275,6 +290,20 @@ class SubsystemTasks:
         if self.clients.sbs.keeper in results:
             self._unwritten.seen(cause for rtpu in statuses for cause in rtpu.illegal)
         return statuses
+
+    def _without(self, rtpu: str) -> str:
+        """Return the warning for an RTPU whose tasks are left out of a judgement."""
+        names = [member.name for member in self.model if member.rtpu == rtpu]
+        there = f", where {' '.join(names)} was seen last" if names else ""
+        return (
+            f"judged without {rtpu}{there}: whether tasks there write the inputs of "
+            "others, or the same outputs, is not known"
+        )
+
+    @property
+    def reached(self) -> list[Member]:
+        """The tasks of the RTPUs that answer."""
+        return [one for one in self.model if one.rtpu not in self._missing]
 
     def restart_extremes(self, tasks: Iterable[m.TaskStatus]) -> list[m.TaskStatus]:
         """Restart the extremes of CPU time; return the status that has them until now.
@@ -391,6 +420,7 @@ class SubsystemTasks:
 
         Raises:
             VerificationError: It would be illegal.
+            UnreachableError: It turns a task of an RTPU on that does not answer.
         """
         self.say(self.legal(change))
 
@@ -399,13 +429,30 @@ class SubsystemTasks:
 
         Raises:
             VerificationError: It would be, or is, illegal.
+            UnreachableError: It turns a task of an RTPU on that does not answer.
         """
-        self.with_infos(self.model)
-        problems = self._problems(change)
+        self.with_infos(self.reached)
+        problems = self._problems(change and self._of_reached(change))
         refused = warning_dedup.refused(problems)
         if refused := [one for one in refused if one.code not in self.accepted]:
             raise legality.as_error(refused)
         return problems
+
+    def _of_reached(self, change: legality.Change) -> legality.Change:
+        """Return the part of a change that concerns the RTPUs that answer."""
+        items: list[tuple[str, str]] = []
+        for task, signal in change.items:
+            member = self.model.get(task)
+            if member is None or member.rtpu not in self._missing:
+                items.append((task, signal))
+            elif signal == "on" and not member.is_on:
+                raise UnreachableError(
+                    f"the task {task} is on an RTPU that does not answer",
+                    where=f"{member.rtpu}/{task}",
+                    remedy="see why with 'pbonet doctor'; tasks of other RTPUs can be "
+                    "changed",
+                )
+        return structs.replace(change, items=tuple(items))
 
     def _problems(self, change: legality.Change | None = None) -> Problems:
         now = self.configuration()
@@ -423,7 +470,7 @@ class SubsystemTasks:
         Raises:
             ModuleLoadError: A task's module is not there any more.
         """
-        self.with_infos(self.model)
+        self.with_infos(self.reached)
         now = self.configuration()
         return legality.report(legality.judge(now, change).after if change else now)
 
@@ -431,8 +478,8 @@ class SubsystemTasks:
         """Return the present subsystem."""
         return legality.Configuration(
             svar=self.files.table,
-            tasks=tuple(member.task for member in self.model),
-            on=frozenset(member.name for member in self.model if member.is_on),
+            tasks=tuple(member.task for member in self.reached),
+            on=frozenset(member.name for member in self.reached if member.is_on),
             rtpus=self.files.sbs.rtpus,
             machines=self.clients.machines(),
             strict=self.files.sbs.strict,
@@ -565,7 +612,8 @@ class SubsystemTasks:
         """
         try:
             problems = self._problems()
-            self._unwritten.settle(warning_dedup.unwritten(problems))
+            if self._whole:  # else the flag stays as it is
+                self._unwritten.settle(warning_dedup.unwritten(problems))
             self._standing.keep(problems)
             self.rank()
         except PbonetError as error:
@@ -585,9 +633,9 @@ class SubsystemTasks:
 
         Criticalities are their own rule's.
         """
-        priorities = self.priorities(self.model)
+        priorities = self.priorities(self.reached)
         ranks: dict[str, dict[str, tuple[int | None, int]]] = {}
-        for member in self.model:
+        for member in self.reached:
             priority = priorities[member.name]
             if self._priorities.get(member.name) != priority:
                 rank = (member.rmod.crit, priority)
@@ -627,11 +675,15 @@ class SubsystemTasks:
             except PbonetError as error:
                 logger("pbonet.master").debug("off %s: %s", name, error)
 
-    def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
-        """Stop every RTPU at once; return the results and the errors."""
-        order = self.order_of_off()
+    def stop(self) -> tuple[m.Stopped, list[PbonetError], dict[str, list[str]]]:
+        """Stop every RTPU at once.
+
+        Returns:
+            The results, the errors, and the tasks that may still be ON, by RTPU.
+        """
+        order, stop_id = self.order_of_off(), secrets.token_hex(8)
         results, errors = self.clients.each(
-            lambda _: m.Stop(timeout=STOP_TIME, order=order),
+            lambda _: m.Stop(timeout=STOP_TIME, order=order, stop_id=stop_id),
             m.Stopped,
             timeout=STOP_TIME + rpc.ANSWER_TIME,
         )
@@ -640,10 +692,13 @@ class SubsystemTasks:
             off=[task for one in results.values() for task in one.off],
             killed=[task for one in results.values() for task in one.killed],
         )
-        for member in self.model:
+        unsure: dict[str, list[str]] = {}
+        for member in list(self.model):
             if member.rtpu in results:
                 self.model.remove(member.name)
-        return stopped, errors
+            elif member.is_on:
+                unsure.setdefault(member.rtpu, []).append(member.name)
+        return stopped, errors, unsure
 
 
 def _place(file: str) -> str:

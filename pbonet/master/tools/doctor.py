@@ -384,7 +384,14 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
             "make others with `pbonet keys agent`, put them where the old ones are, "
             f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
         )
-    if info.version != pbonet.__version__:
+    if info.protocol != m.VERSION:
+        yield Finding(
+            Level.FAIL,
+            f"{info.name}: it has another protocol version ({info.protocol}, this is "
+            f"{m.VERSION}), so only hello and stop work",
+            "run the same version on every machine",
+        )
+    elif info.version != pbonet.__version__:
         yield Finding(
             Level.WARN,
             f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",

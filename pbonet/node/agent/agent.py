@@ -30,9 +30,11 @@ from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.xm.net import (
     AgentInfo,
+    Client,
     LinkReport,
     dialling,
     key_expressions,
+    messages,
     run_folder,
     session,
 )
@@ -48,6 +50,7 @@ from .rtpu_link import RtpuLink
 from .shared_memory_status import SharedMemoryStatus, restarting
 from .shutdown_event import Ending
 from .start_rtpu import choose_core
+from .stop_orders import StopOrders
 from .stopped_processes import StoppedProcesses
 from .subsystem_links import Links
 from .zenoh_server import Server
@@ -118,6 +121,7 @@ class Agent:
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
         self._ways: PeerLatencies | None = None
+        self._stops: StopOrders | None = None
         self._mirrors: TableCarrier | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._subscriptions: KeySubscriptions | None = None
@@ -175,7 +179,7 @@ class Agent:
         info = self._link.open()
         self._stopped.start()
         self._about = self._describe()
-        self._mail = Mail(self._session, self.places, self.config.files)
+        self._mail = Mail(self._session, self.places, self.config.files, self._note)
         self._server = Server(
             self._session,
             *(self.config.domain, self.name),
@@ -184,6 +188,8 @@ class Agent:
             overview=self._overview,
             book=self._recorders,
         )
+        client = Client(self._session, self.config.domain, f"{self.name}-stops")
+        self._stops = StopOrders(self.name, client, self._note)
         self._server.start()
         self._refuse_duplicate()
         self._duplicates = DuplicateAgents(
@@ -194,11 +200,13 @@ class Agent:
         )
         self._duplicates.start()
         self._ways = PeerLatencies(
-            self._session, self.info, self._recorders.send, self._note
+            self._session, self.info, self._recorders.send, self._note, self._stops
         )
         self._ways.start()
         where = self._session, self.config.domain
-        self._mirrors = TableCarrier(*where, self._ways.clocks, self._note)
+        self._mirrors = TableCarrier(
+            *where, self._ways.clocks, self._note, self._stops.refuses
+        )
         self._mirrors.start()
         self._mirrors.carry(info.tables)
         self._subscriptions = KeySubscriptions(
@@ -302,12 +310,14 @@ class Agent:
             self._subscriptions,
             self._mirrors,
             self._ways,
+            self._stops,
         )
         for part in (*network, self._duplicates, self._term, self._stopped):
             if part is not None:
                 part.stop()
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
+        self._stops = None
         if self._restarter is not None:
             self._restarter.join()
         self._overview.let_go()
@@ -388,6 +398,9 @@ class Agent:
             backend=info.backend,
             limits=info.limits,
             claims=info.claims,
+            on=self._overview.on(),
+            rtpu_age=(time.monotonic_ns() - info.started_ns) * 1e-9,
+            stops=info.stops,
             now_ns=time.monotonic_ns(),
             keys_left=term.left if term is not None else None,
             lost=ways.lost() if ways is not None else [],
@@ -406,6 +419,7 @@ class Agent:
             rtpu_pid=0,
             backend="",
             version=pbonet.__version__,
+            protocol=messages.VERSION,
             python=platform.python_version(),
             libraries=list(self._rtpu_config.libraries),
             zid=str(self._session.info.zid()) if self._session is not None else "",
@@ -450,6 +464,11 @@ class Agent:
     def learned(self, news: SnapshotChanges) -> None:
         """Store the RTPU process's report of its state."""
         self._overview.learn(news)
+
+    def stop_ordered(self, request: messages.Stop) -> None:
+        """Repeat a stop to RTPUs that are out of reach, when they are seen again."""
+        if self._stops is not None:
+            self._stops.add(request)
 
     def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
         """Call `done` when other machines have the table; see `TableCarrier.spread`."""

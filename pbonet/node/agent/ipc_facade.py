@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     import zenoh
 
+    from pbonet.node.wire import rtpu_messages
     from pbonet.xm.net import XmRequest, run_folder
 
 
@@ -23,17 +24,22 @@ class Mail:
         session: The agent's session.
         places: The agent's files.
         files: The folder of files for other machines, if declared.
+        note: Called with reports for masters.
 
     Raises:
         NodeError: That folder does not exist.
     """
 
     def __init__(
-        self, session: zenoh.Session, places: run_folder.Places, files: str | None
+        self,
+        session: zenoh.Session,
+        places: run_folder.Places,
+        files: str | None,
+        note: Callable[[rtpu_messages.Note], None],
     ) -> None:
         domain, name = places.domain, places.name
         self._resources = ResourceServer(session, domain, name, FileServer(files, name))
-        self._relay = TaskGateway(session, domain, name, places.post)
+        self._relay = TaskGateway(session, domain, name, places.post, note)
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Start a request, which is answered when it is done; returns at once."""

@@ -40,6 +40,8 @@ from . import link_watchdog
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Sequence
 
+    from .stop_orders import StopOrders
+
 log = logging.getLogger("pbonet.node")
 
 PERIOD = 1.0
@@ -92,6 +94,7 @@ class PeerLatencies:
         me: The agent's identity.
         tell: Called with the clock offsets, every second.
         note: Called with reports for masters.
+        stops: Compares each greeting with the stop orders.
     """
 
     def __init__(
@@ -100,11 +103,13 @@ class PeerLatencies:
         me: Callable[[], m.AgentInfo],
         tell: Callable[[rtpu_messages.Clocks], None] | None = None,
         note: Callable[[rtpu_messages.Note], None] | None = None,
+        stops: StopOrders | None = None,
     ) -> None:
         self._session = link
         self._me = me
         self._tell = tell
         self._note = note
+        self._stops = stops
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
         """Agents that were seen, and when a search for them first failed."""
@@ -117,6 +122,10 @@ class PeerLatencies:
         self._watchdog = link_watchdog.LinkWatchdog(link)
         self._guard = threading.Lock()
         self._over = threading.Event()
+        self._wake = threading.Event()
+        """Set when agents have appeared or are gone, and at the end."""
+        self._new: set[str] = set()
+        """Agents that have appeared since the last round trips."""
         self._codec = codec.Codec()
         self._thread = threading.Thread(
             target=self._watch, name="pbonet ways", daemon=True
@@ -128,11 +137,16 @@ class PeerLatencies:
             key_expressions.all_rtpus(self._me().domain, _END),
             direct(self._on_end),
         )
+        self._tokens = self._session.liveliness().declare_subscriber(
+            key_expressions.all_rtpus(self._me().domain, "alive"),
+            direct(self._on_token),
+        )
         self._thread.start()
 
     def stop(self) -> None:
         """Stop asking, and announce the orderly end to the others."""
         self._over.set()
+        self._wake.set()
         if self._thread.is_alive():
             self._thread.join()
         with contextlib.suppress(zenoh.ZError):
@@ -175,6 +189,21 @@ class PeerLatencies:
             if name in self._peers:
                 self._ended.add(name)
             self._lost.pop(name, None)
+        if self._stops is not None:
+            self._stops.ended(name)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """Let an agent that has appeared be asked now, or one that is gone be noted.
+
+        Runs in zenoh's own thread.
+        """
+        name = key_expressions.rtpu_name(str(sample.key_expr))
+        if sample.kind == zenoh.SampleKind.PUT:
+            with self._guard:
+                self._new.add(name)
+        elif self._stops is not None:
+            self._stops.lost(name)
+        self._wake.set()
 
     def clock(self, name: str) -> Clock | None:
         """Return the clock of an agent's machine, if it is known."""
@@ -206,7 +235,16 @@ class PeerLatencies:
         )
 
     def _watch(self) -> None:
-        while not self._over.wait(PERIOD):
+        due = time.monotonic() + PERIOD
+        while not self._over.is_set():
+            self._wake.wait(max(0.0, due - time.monotonic()))
+            self._wake.clear()
+            with self._guard:
+                new, self._new = self._new, set()
+            if time.monotonic() < due:
+                self._measure_quietly(new)
+                continue
+            due = time.monotonic() + PERIOD
             try:
                 self._measure(self._me().name)
                 self._relink_unseen()
@@ -214,6 +252,12 @@ class PeerLatencies:
                 log.debug("the connections cannot be measured: %s", error)
             if self._tell is not None and (others := self._apart()):
                 self._tell(rtpu_messages.Clocks(self._me().machine, others))
+
+    def _measure_quietly(self, names: set[str]) -> None:
+        try:
+            self._measure(self._me().name, names)
+        except (zenoh.ZError, OSError) as error:
+            log.debug("the connections cannot be measured: %s", error)
 
     def _relink_unseen(self) -> None:
         """Reopen links through which neighbours are not seen."""
@@ -271,13 +315,16 @@ class PeerLatencies:
                     self._watchdog.met(found, here=found.machine == machine)
                 else:
                     peer.error = found
+            if self._stops is not None and isinstance(found, m.AgentInfo):
+                self._stops.met(found)
 
     def _lose(self, name: str, peer: Peer) -> None:
         """Remember agents that are no longer seen, unless they announced their end."""
         if name in self._ended:
             self._ended.discard(name)
         elif peer.info is not None:
-            lost = m.Lost(rtpu=name, host=peer.info.host, near=peer.near, ago=0.0)
+            host, on = peer.info.host, peer.info.on
+            lost = m.Lost(rtpu=name, host=host, near=peer.near, ago=0.0, on=on)
             self._lost[name] = lost, time.monotonic()
             while len(self._lost) > MOST_LOST:
                 self._lost.pop(next(iter(self._lost)))

@@ -11,6 +11,7 @@ Waits run in threads of their own, at most `WAITS`; nothing here is real-time.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -355,6 +356,11 @@ class ResourceServer:
             self._end(request, held)
 
     def _put(self, request: r.Put) -> bool:
+        if request.name:
+            queue = xm.Queue.attach(self._name(request.name))
+            with contextlib.closing(queue):
+                full = xm.Full(request.full)
+                return queue.send(request.data, request.priority, full=full)
         held = self._begin(request)
         try:
             return _queue(held).send(
@@ -369,6 +375,10 @@ class ResourceServer:
             self._end(request, held)
 
     def _give(self, request: r.Give) -> bool:
+        if request.name:
+            semaphore = xm.Semaphore.attach(self._name(request.name))
+            with contextlib.closing(semaphore):
+                return semaphore.v()
         held = self._begin(request)
         try:
             return _semaphore(held).v()

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
+_ON = "ON"
+"""State of a task that has cycles."""
 FEW = 8
 """Maximum number of tasks and links, or of variables, that are read in less time than
 waking a thread takes."""
@@ -118,6 +120,18 @@ class SharedMemoryStatus:
                     setattr(self._known, name, part)
             self._told += 1
             self._news.notify_all()
+
+    def on(self) -> dict[str, list[str]]:
+        """Return the tasks that are ON, for each subsystem that uses the RTPU."""
+        known = self._known
+        return {
+            entry.subsystem: [
+                task.task
+                for task in known.tasks or ()
+                if task.subsystem == entry.subsystem and task.state == _ON
+            ]
+            for entry in known.claims or ()
+        }
 
     def let_go(self) -> None:
         """Close all tables, because the RTPU process has ended."""

@@ -19,10 +19,12 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from pbonet.errors import PbonetError, ProtocolError
+from pbonet.errors import PbonetError, ProtocolError, Severity
+from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import (
     Client,
     Declared,
+    Deliveries,
     Letter,
     XmRequest,
     codec,
@@ -31,6 +33,7 @@ from pbonet.xm.net import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     import zenoh
@@ -71,12 +74,18 @@ class TaskGateway:
         domain: Its domain.
         name: Its name.
         path: The socket that tasks connect to.
+        note: Called with reports for masters.
     """
 
     def __init__(
-        self, session: zenoh.Session, domain: str, name: str, path: Path
+        self,
+        session: zenoh.Session,
+        domain: str,
+        name: str,
+        path: Path,
+        note: Callable[[rtpu_messages.Note], None],
     ) -> None:
-        self._domain, self._path = domain, path
+        self._domain, self._path, self._note = domain, path, note
         self._client = Client(session, domain, f"{name}-{secrets.token_hex(4)}")
         self._codec = codec.Codec()
         self._letter = msgspec.msgpack.Decoder(Letter)
@@ -123,17 +132,21 @@ class TaskGateway:
     def _read(self, wire: _Wire) -> None:
         """Receive the requests of one connection until it is closed."""
         client = ""
+        deliveries = Deliveries(self._client, lambda text: self._report(client, text))
         try:
             while not self._over:
                 letter = self._letter.decode(wire.link.recv_bytes(LARGEST))
                 client = client or self._welcome(letter.client, wire)
-                if letter.wait or letter.rtpu:  # else it only announces its presence
+                if letter.report:
+                    deliveries.add(letter.rtpu, self._request(letter))
+                elif letter.wait or letter.rtpu:  # else it only announces its presence
                     self._pool.submit(self._carry, wire, letter)
         except (OSError, EOFError):
             pass  # it was closed
         except (*codec.MALFORMED, PbonetError, RuntimeError) as error:
             log.warning("%s: a task's request is refused: %s", self._client.name, error)
         finally:
+            deliveries.end()
             self._farewell(client, wire)
             wire.link.close()
 
@@ -172,6 +185,14 @@ class TaskGateway:
     def _passed_on(self, letter: Letter) -> bytes:
         if not letter.rtpu:
             return msgspec.msgpack.encode(self._client.rtpus())
+        request = self._request(letter)
+        if not letter.wait:
+            self._client.post(letter.rtpu, request)
+            return b""
+        result = self._client.call(letter.rtpu, request, object, timeout=letter.timeout)
+        return self._codec.pack(m.Answer(ok=True, result=result))
+
+    def _request(self, letter: Letter) -> XmRequest:
         request = self._codec.request(letter.data)
         if not isinstance(request, XmRequest):
             raise ProtocolError(
@@ -181,8 +202,8 @@ class TaskGateway:
                 remedy="send commands with a master",
             )
         request.client = letter.client
-        if not letter.wait:
-            self._client.post(letter.rtpu, request)
-            return b""
-        result = self._client.call(letter.rtpu, request, object, timeout=letter.timeout)
-        return self._codec.pack(m.Answer(ok=True, result=result))
+        return request
+
+    def _report(self, client: str, text: str) -> None:
+        text = f"task process {client.split('-')[-2]}: {text}"
+        self._note(rtpu_messages.Note(int(Severity.WARNING), "NOT_DELIVERED", text))

@@ -83,6 +83,9 @@ class Node(Protocol):
         value was set.
         """
 
+    def stop_ordered(self, request: m.Stop) -> None:
+        """Repeat a stop to RTPUs that are out of reach, when they are seen again."""
+
     def info(self) -> AgentInfo:
         """Return this agent's identity."""
         ...
@@ -297,7 +300,8 @@ class Server:
         return True
 
     def _introduce(self, query: zenoh.Query, request: m.Hello) -> None:
-        answer = m.Answer(id=request.id, ok=True, result=self._node.info())
+        info = self._node.info()
+        answer = m.Answer(v=request.v, id=request.id, ok=True, result=info)
         self._reply(query, self._codec.pack(answer))
 
     def _serve(self) -> None:
@@ -343,6 +347,8 @@ class Server:
             failed = codec.failure(error, codec.request_id(data))
             self._reply(query, self._codec.pack(failed))
             return
+        if isinstance(request, m.Stop):
+            self._node.stop_ordered(request)
         if isinstance(request, m.Claim):
             self._pool.submit(self._claim, query, request, data)
         else:
@@ -429,7 +435,8 @@ class Server:
         try:
             self._node.forward(n, data, masters)
         except PbonetError as error:
-            self.answer(n, self._codec.pack(codec.failure(error, request.id)))
+            failed = codec.failure(error, request.id, request.v)
+            self.answer(n, self._codec.pack(failed))
 
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
         """Answer on our own key, and close the query: an open one times out."""

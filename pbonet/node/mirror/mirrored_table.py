@@ -59,6 +59,8 @@ class Owner(Protocol):
     domain: str
     machine: str
     tell: Callable[[rtpu_messages.Note], None]
+    refuses: Callable[[str, str], bool]
+    """Whether a subsystem's packets from a machine are not to be used."""
 
     def do(self, what: Callable[[], object]) -> None:
         """Let the carrier's thread call a function; may be called from any thread."""
@@ -296,6 +298,8 @@ class MirroredTable:
         if self.mirror is None or packet is None:
             return ""
         if packet.machine == self._owner.machine:
+            return ""
+        if self._owner.refuses(self.subsystem, packet.machine):
             return ""
         if asked is not None:
             self._owner.measured(packet.machine, *asked, packet.sent_ns)

@@ -53,6 +53,7 @@ class TableCarrier:
         domain: Its domain.
         clocks: The other machines' clocks.
         tell: Called with reports for masters.
+        refuses: Returns whether a subsystem's packets from a machine are not used.
     """
 
     def __init__(
@@ -61,8 +62,10 @@ class TableCarrier:
         domain: str,
         clocks: ClockOffsets,
         tell: Callable[[rtpu_messages.Note], None] = lambda _: None,
+        refuses: Callable[[str, str], bool] = lambda _, __: False,
     ) -> None:
         self.session, self.domain, self.tell = session, domain, tell
+        self.refuses = refuses
         self.machine = key_expressions.machine(run_folder.machine())
         self._clocks = clocks
         self._carried: dict[str, MirroredTable] = {}

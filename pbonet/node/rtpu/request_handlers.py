@@ -356,9 +356,14 @@ class RequestHandlers:
     async def _stop(self, request: m.Stop) -> Result:
         names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())
         limit = request.timeout if 0 <= request.timeout <= LONGEST else LONGEST
+        if request.stop_id in self._rtpu.stops:
+            return m.Stopped(off=[], killed=[]), []
+        if request.stop_id:
+            self._rtpu.stops.append(request.stop_id)
         stopped = await signal_tasks.stop(self._rtpu, names, limit, request.order)
         for name in names:
             self._rtpu.claims.stand(name, None)
+        self._rtpu.publish_claims()
         return stopped, []
 
     # -- the rest ----------------------------------------------------------------------

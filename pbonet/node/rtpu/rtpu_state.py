@@ -7,6 +7,7 @@ import contextlib
 import os
 import signal
 import time
+from collections import deque
 from typing import TYPE_CHECKING
 
 import pbonet
@@ -31,12 +32,11 @@ from .fallbacks import Fallbacks
 from .fork_client import LARGEST_CROWD, Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
-from .repeated_warnings import RepeatedWarnings
 from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
-from .task_signals import Signals
+from .task_signals import RepeatedWarnings, Signals
 from .timing_failure_events import TimingFailureEvents
 from .waiting_cycles import WaitingCycles
 
@@ -53,6 +53,8 @@ Key = tuple[str, str]
 """Subsystem and task."""
 _ON = (Mode.ON, Mode.COMMAND)
 """Modes of a task that is ON: between cycles, or at a command."""
+MOST_STOPS = 64
+"""Stop orders that an RTPU remembers."""
 WATCH_PERIOD = 0.5
 """Seconds between checks of what is not reported: lost files, the dispatcher."""
 GLANCE = 0.005
@@ -97,6 +99,9 @@ class Rtpu:
         self.recordings: dict[str, rtpu_messages.Recording] = {}
         """Recordings that the agent is to make, by subsystem."""
         self.stopping: set[str] = set()
+        self.stops: deque[str] = deque(maxlen=MOST_STOPS)
+        """Stop orders that were carried out."""
+        self._started_ns = time.monotonic_ns()
         self.lists: dict[str, list[tuple[str, str]]] = {}
         """Lists of signals that are being carried out, by subsystem."""
         self._chores: set[asyncio.Task[None]] = set()
@@ -194,6 +199,8 @@ class Rtpu:
             backend=self.dispatcher.backend,
             limits=self.limits,
             claims=self.claims.epochs(),
+            started_ns=self._started_ns,
+            stops=list(self.stops),
             tables=self.tables.kept(),
             recordings=self.recordings,
         )

@@ -32,7 +32,9 @@ class Answers:
         Raises:
             NodeError: It is too long.
         """
-        answer = m.Answer(id=request.id, ok=True, result=result, warnings=warnings)
+        answer = m.Answer(
+            v=request.v, id=request.id, ok=True, result=result, warnings=warnings
+        )
         data = self._codec.pack(answer)
         if len(data) > codec.Codec.MAX_BYTES:
             raise NodeError(
@@ -47,7 +49,7 @@ class Answers:
         """Return the answer with an error; foreign exceptions are reported."""
         if not isinstance(error, PbonetError):
             error = self._fault(request, error)
-        return self._codec.pack(codec.failure(error, request.id))
+        return self._codec.pack(codec.failure(error, request.id, request.v))
 
     def _fault(self, request: m.Request, error: Exception) -> PbonetError:
         """Return the error for an exception that is not an error of pbonet."""

@@ -219,6 +219,10 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     backend: str
     limits: list[str]
     claims: dict[str, int]
+    started_ns: int = 0
+    """CLOCK_MONOTONIC at its start."""
+    stops: list[str] = []
+    """Stop orders that were carried out, the newest last."""
     tables: dict[str, bool] = {}
     """Subsystems whose tables are open, and whether operators set variables there."""
     recordings: dict[str, Recording] = {}

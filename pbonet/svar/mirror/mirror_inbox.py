@@ -224,7 +224,9 @@ class Machine:
 
 def _time(now_ns: int, news: News, late_ns: int | None) -> int:
     """Return when values were written, by this machine's clock."""
-    return UNKNOWN_NS if late_ns is None else now_ns - news.age_ns - late_ns
+    if late_ns is None:
+        return UNKNOWN_NS
+    return max(now_ns - news.age_ns - late_ns, UNKNOWN_NS)  # it may be before our start
 
 
 def _places(table: Table, variables: Sequence[int]) -> list[tuple[int, int]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pbonet.errors import SvarDamagedError
-from pbonet.svar import layout, now_ns
+from pbonet.svar import PASSED_ON, layout, now_ns
 
 from .packets import Group, News
 
@@ -52,7 +52,9 @@ class OwnGroup:
         self._last: News | None = None
         """The state that was sent last, for a group with a limited rate."""
         self.stamp_ns = 0
-        """When the last commit that was sent was made."""
+        """The time stamp of the last commit that was sent."""
+        self.made_ns = 0
+        """When that was made; about, if its stamp is that of older data."""
         self.period_ns = 0
         """Recent time between commits; 0: unknown."""
         self.register = 0
@@ -61,13 +63,14 @@ class OwnGroup:
     def sends(self, news: News, now: int) -> None:
         """Record a commit that is being sent."""
         stamp = now - news.age_ns
+        made = now if news.cycle & PASSED_ON else stamp
         commits = news.seq - self.sent
         # The carrier may have been stopped between two readings of the clock.
-        if self.sent >= 0 and 0 < commits < _MANY and stamp > self.stamp_ns:
-            period = (stamp - self.stamp_ns) // commits
+        if self.sent >= 0 and 0 < commits < _MANY and made > self.made_ns:
+            period = (made - self.made_ns) // commits
             known = self.period_ns
             self.period_ns = (3 * known + period) // 4 if known else period
-        self.sent, self.stamp_ns = news.seq, stamp
+        self.sent, self.stamp_ns, self.made_ns = news.seq, stamp, made
         if self.pause_ns:
             # Counted from the due time, so that a late check costs no turn.
             late = now - self.next_ns
@@ -85,9 +88,9 @@ class OwnGroup:
 
     def due_ns(self, now: int) -> int | None:
         """Return when its next commit should be there; None if none is expected."""
-        if not self.period_ns or now - self.stamp_ns > _IDLE * self.period_ns + _BREAK:
+        if not self.period_ns or now - self.made_ns > _IDLE * self.period_ns + _BREAK:
             return self.next_ns if self.next_ns > now else None
-        return max(self.stamp_ns + self.period_ns + BEHIND, self.next_ns)
+        return max(self.made_ns + self.period_ns + BEHIND, self.next_ns)
 
     def commit(self) -> int | None:
         """Return the number of the newest commit."""

@@ -137,8 +137,17 @@ class Semaphore(Shared):
         """
     def try_p(self) -> Taken:
         """Take one unless none is left or it is reserved for a waiting thread."""
-    def v(self) -> bool:
-        """Give one back, or signal; False if the value is at its maximum."""
+    def v(self, *, answer: bool = True) -> bool:
+        """Give one back, or signal; False if the value is at its maximum.
+
+        Args:
+            answer: For a semaphore of another machine: whether to wait for its answer.
+                Without one the call returns True at once, as `xmWakeup` (Stewart
+                1994, section 5.3.1), and a failure is an event, NOT_DELIVERED.
+
+        Raises:
+            XmFullError: Without an answer: the agent takes no signals now.
+        """
     def __enter__(self) -> Taken: ...
     def __exit__(
         self,
@@ -219,6 +228,7 @@ class Queue(Shared):
         until_ns: int | None = 0,
         wait_priority: int | None = None,
         still: Callable[[], bool] | None = None,
+        answer: bool = True,
     ) -> bool:
         """Put a message in the queue; return whether it was put.
 
@@ -229,10 +239,15 @@ class Queue(Shared):
             until_ns: Time-out of the wait for room; no wait by default.
             wait_priority: Priority of that wait; the task's criticality by default.
             still: See the module's description.
+            answer: For a queue of another machine: whether to wait for its answer, as
+                in `Semaphore.v`. Messages without one arrive in their order, and have
+                at most 64 KiB.
 
         Raises:
             XmQueueFullError: There is no room, and `full` is REFUSE.
             XmTooLongError: It is longer than the whole queue.
+            XmFullError: Without an answer: the agent takes no messages now.
+            ValueError: Without an answer there can be no wait for room.
             XmDestroyedError: The queue was destroyed.
         """
     def receive(

@@ -309,7 +309,7 @@ cdef class Semaphore(Shared):
             self.fail(code)
         return _TAKEN if code == 0 else _DIED if code == XM_DIED else _TIMED_OUT
 
-    def v(self) -> bool:
+    def v(self, *, answer=True) -> bool:
         self.open()
         return xm_sem_give(self.s) == 0
 

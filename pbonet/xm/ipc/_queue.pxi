@@ -107,7 +107,7 @@ cdef class Queue(Shared):
         return self.q.dropped
 
     def send(self, data, priority=0, *, full=Full.REFUSE, until_ns=0,
-             wait_priority=None, still=None) -> bool:
+             wait_priority=None, still=None, answer=True) -> bool:
         self.open()
         cdef Py_buffer view
         cdef int code, mode = full

@@ -220,35 +220,42 @@ _guard = threading.Lock()
 _boxes: dict[Name, Queue] = {}
 
 
-def interrupt(name: str | int, value: int = 1) -> None:
+def interrupt(name: str | int, value: int = 1, *, answer: bool = True) -> None:
     """Send an interrupt to a mailbox on any machine (``xmMboxSend``).
 
     Args:
         name: ``RTPU:NAME``, or ``NAME`` on this process's own RTPU; or a number.
         value: Value for the handler, a signed 64-bit integer.
+        answer: Whether to wait for the answer of another machine. Without one,
+            interrupts arrive in their order, and a failure is an event, NOT_DELIVERED.
 
     Raises:
         XmMissingError: The mailbox is not installed.
         XmQueueFullError: It is full: earlier interrupts were not handled yet.
         UnreachableError: The RTPU cannot be reached.
+        XmFullError: Without an answer: the agent takes no interrupts now.
         ValueError: The value is out of range.
     """
     if not -(1 << 63) <= value < 1 << 63:
         raise ValueError(f"the value {value} has more than 64 bits")
     box = _resource(name)
     if active():
-        Outside(f"mailbox {_shown(box)}").ask(_interrupt, box, value, default=None)
+        out = Outside(f"mailbox {_shown(box)}")
+        out.ask(_interrupt, box, value, answer, default=None)
     else:
-        _interrupt(box, value)
+        _interrupt(box, value, answer)
 
 
-def _interrupt(box: Name, value: int) -> None:
+def _interrupt(box: Name, value: int, answer: bool) -> None:  # noqa: FBT001 - recorded
     if names.is_here(box):
         with using(None):
             interrupt_here(box, value)
         return
     request = Interrupt(name=box.resource.removeprefix(PREFIX), value=value)
-    remote_channel.carrier().call(box.rtpu, request, type(None), timeout=2.0)
+    if answer:
+        remote_channel.carrier().call(box.rtpu, request, type(None), timeout=2.0)
+    else:
+        remote_channel.carrier().deliver(box.rtpu, request)
 
 
 def interrupt_here(box: Name, value: int) -> None:

@@ -120,8 +120,8 @@ class RecordedSemaphore(_Heard, Semaphore):
     def try_p(self) -> Taken:
         return Taken(self._recorded("try_p", default=Taken.TIMED_OUT))
 
-    def v(self) -> bool:
-        return bool(self._recorded("v", default=True))
+    def v(self, *, answer: bool = True) -> bool:
+        return bool(self._recorded("v", answer=answer, default=True))
 
 
 class RecordedQueue(Receiving, _Heard, Queue):
@@ -176,6 +176,7 @@ class RecordedQueue(Receiving, _Heard, Queue):
         until_ns: int | None = 0,
         wait_priority: int | None = None,
         still: Callable[[], bool] | None = None,
+        answer: bool = True,
     ) -> bool:
         return bool(
             self._recorded(
@@ -186,6 +187,7 @@ class RecordedQueue(Receiving, _Heard, Queue):
                 until_ns=until_ns,
                 wait_priority=wait_priority,
                 still=still,
+                answer=answer,
                 default=True,
             )
         )

@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import os
 import secrets
+import select
 import sys
 import threading
 from multiprocessing import connection as sockets
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import msgspec
 
-from pbonet.errors import NoAnswerError, UnreachableError, XmError
+from pbonet.errors import NoAnswerError, UnreachableError, XmError, XmFullError
 from pbonet.outside import Outside, active
 from pbonet.xm.net import (
     Letter,
@@ -57,6 +58,9 @@ class Carrier(Protocol):
 
     def post(self, rtpu: str, request: Request) -> None:
         """Send a request without waiting for an answer."""
+
+    def deliver(self, rtpu: str, request: Request) -> None:
+        """Send a request after those before it, without waiting; report a failure."""
 
     def rtpus(self) -> list[str]:
         """Return the names of the RTPUs whose agents are alive."""
@@ -100,6 +104,16 @@ class RemoteChannel:
         data = self._codec.pack(request)
         self._exchange(Letter(self.name, rtpu, 0.0, data, wait=False))
 
+    def deliver(self, rtpu: str, request: Request) -> None:
+        """Send a request, which the agent delivers in order; it reports a failure.
+
+        Raises:
+            XmFullError: The agent does not read what the task sends.
+        """
+        request.client = self.name
+        data = self._codec.pack(request)
+        self._exchange(Letter(self.name, rtpu, 0.0, data, wait=False, report=True))
+
     def rtpus(self) -> list[str]:
         """Return the names of the RTPUs whose agents are alive."""
         return read_names(self._exchange(Letter(self.name, "", 0.0, b"")))
@@ -115,6 +129,8 @@ class RemoteChannel:
     def _exchange(self, letter: Letter) -> bytes:
         try:
             link = self._link()
+            if letter.report:
+                _must_have_room(link, self._rtpu)
             link.send_bytes(msgspec.msgpack.encode(letter))
             return link.recv_bytes() if letter.wait else b""
         except (OSError, EOFError) as error:
@@ -146,6 +162,20 @@ class RemoteChannel:
         link: sockets.Connection | None = self._own.__dict__.pop("link", None)
         if link is not None:
             link.close()
+
+
+def _must_have_room(link: sockets.Connection, rtpu: str) -> None:
+    """Refuse to wait: a socket that can be written to has most of its room free."""
+    poll = select.poll()
+    poll.register(link.fileno(), select.POLLOUT)
+    if poll.poll(0):
+        return
+    raise XmFullError(
+        "the task's own agent does not read what the task sends to other machines",
+        where=rtpu,
+        got="a full socket: the agent is stopped, or has no time",
+        remedy="send less often; see whether the agent runs: pbonet status",
+    )
 
 
 _guard = threading.Lock()

@@ -127,6 +127,12 @@ class RemoteResource:
             raise
         return got
 
+    def deliver(self, request: Request) -> bool:
+        """Send a request without waiting; a failure is reported by who carries it."""
+        self._open()
+        self._carrier.deliver(self.name.rtpu, request)
+        return True
+
     def _settle(self, take: str, *, keep: bool) -> None:
         with contextlib.suppress(PbonetError):
             self._carrier.post(self.name.rtpu, r.Settle(take=take, keep=keep))
@@ -241,7 +247,9 @@ class RemoteSemaphore(_There, Semaphore):
     def try_p(self) -> Taken:
         return self.p(0)
 
-    def v(self) -> bool:
+    def v(self, *, answer: bool = True) -> bool:
+        if not answer:
+            return self._far.deliver(r.Give(name=self._far.name.resource))
         # After a lost link the critical section is lost, too: report it, do not repeat.
         return self._far.ask(
             lambda handle: r.Give(handle=handle), bool, again=not self.binary
@@ -323,9 +331,13 @@ class RemoteQueue(Receiving, _There, Queue):
         until_ns: int | None = 0,
         wait_priority: int | None = None,
         still: Callable[[], bool] | None = None,  # noqa: ARG002 - for local waits
+        answer: bool = True,
     ) -> bool:
-        payload, rank = bytes(data), _priority(wait_priority)
-        self._check_length(len(payload))
+        payload = bytes(data)
+        if not answer:
+            return self._deliver(payload, priority, full, until_ns)
+        rank = _priority(wait_priority)
+        self._check_length(len(payload), r.LONGEST)
 
         def make(handle: int, take: str, wait: float) -> Request:
             return r.Put(
@@ -340,12 +352,30 @@ class RemoteQueue(Receiving, _There, Queue):
 
         return self._far.take(make, until_ns, bool)
 
-    def _check_length(self, length: int) -> None:
-        if length > r.LONGEST:
+    def _deliver(
+        self, payload: bytes, priority: int, full: Full, until_ns: int | None
+    ) -> bool:
+        if until_ns != 0:
+            raise ValueError(
+                f"{self.name}: a message that is sent without waiting for the answer "
+                "cannot wait for room: leave until_ns out"
+            )
+        self._check_length(len(payload), r.LONGEST_UNANSWERED)
+        return self._far.deliver(
+            r.Put(
+                name=self._far.name.resource,
+                data=payload,
+                priority=priority,
+                full=int(full),
+            )
+        )
+
+    def _check_length(self, length: int, most: int) -> None:
+        if length > most:
             raise XmTooLongError(
                 "the message is too long to be sent to another machine",
                 where=self.name,
-                expected=f"at most {r.LONGEST} bytes",
+                expected=f"at most {most} bytes",
                 got=f"{length} bytes",
                 remedy="send it in parts, or write a file there (pbonet://)",
             )

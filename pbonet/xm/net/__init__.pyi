@@ -21,6 +21,7 @@ from .any_message import AnyMessage as AnyMessage
 from .callbacks import direct as direct
 from .codec import Codec as Codec, failure as failure
 from .decoders import convert as convert, decoder as decoder, prepare as prepare
+from .deliveries import Deliveries as Deliveries
 from .file_messages import FileWrite as FileWrite
 from .message_parts import VarValue as VarValue, plain as plain
 from .messages import (
@@ -55,6 +56,7 @@ from .relay_messages import (
 )
 from .resource_messages import (
     LONGEST as LONGEST,
+    LONGEST_UNANSWERED as LONGEST_UNANSWERED,
     Interrupt as Interrupt,
     XmRequest as XmRequest,
 )

@@ -14,6 +14,8 @@ class Lost(Struct, kw_only=True):
     """Whether the two had a direct link."""
     ago: float
     """Seconds since the first failed attempt to find it."""
+    on: dict[str, list[str]] = {}
+    """Tasks that were ON when it was last seen, by subsystem; see `AgentInfo`."""
 
 
 class AgentInfo(Struct, kw_only=True):
@@ -34,6 +36,8 @@ class AgentInfo(Struct, kw_only=True):
     """Reduced guarantees and their reasons, one sentence each."""
     version: str
     python: str
+    protocol: int = 1
+    """Version of the messages that it takes."""
     claims: dict[str, int] = {}
     """Subsystems that use the RTPU, and the epoch of each one's claim."""
     libraries: list[str] = []
@@ -49,6 +53,12 @@ class AgentInfo(Struct, kw_only=True):
     """Seconds until its certificate expires; None if it has none."""
     lost: list[Lost] = []
     """Agents that disappeared without announcing their end."""
+    on: dict[str, list[str]] = {}
+    """Tasks that are ON, for each subsystem that uses the RTPU."""
+    rtpu_age: float = 0.0
+    """Seconds since the start of the RTPU process."""
+    stops: list[str] = []
+    """Stop orders that the RTPU has carried out (`Stop.stop_id`), the newest last."""
 
 
 class Way(Struct, kw_only=True):

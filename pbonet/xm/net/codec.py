@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import msgspec
 from msgspec import Struct
@@ -14,14 +14,22 @@ from .decoders import decoder
 from .messages import VERSION, Answer, Event, Request
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from .any_message import AnyMessage
 
 
+FROZEN: Final = frozenset({"hello", "stop"})
+"""Requests that every version takes from every other one; their fields do not change,
+and the answer has the version of the request."""
+
+
 class _Version(Struct):
-    """The two fields that are decoded first."""
+    """The fields that are decoded first."""
 
     v: int = 0
     id: str = ""
+    op: str = ""
 
 
 _VERSION: msgspec.msgpack.Decoder[_Version] = decoder(_Version)
@@ -53,9 +61,10 @@ class Codec:
         """Return the request in `data`.
 
         Raises:
-            ProtocolError: It is too long, malformed, or of another version.
+            ProtocolError: It is too long, malformed, or of another version and not
+                one of `FROZEN`.
         """
-        self._check(data)
+        self._check(data, FROZEN)
         try:
             return self._request.decode(data)
         except MALFORMED as error:
@@ -81,7 +90,7 @@ class Codec:
                 remedy="run the same pbonet version on every machine",
             ) from None
 
-    def _check(self, data: bytes) -> None:
+    def _check(self, data: bytes, frozen: Collection[str] = ()) -> None:
         if len(data) > self.MAX_BYTES:
             raise ProtocolError(
                 "the message is too long",
@@ -90,25 +99,25 @@ class Codec:
                 remedy="send it in parts, or send less",
             )
         try:
-            version = _VERSION.decode(data).v
+            head = _VERSION.decode(data)
         except MALFORMED as error:
             raise ProtocolError(
                 "the message is not msgpack",
                 got=str(error),
                 remedy="send a msgpack map, as described in docs/protocol.md",
             ) from None
-        if version != VERSION:
+        if head.v != VERSION and head.op not in frozen:
             raise ProtocolError(
                 "the message is of another protocol version",
                 expected=f"version {VERSION}",
-                got=f"version {version}",
+                got=f"version {head.v}",
                 remedy="run the same pbonet version on every machine",
             )
 
 
-def failure(error: PbonetError, request_id: str = "") -> Answer:
-    """Return the answer that carries `error`."""
-    return Answer(id=request_id, ok=False, error=error.to_wire())
+def failure(error: PbonetError, request_id: str = "", v: int = VERSION) -> Answer:
+    """Return the answer that carries `error`, to a request of version `v`."""
+    return Answer(v=v, id=request_id, ok=False, error=error.to_wire())
 
 
 def request_id(data: bytes) -> str:

@@ -282,6 +282,9 @@ class Stop(Request, tag="stop"):
     timeout: float = 2.0
     order: list[str] = []
     """Tasks to turn off first, in this order."""
+    stop_id: str = ""
+    """Identity of the order. An RTPU carries an order out once; agents repeat it to
+    RTPUs that were out of reach."""
 
 
 class Flag(Request, tag="flag"):

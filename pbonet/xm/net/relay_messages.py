@@ -28,6 +28,8 @@ class Letter(Struct, array_like=True):
     """The packed request."""
     wait: bool = True
     """Whether an answer is wanted."""
+    report: bool = False
+    """Whether to deliver it in order and report a failure, without an answer."""
 
 
 def read_names(data: bytes) -> list[str]:

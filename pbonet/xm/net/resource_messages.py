@@ -16,6 +16,8 @@ from .messages import Request
 
 LONGEST = (1 << 20) - 4096
 """Maximum size of a message to another machine, in bytes."""
+LONGEST_UNANSWERED = 1 << 16
+"""The same of one whose sender does not wait; a socket takes it at once."""
 
 
 class XmRequest(Request):
@@ -72,15 +74,19 @@ class Await(XmRequest, tag="xm_await"):
 class Give(XmRequest, tag="xm_give"):
     """V. Result: whether the value was below its maximum."""
 
-    handle: int
+    handle: int = 0
+    name: str = ""
+    """Name without the RTPU, instead of a handle; of a sender that does not wait."""
 
 
 class Put(XmRequest, tag="xm_put"):
     """Send a message. Result: whether it was put in the queue."""
 
-    handle: int
-    take: str
     data: bytes
+    handle: int = 0
+    take: str = ""
+    name: str = ""
+    """Name without the RTPU, instead of a handle; of a sender that does not wait."""
     priority: int = 0
     full: int = 0
     wait: float = 0.0

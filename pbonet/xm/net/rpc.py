@@ -38,6 +38,7 @@ from . import key_expressions, roles, run_folder, unreachable_reason
 from .agents import AgentInfo
 from .callbacks import direct
 from .codec import Codec
+from .deliveries import Deliveries
 from .messages import Answer, Hello, Request, Stop
 from .relay_messages import read_result
 
@@ -80,6 +81,11 @@ _TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
 def log_warning(rtpu: str, text: str) -> None:
     """Log a warning that came with an answer."""
     logger("pbonet.xm").info("%s: %s", rtpu, text)
+
+
+def log_failure(text: str) -> None:
+    """Log what was not delivered."""
+    logger("pbonet.xm").warning("%s", text)
 
 
 class _Waiter:
@@ -130,6 +136,7 @@ class Client:
         self._codec = Codec()
         self._run = os.urandom(4).hex()
         self._count = itertools.count(1)
+        self._deliveries: Deliveries | None = None
         self._silent: dict[str, float] = {}
         """Time at which an RTPU's agent did not answer a greeting."""
 
@@ -190,6 +197,15 @@ class Client:
         request.client = request.client or self.name
         payload = self._codec.pack(request)
         self._get(rtpu, roles.leaf(request), payload, ANSWER_TIME)
+
+    def deliver(self, rtpu: str, request: Request) -> None:
+        """Send a request after those delivered before it, and return at once.
+
+        A failure is a warning in the log of "pbonet.xm".
+        """
+        if self._deliveries is None:
+            self._deliveries = Deliveries(self, log_failure)
+        self._deliveries.add(rtpu, request)
 
     def call_all(
         self,
@@ -257,6 +273,8 @@ class Client:
 
     def close(self) -> None:
         """Close the session; a waiting call ends with an error."""
+        if self._deliveries is not None:
+            self._deliveries.end()
         if not self.session.is_closed():
             self.session.close()  # type: ignore[no-untyped-call]
 

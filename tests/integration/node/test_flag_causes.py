@@ -113,13 +113,13 @@ def test_a_stale_input_makes_a_critical_task_stable(arm):
     arm.spawn("source", "counts", out="OLD")
     hold(arm, "OLD")
     wait_level(arm, -1.0)  # it was never written
-    assert illegal(arm) == [cause]
+    wait_for(lambda: illegal(arm) == [cause], "others know when its limit has passed")
     arm.on("source")
     # At one look: a machine that stalls makes the input stale once more.
     wait_for(lambda: not illegal(arm) and value(arm) == 3.0, "a fresh input")
     arm.off("source")
     wait_level(arm, -1.0)
-    assert illegal(arm) == [cause]
+    wait_for(lambda: illegal(arm) == [cause], "the cause")
     assert arm.status("hold").state == "ON"
     arm.off("hold")  # nobody is concerned any more
     assert illegal(arm) == []

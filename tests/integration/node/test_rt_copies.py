@@ -212,7 +212,7 @@ def test_stable_runs_while_the_flag_is_up(core, slot, svar, local) -> None:
         if len(seen) == 4:
             core.request(slot.index)
 
-    assert slot.run(cycle, local, stable=stable, ring=ring) == _rt.COMMAND
+    assert slot.run(cycle, local, stable=stable, critical=2, ring=ring) == _rt.COMMAND
     assert seen == ["cycle", "cycle", "stable", "stable"]
     assert [r.stable for r in ring.drain()] == [False, False, True, True]
     assert core.snapshot(slot.index).stable_cycles == 2

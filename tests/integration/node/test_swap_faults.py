@@ -213,7 +213,7 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     with briefly():
         arm.control("old", "kill")
     assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
-    assert states(arm) == {"stays": "ON", "good": "ON"}
+    assert states(arm) == {"stays": "ON", "good": "ON", "old": "NOT-CREATED"}
     assert writer(arm) == "good"
     assert causes(arm) == []
     assert arm.status("stays").on_ns == before.on_ns

@@ -17,7 +17,7 @@ async def late(given):
     read, write = os.pipe()
     os.set_blocking(read, False)
     near.setblocking(False)
-    child = SimpleNamespace(sock=near, out=read, pid=0)
+    child = SimpleNamespace(sock=near, out=read, pid=0, send_signal=lambda _: None)
     facts = SimpleNamespace(name="servo", rmod=SimpleNamespace(freq=1.0))
     task = Task(
         *(facts, child),

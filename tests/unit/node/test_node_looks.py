@@ -121,7 +121,9 @@ def test_a_look_that_waits_holds_up_no_command():
         answered.append(request)
         return b"seen"
 
-    node = SimpleNamespace(forward=lambda *told: forwarded.append(told))
+    node = SimpleNamespace(
+        forward=lambda *told: forwarded.append(told), stop_ordered=lambda _: None
+    )
     one = zenoh_server.Server(
         *(None, "d", "arm0"),
         node=node,
@@ -224,6 +226,7 @@ def test_a_command_that_is_repeated_stands_on_record_once():
         node=SimpleNamespace(
             forward=lambda n, *_: forwarded.append(n),
             spread=lambda _, done, **__: done(),
+            stop_ordered=lambda _: None,
         ),
         mail=None,
         overview=None,

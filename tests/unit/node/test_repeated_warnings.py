@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from pbonet.errors import Severity
-from pbonet.node.rtpu.repeated_warnings import (
+from pbonet.node.rtpu.task_signals import (
     CAUSES,
     SINGLE,
     WINDOW_NS,

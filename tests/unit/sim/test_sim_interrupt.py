@@ -82,7 +82,7 @@ def test_first_signal_ends_it_in_order_and_sums_up(start, tmp_path, number) -> N
     assert "interrupted\n" in out
     row = next(line.split() for line in out.splitlines() if line[:9] == "puma_pidg")
     assert row[1:3] == ["arm0", "ON"]
-    assert row[6:13] == ["-"] * 7, "CPU time, jitter and transfers are not simulated"
+    assert row[7:14] == ["-"] * 7, "CPU time, jitter and transfers are not simulated"
     assert Log(last_run(tmp_path)).variables("grav_comp") == ["T_GRAV"]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pbonet.config.model import Variable
 from pbonet.errors import SvarOwnerError
-from pbonet.svar import Table
+from pbonet.svar import Freshness, Table, now_ns
 from pbonet.svar.mirror import mirror_outbox, packets, table_mirror
 from pbonet.svar.mirror.table_mirror import Mirror
 
@@ -99,6 +99,32 @@ def test_only_what_is_new_is_told(sides):
     assert carry(a, b) is None
     task.commit()
     assert len(carry(a, b).news) == 1
+
+
+def test_an_age_that_was_passed_on_is_passed_on_elsewhere(sides):
+    a, b = sides
+    task = on(a, "filter", "QD")
+    old = a.table.info("QD").time_ns - 300_000_000
+    task.commit(0, 5, own_ns=old)
+    carry(a, b)
+    info = b.table.info("QD")
+    assert (info.cycle, info.age_ns >= 300_000_000) == (5, True)
+    reader = b.table.local("reader", ME, invar=["QD"], outvar=["MODE"])
+    reader.keep_fresh({b.table.index("QD"): Freshness()})
+    reader.copy_in()
+    reader.claim()
+    assert b.table.info("MODE").time_ns == info.time_ns, "QD has no limit"
+
+
+def test_the_next_commit_is_awaited_however_old_its_data_are(sides):
+    a, b = sides
+    task = on(a, "filter", "Q")
+    meet(a, b)
+    for cycle in range(1, 4):
+        task.commit(0, cycle, own_ns=now_ns() - 200_000_000)
+        carry(a, b)
+    due = a.mirror.due()
+    assert due is None or due > -0.05, "nobody polls for what is not due"
 
 
 def test_the_age_is_that_of_the_writer(sides):

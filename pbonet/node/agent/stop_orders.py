@@ -1,0 +1,207 @@
+"""Stop orders that other RTPUs have not carried out yet, and their repetition.
+
+A stop is in force for every RTPU that had the subsystem when it was given. An agent
+knows these from the greetings of the other agents. If one of them was out of reach, it
+gets the order as soon as it is seen again; until it has carried it out, nothing that
+its machine sends for the subsystem's table is used. Every agent that has received the
+stop does this, so it needs neither the master nor the command that gave it. An RTPU
+carries an order out once, so it does not matter how often it arrives.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec import Struct
+
+from pbonet.errors import PbonetError, Severity
+from pbonet.node.wire import rtpu_messages
+from pbonet.xm.net import key_expressions, messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+log = logging.getLogger("pbonet.node")
+
+MOST: Final = 64
+"""Orders that are kept; the oldest are forgotten first."""
+TIME: Final = 2.0
+"""Seconds that an RTPU gets for turning its tasks off."""
+PATIENCE: Final = 4.0
+"""Seconds in which an RTPU that is seen all the time must have carried an order out; it
+has received it from the master, too."""
+
+
+class Caller(Protocol):
+    """Sends a request to an RTPU, such as `pbonet.xm.net.Client`."""
+
+    def call(
+        self,
+        rtpu: str,
+        request: m.Stop,
+        result: type[m.Stopped],
+        *,
+        timeout: float,
+    ) -> m.Stopped:
+        """Return the result; raises a `PbonetError`."""
+        ...
+
+
+class _Peer(Struct):
+    """An RTPU, as its agent described it last."""
+
+    subsystems: list[str]
+    machine: str
+    """In the form used in keys."""
+
+
+class _Order(Struct):
+    id: str
+    subsystem: str
+    """Empty: every subsystem."""
+    at: float
+    """When it was received (monotonic)."""
+    due: dict[str, float]
+    """RTPUs that have not carried it out, and from when on it is repeated there."""
+    machines: dict[str, str]
+    """Their machines."""
+    sent: set[str]
+    """RTPUs to which it is being sent."""
+
+
+class StopOrders:
+    """The stop orders that an agent has received.
+
+    Args:
+        name: The agent's RTPU.
+        client: Sends requests to other RTPUs.
+        note: Called with reports for masters.
+    """
+
+    def __init__(
+        self, name: str, client: Caller, note: Callable[[rtpu_messages.Note], None]
+    ) -> None:
+        self._name, self._client, self._note = name, client, note
+        self._peers: dict[str, _Peer] = {}
+        self._orders: list[_Order] = []
+        self._gone: set[str] = set()
+        """RTPUs that are not seen now."""
+        self._guard = threading.Lock()
+        self._pool = ThreadPoolExecutor(4, "pbonet stops")
+
+    def stop(self) -> None:
+        """Repeat no order any longer."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def add(self, request: m.Stop) -> None:
+        """Take an order that this agent's RTPU was given.
+
+        One without an identity is not repeated: whether it was carried out cannot be
+        seen.
+        """
+        now = time.monotonic()
+        with self._guard:
+            known = any(order.id == request.stop_id for order in self._orders)
+            if known or not request.stop_id:
+                return
+            concerned = {
+                name: peer
+                for name, peer in self._peers.items()
+                if _concerns(request.subsystem, peer.subsystems)
+            }
+            order = _Order(
+                id=request.stop_id,
+                subsystem=request.subsystem,
+                at=now,
+                due={
+                    name: 0.0
+                    if name in self._gone
+                    else now + request.timeout + PATIENCE
+                    for name in concerned
+                },
+                machines={name: peer.machine for name, peer in concerned.items()},
+                sent=set(),
+            )
+            self._orders = [*self._orders[1 - MOST :], order]
+
+    def met(self, info: m.AgentInfo) -> None:
+        """Compare another agent's greeting with the orders, and repeat what is due."""
+        now = time.monotonic()
+        with self._guard:
+            machine = key_expressions.machine(info.machine)
+            self._peers[info.name] = _Peer(list(info.claims), machine)
+            self._gone.discard(info.name)
+            for order in self._orders:
+                if info.name not in order.due:
+                    continue
+                if order.id in info.stops or now - info.rtpu_age > order.at:
+                    del order.due[info.name]  # it has done so, or is a new process
+                elif order.due[info.name] <= now and info.name not in order.sent:
+                    order.sent.add(info.name)
+                    self._pool.submit(self._repeat, order, info.name)
+
+    def lost(self, name: str) -> None:
+        """Repeat the orders of an RTPU when it is seen again, without delay."""
+        with self._guard:
+            self._gone.add(name)
+            for order in self._orders:
+                if name in order.due:
+                    order.due[name] = 0.0
+
+    def ended(self, name: str) -> None:
+        """Forget an RTPU that has ended in order: its tasks are OFF."""
+        with self._guard:
+            self._peers.pop(name, None)
+            self._gone.discard(name)
+            for order in self._orders:
+                order.due.pop(name, None)
+
+    def refuses(self, subsystem: str, machine: str) -> bool:
+        """Return whether a machine has not carried out a stop of a subsystem.
+
+        Args:
+            subsystem: The subsystem.
+            machine: The machine in the form used in keys.
+        """
+        with self._guard:
+            return any(
+                order.machines[name] == machine
+                for order in self._orders
+                if order.subsystem in {"", subsystem}
+                for name, due in order.due.items()
+                if not due
+            )
+
+    def _repeat(self, order: _Order, name: str) -> None:
+        request = m.Stop(
+            subsystem=order.subsystem, timeout=TIME, stop_id=order.id, order=[]
+        )
+        try:
+            done = self._client.call(name, request, m.Stopped, timeout=TIME)
+        except PbonetError as error:  # the next greeting repeats it
+            log.warning("%s: %s is not stopped yet: %s", self._name, name, error)
+            return
+        finally:
+            with self._guard:
+                order.sent.discard(name)
+        with self._guard:
+            if order.due.pop(name, None) is None:
+                return
+        tasks = " ".join([*done.off, *done.killed])
+        if not tasks:
+            return
+        what = order.subsystem or "all subsystems"
+        ago = time.monotonic() - order.at
+        text = f"the stop of {what}, given {ago:.1f} s ago, has reached {name} only now"
+        note = rtpu_messages.Note(
+            int(Severity.WARNING), "STOPPED", f"{text}: {tasks} turned off"
+        )
+        self._note(note)
+
+
+def _concerns(subsystem: str, subsystems: list[str]) -> bool:
+    return subsystem in subsystems if subsystem else bool(subsystems)

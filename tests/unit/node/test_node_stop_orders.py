@@ -1,0 +1,175 @@
+"""Stop orders that reach RTPUs late: known, repeated, carried out once."""
+
+import threading
+from queue import Queue
+from types import SimpleNamespace
+
+import pytest
+
+from pbonet.errors import NoAnswerError
+from pbonet.node.agent.stop_orders import StopOrders
+from pbonet.xm.net import key_expressions, messages as m
+from pbonet.xm.net.agents import AgentInfo
+
+
+class Agents:
+    """Takes repeated orders for other RTPUs."""
+
+    def __init__(self):
+        self.orders = Queue()
+        self.answers = threading.Semaphore(0)
+        self.error = None
+
+    def call(self, rtpu, request, result, *, timeout):  # noqa: ARG002
+        self.orders.put((rtpu, request))
+        assert self.answers.acquire(timeout=60)
+        if self.error is not None:
+            raise self.error
+        return m.Stopped(off=["ctl"], killed=[])
+
+
+@pytest.fixture
+def agents():
+    return Agents()
+
+
+@pytest.fixture
+def notes():
+    return Queue()
+
+
+@pytest.fixture
+def orders(agents, notes):
+    made = StopOrders("arm0", agents, notes.put)
+    yield made
+    for _ in range(8):
+        agents.answers.release()
+    made.stop()
+
+
+def info(name, *subsystems, stops=(), age=1000.0):
+    return AgentInfo(
+        name=name,
+        domain="d",
+        host=f"host-{name}",
+        machine=f"boot-{name}",
+        core=1,
+        cores=2,
+        pid=1,
+        rtpu_pid=2,
+        backend="fifo",
+        version="0",
+        python="3",
+        claims=dict.fromkeys(subsystems, 1),
+        rtpu_age=age,
+        stops=list(stops),
+    )
+
+
+def stop(subsystem="arm", stop_id="s1"):
+    return m.Stop(subsystem=subsystem, stop_id=stop_id)
+
+
+def test_one_that_was_lost_is_stopped_when_it_is_seen_again(orders, agents, notes):
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    machine = key_expressions.machine("boot-arm1")
+    assert orders.refuses("arm", machine)
+    assert not orders.refuses("leg", machine)
+    assert not orders.refuses("arm", key_expressions.machine("boot-arm2"))
+    orders.met(info("arm1", "arm"))
+    rtpu, request = agents.orders.get(timeout=60)
+    assert (rtpu, request.stop_id, request.subsystem) == ("arm1", "s1", "arm")
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty(), "it is being sent"
+    assert orders.refuses("arm", machine), "until it has been carried out"
+    agents.answers.release()
+    note = notes.get(timeout=60)
+    assert note.code == "STOPPED"
+    assert "has reached arm1 only now: ctl turned off" in note.text
+    assert not orders.refuses("arm", machine)
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty()
+
+
+def test_one_that_is_lost_after_the_order_is_stopped_later(orders, agents):
+    orders.met(info("arm1", "arm"))
+    orders.add(stop(""))
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty(), "the master asks it, too"
+    orders.lost("arm1")
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.get(timeout=60)[0] == "arm1"
+
+
+@pytest.mark.parametrize(
+    "later",
+    [
+        info("arm1", "arm", stops=["s0", "s1"]),
+        info("arm1", "arm", age=0.0),
+    ],
+    ids=["it was carried out", "the process is new"],
+)
+def test_who_has_stopped_is_left_alone(orders, agents, later):
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    orders.met(later)
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty()
+    assert not orders.refuses("arm", key_expressions.machine("boot-arm1"))
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [stop("leg"), stop(stop_id="")],
+    ids=["another subsystem", "an order without an identity"],
+)
+def test_who_is_not_concerned_is_left_alone(orders, agents, request_):
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(request_)
+    orders.met(info("arm1", "arm", "leg"))
+    assert agents.orders.empty()
+
+
+def test_one_that_has_ended_in_order_is_forgotten(orders, agents):
+    orders.met(info("arm1", "arm"))
+    orders.add(stop())
+    orders.ended("arm1")
+    orders.lost("arm1")
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty()
+
+
+def test_what_fails_is_repeated_with_the_next_greeting(orders, agents):
+    agents.error = NoAnswerError("nothing", where="arm1")
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.get(timeout=60)
+    agents.answers.release()
+    while agents.orders.empty():
+        orders.met(info("arm1", "arm"))
+    assert agents.orders.get()[1].stop_id == "s1"
+
+
+def test_packets_of_such_a_machine_are_not_used():
+    from pbonet.node.mirror.mirrored_table import MirroredTable
+    from pbonet.svar.mirror import packets
+
+    taken = []
+    owner = SimpleNamespace(
+        machine="here",
+        refuses=lambda subsystem, machine: (subsystem, machine) == ("arm", "there"),
+        late=lambda *_: 0,
+    )
+    table = MirroredTable.__new__(MirroredTable)
+    table._owner, table.subsystem = owner, "arm"
+    table.mirror = SimpleNamespace(others={}, take=lambda p: taken.append(p) or True)
+    for machine in ("there", "elsewhere"):
+        packet = packets.Packet(packets.VERSION, machine, "h", 1, 1, 1, [])
+        table._take(packets.pack(packet))
+    assert [packet.machine for packet in taken] == ["elsewhere"]
