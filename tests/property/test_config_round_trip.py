@@ -174,6 +174,7 @@ def sbss(draw: st.DrawFn) -> SbsFile:
         subsystem=draw(labels),
         svarfile=draw(text.filter(bool)),
         master=draw(st.sampled_from([None, *(rtpu.name for rtpu in rtpus)])),
+        strict=draw(st.booleans()),
         rtpus=tuple(rtpus),
     )
 

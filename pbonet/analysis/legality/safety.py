@@ -1,4 +1,4 @@
-"""What is unsafe in a configuration: data of any age, and robots that nothing stops.
+"""Unsafe parts of a configuration: data of any age, robots that nothing stops.
 
 An input that comes from another machine or over a link stands still when its writer is
 lost, and looks as it did. A robot interface turns what it reads into motion. Both are
@@ -97,8 +97,8 @@ def _robot(task: Task, severity: Severity) -> Iterator[Problem]:
         yield Problem(
             code=Code.UNSAFE_ROBOT,
             severity=severity,
-            what=f"{task.name} is a robot interface and not CRITICAL, so it acts on its "
-            "inputs while the configuration is illegal",
+            what=f"{task.name} is a robot interface and not CRITICAL, so it acts while "
+            "the configuration is illegal",
             where=task.place("MODULE"),
             expected="CRITICAL",
             remedy=f"write CRITICAL in {task.rmod.name}.rmod",
