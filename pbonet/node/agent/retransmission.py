@@ -46,7 +46,7 @@ class Connection:
         self._fd = fd
         self._whole = time.monotonic()
         """When nothing was being sent again."""
-        self._ever = 0
+        self._ever: int = 0
         """How many segments had been sent again then."""
         self._limited = False
         with contextlib.suppress(OSError), _opened(fd) as one:
@@ -79,7 +79,7 @@ class Connection:
             self._limited = True
             return
         if congestion == _OPEN or ever == self._ever:
-            self._whole, self._ever = now, ever
+            self._whole, self._ever = now, int(ever)
         if self._limited:
             _set_limit(one, 0)
             self._limited = False
