@@ -40,7 +40,7 @@ from pbonet.xm.net import key_expressions, messages as m, session
 from pbonet.xm.net.rpc import Client
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator
+    from collections.abc import Callable, Generator, Sequence
 
 DOMAIN, SUBSYSTEM = "bench", "cell"
 SOLO = "solo"
@@ -104,14 +104,15 @@ class Side:
     def start(
         self,
         listen: str = "",
-        connect: str = "",
+        connect: str | Sequence[str] = (),
         library: str = "",
         core: int | None = None,
     ) -> None:
         """Start its agent, on the last core unless another one is named."""
         config = AgentConfig(
             name=self.name, domain=DOMAIN, grace=20.0, insecure=True,
-            listen=(listen,) if listen else (), connect=(connect,) if connect else (),
+            listen=(listen,) if listen else (),
+            connect=(connect,) if isinstance(connect, str) else tuple(connect),
             core=max(os.sched_getaffinity(0)) if core is None else core,
             libraries=(library,) if library else (),
         )  # fmt: skip

@@ -42,6 +42,7 @@ RUNS = {
     "tbuf-tasks": "tbuf_tasks",
     "signals": "signals",
     "hosts": "hosts",
+    "faults": "faults",
     "combine": "combine",
     "record": "record",
     "kills": "kills",
@@ -76,6 +77,7 @@ QUICK = {
     "signals": "--rounds 3",
     "combine": "--blocks 1 --seconds 1",
     "hosts": "--seconds 1 --times 1",
+    "faults": "--quick",
     "record": "--blocks 1 --seconds 0.5 --megabytes 20",
 }
 """Arguments behind those, which take their place, for a quick run."""

@@ -24,6 +24,10 @@ CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
 NUMBERS = {"a": 1, "b": 2, "c": 3}
 NOBODY = "02:00:00:00:00:99"
 """An address that no device has: frames for it are dropped by each receiver."""
+_RANDOM = 0xFFFFF038
+"""Where a packet filter of the kernel reads a random number of 32 bits."""
+_DROP, _NEXT = 2, 0xFFFFFFFF
+"""Results of such a filter."""
 
 
 def _run(*command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
@@ -103,6 +107,7 @@ class Lan:
         self._ahead = ahead or {}
         self._hostnames = hostnames or {}
         self._muted: set[tuple[str, str]] = set()
+        self._lossy: set[tuple[str, str]] = set()
         self._delay: Delay | None = None
         try:
             self._make()
@@ -125,9 +130,41 @@ class Lan:
                 address = self.hosts[peer].address(host, six=six)
                 self._neighbour(host, peer, "replace", address, "lladdr", NOBODY)
 
+    def lose(self, sender: str, receiver: str, share: float = 1.0) -> None:
+        """Lose a share of what is sent over a cable in one direction.
+
+        It needs `tc` (iproute2). `heal` ends it.
+
+        Args:
+            sender: The host whose packets are lost.
+            receiver: The other end of the cable, where they are dropped.
+            share: From 0 to 1, of the packets, at random.
+        """
+        self._keep(sender, receiver)
+        self._lossy.add((sender, receiver))
+        least = min(round(share * 2**32), 2**32 - 1)
+        lines = f"32 0 0 {_RANDOM}", f"53 1 0 {least}", f"6 0 0 {_DROP}"
+        filter_ = ",".join((f"{len(lines) + 1}", *lines, f"6 0 0 {_NEXT}"))
+        device = ("dev", f"to-{sender}")
+        tc = ("tc", "-n", self.hosts[receiver].space)
+        _run(*tc, "qdisc", "add", *device, "clsact")
+        _run(
+            *(*tc, "filter", "add", *device, "ingress"),
+            *("bpf", "direct-action", "bytecode", filter_),
+        )
+
+    def _keep(self, sender: str, receiver: str) -> None:
+        """End the loss in one direction of a cable."""
+        if (sender, receiver) in self._lossy:
+            self._lossy.discard((sender, receiver))
+            where = ("dev", f"to-{sender}", "clsact")
+            _run("tc", "-n", self.hosts[receiver].space, "qdisc", "del", *where)
+
     def heal(self, one: str, other: str) -> None:
         """Plug it in again, or let it carry again."""
         self._set_cable(one, other, "up")
+        for sender, receiver in ((one, other), (other, one)):
+            self._keep(sender, receiver)
         for host, peer in self._muted & {(one, other), (other, one)}:
             self._muted.discard((host, peer))
             for near, far in ((host, peer), (peer, host)):

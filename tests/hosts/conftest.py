@@ -18,6 +18,7 @@ def lease():
     """Links of this process and of the agents stand so long, in ms; a module's own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session, "LEASE_MS", LEASE_MS)
+        patch.setattr(session, "SILENT_MS", LEASE_MS)
         yield LEASE_MS
 
 

@@ -18,6 +18,7 @@ def world(run_dir, monkeypatch):  # noqa: ARG001 - it must stand first
     from fakeagent import SharedState
 
     monkeypatch.setattr(session, "LEASE_MS", LEASE_MS)
+    monkeypatch.setattr(session, "SILENT_MS", LEASE_MS)
     monkeypatch.setattr(session, "OPEN_MS", LEASE_MS)
     return SharedState(domain=f"t{secrets.token_hex(3)}")
 

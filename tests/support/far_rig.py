@@ -21,7 +21,7 @@ class Site:
     def __init__(self, machine: Machine) -> None:
         self.domain = machine.domain
         where = [f"tcp/127.0.0.1:{machine.port}"]
-        with mock.patch.object(session, "LEASE_MS", machine.lease_ms):
+        with mock.patch.object(session, "SILENT_MS", machine.lease_ms):
             self.session = session.client(machine.domain, connect=where, timeout=60.0)
 
 
@@ -40,7 +40,7 @@ settings = json.loads(sys.argv[1])
 class Patience:
     # The network is not loaded for it: limits are set when somebody else loads that.
     limits = {
-        "pbonet.xm.net.session": {"LEASE_MS": settings["lease"]},
+        "pbonet.xm.net.session": {"SILENT_MS": settings["lease"]},
         "pbonet.xm.net.rpc": {name: settings["limit"] for name in settings["patient"]},
     }
     def find_spec(self, name, path, target=None):

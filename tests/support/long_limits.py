@@ -34,6 +34,7 @@ def be_patient(monkeypatch) -> None:
         for name in names:
             monkeypatch.setattr(module, name, LIMIT)
     monkeypatch.setattr(session, "LEASE_MS", LEASE_MS)
+    monkeypatch.setattr(session, "SILENT_MS", LEASE_MS)
     monkeypatch.setattr(session, "OPEN_MS", LEASE_MS)
     for function in (
         *(rpc.Client.call, rpc.Client.call_all, session.client),

@@ -41,6 +41,7 @@ import msgspec
 if sys.argv[2:]:
     session.LEASE_MS = int(sys.argv[2])
     session.OPEN_MS = max(session.OPEN_MS, session.LEASE_MS)
+    session.SILENT_MS = session.LEASE_MS
 if sys.argv[3:]:
     Agent.stop.__defaults__ = (float(sys.argv[3]),)
 sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))

@@ -42,6 +42,7 @@ from pbonet.xm.net import (
 from . import restart_check
 from .certificate_expiry import KeyTerm
 from .duplicate_agents import DuplicateAgents
+from .heartbeat import Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
 from .peer_latency import PeerLatencies
@@ -120,6 +121,7 @@ class Agent:
         self._dials: list[str] = []
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
+        self._heartbeat: Heartbeat | None = None
         self._ways: PeerLatencies | None = None
         self._stops: StopOrders | None = None
         self._mirrors: TableCarrier | None = None
@@ -199,8 +201,11 @@ class Agent:
             self._met_twin,
         )
         self._duplicates.start()
+        self._heartbeat = Heartbeat(self._session, self.info(), self._on_sight)
         self._ways = PeerLatencies(
-            self._session, self.info, self._recorders.send, self._note, self._stops
+            self._session,
+            *(self.info, self._recorders.send, self._note, self._stops),
+            self._heartbeat.is_silent,
         )
         self._ways.start()
         where = self._session, self.config.domain
@@ -209,6 +214,7 @@ class Agent:
         )
         self._mirrors.start()
         self._mirrors.carry(info.tables)
+        self._heartbeat.start()
         self._subscriptions = KeySubscriptions(
             self._session, self.config.events, self._arrived
         )
@@ -291,6 +297,18 @@ class Agent:
         log.error("%s: %s", self.name, text)
         self._note(rtpu_messages.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
 
+    def _on_sight(self, change: Change) -> None:
+        """Act on an agent that goes out of sight or comes back."""
+        ways, mirrors = self._ways, self._mirrors
+        if ways is not None:
+            (ways.in_sight if change.seen else ways.out_of_sight)(change.agent)
+        if mirrors is None:
+            return
+        if change.seen:
+            mirrors.in_sight()
+        elif change.last:
+            mirrors.out_of_sight(change.machine)
+
     def _note(self, note: msgspec.Struct) -> None:
         """Report an event through the RTPU process, if there is one."""
         link = self._link
@@ -305,6 +323,7 @@ class Agent:
 
     def _leave(self) -> None:
         network = (
+            self._heartbeat,
             self._mail,
             self._links,
             self._subscriptions,
@@ -318,6 +337,7 @@ class Agent:
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
         self._stops = None
+        self._heartbeat = None
         if self._restarter is not None:
             self._restarter.join()
         self._overview.let_go()

@@ -95,6 +95,7 @@ class PeerLatencies:
         tell: Called with the clock offsets, every second.
         note: Called with reports for masters.
         stops: Compares each greeting with the stop orders.
+        silent: Returns whether an agent is out of sight, though its link is kept.
     """
 
     def __init__(
@@ -104,12 +105,14 @@ class PeerLatencies:
         tell: Callable[[rtpu_messages.Clocks], None] | None = None,
         note: Callable[[rtpu_messages.Note], None] | None = None,
         stops: StopOrders | None = None,
+        silent: Callable[[str], bool] = lambda _name: False,
     ) -> None:
         self._session = link
         self._me = me
         self._tell = tell
         self._note = note
         self._stops = stops
+        self._silent = silent
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
         """Agents that were seen, and when a search for them first failed."""
@@ -117,6 +120,8 @@ class PeerLatencies:
         """The other machines' clocks, also while a machine is not seen."""
         self._machines: dict[str, str] = {}
         """The machine of each agent that has answered, in the form used in keys."""
+        self._back: set[str] = set()
+        """Agents that came in sight again since the last check of links."""
         self._ended: set[str] = set()
         """Agents that have announced their end."""
         self._watchdog = link_watchdog.LinkWatchdog(link)
@@ -181,6 +186,23 @@ class PeerLatencies:
             for _, (one, at) in found
             if now - at < LOST_TIME
         ]
+
+    def out_of_sight(self, name: str) -> None:
+        """Record that an agent is out of sight; may be called from any thread."""
+        with self._guard:
+            peer = self._peers.pop(name, None)
+            if peer is not None:
+                self._lose(name, peer)
+        if self._stops is not None:
+            self._stops.lost(name)
+
+    def in_sight(self, name: str) -> None:
+        """Record that it is in sight again; may be called from any thread."""
+        with self._guard:
+            self._lost.pop(name, None)
+            self._back.add(name)
+            self._new.add(name)
+        self._wake.set()
 
     def _on_end(self, sample: zenoh.Sample) -> None:
         """Record the orderly end of an agent; runs in zenoh's own thread."""
@@ -262,8 +284,9 @@ class PeerLatencies:
     def _relink_unseen(self) -> None:
         """Reopen links through which neighbours are not seen."""
         with self._guard:
-            peers = list(self._peers.items())
-        for name in self._watchdog.cut_silent(_seen(peers)):
+            seen = {*_seen(self._peers.items()), *self._back}
+            self._back.clear()
+        for name in self._watchdog.cut_silent(seen):
             text = f"the link to agent {name} transferred nothing; it is opened again"
             log.warning("%s: %s", self._me().name, text)
             if self._note is not None:
@@ -289,7 +312,11 @@ class PeerLatencies:
     def _measure(self, me: str, wanted: Container[str] | None = None) -> None:
         """Make one round trip to each agent that is seen, or to those in `wanted`."""
         domain, machine = self._me().domain, self._me().machine
-        names = [n for n in session.rtpus(self._session, domain) if n != me]
+        names = [
+            name
+            for name in session.rtpus(self._session, domain)
+            if name != me and not self._silent(name)
+        ]
         near = {str(zid) for zid in self._session.info.routers_zid()}
         with self._guard:
             for gone in self._peers.keys() - set(names):

@@ -126,7 +126,7 @@ class MirroredTable:
         mirror = self.mirror
         if mirror is not None:
             mirror.miss(SILENT)
-        if mirror is None or not mirror.others:
+        if mirror is None or not self._has_receivers():
             self.next = now + ALONE
             if self.changed:
                 self.changed = False
@@ -142,8 +142,16 @@ class MirroredTable:
 
     def watch(self, watch: Watch) -> None:
         """End the carrier's sleep when there is something to send to others."""
-        if self.mirror is not None and self.mirror.others:
+        if self.mirror is not None and self._has_receivers():
             self.mirror.watch(watch)
+
+    def _has_receivers(self) -> bool:
+        """Return whether another machine has the table, if only by a link that is kept.
+
+        Values for a machine that is out of sight reach it as soon as the link
+        continues, before that machine can be heard.
+        """
+        return bool(self._there or (self.mirror and self.mirror.others))
 
     def spread(self, done: Callable[[], None], *, take: bool) -> None:
         """Send the whole state to the other machines, then call `done`.
@@ -154,6 +162,16 @@ class MirroredTable:
             self._exchange(partial(self._owner.do, done) if take else done)
         else:  # another agent of this machine carries it
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
+
+    def lose(self, machine: str) -> None:
+        """Drop a machine that is out of sight, whether or not its link is kept."""
+        if self.mirror is not None:
+            self.mirror.lose(machine)
+
+    def meet(self) -> None:
+        """Exchange states with a machine that is in sight again."""
+        if self.mirror is not None:
+            self._exchange()
 
     def call(self, calls: Sequence[Call]) -> None:
         """Send the whole state to the other machines, with calls of successors.
@@ -255,7 +273,7 @@ class MirroredTable:
             self._owner.do(self._exchange)
         else:
             self._there.discard(machine)
-            self._owner.do(lambda: self._lose(machine))
+            self._owner.do(lambda: self.lose(machine))
 
     def _asked(self, query: zenoh.Query) -> None:
         if not self._owner.offer(lambda: self._answer(query)):
@@ -312,10 +330,6 @@ class MirroredTable:
             self.next = 0.0
             self._beat = 0.0  # it may lack our state, too
         return packet.machine
-
-    def _lose(self, machine: str) -> None:
-        if self.mirror is not None:
-            self.mirror.lose(machine)
 
     def _answer(self, query: zenoh.Query) -> None:
         """Process the state of the asking machine, and return this machine's."""

@@ -187,6 +187,18 @@ class TableCarrier:
 
         self.do(spread)
 
+    def out_of_sight(self, machine: str) -> None:
+        """Drop a machine from all tables; may be called from any thread."""
+        self.do(lambda: self._each(lambda one: one.lose(machine)))
+
+    def in_sight(self) -> None:
+        """Exchange all tables with a machine that has been heard again."""
+        self.do(lambda: self._each(MirroredTable.meet))
+
+    def _each(self, what: Callable[[MirroredTable], None]) -> None:
+        for one in list(self._carried.values()):
+            self.safely(partial(what, one))
+
     def report(self, limit: float = ANSWER_TIME) -> list[m.TableNews]:
         """Return what came from other machines; nothing at the time-out."""
         found: list[m.TableNews] = []

@@ -284,7 +284,7 @@ class Client:
     def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
         """Return the agent's answer; ask again while it is alive and silent."""
         if self._is_silent(rtpu) and not isinstance(request, Stop):
-            raise _no_sign(rtpu)
+            raise self._no_sign(rtpu)
         payload = self._codec.pack(request)
         leaf, greeted = roles.leaf(request), False
         end = time.monotonic() + timeout + WAY_TIME
@@ -334,11 +334,11 @@ class Client:
             return reply
         waiter = self._get(rtpu, leaf, payload, end - time.monotonic())
         while True:
-            if not self._hello(rtpu, waiter):
+            if self._is_stopped(rtpu) or not self._hello(rtpu, waiter):
                 if rtpu not in self.rtpus():
                     return None
                 self._silent[rtpu] = time.monotonic()
-                raise _no_sign(rtpu)
+                raise self._no_sign(rtpu)
             if waiter.done.wait(ASK_TIME) or time.monotonic() >= end:
                 return waiter.reply
 
@@ -392,6 +392,23 @@ class Client:
         """
         pid = run_folder.agent_processes(self.domain).get(rtpu, 0)
         return not names or (pid > 0 and not run_folder.is_stopped(pid))
+
+    def _is_stopped(self, rtpu: str) -> bool:
+        """Return whether an agent's process runs here and is stopped."""
+        pid = run_folder.agent_processes(self.domain).get(rtpu, 0)
+        return pid > 0 and run_folder.is_stopped(pid)
+
+    def _no_sign(self, rtpu: str) -> PbonetError:
+        """Return the error for an agent that does not answer, though its link stands.
+
+        Agents keep a link during an interruption, and know that it is one.
+        """
+        names = [name for name in self.rtpus() if name != rtpu]
+        stopped = self._is_stopped(rtpu)
+        loss = ("", "") if stopped else self._loss(rtpu, names)
+        if stopped or loss[0]:
+            return unreachable_reason.unreachable(rtpu, self.domain, names, loss)
+        return _no_sign(rtpu)
 
     def _loss(self, rtpu: str, names: list[str]) -> tuple[str, str]:
         """Return which agent has lost this one, and the remedy; empty if unknown."""

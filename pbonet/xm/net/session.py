@@ -3,7 +3,8 @@
 Agents run as routers and everything else is a client of some agent, so one agent within
 reach is enough to reach all. Agents of one machine find each other in the runtime
 folder; others are named, or found by multicast if that is requested. There is no
-gossip, the shared-memory transport is off, and a lost peer is detected within 400 ms.
+gossip, and the shared-memory transport is off. A client that is lost is noticed within
+400 ms by its silence, an agent by its signs of life (`pbonet.node.agent.heartbeat`).
 
 With a key folder every link over a network is mutual TLS and agents enforce access
 control (see `credentials` and `access_control`). Without one, an agent that listens
@@ -35,8 +36,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-LEASE_MS = 400
-"""Milliseconds without a sign of life until a peer is lost; less gave false losses."""
+SILENT_MS = 400
+"""Milliseconds without a sign of life until an agent or a client is out of sight; less
+gave false losses."""
+LEASE_MS = 2000
+"""Milliseconds for which a silent link between agents is kept. It outlives short
+interruptions: a new link takes longer than TCP takes to continue."""
 OPEN_MS = 500
 """Milliseconds until an agent that hangs is skipped for the next; zenoh's ten seconds
 would keep a master from all others, and from stopping them, and an agent from one whose
@@ -324,7 +329,7 @@ def _config(
             "shared_memory": {"enabled": False},
             "unicast": {"open_timeout": OPEN_MS},
             "link": {
-                "tx": {"lease": LEASE_MS, "keep_alive": 4},
+                "tx": {"lease": LEASE_MS if listen else SILENT_MS, "keep_alive": 4},
                 **(_tls(key_folder) if key_folder else {}),
             },
         },

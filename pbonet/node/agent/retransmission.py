@@ -1,0 +1,138 @@
+"""Makes TCP retry soon after an interruption, so that links survive it.
+
+TCP doubles its pause with each retransmission that is not acknowledged: after a cut of
+0.7 s the next one may come 0.6 s later. The kernel has no setting against that, but its
+limit `TCP_USER_TIMEOUT`, after which a connection ends, also shortens the pause that
+would exceed it. So while a connection retransmits, the limit is kept a moment ahead of
+now: then the kernel retransmits at that moment, and the limit is moved on before that.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import stat
+import struct
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+
+AHEAD_MS = 100
+"""Longest pause between two retransmissions. An agent that stands still for longer
+during an interruption loses the link, and makes it again."""
+FIRST_US = 75_000
+"""Until the first retransmission, in addition to the measured round trip. It exceeds
+the 40 ms by which a receiver may delay an acknowledgement."""
+_RTO_MIN_US = 45
+"""The option for it, since Linux 6.15; else it is 200 ms, or `rto_min` of the route."""
+_INFO = struct.Struct("4B4xI24xI60xI")
+"""Of `TCP_INFO`: state, congestion state, time-outs without an acknowledgement, probes,
+time-out in us, segments that are sent again, and how many ever were."""
+_ESTABLISHED = 1
+_OPEN = 0
+
+
+class Connection:
+    """One TCP connection of this process.
+
+    Args:
+        fd: Its file descriptor.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._whole = time.monotonic()
+        """When nothing was being sent again."""
+        self._ever: int = 0
+        """How many segments had been sent again then."""
+        self._limited = False
+        with contextlib.suppress(OSError), _opened(fd) as one:
+            one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
+
+    def tend(self, now: float) -> bool:
+        """Set the limit; return whether this is still a connection.
+
+        Args:
+            now: `time.monotonic()`.
+        """
+        try:
+            with _opened(self._fd) as one:
+                self._limit(one, now)
+        except OSError:
+            return False
+        return True
+
+    def _limit(self, one: socket.socket, now: float) -> None:
+        data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
+        state, congestion, again, probes, pause_us, sent, ever = _INFO.unpack(data)
+        if state != _ESTABLISHED:
+            raise OSError
+        if probes:  # nothing could be sent, as while a device is down: try it now
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if again:
+            if not (sent or self._limited):  # the kernel counts from the first sending
+                self._whole -= pause_us * 1e-6
+            _set_limit(one, round((now - self._whole) * 1e3) + AHEAD_MS)
+            self._limited = True
+            return
+        if congestion == _OPEN or ever == self._ever:
+            self._whole, self._ever = now, int(ever)
+        if self._limited:
+            _set_limit(one, 0)
+            self._limited = False
+
+
+class Retransmission:
+    """All TCP connections of this process."""
+
+    def __init__(self) -> None:
+        self._connections: dict[int, Connection] = {}
+
+    def find(self) -> None:
+        """Find the connections; to be called every second."""
+        found = set(_connected())
+        for fd in self._connections.keys() - found:
+            del self._connections[fd]
+        for fd in found - self._connections.keys():
+            self._connections[fd] = Connection(fd)
+
+    def tend(self) -> None:
+        """Shorten the pauses; to be called every `AHEAD_MS` / 2 or sooner."""
+        now = time.monotonic()
+        for fd, one in list(self._connections.items()):
+            if not one.tend(now):
+                del self._connections[fd]
+
+
+@contextlib.contextmanager
+def _opened(fd: int) -> Generator[socket.socket]:
+    """Return the socket of a file descriptor, which stays open.
+
+    Raises:
+        OSError: It is none.
+    """
+    one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, 0, fileno=fd)
+    try:
+        yield one
+    finally:
+        one.detach()
+
+
+def _set_limit(one: socket.socket, milliseconds: int) -> None:
+    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+
+
+def _connected() -> Iterator[int]:
+    """Yield the file descriptors of established TCP connections of this process."""
+    for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 - numbers, no paths
+        fd = int(name)
+        with contextlib.suppress(OSError):
+            if not stat.S_ISSOCK(os.fstat(fd).st_mode):
+                continue
+            with _opened(fd) as one:
+                data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
+            if data[0] == _ESTABLISHED:
+                yield fd
