@@ -204,8 +204,9 @@ class Agent:
         self._heartbeat = Heartbeat(self._session, self.info(), self._on_sight)
         self._ways = PeerLatencies(
             self._session,
-            *(self.info, self._recorders.send, self._note, self._stops),
-            self._heartbeat.is_silent,
+            *(self.info, self._recorders.send, self._note),
+            stops=self._stops,
+            silent=self._heartbeat.is_silent,
         )
         self._ways.start()
         where = self._session, self.config.domain

@@ -104,6 +104,7 @@ class PeerLatencies:
         me: Callable[[], m.AgentInfo],
         tell: Callable[[rtpu_messages.Clocks], None] | None = None,
         note: Callable[[rtpu_messages.Note], None] | None = None,
+        *,
         stops: StopOrders | None = None,
         silent: Callable[[str], bool] = lambda _name: False,
     ) -> None:
