@@ -160,7 +160,7 @@ MALFORMED = [
     (msgpack.packb({"v": 1, "id": "7", "op": "dance"}), "not understood"),
     (msgpack.packb({"v": 1, "id": "7", "op": "spawn"}), "not understood"),
     (msgpack.packb({"v": 1, "id": "7", "op": "status", "task": 3}), "understood"),
-    (msgpack.packb({"v": 2, "id": "7", "op": "hello"}), "another protocol version"),
+    (msgpack.packb({"v": 2, "id": "7", "op": "status"}), "another protocol version"),
     (b"\x00" * ((1 << 20) + 1), "too long"),
 ]
 
@@ -179,7 +179,7 @@ def test_malformed_requests_are_answered(nodes):
 
 def test_both_versions_are_named(nodes):
     nodes.agent("arm0")
-    request = {"v": 99, "id": "7", "op": "hello"}
+    request = {"v": 99, "id": "7", "op": "status"}
     answer = raw(nodes, "arm0", msgpack.packb(request))
     assert answer["id"] == "7"
     assert answer["error"]["expected"] == "version 1"
