@@ -144,7 +144,7 @@ def test_loop_by_hand_raises_the_flag_until_it_is_closed(arm):
     for name in ("grav_comp", "qrdiff", "jttrace"):
         arm.spawn(name, "arm1")
         arm.control(name, "on")
-    # The robot's inputs were too old; the flag goes when they are fresh, some cycles later.
+    # The inputs of the robot were too old; the flag goes some cycles later.
     wait_for(
         lambda: not any(rtpu.illegal for rtpu in arm.rtpu_status()), "the flag to go"
     )

@@ -89,9 +89,11 @@ def test_one_of_two_is_named_and_the_other_is_steered(two, puma, verb, hung):
         seen = verb("status")
         assert (seen.returncode, seen.stderr) == (0, f"WARNING> {text}\n")
         assert mine in seen.stdout
-        for words in (("on", mine), ("spawn", "diff", other)):
-            refused = verb(*words)
-            assert (refused.returncode, refused.stderr) == (1, f"pbonet: {text}\n")
+        for words in (("spawn", "qrdiff", other), ("on", "qrdiff")):
+            steered = verb(*words)
+            assert steered.returncode == 0, steered.stderr
+            assert steered.stderr.startswith(f"WARNING> {text}\n")
+        assert verb("start", "puma").returncode == 1, "it needs both"
         done = verb("kill", mine)
         assert done.returncode == 0
         assert done.stderr.startswith(f"WARNING> {text}\n")
