@@ -53,7 +53,7 @@ def test_records_arrive_whole_whoever_comes_first(pair):
     ages(reader, 0.5)
     wait_for(lambda: pair.a.links() == [], "the buffer of the dead writer to go")
     pair.a.writer(dtype="(64,)f8")
-    assert flows(reader)["restarts"] == 1
+    wait_for(lambda: flows(reader)["restarts"] == 1, "records of the other writer")
 
 
 def levels(pid):
