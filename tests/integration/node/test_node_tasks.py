@@ -41,7 +41,8 @@ def test_life_of_a_task(arm, tmp_path):
     off = arm.off("a")
     assert off.state == "OFF"
     assert arm.value("Y0").values[0] == off.cycle
-    assert arm.on("a").on_ns > off.on_ns  # cycles count from here again
+    arm.on("a")  # cycles count from here again
+    wait_for(lambda: arm.status("a").on_ns > off.on_ns, "the time of the new on")
     assert arm.kill("a").state == "NOT-CREATED"
     assert not alive(status.tid)
     assert arm.status() == {}
