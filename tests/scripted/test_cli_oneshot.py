@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from pbonet.errors import UnreachableError
 from pbonet.master.console.network_interface import Port
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.xm.net import messages as m
@@ -183,6 +184,19 @@ def test_stop_names_an_rtpu_that_is_not_seen_and_what_was_on_there(standing, age
     error = json.loads(standing("stop", "--json", file=False).stdout)["error"]
     assert "2 RTPUs did not confirm the stop" in error["what"]
     assert {one["where"] for one in error["parts"]} == {"arm2", "leg0"}
+
+
+def test_stop_names_an_rtpu_once_that_gave_an_error_and_is_not_seen(standing, agents):
+    for op in ("stop", "hello"):
+        agents["arm1"].fail[op, ""] = UnreachableError("hangs", where="arm1")
+    agents["arm0"].lost = [
+        m.Lost(rtpu="arm1", host="b", near=True, ago=7.0, on={"puma": ["jttrace"]})
+    ]
+    done = standing("stop", "puma", file=False)
+    assert done.returncode == 1
+    assert "an RTPU did not confirm the stop" in done.stderr
+    assert "may still be ON: arm1: jttrace;" in done.stderr
+    assert "arm1: hangs" in done.stderr
 
 
 def test_variables_once_again_and_as_csv(standing):

@@ -70,7 +70,7 @@ def stop(
         )
         nothing = not any(one.off or one.killed for one in results.values())
         infos, _ = client.call_all({rtpu: m.Hello() for rtpu in results}, m.AgentInfo)
-        unseen = _unseen(infos.values(), name)
+        unseen = _unseen(infos.values(), name, stopped=results)
         if name is not None and nothing and not unseen:
             _must_be_known(infos.values(), name)
     except zenoh.ZError as error:
@@ -81,18 +81,22 @@ def stop(
         off=[task for one in results.values() for task in one.off],
         killed=[task for one in results.values() for task in one.killed],
     )
-    errors += [_not_seen(by, lost) for by, lost in unseen.values()]
+    errors += [
+        _not_seen(by, lost)
+        for rtpu, (by, lost) in unseen.items()
+        if rtpu not in requests  # else its own error is among them
+    ]
     unsure = {rtpu: _on(lost, name) for rtpu, (_, lost) in unseen.items()}
     must_be_stopped(stopped, errors, unsure)
     return {**msgspec.to_builtins(stopped), "rtpus": rtpus}
 
 
 def _unseen(
-    infos: Collection[m.AgentInfo], name: str | None
+    infos: Collection[m.AgentInfo], name: str | None, *, stopped: Collection[str]
 ) -> dict[str, tuple[m.AgentInfo, m.Lost]]:
     """Return RTPUs that had the subsystem and are not seen, with who saw them last."""
     found: dict[str, tuple[m.AgentInfo, m.Lost]] = {}
-    seen = {info.name for info in infos}
+    seen = {*stopped, *(info.name for info in infos)}
     for info in infos:
         for lost in info.lost:
             concerned = lost.on if name is None else name in lost.on
