@@ -200,6 +200,9 @@ class SbsFile(Struct, frozen=True, kw_only=True):
     """The RTPU that keeps the table; None means the first one named."""
     strict: bool = False
     """Whether a configuration is refused that has something unsafe."""
+    alone: float = 2.0
+    """Seconds without a sign of life from the keeper's machine after which the flag
+    goes up on another machine; 0: never."""
     rtpus: tuple[RtpuEntry, ...]
 
     @property

@@ -16,12 +16,16 @@ from .write import number, same_again, text_line
 if TYPE_CHECKING:
     from pathlib import Path
 
-HEAD = Grammar("SUBSYSTEM SVARFILE [MASTER|STRICT]", after=("RTPU",))
+HEAD = Grammar("SUBSYSTEM SVARFILE [MASTER|STRICT|ALONE]", after=("RTPU",))
 RTPU = Grammar(
     "RTPU [SCHEDULER|USAGE|ERRPRINT|MINFREQ|MAXFREQ|HANGTIME]", after=("RTPU", "EOF")
 )
 LONGEST_HANG = 3600.0
 """Seconds; the largest HANGTIME."""
+NEVER = "never"
+"""Stands for no limit, as the word of ALONE."""
+SHORTEST_ALONE, LONGEST_ALONE = 0.5, 3600.0
+"""Seconds; an agent is out of sight after 0.4 s, so less cannot be noticed."""
 
 
 def read_sbs(path: str | Path) -> SbsFile:
@@ -53,6 +57,7 @@ def parse_sbs(text: str | bytes, file: str = "<text>") -> SbsFile:
         svarfile=words.path(head["SVARFILE"], "the name of a .svar file"),
         master=_master(head, rtpus),
         strict=(line := head.get("STRICT")) is not None and words.yes(line),
+        alone=_alone(reader, head),
         rtpus=tuple(rtpus.values()),
     )
 
@@ -72,6 +77,25 @@ def _master(head: Block, rtpus: dict[str, RtpuEntry]) -> str | None:
             or "add an RTPU line for it, or name a listed one",
         )
     return word.text
+
+
+def _alone(reader: Reader, head: Block) -> float:
+    line = head.get("ALONE")
+    if line is None:
+        return 2.0
+    word = words.single(line, "a time in seconds")
+    if word.text == NEVER:
+        return 0.0
+    wanted = f"{SHORTEST_ALONE:g} to {LONGEST_ALONE:g} s, or {NEVER}"
+    return words.real(
+        reader,
+        word,
+        wanted,
+        low=SHORTEST_ALONE,
+        high=LONGEST_ALONE,
+        open_low=False,
+        open_high=False,
+    )
 
 
 def _rtpu(reader: Reader, former: dict[str, RtpuEntry]) -> RtpuEntry:
@@ -153,6 +177,7 @@ def write_sbs(record: SbsFile) -> str:
         lines.append(text_line("MASTER", record.master))
     if record.strict:
         lines.append(text_line("STRICT", "yes"))
+    lines.append(text_line("ALONE", number(record.alone) if record.alone else NEVER))
     for rtpu in record.rtpus:
         lines += [
             "\n",

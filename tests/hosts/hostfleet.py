@@ -59,11 +59,15 @@ class Desk:
         subsystem: Its name.
         rtpus: Those it uses; the first one keeps the table.
         host: Where the master is.
+        alone: Seconds without the keeper's machine; 0: its loss is not noticed.
     """
 
-    def __init__(self, lab, subsystem, rtpus=("arm0", "arm1", "arm2"), host="a"):
+    def __init__(
+        self, lab, subsystem, rtpus=("arm0", "arm1", "arm2"), host="a", *, alone=0.0
+    ):
         self.lab, self.subsystem, self.host = lab, subsystem, host
         self.rtpus = list(rtpus)
+        self.alone = alone
         self.name = f"m{secrets.token_hex(3)}"
         self.epochs: dict[str, int] = {}
         key = key_expressions.master(lab.domain, subsystem, self.name)
@@ -75,7 +79,13 @@ class Desk:
     def claim(self, rtpu):
         """Claim an RTPU, and open the table on its machine."""
         keep = rtpu == self.rtpus[0]
-        request = m.Claim(svar=self._text, svar_name="t.svar", keep=keep)
+        request = m.Claim(
+            svar=self._text,
+            svar_name="t.svar",
+            keep=keep,
+            keeper=self.rtpus[0],
+            alone=self.alone,
+        )
         self.epochs[rtpu] = self.ask(rtpu, request, m.Claimed).epoch
 
     def join(self, rtpu):

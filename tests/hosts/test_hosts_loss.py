@@ -14,6 +14,7 @@ import os
 import random
 import signal
 import time
+from functools import partial
 
 import pytest
 from hostfleet import Desk
@@ -333,6 +334,32 @@ def test_an_agent_that_stays_away_leaves_everything_off(own_lab):
     wait_for(lambda: not own_lab.orphans(), "the end of all")
     assert "off" in diary.read_text()
     diary.unlink()
+
+
+def test_critical_tasks_of_a_machine_without_the_keeper_run_stable(pair, lan):
+    """They read nothing of another machine, so only ALONE can end their cycles."""
+    desk = Desk(pair, "cell", RTPUS, host="b", alone=0.6)
+    try:
+        desk.spawn("arm1", "src", "counts", out="Z0")
+        spawn_critical(desk, "arm1")
+        for task in ("src", "sink"):
+            desk.on("arm1", task)
+        level = partial(desk.value, "arm1", "Z2")
+        wait_for(lambda: level().values[0] == 1.0, "cycles")
+        lan.cut("a", "b")
+        wait_for(lambda: level().values[0] == -1.0, "stable()")
+        cause = "no sign of life from RTPU arm0 for 0.6 s (ALONE)"
+        assert cause in desk.illegal("arm1")
+        assert not desk.illegal("arm0"), "the keeper's machine goes on"
+        assert f"cell: {cause}" in desk.events("arm1", "ILLEGAL")
+        lan.heal("a", "b")
+        wait_for(lambda: level().values[0] == 1.0, "cycles again")
+        assert not desk.illegal("arm1")
+        assert f"cell: no longer: {cause}" in desk.events("arm1", "LEGAL")
+    finally:
+        lan.heal_all()
+        pair.wait_all()
+        desk.close()
 
 
 def test_a_stop_reaches_a_machine_that_comes_back(cell, lab, lan):

@@ -209,7 +209,7 @@ class VirtualTables(Tables):
     def close(self, subsystem: str) -> None:
         """Let go of the table."""
         if opened := self._open.pop(subsystem, None):
-            if opened.keep:
+            if opened.use.keep:
                 self._world.tables.pop(opened.table.name, None)
             self._changed()
 
@@ -245,7 +245,7 @@ class VirtualOverview(SharedMemoryStatus):
         """Process changes."""
         tables = self._state.tables
         opened = {name: tables.need(name) for name in tables.subsystems()}
-        self._tables = {name: (one.table, one.keep) for name, one in opened.items()}
+        self._tables = {name: (one.table, one.use.keep) for name, one in opened.items()}
         if news := self._snapshots.news():
             self.learn(msgspec.msgpack.decode(news, type=rtpu_snapshot.SnapshotChanges))
 

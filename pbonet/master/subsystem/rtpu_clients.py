@@ -161,6 +161,8 @@ class RtpuClients:
                 svar=svar,
                 svar_name=svar_name,
                 keep=name == self.sbs.keeper,
+                keeper=self.sbs.keeper,
+                alone=self.sbs.alone,
             )
             for name in self.keeper_first
             if name in wanted

@@ -213,7 +213,7 @@ class Agent:
         self._mirrors = TableCarrier(
             *where, self._ways.clocks, self._note, self._stops.refuses
         )
-        self._mirrors.start()
+        self._mirrors.start(self._heartbeat.silence)
         self._mirrors.carry(info.tables)
         self._heartbeat.start()
         self._subscriptions = KeySubscriptions(

@@ -78,6 +78,7 @@ class Heartbeat:
         self._domain, self._name = me.domain, me.name
         self._machine = key_expressions.machine(me.machine).encode()
         self._agents: dict[str, _Agent] = {}
+        self._began = time.monotonic()
         self._guard = threading.Lock()
         self._over = threading.Event()
         self._retransmission = Retransmission()
@@ -105,6 +106,24 @@ class Heartbeat:
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def silence(self, name: str) -> float:
+        """Return for how many seconds an agent's machine has given no sign of life.
+
+        An agent that was never heard counts as heard at the start.
+        """
+        with self._guard:
+            agent = self._agents.get(name)
+            if name == self._name or (
+                agent is not None and agent.machine == self._machine.decode()
+            ):
+                return 0.0
+            heard = [
+                one.heard
+                for one in self._agents.values()
+                if agent is not None and one.machine == agent.machine
+            ]
+        return time.monotonic() - max(heard, default=self._began)
 
     def is_silent(self, name: str) -> bool:
         """Return whether an agent is out of sight, though its link may still exist."""
@@ -149,11 +168,11 @@ class Heartbeat:
             with self._guard:
                 gone = agent.seen and agent.heard <= before
                 agent.seen = agent.seen and not gone
-                if agent.heard < now - FORGET:
-                    self._agents.pop(name, None)
                 last = not any(
                     one.seen and one.machine == agent.machine
                     for one in self._agents.values()
                 )
+                if last and agent.heard < now - FORGET:
+                    self._agents.pop(name, None)
             if gone:
                 self._report(Change(name, agent.machine, seen=False, last=last))

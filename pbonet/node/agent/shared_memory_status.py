@@ -108,9 +108,9 @@ class SharedMemoryStatus:
             self._core = rt.CoreTable(info.core, member=False)
         for subsystem in self._tables.keys() - info.tables.keys():
             self._let_go(subsystem)
-        for subsystem, keep in info.tables.items():
+        for subsystem, use in info.tables.items():
             if subsystem not in self._tables:
-                self._attach(subsystem, keep=keep)
+                self._attach(subsystem, keep=use.keep)
 
     def learn(self, news: SnapshotChanges) -> None:
         """Store the changed parts of the state."""

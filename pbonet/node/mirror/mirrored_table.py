@@ -36,7 +36,7 @@ log = logging.getLogger("pbonet.node")
 SHORTEST, LONGEST = 0.00015, 0.025
 """Limits of the seconds between reads of a table, which depend on how often it changes.
 A read costs tens of microseconds, so commits close to each other are sent together."""
-ALONE = 0.2
+UNHEARD = 0.2
 """Seconds between reads if no other machine receives."""
 BEAT = 0.5
 """Seconds after which everything is sent again, in case a packet was dropped."""
@@ -61,6 +61,8 @@ class Owner(Protocol):
     tell: Callable[[rtpu_messages.Note], None]
     refuses: Callable[[str, str], bool]
     """Whether a subsystem's packets from a machine are not to be used."""
+    silence: Callable[[str], float]
+    """Returns for how many seconds an RTPU's machine has given no sign of life."""
 
     def do(self, what: Callable[[], object]) -> None:
         """Let the carrier's thread call a function; may be called from any thread."""
@@ -89,14 +91,17 @@ class MirroredTable:
     Args:
         owner: The owner of the thread that does the work.
         subsystem: The subsystem of the table.
-        keep: Whether operators set variables on this machine.
+        use: How this agent's RTPU uses the table.
     """
 
-    def __init__(self, owner: Owner, subsystem: str, *, keep: bool) -> None:
+    def __init__(
+        self, owner: Owner, subsystem: str, use: rtpu_messages.OpenTable
+    ) -> None:
         self._owner = owner
         self.subsystem = subsystem
         self.table = Table.attach(table_name(owner.domain, subsystem))
-        self.keep = keep
+        self._use = use
+        self._used = time.monotonic()
         self.mirror: Mirror | None = None
         self.next = 0.0
         self.changed = False
@@ -118,16 +123,28 @@ class MirroredTable:
             return False
         return not (self._there or mirror.others)
 
+    def use(self, use: rtpu_messages.OpenTable) -> None:
+        """Change how the table is used."""
+        if use != self._use:
+            self._use, self._used = use, time.monotonic()
+            self.next = 0.0
+
     def turn(self, now: float) -> None:
-        """Do what is due, and return the time of the next turn."""
+        """Do what is due, and set the time of the next turn."""
+        self._transfer(now)
+        if self.mirror is not None:
+            self._check_keeper(self.mirror, now)
+
+    def _transfer(self, now: float) -> None:
+        """Send what is new to the other machines, and miss the silent ones."""
         if self.mirror is None and not self._begin():
-            self.next = now + ALONE
+            self.next = now + UNHEARD
             return
         mirror = self.mirror
         if mirror is not None:
             mirror.miss(SILENT)
         if mirror is None or not self._has_receivers():
-            self.next = now + ALONE
+            self.next = now + UNHEARD
             if self.changed:
                 self.changed = False
                 self._exchange()
@@ -139,6 +156,28 @@ class MirroredTable:
         if packet is not None:
             self._put(packet, now)
         self._pace(now)
+
+    def _check_keeper(self, mirror: Mirror, now: float) -> None:
+        """Raise or clear the flag for the loss of the keeper's machine."""
+        keeper, alone = self._use.keeper, self._use.alone
+        loss = ""
+        if keeper and alone:
+            left = alone - min(self._owner.silence(keeper), now - self._used)
+            if left > 0:
+                self.next = min(self.next, now + left)
+            else:
+                loss = f"no sign of life from RTPU {keeper} for {alone:g} s (ALONE)"
+        before = mirror.loss_of_keeper
+        if loss != before:
+            mirror.loss_of_keeper = loss
+            severity, code, text = (
+                (Severity.WARNING, "ILLEGAL", loss)
+                if loss
+                else (Severity.INFO, "LEGAL", f"no longer: {before}")
+            )
+            self._owner.tell(
+                rtpu_messages.Note(int(severity), code, f"{self.subsystem}: {text}")
+            )
 
     def watch(self, watch: Watch) -> None:
         """End the carrier's sleep when there is something to send to others."""
@@ -171,6 +210,7 @@ class MirroredTable:
     def meet(self) -> None:
         """Exchange states with a machine that is in sight again."""
         if self.mirror is not None:
+            self.next = 0.0  # it may be the keeper's
             self._exchange()
 
     def call(self, calls: Sequence[Call]) -> None:
@@ -206,7 +246,7 @@ class MirroredTable:
             self.table,
             owner.machine,
             secrets.randbits(62),
-            keep=self.keep,
+            keep=self._use.keep,
             late=owner.late,
         )
         session, key = (

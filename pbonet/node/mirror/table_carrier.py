@@ -26,11 +26,10 @@ from pbonet.svar import Watch
 from pbonet.xm.net import key_expressions, messages as m, run_folder
 
 from .call_once import CallOnce
-from .mirrored_table import ALONE, ANSWER_TIME, MirroredTable
+from .mirrored_table import ANSWER_TIME, UNHEARD, MirroredTable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from collections.abc import Callable, Mapping
 
 log = logging.getLogger("pbonet.node")
 
@@ -66,10 +65,11 @@ class TableCarrier:
     ) -> None:
         self.session, self.domain, self.tell = session, domain, tell
         self.refuses = refuses
+        self.silence: Callable[[str], float] = lambda _: 0.0
         self.machine = key_expressions.machine(run_folder.machine())
         self._clocks = clocks
         self._carried: dict[str, MirroredTable] = {}
-        self._tables: dict[str, bool] = {}
+        self._tables: Mapping[str, rtpu_messages.OpenTable] = {}
         """Tables to be carried that the carrier's thread has not taken yet."""
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
@@ -81,8 +81,14 @@ class TableCarrier:
             target=self._work, name="pbonet mirrors", daemon=True
         )
 
-    def start(self) -> None:
-        """Start to carry the tables given to `carry`."""
+    def start(self, silence: Callable[[str], float]) -> None:
+        """Start to carry the tables given to `carry`.
+
+        Args:
+            silence: Returns for how many seconds the machine of an RTPU has given no
+                sign of life.
+        """
+        self.silence = silence
         self._ends.submit(int)  # starts the thread
         self._thread.start()
 
@@ -119,8 +125,10 @@ class TableCarrier:
             self.do(what)
         return room
 
-    def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
-        """Carry exactly these tables, by subsystem; the value is True on the keeper."""
+    def carry(
+        self, tables: Mapping[str, rtpu_messages.OpenTable], *, wait: float = 0.0
+    ) -> None:
+        """Carry exactly these tables, by subsystem."""
         done = threading.Event()
         self._tables = tables
         self.do(lambda: self._carry(tables))
@@ -237,15 +245,16 @@ class TableCarrier:
         """Use an exchange of states as a measurement of that machine's clock."""
         self._clocks.add(machine, round_trip(begin_ns, end_ns, sent_ns))
 
-    def _carry(self, tables: dict[str, bool]) -> None:
+    def _carry(self, tables: Mapping[str, rtpu_messages.OpenTable]) -> None:
         self._watch.forget()  # it keeps tables open
         for subsystem in self._carried.keys() - tables.keys():
             self._carried.pop(subsystem).close()
-        for subsystem, keep in tables.items():
-            if subsystem in self._carried:
+        for subsystem, use in tables.items():
+            if (carried := self._carried.get(subsystem)) is not None:
+                carried.use(use)
                 continue
             try:
-                self._carried[subsystem] = MirroredTable(self, subsystem, keep=keep)
+                self._carried[subsystem] = MirroredTable(self, subsystem, use)
             except SvarError as error:
                 log.warning("the table of %s is not transferred: %s", subsystem, error)
 
@@ -261,7 +270,7 @@ class TableCarrier:
             now = time.monotonic()
             for one in list(self._carried.values()):
                 if now >= one.next:
-                    one.next = now + ALONE  # unless the turn says otherwise
+                    one.next = now + UNHEARD  # unless the turn says otherwise
                     self.safely(partial(one.turn, now))
 
     def _sleep(self) -> None:

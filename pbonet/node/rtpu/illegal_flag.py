@@ -207,7 +207,7 @@ class Flags:
                 (cause.cause, cause.raiser): None
                 for cause in opened.table.illegal
                 if cause.raiser.startswith(f"{self._rtpu}/")
-                or (opened.keep and "/" not in cause.raiser)
+                or (opened.use.keep and "/" not in cause.raiser)
             }
             self._reported[subsystem] = now
             for cause, raiser in now.keys() - before:

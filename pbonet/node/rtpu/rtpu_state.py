@@ -201,7 +201,7 @@ class Rtpu:
             claims=self.claims.epochs(),
             started_ns=self._started_ns,
             stops=list(self.stops),
-            tables=self.tables.kept(),
+            tables=self.tables.uses(),
             recordings=self.recordings,
         )
 

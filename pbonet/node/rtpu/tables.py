@@ -23,6 +23,7 @@ from pbonet.errors import (
     SvarLayoutError,
     SvarMissingError,
 )
+from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Table
 from pbonet.xm.net import run_folder
 
@@ -42,7 +43,7 @@ class Opened(Struct):
 
     table: Table
     file: SvarFile
-    keep: bool
+    use: rtpu_messages.OpenTable
     missed: bool = False
     """True once its file was found to be gone or damaged."""
 
@@ -68,9 +69,9 @@ class Tables:
         """Return the subsystems whose tables are open."""
         return list(self._open)
 
-    def kept(self) -> dict[str, bool]:
-        """Return by subsystem whether this RTPU keeps the open table."""
-        return {name: opened.keep for name, opened in self._open.items()}
+    def uses(self) -> dict[str, rtpu_messages.OpenTable]:
+        """Return by subsystem how this RTPU uses the open table."""
+        return {name: opened.use for name, opened in self._open.items()}
 
     def get(self, subsystem: str) -> Opened | None:
         """Return the subsystem's table if it is open."""
@@ -134,11 +135,15 @@ class Tables:
             SvarError: The table cannot be made, or exists with another layout.
         """
         file = self.judge(request)
-        if request.subsystem in self._open:
+        use = rtpu_messages.OpenTable(request.keep, request.keeper, request.alone)
+        if (opened := self._open.get(request.subsystem)) is not None:
+            if opened.use != use:
+                opened.use = use
+                self._changed()
             return
         name = table_name(self._domain, request.subsystem)
         table = self._create(name, file) if request.keep else self._attach(name, file)
-        self._open[request.subsystem] = Opened(table, file, request.keep)
+        self._open[request.subsystem] = Opened(table, file, use)
         self._changed()
 
     def close(self, subsystem: str) -> None:
@@ -146,7 +151,7 @@ class Tables:
         opened = self._open.pop(subsystem, None)
         if opened is None:
             return
-        if opened.keep:
+        if opened.use.keep:
             opened.table.destroy()
         else:
             path = opened.table.path

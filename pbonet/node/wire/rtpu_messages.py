@@ -210,6 +210,17 @@ FromRecorder = Note | Recorder
 # -- RTPU process to agent ------------------------------------------------------------
 
 
+class OpenTable(Struct, frozen=True):
+    """A table that an RTPU has open."""
+
+    keep: bool
+    """Whether this RTPU keeps it: operators set variables there."""
+    keeper: str = ""
+    """The RTPU that keeps it."""
+    alone: float = 0.0
+    """Seconds without its machine after which the flag goes up; 0: never."""
+
+
 class RtpuInfo(Struct, tag="info", kw_only=True):
     """Identity of the RTPU process."""
 
@@ -223,8 +234,8 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     """CLOCK_MONOTONIC at its start."""
     stops: list[str] = []
     """Stop orders that were carried out, the newest last."""
-    tables: dict[str, bool] = {}
-    """Subsystems whose tables are open, and whether operators set variables there."""
+    tables: dict[str, OpenTable] = {}
+    """The open tables, by subsystem."""
     recordings: dict[str, Recording] = {}
     """Recordings, by subsystem."""
 

@@ -72,6 +72,7 @@ class Mirror:
         self._changes = 0
         """The flag's change count at the last check."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
+        self._loss_of_keeper = ""
 
     def next_packet(
         self, *, full: bool = False, look: bool = True, machine: str = ""
@@ -157,6 +158,19 @@ class Mirror:
         self._remove(machine)
         self._reconcile()
 
+    @property
+    def loss_of_keeper(self) -> str:
+        """Why the keeper's machine counts as lost; empty: it does not.
+
+        The flag is raised for it here. Other machines judge for themselves.
+        """
+        return self._loss_of_keeper
+
+    @loss_of_keeper.setter
+    def loss_of_keeper(self, loss: str) -> None:
+        self._loss_of_keeper = loss
+        self._reconcile()
+
     def close(self) -> None:
         """Release what is in the table for others, and clear what was raised."""
         for machine in list(self.others):
@@ -214,6 +228,8 @@ class Mirror:
         for other in self.others.values():
             for cause, raiser in other.causes:
                 wanted[cause, raiser, other.host] = None
+        if self._loss_of_keeper:
+            wanted[self._loss_of_keeper, RAISER, self.host] = None
         names = self.table.variables
         for number in sorted(fought):
             text = f"{names[number].name} is written on two machines"

@@ -87,6 +87,11 @@ class Claim(Request, tag="claim"):
     """Its name, for messages."""
     keep: bool = False
     """True on the RTPU that creates and keeps the table."""
+    keeper: str = ""
+    """The name of that RTPU; empty: its loss is not noticed."""
+    alone: float = 2.0
+    """Seconds without a sign of life from its machine after which the flag goes up on
+    another machine; 0: never."""
 
 
 class Release(Request, tag="release"):

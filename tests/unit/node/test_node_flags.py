@@ -9,6 +9,7 @@ from pbonet.config import parse_svar
 from pbonet.errors import SvarFullError, UnknownVariableError
 from pbonet.node.rtpu.illegal_flag import Flags
 from pbonet.node.wire.event_log import EventLog
+from pbonet.node.wire.rtpu_messages import OpenTable
 from pbonet.svar import Table
 from pbonet.svar._svar import CAUSES_EACH
 
@@ -32,7 +33,7 @@ EOF
 class Opened:
     """A table as the RTPU process has it open."""
 
-    keep = True
+    use = OpenTable(keep=True)
 
     def __init__(self, table):
         self.table = table

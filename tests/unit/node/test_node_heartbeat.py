@@ -76,6 +76,28 @@ def test_a_machine_is_lost_with_the_last_of_its_agents(beats, now, changes) -> N
     ]
 
 
+def test_silence_is_that_of_the_whole_machine(beats, now) -> None:
+    now[0] += 3.0
+    assert beats.silence("arm1") == 3.0, "never heard: since the start"
+    beats._note_beat(sample("arm1", "m"))
+    now[0] += 1.0
+    assert beats.silence("arm1") == 1.0
+    beats._note_beat(sample("arm2", "m"))
+    beats._note_beat(sample("arm3", "here"))
+    now[0] += 0.5
+    assert beats.silence("arm1") == 0.5
+    for name in ("arm0", "arm3"):
+        assert beats.silence(name) == 0.0, "of this machine"
+
+
+def test_an_agent_of_a_machine_that_is_heard_is_not_forgotten(beats, now) -> None:
+    beats._note_beat(sample("arm1", "m"))
+    now[0] += FORGET + 1
+    beats._note_beat(sample("arm2", "m"))
+    beats._check(now[0])
+    assert beats.silence("arm1") == 0.0
+
+
 def test_who_stays_away_is_forgotten(beats, now) -> None:
     beats._note_beat(sample("arm1", "m"))
     now[0] += FORGET + 1.0

@@ -21,6 +21,7 @@ from pbonet.node.mirror.mirrored_table import MirroredTable
 from pbonet.node.mirror.table_carrier import TableCarrier
 from pbonet.node.rtpu.tables import table_name
 from pbonet.node.wire import ClockOffsets
+from pbonet.node.wire.rtpu_messages import OpenTable
 from pbonet.svar import Table
 from pbonet.svar.mirror import packets
 from pbonet.svar.mirror.table_mirror import Mirror
@@ -59,7 +60,7 @@ def carrying(table):
     told = []
     network = Network()
     mirrors = TableCarrier(network, "d", ClockOffsets(), told.append)
-    mirrors.carry({table.name.removeprefix("d."): True})
+    mirrors.carry({table.name.removeprefix("d."): OpenTable(keep=True)})
     turn(mirrors)
     mirrors._carried["arm"].turn(0.0)
     network.asked.drop()  # nobody else
@@ -86,6 +87,36 @@ def test_who_is_alone_waits_for_nobody(carrying):
     assert done == ["alone", "alone again"]
 
 
+def test_the_flag_goes_up_without_the_keepers_machine(carrying, table, monkeypatch):
+    mirrors, notes = carrying
+    clock, silence = [time.monotonic()], {"arm9": 100.0}
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    mirrors.silence = silence.__getitem__
+    mirrors.carry({"arm": OpenTable(keep=False, keeper="arm9", alone=2.0)})
+    turn(mirrors)
+    carried = mirrors._carried["arm"]
+
+    def after(seconds):
+        clock[0] += seconds
+        carried.turn(clock[0])
+        return [one.cause for one in table.illegal]
+
+    assert after(1.95) == [], "2 s since it is the keeper have not passed"
+    assert carried.next == pytest.approx(clock[0] + 0.05)
+    cause = "no sign of life from RTPU arm9 for 2 s (ALONE)"
+    assert after(0.05) == after(1.0) == [cause]
+    silence["arm9"] = 0.1
+    assert after(0.2) == []
+    silence["arm9"] = 2.0
+    assert after(0.2) == [cause]
+    mirrors.carry({"arm": OpenTable(keep=False, keeper="arm9", alone=0.0)})
+    turn(mirrors)
+    assert after(0.2) == [], "ALONE never"
+    texts = [f"arm: {cause}", f"arm: no longer: {cause}"] * 2
+    assert [one.text for one in notes] == texts
+    assert [one.code for one in notes] == ["ILLEGAL", "LEGAL"] * 2
+
+
 def test_who_ends_a_table_is_answered_behind_its_carrier(carrying):
     """Who is answered may make another table of that name, and finds none left."""
     mirrors, _ = carrying
@@ -104,7 +135,7 @@ def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
     network = Network()
     mirrors = TableCarrier(network, "d", ClockOffsets())
     try:
-        mirrors.carry({"arm": True})
+        mirrors.carry({"arm": OpenTable(keep=True)})
         turn(mirrors)
         carried = mirrors._carried["arm"]
         carried.turn(0.0)
@@ -240,7 +271,7 @@ def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_
     network = Network()
     mirrors = TableCarrier(network, "d", ClockOffsets())
     try:
-        mirrors.carry({"arm": True})
+        mirrors.carry({"arm": OpenTable(keep=True)})
         mirrors.spread("arm", done, take=take)
         turn(mirrors)
         network.answers(b"state")
