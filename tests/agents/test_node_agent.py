@@ -1,7 +1,9 @@
 """The agent as masters see it: claims, names, requests good and bad, events."""
 
+import contextlib
 import os
 import signal
+import socket
 import sys
 from pathlib import Path
 
@@ -35,6 +37,7 @@ from pbonet.xm.net import (
     dialling,
     key_expressions,
     messages as m,
+    rpc,
     run_folder,
     session,
 )
@@ -127,6 +130,23 @@ def test_namesakes_that_meet_later_say_so(nodes, monkeypatch):
 
     text = wait_for(said, "the event")[0].text
     assert f"process {os.getpid()};" in text or f"process {twin.pid};" in text
+
+
+def test_silent_connections_keep_nobody_out(nodes, monkeypatch):
+    """Zenoh alone keeps a hundred for ten seconds, and refuses all others meanwhile."""
+    port = free_port()
+    where = f"tcp/127.0.0.1:{port}"
+    nodes.agent_process("arm0", listen=(where,))
+    other = nodes.folder / "other"
+    other.mkdir(mode=0o700)
+    monkeypatch.setenv("PBONET_RUN_DIR", str(other))  # else by the Unix socket
+    with contextlib.ExitStack() as opened:
+        for _ in range(500):
+            opened.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
+        made = session.client(nodes.domain, connect=[where], timeout=5.0)
+        client = rpc.Client(opened.enter_context(made), nodes.domain, "desk")
+        assert client.call("arm0", m.Stop(), m.Stopped).off == []
+    monkeypatch.setenv("PBONET_RUN_DIR", str(nodes.folder))
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a*", "-a", "x" * 32, "a b"])

@@ -16,6 +16,7 @@ A session must be opened in a process that was started by exec, never after a fo
 from __future__ import annotations
 
 import re
+import resource
 import time
 import zlib
 from typing import TYPE_CHECKING
@@ -46,6 +47,12 @@ OPEN_MS = 500
 """Milliseconds until an agent that hangs is skipped for the next; zenoh's ten seconds
 would keep a master from all others, and from stopping them, and an agent from one whose
 link has recovered meanwhile."""
+ACCEPT_MS = 1000
+"""Milliseconds that an agent gives a new connection for its greeting. Who opens one has
+given it up before."""
+ACCEPT_PENDING = 1000
+"""Most connections without a greeting; more are closed at once, whoever opens them. It
+leaves room for agents and masters beside hundreds that say nothing."""
 RETRY_MS = 200
 """Longest pause between attempts to reach a lost agent, in milliseconds."""
 SCOUTING_PORT = 17000
@@ -327,7 +334,11 @@ def _config(
         },
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": {"open_timeout": OPEN_MS},
+            "unicast": {
+                "open_timeout": OPEN_MS,
+                "accept_timeout": ACCEPT_MS,
+                "accept_pending": _accept_pending(),
+            },
             "link": {
                 "tx": {"lease": LEASE_MS if listen else SILENT_MS, "keep_alive": 4},
                 **(_tls(key_folder) if key_folder else {}),
@@ -342,6 +353,12 @@ def _config(
         if key_folder:
             settings["access_control"] = access_control.rules()
     return zenoh.Config.from_json5(msgspec.json.encode(settings).decode())
+
+
+def _accept_pending() -> int:
+    """Return how many silent connections are kept; they take a file each."""
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return max(1, min(ACCEPT_PENDING, files // 4))
 
 
 def _tls(folder: Path) -> dict[str, object]:
