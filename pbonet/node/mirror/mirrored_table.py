@@ -353,7 +353,11 @@ class MirroredTable:
             asked: When it was asked for, and when it came, if it is an answer.
         """
         packet = packets.unpack(data)
-        if self.mirror is None or packet is None:
+        if self.mirror is None:
+            return ""
+        if packet is None:
+            if (head := packets.other_version(data)) is not None:
+                self.mirror.refuse(head)
             return ""
         if packet.machine == self._owner.machine:
             return ""

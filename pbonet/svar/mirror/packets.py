@@ -72,8 +72,17 @@ class Packet(Struct, array_like=True):
     """Packed `Call`s to make after the rest has been processed."""
 
 
+class Head(Struct, array_like=True):
+    """The begin of a packet, the same in all versions."""
+
+    v: int
+    machine: str
+    host: str
+
+
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(Packet)
+_head_decoder = msgspec.msgpack.Decoder(Head)
 
 
 def pack(packet: Packet) -> bytes:
@@ -88,3 +97,12 @@ def unpack(data: bytes) -> Packet | None:
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
     return packet if packet.v == VERSION else None
+
+
+def other_version(data: bytes) -> Head | None:
+    """Return the begin of a packet of another version; None if it is none."""
+    try:
+        head = _head_decoder.decode(data)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return None
+    return head if head.v != VERSION else None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from pbonet.svar import Table, Watch
 
-    from .packets import Packet
+    from .packets import Head, Packet
 
 RAISER = "mirror"
 """Raiser of the flag when machines are unreachable, or claim the same variable."""
@@ -73,6 +73,8 @@ class Mirror:
         """The flag's change count at the last check."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
         self._loss_of_keeper = ""
+        self._unread: dict[str, tuple[str, int]] = {}
+        """By the cause, machines whose packets cannot be read, and when one came."""
 
     def next_packet(
         self, *, full: bool = False, look: bool = True, machine: str = ""
@@ -130,6 +132,8 @@ class Mirror:
             )
             self._lost.pop(packet.machine, None)
             self._newcomers.add(packet.machine)
+        if self._unread:
+            self._keep_unread(lambda machine, _: machine != packet.machine)
         late = self._late(packet.machine, packet.sent_ns)
         if packet.state < other.state:
             packet.full = None  # it was overtaken by a newer one
@@ -148,6 +152,25 @@ class Mirror:
         silent = [m for m, other in self.others.items() if other.heard_ns < before]
         for machine in silent:
             self.lose(machine)
+        if self._unread:
+            self._keep_unread(lambda _, heard_ns: heard_ns >= before)
+
+    def refuse(self, head: Head) -> None:
+        """Raise the flag for a machine whose packets are of another version."""
+        text = (
+            f"the table of host {head.host[:40]} is of version {head.v}, here "
+            f"{packets.VERSION}: no values are exchanged"
+        )
+        new = text not in self._unread
+        self._unread[text] = head.machine, now_ns()
+        if new:
+            self._reconcile()
+
+    def _keep_unread(self, keep: Callable[[str, int], bool]) -> None:
+        kept = {text: one for text, one in self._unread.items() if keep(*one)}
+        if kept != self._unread:
+            self._unread = kept
+            self._reconcile()
 
     def lose(self, machine: str) -> None:
         """Drop a machine that is unreachable."""
@@ -228,6 +251,8 @@ class Mirror:
         for other in self.others.values():
             for cause, raiser in other.causes:
                 wanted[cause, raiser, other.host] = None
+        for text in self._unread:
+            wanted[text, RAISER, self.host] = None
         if self._loss_of_keeper:
             wanted[self._loss_of_keeper, RAISER, self.host] = None
         names = self.table.variables

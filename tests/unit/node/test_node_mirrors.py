@@ -117,6 +117,15 @@ def test_the_flag_goes_up_without_the_keepers_machine(carrying, table, monkeypat
     assert [one.code for one in notes] == ["ILLEGAL", "LEGAL"] * 2
 
 
+def test_packets_of_another_version_raise_the_flag(carrying, table):
+    mirrors, _ = carrying
+    packet = packets.Packet(packets.VERSION + 1, "m2", "two", 1, 0, 0, [])
+    assert mirrors._carried["arm"]._take(packets.pack(packet)) == ""
+    assert mirrors._carried["arm"]._take(b"\x91") == ""
+    (cause,) = table.illegal
+    assert cause.cause.startswith("the table of host two is of version")
+
+
 def test_who_ends_a_table_is_answered_behind_its_carrier(carrying):
     """Who is answered may make another table of that name, and finds none left."""
     mirrors, _ = carrying

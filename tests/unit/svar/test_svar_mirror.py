@@ -430,3 +430,29 @@ def test_what_is_no_packet():
     assert packets.unpack(b"\x93\x01\x02\x03") is None
     other = packets.Packet(packets.VERSION + 1, "a", "host-a", 1, 0, 0, [])
     assert packets.unpack(packets.pack(other)) is None
+    assert packets.other_version(packets.pack(other)).host == "host-a"
+    assert packets.other_version(b"") is None
+    assert packets.other_version(b"\x93\x01\x02\x03") is None
+
+
+def test_a_machine_with_packets_of_another_version_raises_the_flag(sides):
+    a, b = sides
+
+    def causes():
+        return [one.cause for one in b.table.illegal]
+
+    text = (
+        f"the table of host host-a is of version {packets.VERSION + 1}, here "
+        f"{packets.VERSION}: no values are exchanged"
+    )
+    head = packets.Head(packets.VERSION + 1, "a", "host-a")
+    for _ in range(2):
+        b.mirror.refuse(head)
+        assert causes() == [text]
+    b.mirror.miss(60.0)
+    assert causes() == [text]
+    carry(a, b, full=True)
+    assert causes() == [], "it runs this version now"
+    b.mirror.refuse(head)
+    b.mirror.miss(0.0)
+    assert causes() == [], "it is gone"
