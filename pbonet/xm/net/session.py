@@ -48,11 +48,11 @@ OPEN_MS = 500
 would keep a master from all others, and from stopping them, and an agent from one whose
 link has recovered meanwhile."""
 ACCEPT_MS = 1000
-"""Milliseconds that an agent gives a new connection for its greeting. Who opens one has
-given it up before."""
+"""Milliseconds that an agent gives a new connection for its greeting. The other side
+gives up before that."""
 ACCEPT_PENDING = 1000
-"""Most connections without a greeting; more are closed at once, whoever opens them. It
-leaves room for agents and masters beside hundreds that say nothing."""
+"""Most connections without a greeting; more are closed at once. This leaves room for
+agents and masters beside hundreds of connections that say nothing."""
 RETRY_MS = 200
 """Longest pause between attempts to reach a lost agent, in milliseconds."""
 SCOUTING_PORT = 17000
