@@ -403,6 +403,7 @@ class FakeAgent:
             scheduler="MUF",
             tasks=[self.status_of(task) for task in tasks],
             illegal=list(self.flags),
+            age=7.0,
         )
 
     def status_of(self, task: FakeTask) -> m.TaskStatus:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from pbonet.config import read_job
 from pbonet.errors import UnreachableError
 from pbonet.master.console.network_interface import Port
 from pbonet.master.subsystem.subsystem import Subsystem
@@ -27,7 +28,7 @@ def pbonet(world, agents, puma):
 
     def run(verb, *words, file=True, stdin=None):
         command = [sys.executable, "-m", "pbonet.cli", verb]
-        command += [str(puma)] if file else []
+        command += [str(puma if file is True else file)] if file else []
         command += [*map(str, words), "--domain", world.domain]
         return subprocess.run(
             command,
@@ -77,6 +78,25 @@ def test_status_is_data_with_json(standing):
     }
     assert [rtpu["rtpu"] for rtpu in data["rtpus"]] == ["arm0", "arm1"]
     assert data["warnings"] == []
+
+
+def test_status_names_each_task_of_the_job_that_is_not_there(standing, agents, puma):
+    job = puma.with_name("puma.job")
+    names = [task.rmod for task in read_job(job).tasks]
+    data = json.loads(standing("status", "--json", file=job).stdout)
+    missing = {one["task"]: one for one in data["missing"]}
+    assert sorted(missing) == sorted({*names} - {"puma_pidg", "jttrace"})
+    one = missing["grav_comp"]
+    reason = (
+        "it was not spawned, or was killed, since the RTPU process was started, 7 s ago"
+    )
+    assert one["reason"] == reason
+    shown = standing("status", file=job).stdout
+    assert f"NOT-CREATED> grav_comp on {one['rtpu']}: {reason}" in shown
+    agents[one["rtpu"]].close()
+    shown = standing("status", file=job).stdout
+    assert f"not known, because RTPU {one['rtpu']} does not answer" in shown
+    assert "NOT-CREATED" not in standing("status").stdout, "no job is named"
 
 
 def test_refusal_has_status_one_and_no_stack(standing):

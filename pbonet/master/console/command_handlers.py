@@ -8,7 +8,7 @@ import msgspec
 
 from pbonet.analysis import legality
 from pbonet.errors import ConfigError, SeveralError, StateError, VerificationError
-from pbonet.master.subsystem import status_fields
+from pbonet.master.subsystem import find_missing, status_fields
 
 if TYPE_CHECKING:
     from .session_state import SessionState
@@ -71,9 +71,11 @@ def status(session: SessionState, given: Given) -> Data:
     if given.get("reset"):
         tasks = session.subsystem.task_set.restart_extremes(tasks)
     profiles = session.baselines.since(tasks)
+    missing = [] if wanted else find_missing(session.subsystem.files, rtpus)
     return {
         "fields": list(fields),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
+        "missing": [msgspec.to_builtins(one) for one in missing],
         "rtpus": [
             {
                 "rtpu": rtpu.rtpu,

@@ -132,6 +132,10 @@ def _status(data: Data) -> str:
             ]
     else:
         lines.append("no tasks")
+    lines += [
+        f"NOT-CREATED> {one['task']} on {one['rtpu']}: {one['reason']}"
+        for one in data["missing"]
+    ]
     raised: dict[str, list[str]] = {}  # RTPUs of one machine share one flag
     for rtpu in data["rtpus"]:
         for cause in rtpu["illegal"]:

@@ -6,6 +6,7 @@ from .argument_text import (
 )
 from .embedded_agents import Embedded as Embedded
 from .event_filter import EventFilter as EventFilter, since as since
+from .missing_tasks import Missing as Missing, find_missing as find_missing
 from .recording_control import RecordingControl as RecordingControl
 from .rtpu_clients import client_name as client_name
 from .status_fields import (

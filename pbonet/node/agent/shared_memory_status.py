@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
+import time
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -91,6 +92,7 @@ class SharedMemoryStatus:
         self._known = SnapshotChanges()
         self._core: rt.CoreTable | None = None
         self._tables: dict[str, tuple[Table, bool]] = {}
+        self._started_ns = 0
         self._do: dict[type[m.Request], Callable[[Any], object]] = {
             m.Status: lambda request: self._status(
                 request, self._read_slots(), self._links.names()
@@ -104,6 +106,7 @@ class SharedMemoryStatus:
 
     def informed(self, info: RtpuInfo) -> None:
         """Open the core table, and the tables that the RTPU process has open."""
+        self._started_ns = info.started_ns
         if self._core is None:
             self._core = rt.CoreTable(info.core, member=False)
         for subsystem in self._tables.keys() - info.tables.keys():
@@ -208,7 +211,7 @@ class SharedMemoryStatus:
         if request.reset:
             for one in self._of(request, seen):
                 core.restart_extremes(one.task.slot)
-        return status.rtpu_status(
+        found = status.rtpu_status(
             self._rtpu,
             entry.scheduler if entry else "",
             core.status(),
@@ -223,6 +226,9 @@ class SharedMemoryStatus:
             tbufs=tbuf.seen(self._domain, links),
             recorder=self._recorder(whose),
         )
+        if self._started_ns:
+            found.age = (time.monotonic_ns() - self._started_ns) * 1e-9
+        return found
 
     def with_status(self, claim: m.Claim, answer: bytes, agent: m.AgentInfo) -> bytes:
         """Return the answer to a claim; if it was granted, with the status."""

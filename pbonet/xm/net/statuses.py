@@ -144,6 +144,8 @@ class RtpuStatus(Struct, kw_only=True):
     """Number of events of each code, by task, including suppressed ones."""
     tbufs: list[TbufStatus] = []
     """The links on the machine, in this RTPU's domain."""
+    age: float = 0.0
+    """Seconds since the start of the RTPU process; 0: not known."""
 
 
 class TaskProfile(Struct, kw_only=True):

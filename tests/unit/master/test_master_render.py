@@ -65,6 +65,7 @@ def test_status_has_warning_and_error_below_their_task():
     data = {
         "fields": list(DEFAULT),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
+        "missing": [],
         "rtpus": [
             {
                 "rtpu": "arm0",
@@ -101,7 +102,9 @@ def test_status_has_warning_and_error_below_their_task():
         "nothing yet",
     ]
     assert render.text("display", {"variables": []}) == "no variables"
-    empty = render.text("status", {"fields": ["rmod"], "tasks": [], "rtpus": []})
+    empty = render.text(
+        "status", {"fields": ["rmod"], "tasks": [], "missing": [], "rtpus": []}
+    )
     assert empty == "no tasks"
 
 

@@ -1,0 +1,66 @@
+"""Tasks of a job that are on no RTPU, and why."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.master.configuration import Files
+    from pbonet.xm.net import RtpuStatus
+
+
+class Missing(Struct, frozen=True):
+    """A task that the job names, and that no RTPU has reported."""
+
+    task: str
+    rtpu: str
+    """The RTPU to which the files assign it."""
+    reason: str
+
+
+def find_missing(files: Files, rtpus: Iterable[RtpuStatus]) -> list[Missing]:
+    """Return the tasks of the job, and their standbys, that are on no RTPU.
+
+    Args:
+        files: The subsystem's files; without a job no task is missing.
+        rtpus: The status of all tasks of the RTPUs that answered.
+    """
+    if files.job is None:
+        return []
+    answered = {status.rtpu: status for status in rtpus}
+    there = {task.task for status in answered.values() for task in status.tasks}
+    named = {
+        name: files.likely_rtpu(one.rmod)  # a standby is where its original is
+        for one in files.job.tasks
+        for name in (one.rmod, one.fallback)
+        if name and name not in there
+    }
+    return [
+        Missing(name, rtpu, _reason(rtpu, answered.get(rtpu)))
+        for name, rtpu in named.items()
+    ]
+
+
+def _reason(rtpu: str, status: RtpuStatus | None) -> str:
+    if status is None:
+        return f"not known, because RTPU {rtpu} does not answer"
+    reason = (
+        "it was not spawned, or was killed,"
+        if status.scheduler
+        else "no master has used the RTPU"
+    )
+    if not status.age:
+        return reason.removesuffix(",")
+    return f"{reason} since the RTPU process was started, {_ago(status.age)} ago"
+
+
+def _ago(seconds: float) -> str:
+    """Return a duration in its largest unit."""
+    for size, unit in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
