@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from pbonet import modules
 from pbonet.config import read_job
 from pbonet.errors import UnreachableError
 from pbonet.master.console.network_interface import Port
@@ -97,6 +98,23 @@ def test_status_names_each_task_of_the_job_that_is_not_there(standing, agents, p
     shown = standing("status", file=job).stdout
     assert f"not known, because RTPU {one['rtpu']} does not answer" in shown
     assert "NOT-CREATED" not in standing("status").stdout, "no job is named"
+
+
+def test_start_refuses_what_is_unsafe_with_strict_and_else_warns(pbonet, agents, puma):
+    rmod = puma.with_name("puma_pidg.rmod")
+    theirs = Path(modules.__file__).with_name(rmod.name).read_text()
+    rmod.write_text(theirs.replace("CRITICAL", ""))
+    said = "puma_pidg is a robot interface and not CRITICAL"
+    job, text = puma.with_name("puma.job"), puma.read_text()
+    puma.write_text(text.replace("\n\nRTPU", "\nSTRICT yes\n\nRTPU", 1))
+    refused = pbonet("start", file=job)
+    assert refused.returncode == 1
+    assert said in refused.stderr
+    assert "ON" not in {task.state for task in agents["arm0"].tasks.values()}
+    puma.write_text(text)
+    done = pbonet("start", file=job)
+    assert (done.returncode, f"WARNING> {rmod}" in done.stderr) == (0, True), done
+    assert said in done.stderr
 
 
 def test_refusal_has_status_one_and_no_stack(standing):

@@ -69,6 +69,8 @@ class Code(StrEnum):
     """An input that comes from elsewhere may have any age."""
     UNSAFE_ROBOT = "unsafe-robot"
     """A robot interface goes on while the configuration is illegal."""
+    FALLBACK_RTPU = "fallback-rtpu"
+    """A standby's RMOD names another RTPU than that of its original."""
     STAMP_LOOP = "stamp-loop"
     """Tasks pass on each other's age, which only grows."""
     HOLD_LOOP = "hold-loop"

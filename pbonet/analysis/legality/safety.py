@@ -81,26 +81,27 @@ def _without_limit(
 def _robot(task: Task, severity: Severity) -> Iterator[Problem]:
     if task.info is None or not task.info.robot_interface:
         return
+    name = task.rmod.name
     if not task.info.critical_ok:
-        yield Problem(
-            code=Code.UNSAFE_ROBOT,
-            severity=severity,
-            what=f"{task.name} is a robot interface, and its module {task.rmod.module} "
-            "does not say what to do when the configuration is illegal",
-            where=task.place("MODULE"),
-            expected="stable(), or a safe value of each out-var",
-            remedy=f"write stable(self, dt) in {task.rmod.module}, and CRITICAL in "
-            f"{task.rmod.name}.rmod",
-            tasks=(task.name,),
+        what = (
+            f", and its module {task.rmod.module} does not say what to do when the "
+            "configuration is illegal"
+        )
+        expected = "stable(), or a safe value of each out-var"
+        remedy = (
+            f"write stable(self, dt) in {task.rmod.module}, and CRITICAL in {name}.rmod"
         )
     elif not task.rmod.critical:
-        yield Problem(
-            code=Code.UNSAFE_ROBOT,
-            severity=severity,
-            what=f"{task.name} is a robot interface and not CRITICAL, so it acts while "
-            "the configuration is illegal",
-            where=task.place("MODULE"),
-            expected="CRITICAL",
-            remedy=f"write CRITICAL in {task.rmod.name}.rmod",
-            tasks=(task.name,),
-        )
+        what = " and not CRITICAL, so it acts while the configuration is illegal"
+        expected, remedy = "CRITICAL", f"write CRITICAL in {name}.rmod"
+    else:
+        return
+    yield Problem(
+        code=Code.UNSAFE_ROBOT,
+        severity=severity,
+        what=f"{task.name} is a robot interface{what}",
+        where=task.place("MODULE"),
+        expected=expected,
+        remedy=remedy,
+        tasks=(task.name,),
+    )

@@ -24,7 +24,7 @@ from .safety import check_safety
 from .shapes import check_shapes
 from .times import check_times
 from .timing import check_loads, check_traffic
-from .wiring import check_constants, check_readers, check_writers
+from .wiring import check_constants, check_readers, check_standbys, check_writers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -126,6 +126,7 @@ def check(configuration: Configuration) -> list[Problem]:
         check_ages,
         check_circles,
         check_safety,
+        check_standbys,
         check_units,
         check_initialization,
         check_loads,

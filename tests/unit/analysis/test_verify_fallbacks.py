@@ -1,5 +1,6 @@
 """A job is judged with each standby in its original's place, and never with both."""
 
+import pytest
 from msgspec import structs
 from verify_parts import configuration, task
 
@@ -93,3 +94,18 @@ def test_an_original_that_is_turned_on_beside_its_fallback_is_swapped_back():
     assert problem.remedy == (
         "`swap safe pid` lets pid take over again, and its fallback safe stands by"
     )
+
+
+@pytest.mark.parametrize(("rtpu", "said"), [("arm1", 1), ("arm0", 0), (None, 0)])
+def test_an_rtpu_of_a_standbys_own_is_ignored_and_that_is_said(rtpu, said):
+    spare = standby("pid", outvar="T")
+    spare = structs.replace(spare, rmod=structs.replace(spare.rmod, rtpu=rtpu))
+    found = judged(task("pid", outvar="T"), spare, READER).problems
+    assert [one.code for one in found] == [legality.Code.FALLBACK_RTPU] * said
+    if said:
+        (one,) = found
+        assert one.severity is legality.Severity.WARN
+        assert one.where == "safe.rmod"
+        assert one.what == (
+            "safe stands by for pid, so it is on the same RTPU arm0 and is lost with it"
+        )
