@@ -39,6 +39,8 @@ class Jaws(PortBasedObject[Drive]):
     part between them. Setting `x` brings a new part.
     """
 
+    robot_interface = True
+
     CLOSED = UserSignal(0, "the jaws have stopped closing")
     OPENED = UserSignal(1, "the jaws are open")
 
@@ -82,6 +84,11 @@ class Jaws(PortBasedObject[Drive]):
             self.part[:] = self.tip
         wanted = "closed" if self.wish < OPEN / 2 else "open"
         self._tell(wanted, moved=self.width != before)
+
+    def stable(self, dt: float) -> None:
+        """Leave the jaws where they are, and what they hold in them."""
+        if self.held:
+            self.part[:] = self.tip
 
     def _tell(self, wanted: str, *, moved: bool) -> None:
         """Tell once that the jaws have come to rest."""
