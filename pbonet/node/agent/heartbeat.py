@@ -172,7 +172,8 @@ class Heartbeat:
                     one.seen and one.machine == agent.machine
                     for one in self._agents.values()
                 )
-                if last and agent.heard < now - FORGET:
+                here = agent.machine == self._machine.decode()  # see `silence`
+                if last and not here and agent.heard < now - FORGET:
                     self._agents.pop(name, None)
             if gone:
                 self._report(Change(name, agent.machine, seen=False, last=last))

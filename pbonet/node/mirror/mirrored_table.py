@@ -36,6 +36,8 @@ log = logging.getLogger("pbonet.node")
 SHORTEST, LONGEST = 0.00015, 0.025
 """Limits of the seconds between reads of a table, which depend on how often it changes.
 A read costs tens of microseconds, so commits close to each other are sent together."""
+NEVER = 1e9
+"""A duration that is never over, in seconds."""
 UNHEARD = 0.2
 """Seconds between reads if no other machine receives."""
 BEAT = 0.5
@@ -104,6 +106,8 @@ class MirroredTable:
         self._used = time.monotonic()
         self.mirror: Mirror | None = None
         self.next = 0.0
+        self._keeper_due = 0.0
+        """When the loss of the keeper's machine is checked again."""
         self.changed = False
         """Whether commands have changed it while there was no other machine."""
         self.incoming = PacketQueue(lambda: owner.do(self._take_waiting))
@@ -127,13 +131,15 @@ class MirroredTable:
         """Change how the table is used."""
         if use != self._use:
             self._use, self._used = use, time.monotonic()
-            self.next = 0.0
+            self.next = self._keeper_due = 0.0
 
     def turn(self, now: float) -> None:
         """Do what is due, and set the time of the next turn."""
         self._transfer(now)
         if self.mirror is not None:
-            self._check_keeper(self.mirror, now)
+            if now >= self._keeper_due:
+                self._check_keeper(self.mirror, now)
+            self.next = min(self.next, self._keeper_due)
 
     def _transfer(self, now: float) -> None:
         """Send what is new to the other machines, and miss the silent ones."""
@@ -160,13 +166,13 @@ class MirroredTable:
     def _check_keeper(self, mirror: Mirror, now: float) -> None:
         """Raise or clear the flag for the loss of the keeper's machine."""
         keeper, alone = self._use.keeper, self._use.alone
-        loss = ""
+        loss, left = "", NEVER
         if keeper and alone:
             left = alone - min(self._owner.silence(keeper), now - self._used)
-            if left > 0:
-                self.next = min(self.next, now + left)
-            else:
+            if left <= 0:
                 loss = f"no sign of life from RTPU {keeper} for {alone:g} s (ALONE)"
+                left = UNHEARD
+        self._keeper_due = now + left
         before = mirror.loss_of_keeper
         if loss != before:
             mirror.loss_of_keeper = loss
@@ -210,7 +216,7 @@ class MirroredTable:
     def meet(self) -> None:
         """Exchange states with a machine that is in sight again."""
         if self.mirror is not None:
-            self.next = 0.0  # it may be the keeper's
+            self.next = self._keeper_due = 0.0  # it may be the keeper's
             self._exchange()
 
     def call(self, calls: Sequence[Call]) -> None:

@@ -198,6 +198,14 @@ class Claims:
                 got=f"{request.hangtime:g} s",
                 remedy="correct HANGTIME in the .sbs file",
             )
+        if not 0 <= request.alone < float("inf"):
+            raise ClaimError(
+                "the time without the keeper is not usable",
+                where=self._rtpu,
+                expected="0 s (never) or more",
+                got=f"{request.alone:g} s",
+                remedy="correct ALONE in the .sbs file",
+            )
 
     def _lapsed(
         self,

@@ -150,6 +150,8 @@ def test_a_released_claim_is_gone_and_its_epoch_never_comes_again(claims):
         {"minfreq": float("nan")},
         {"hangtime": 0.0},
         {"hangtime": float("inf")},
+        {"alone": -1.0},
+        {"alone": float("nan")},
     ],
 )
 def test_wishes_that_cannot_be(claims, wish):

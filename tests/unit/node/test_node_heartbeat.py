@@ -86,6 +86,8 @@ def test_silence_is_that_of_the_whole_machine(beats, now) -> None:
     beats._note_beat(sample("arm3", "here"))
     now[0] += 0.5
     assert beats.silence("arm1") == 0.5
+    now[0] += FORGET + 1
+    beats._check(now[0])
     for name in ("arm0", "arm3"):
         assert beats.silence(name) == 0.0, "of this machine"
 
