@@ -30,6 +30,8 @@ WINDOW_NS: Final = 10_000_000_000
 SINGLE: Final = 3
 """Warnings of one cause that are reported one by one, before they are joined."""
 _JOINED: Final = frozenset({"WARNING", "HANDLED"})
+_AGES: Final = frozenset({"STALE", "FRESH"})
+"""Codes of one cause, the age of inputs: the newest says how it is."""
 CAUSES: Final = 50
 """Most causes of one task that are followed; others are reported one by one."""
 _NUMBER: Final = re.compile(r"(?<!\w)\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
@@ -149,13 +151,11 @@ class Signals:
 class _Cause(Struct):
     """A warning that was reported, and how often it has come again."""
 
-    code: str
     began_ns: int
     single: int = 1
-    last: str = ""
     times: int = 0
-    errnum: int = 0
-    place: str = ""
+    last: rtpu_messages.Notice | None = None
+    """The newest of those that were counted."""
 
 
 class RepeatedWarnings:
@@ -179,21 +179,22 @@ class RepeatedWarnings:
 
         It is then counted. A report with other signals is none.
         """
-        if notice.code not in _JOINED or notice.bits & ~Signal.WARNING:
+        if notice.code not in _JOINED | _AGES or notice.bits & ~Signal.WARNING:
             return False
         causes = self._causes.setdefault(task, {})
         key = notice.code, _NUMBER.sub("#", notice.text), notice.errnum
+        if notice.code in _AGES:
+            key = "", "", 0
         known = causes.get(key)
         if known is None:
             if len(causes) < CAUSES:
-                causes[key] = _Cause(notice.code, now_ns)
+                causes[key] = _Cause(now_ns)
             return False
         if known.single < SINGLE:
             known.single += 1
             return False
         known.times += 1
-        known.last = notice.text
-        known.errnum, known.place = notice.errnum, notice.place
+        known.last = notice
         where = task.facts.subsystem
         self._events.count(notice.code, subsystem=where, task=task.name)
         return True
@@ -206,7 +207,7 @@ class RepeatedWarnings:
                     continue
                 if cause.times:
                     self._report(task, cause, now_ns)
-                    causes[key] = _Cause(cause.code, now_ns, SINGLE)
+                    causes[key] = _Cause(now_ns, SINGLE)
                 else:
                     del causes[key]
 
@@ -217,15 +218,17 @@ class RepeatedWarnings:
                 self._report(task, cause, now_ns)
 
     def _report(self, task: Task, cause: _Cause, now_ns: int) -> None:
+        if (last := cause.last) is None:
+            return
         seconds = max(1, round((now_ns - cause.began_ns) * 1e-9))
         where = task.facts.subsystem
-        self._events.count(cause.code, -1, subsystem=where, task=task.name)
+        self._events.count(last.code, -1, subsystem=where, task=task.name)
         self._events.add(
-            Severity.WARNING,
-            cause.code,
-            f"[{cause.times} more in {seconds} s] {cause.last}",
+            Severity(last.severity),
+            last.code,
+            f"[{cause.times} more in {seconds} s] {last.text}",
             subsystem=where,
             task=task.name,
-            errnum=cause.errnum,
-            place=cause.place,
+            errnum=last.errnum,
+            place=last.place,
         )

@@ -60,6 +60,23 @@ def test_a_flood_becomes_one_event_in_ten_seconds(rig: Rig) -> None:
     assert by_task(rig.events.counts(), "s") == {"t": {"WARNING": 600}}
 
 
+def test_inputs_that_change_to_and_fro_are_one_cause_and_the_newest_counts(
+    rig: Rig,
+) -> None:
+    for i in range(600):
+        now = i * 100_000_000
+        code = "FRESH" if i % 2 else "STALE"
+        rig.warn(f"the inputs are {code}", now, code=code, bits=Signal(0))
+        rig.warnings.report(now)
+    rig.warnings.end(rig.task, 60 * 10**9)
+    events = rig.events.since(0)
+    assert len(events) == SINGLE + 6
+    assert [one.code for one in events[:SINGLE]] == ["STALE", "FRESH", "STALE"]
+    assert events[-1].code == "FRESH"
+    assert events[-1].text.endswith("more in 10 s] the inputs are FRESH")
+    assert by_task(rig.events.counts(), "s") == {"t": {"STALE": 300, "FRESH": 300}}
+
+
 def test_another_cause_is_not_held_back(rig: Rig) -> None:
     for _ in range(SINGLE):
         assert rig.warn("Z2 is taken, not Z1", 0)
