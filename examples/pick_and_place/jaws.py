@@ -85,7 +85,7 @@ class Jaws(PortBasedObject[Drive]):
         wanted = "closed" if self.wish < OPEN / 2 else "open"
         self._tell(wanted, moved=self.width != before)
 
-    def stable(self, dt: float) -> None:
+    def stable(self, dt: float) -> None:  # noqa: ARG002
         """Leave the jaws where they are, and what they hold in them."""
         if self.held:
             self.part[:] = self.tip
