@@ -21,6 +21,7 @@ from hostfleet import Desk
 from nodekit import alive, fork_server_of
 from watching import wait_for
 
+from pbonet.errors import ClaimError
 from pbonet.testing.lan import Lan
 from pbonet.xm.net import messages as m
 
@@ -30,6 +31,8 @@ MAXAGE = 0.2
 STALL = 0.1
 """Seconds for which a machine may stand still between copy-in and cycle."""
 RTPUS = ("arm0", "arm1")
+ROUNDS = 20
+WHERE = {"src": "src@host-a", "two": "two@host-b"}
 INPUTS = {"arm0": ("back", "Z2", "Y2"), "arm1": ("sink", "Z0", "Z2")}
 """By RTPU its CRITICAL task, the variable that it reads, and the one that it writes."""
 
@@ -163,6 +166,68 @@ def test_a_split_in_which_both_sides_write(cell, lan, lab):
     assert cell.value("arm1", "Z0").writer == "two"
     cell.off("arm1", "two")
     wait_healed(cell)
+
+
+def test_masters_on_both_sides_of_a_cut_that_command_the_contrary(pair, lan):
+    """Each has its side; where both have a writer when they meet, nothing is taken."""
+    left = Desk(pair, "cell", RTPUS, host="a")
+    chance, both = random.Random(14), 0
+    try:
+        left.spawn("arm0", "src", "counts", out="Z0")
+        left.spawn("arm1", "two", "counts", out="Z0")
+        spawn_critical(left, "arm1")
+        left.on("arm0", "src")
+        left.on("arm1", "sink")
+        for _ in range(ROUNDS):
+            wait_steady(left)
+            lan.cut("a", "b")
+            right = Desk(pair, "cell", (), host="b")
+            right.rtpus = list(RTPUS)
+            wait_for(lambda r=right: claimed(r, "arm1"), "the claim on b")
+            if not (here := chance.random() < 0.7):
+                left.off("arm0", "src")
+            if there := chance.random() < 0.7:
+                right.on("arm1", "two")
+            lan.heal("a", "b")
+            pair.wait_all()
+            with pytest.raises(ClaimError):
+                left.control("arm1", "two", "off" if there else "on")
+            writers = {WHERE["src"]} if here else set()
+            writers |= {WHERE["two"]} if there else set()
+            both += here and there
+            wait_for(lambda w=writers: agree(left, w), f"the writers {writers}")
+            if there:
+                right.off("arm1", "two")
+            right.token.undeclare()
+            wait_for(lambda: claimed(left, "arm1"), "the claim of the first one")
+            if not here:
+                left.on("arm0", "src")
+        assert both >= ROUNDS / 4
+    finally:
+        lan.heal_all()
+        pair.wait_all()
+        left.close()
+
+
+def claimed(desk, rtpu):
+    """Claim an RTPU; return whether it was granted."""
+    try:
+        desk.claim(rtpu)
+    except ClaimError:
+        return False
+    return True
+
+
+def agree(desk, writers):
+    """Return whether both machines know who writes Z0, or that two do."""
+    fight = "Z0 is written on two machines"
+    if len(writers) > 1:
+        return all(fight in desk.illegal(rtpu) for rtpu in RTPUS)
+    seen = {desk.value(rtpu, "Z0").writer for rtpu in RTPUS}
+    seen = {one if "@" in one or not one else WHERE[one] for one in seen}
+    return seen == (writers or {""}) and not any(
+        fight in desk.illegal(rtpu) for rtpu in RTPUS
+    )
 
 
 def test_a_slow_cable_is_no_loss(cell, lan, lab):
