@@ -8,6 +8,7 @@ and outlives the agent.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
@@ -182,30 +183,37 @@ class Claims:
                 got=f"subsystem {request.subsystem!r}, client {request.client!r}",
                 remedy="fill in both, as docs/protocol.md describes",
             )
-        if not 0 < request.minfreq < request.maxfreq < float("inf"):
-            raise ClaimError(
-                "the range of frequencies is not usable",
-                where=self._rtpu,
-                expected="0 < minfreq < maxfreq, in Hz",
-                got=f"{request.minfreq:g} to {request.maxfreq:g}",
-                remedy="correct MINFREQ and MAXFREQ in the .sbs file",
-            )
-        if not 0 < request.hangtime <= LONGEST_HANG:
-            raise ClaimError(
-                "the time after which a cycle hangs is not usable",
-                where=self._rtpu,
-                expected=f"above 0, up to {LONGEST_HANG:g} s",
-                got=f"{request.hangtime:g} s",
-                remedy="correct HANGTIME in the .sbs file",
-            )
-        if not 0 <= request.alone < float("inf"):
-            raise ClaimError(
-                "the time without the keeper is not usable",
-                where=self._rtpu,
-                expected="0 s (never) or more",
-                got=f"{request.alone:g} s",
-                remedy="correct ALONE in the .sbs file",
-            )
+        for usable, what, expected, got, keyword in (
+            (
+                0 < request.minfreq < request.maxfreq < math.inf,
+                "the range of frequencies",
+                "0 < minfreq < maxfreq, in Hz",
+                f"{request.minfreq:g} to {request.maxfreq:g}",
+                "MINFREQ and MAXFREQ",
+            ),
+            (
+                0 < request.hangtime <= LONGEST_HANG,
+                "the time after which a cycle hangs",
+                f"above 0, up to {LONGEST_HANG:g} s",
+                f"{request.hangtime:g} s",
+                "HANGTIME",
+            ),
+            (
+                0 <= request.alone < math.inf,
+                "the time without the keeper",
+                "0 s (never) or more",
+                f"{request.alone:g} s",
+                "ALONE",
+            ),
+        ):
+            if not usable:
+                raise ClaimError(
+                    f"{what} is not usable",
+                    where=self._rtpu,
+                    expected=expected,
+                    got=got,
+                    remedy=f"correct {keyword} in the .sbs file",
+                )
 
     def _lapsed(
         self,

@@ -160,7 +160,7 @@ class Mirror:
         text = (
             f"the table of host {head.host[:40]} is of version {head.v}, here "
             f"{packets.VERSION}: no values are exchanged"
-        )
+        )[:120]
         new = text not in self._unread
         self._unread[text] = head.machine, now_ns()
         if new:
