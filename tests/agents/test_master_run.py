@@ -154,6 +154,22 @@ def test_stopped_processes_end_with_a_master_that_was_killed(run, nodes, shared_
     wait_for(lambda: not list(shared_memory.iterdir()), "the end of all tables")
 
 
+def test_an_agent_that_is_stopped_behind_the_end_of_its_master_ends(run, nodes):
+    """The kernel has continued it at that end, and nobody sends that a second time."""
+    process = run()
+    until_on(process)
+    agents = [
+        pid
+        for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
+        if "--name arm" in command
+    ]
+    process.kill()
+    process.wait()
+    for pid in agents:
+        os.kill(pid, signal.SIGSTOP)
+    wait_for(lambda: left_of(nodes) == [], "the end of all processes")
+
+
 def test_a_run_whose_own_agent_was_killed_ends_and_says_so(run, nodes, shared_memory):
     """And its recorder is stopped at that time; it is continued then, and ends."""
     process = run()

@@ -202,8 +202,8 @@ class Spawner:
         server.control.settimeout(0)
         loop = asyncio.get_running_loop()
         try:
-            answer = loop.sock_recv(server.control, 65536)
-            ready = await asyncio.wait_for(answer, START_TIME)
+            async with asyncio.timeout(START_TIME):
+                ready = await loop.sock_recv(server.control, 65536)
         except (TimeoutError, OSError):
             ready = b""
         if not ready:
@@ -281,7 +281,8 @@ class Spawner:
         try:
             os.kill(server.pid, signal.SIGCONT)  # it may be stopped
             socket.send_fds(server.control, [rtpu_messages.encode(request)], fds)
-            return await asyncio.wait_for(answer, FORK_TIME)
+            async with asyncio.timeout(FORK_TIME):
+                return await answer
         except (OSError, TimeoutError) as error:
             raise NodeError(
                 "the fork server does not fork",

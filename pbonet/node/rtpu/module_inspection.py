@@ -83,7 +83,8 @@ class ModuleInspection:
 async def _result(child: Child, name: str | None) -> Inspected:
     what = f"module {name}" if name else "the modules of the libraries"
     try:
-        code = await asyncio.wait_for(asyncio.shield(child.exited), PATIENCE)
+        async with asyncio.timeout(PATIENCE):
+            code = await asyncio.shield(child.exited)
     except TimeoutError:
         raise ModuleLoadError(
             f"loading {what} does not finish",

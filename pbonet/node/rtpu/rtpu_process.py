@@ -93,7 +93,8 @@ class AgentLink:
             self._send(rtpu_messages.Ending(reason))
             self._flush()
             with contextlib.suppress(OSError, TimeoutError):
-                await asyncio.wait_for(self._writer.drain(), 0.5)
+                async with asyncio.timeout(0.5):
+                    await self._writer.drain()
             self._writer.close()
 
     async def _serve(

@@ -540,7 +540,8 @@ class Rtpu:
         end = loop.time() + WATCH_PERIOD
         while (left := end - loop.time()) > 0.0:
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self.flags.waits.wait(), left)
+                async with asyncio.timeout(left):
+                    await self.flags.waits.wait()
                 await asyncio.sleep(GLANCE)
                 self.flags.evaluate_if_changed()
 

@@ -198,7 +198,8 @@ class Successors:
         if task.engaged is None:
             return
         try:
-            notice = await asyncio.wait_for(asyncio.shield(task.engaged), limit)
+            async with asyncio.timeout(limit):
+                notice = await asyncio.shield(task.engaged)
         except TimeoutError:
             raise NoAnswerError(
                 "the task was not turned on in time",

@@ -260,7 +260,8 @@ class Task:
             PbonetError: What the task answered.
         """
         try:
-            done = await asyncio.wait_for(asyncio.shield(answer), left)
+            async with asyncio.timeout(left):
+                done = await asyncio.shield(answer)
         except TimeoutError:
             given = left if of is None else of
             raise NoAnswerError(
@@ -317,9 +318,8 @@ class Task:
         self.stopping = True
         for _ in range(max(1, math.ceil(patience / _SLICE))):
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(
-                    self.gone.wait(), min(_SLICE, max(patience, 0.0))
-                )
+                async with asyncio.timeout(min(_SLICE, max(patience, 0.0))):
+                    await self.gone.wait()
                 return True
         self.child.send_signal(signal.SIGKILL)
         await self.gone.wait()

@@ -29,6 +29,8 @@ PR_SET_CHILD_SUBREAPER = 36
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
+CONTINUE_PERIOD = 0.2
+"""Seconds between signals that continue a process that has to end."""
 EXEC_ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -49,6 +51,28 @@ def set_parent_death_signal(which: signal.Signals, parent: int = 0) -> bool:
     """Request `which` when the parent ends; return whether the parent is `parent`."""
     _libc.prctl(PR_SET_PDEATHSIG, int(which), 0, 0, 0)
     return os.getppid() == parent
+
+
+def stay_continued() -> None:
+    """Have the kernel continue this process within 0.2 s whenever it is stopped.
+
+    A stopped process cannot end in order, and often nobody is left to continue it. A
+    handler of SIGCONT must be set; it is called that often.
+
+    Raises:
+        OSError: The kernel gives no timer.
+    """
+    event = (ctypes.c_int * 16)()  # struct sigevent: value, number, SIGEV_SIGNAL
+    event[ctypes.sizeof(ctypes.c_void_p) // ctypes.sizeof(ctypes.c_int)] = int(
+        signal.SIGCONT
+    )
+    timer = ctypes.c_void_p()
+    seconds, ns = divmod(round(CONTINUE_PERIOD * 1e9), 1_000_000_000)
+    period = (ctypes.c_long * 4)(seconds, ns, seconds, ns)
+    if _libc.timer_create(
+        time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)
+    ) or _libc.timer_settime(timer, 0, ctypes.byref(period), None):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
 
 def adopt_descendants() -> None:

@@ -1,13 +1,16 @@
 """An RTPU's entries in the illegal-configuration flag."""
 
+import asyncio
 import os
 import subprocess
+from types import SimpleNamespace
 
 import pytest
 
 from pbonet.config import parse_svar
 from pbonet.errors import SvarFullError, UnknownVariableError
 from pbonet.node.rtpu.illegal_flag import Flags
+from pbonet.node.rtpu.rtpu_state import Rtpu
 from pbonet.node.wire.event_log import EventLog
 from pbonet.node.wire.rtpu_messages import OpenTable
 from pbonet.svar import Table
@@ -216,3 +219,23 @@ def test_what_a_master_found_ends_with_its_table(table):
         assert standing(other) == []
     finally:
         other.destroy()
+
+
+def test_the_watch_ends_when_it_is_told_to_while_something_changes():
+    """Python 3.11's `wait_for` loses a cancellation that comes with its result."""
+
+    async def ends(passes: int) -> bool:
+        waits = asyncio.Event()
+        flags = SimpleNamespace(waits=waits, evaluate_if_changed=lambda: None)
+        watch = asyncio.create_task(Rtpu._pause(SimpleNamespace(flags=flags)))
+        await asyncio.sleep(0.0)
+        await asyncio.sleep(0.0)
+        waits.set()
+        for _ in range(passes):
+            await asyncio.sleep(0.0)
+        watch.cancel()
+        await asyncio.wait([watch])
+        return watch.cancelled()
+
+    for passes in range(4):
+        assert asyncio.run(ends(passes))
