@@ -56,8 +56,8 @@ def set_parent_death_signal(which: signal.Signals, parent: int = 0) -> bool:
 def stay_continued() -> None:
     """Have the kernel continue this process within 0.2 s whenever it is stopped.
 
-    A stopped process cannot end in order, and often nobody is left to continue it. A
-    handler of SIGCONT must be set; it is called that often.
+    A stopped process cannot end in order, and often no process is left that could
+    continue it. A handler of SIGCONT must be set; it is called that often.
 
     Raises:
         OSError: The kernel gives no timer.
