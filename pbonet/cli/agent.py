@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import signal
@@ -108,22 +107,9 @@ def command(
 
 
 def _end_with(parent: int) -> bool:
-    """Let this process end when its parent does; return whether that still lives.
-
-    The kernel sends SIGCONT then, as a stopped process would not see another signal,
-    and from then on again and again.
-    """
+    """Let this process end when its parent does; return whether that still lives."""
     from pbonet.node.wire import process_setup
 
-    ends = False
-
-    def on_continue(*_: object) -> None:
-        nonlocal ends
-        if os.getppid() != parent and not ends:
-            ends = True
-            with contextlib.suppress(OSError):  # then it ends unless it is stopped
-                process_setup.stay_continued()
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    signal.signal(signal.SIGCONT, on_continue)
-    return process_setup.set_parent_death_signal(signal.SIGCONT, parent)
+    return process_setup.on_end_of_parent(
+        parent, lambda: os.kill(os.getpid(), signal.SIGTERM)
+    )

@@ -5,6 +5,7 @@ What it records in real time stands in `integration/test_run_recorded.py`.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import nodekit
 import pytest
+from nodekit import wait_gone
 from rich.console import Console
 from virtual_job import VirtualJob
 from watching import processes_of, wait_for
@@ -154,19 +156,24 @@ def test_stopped_processes_end_with_a_master_that_was_killed(run, nodes, shared_
     wait_for(lambda: not list(shared_memory.iterdir()), "the end of all tables")
 
 
-def test_an_agent_that_is_stopped_behind_the_end_of_its_master_ends(run, nodes):
-    """The kernel has continued it at that end, and nobody sends that a second time."""
+@pytest.mark.parametrize(
+    ("ended", "stopped"),
+    [("cli run", ["--name arm"]), ("--name arm1", ["recorder_process"])],
+)
+def test_what_is_stopped_behind_the_end_of_its_parent_ends(run, nodes, ended, stopped):
+    """The kernel has continued it at that end, and no process does a second time."""
     process = run()
     until_on(process)
-    agents = [
-        pid
-        for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
-        if "--name arm" in command
-    ]
-    process.kill()
-    process.wait()
-    for pid in agents:
-        os.kill(pid, signal.SIGSTOP)
+    there = processes_of("PBONET_RUN_DIR", str(nodes.folder))
+    for pid, command in there:
+        if ended in command:
+            os.kill(pid, signal.SIGKILL)
+            wait_gone([pid])
+    for pid, command in there:
+        if any(word in command for word in stopped):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGSTOP)
+    process.communicate()
     wait_for(lambda: left_of(nodes) == [], "the end of all processes")
 
 

@@ -356,7 +356,7 @@ class Pipe:
 def main(argv: list[str]) -> int:
     """Record by the plan in a memory file (its descriptor) until stdin is closed."""
     process_setup.set_title("pbonet-recorder")
-    process_setup.set_parent_death_signal(signal.SIGCONT)  # it may be stopped then
+    process_setup.on_end_of_parent(os.getppid())
     stop = False
 
     def asked(_number: int, _frame: object) -> None:

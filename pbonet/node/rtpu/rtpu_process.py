@@ -282,7 +282,7 @@ def main(argv: list[str]) -> int:
         faulthandler.enable(all_threads=False)  # others keep running
         survive_cuts()
         process_setup.set_title("pbonet-rtpu")
-        process_setup.set_parent_death_signal(signal.SIGCONT)  # it may be stopped then
+        process_setup.on_end_of_parent(os.getppid())
         return asyncio.run(run(config, forks))
     except PbonetError as error:
         _report_ready(config.ready_fd, rtpu_messages.Ready(error=error.to_wire()))

@@ -14,7 +14,10 @@ import signal
 import site
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 LINK_LEVEL = 2
 """Priority of the threads that carry records between machines; commands have 3."""
@@ -30,7 +33,7 @@ PR_SET_CHILD_SUBREAPER = 36
 _libc = ctypes.CDLL(None, use_errno=True)
 
 CONTINUE_PERIOD = 0.2
-"""Seconds between signals that continue a process that has to end."""
+"""Seconds between signals that continue a process whose parent has ended."""
 EXEC_ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -53,11 +56,31 @@ def set_parent_death_signal(which: signal.Signals, parent: int = 0) -> bool:
     return os.getppid() == parent
 
 
-def stay_continued() -> None:
-    """Have the kernel continue this process within 0.2 s whenever it is stopped.
+def on_end_of_parent(parent: int, call: Callable[[], None] | None = None) -> bool:
+    """Call a function once when the parent ends; return whether it is the parent.
 
-    A stopped process cannot end in order, and often no process is left that could
-    continue it. A handler of SIGCONT must be set; it is called that often.
+    The kernel sends SIGCONT then, as a stopped process would not see another signal,
+    and from then on every 0.2 s: it may be stopped again, and often no process is left
+    that could continue it.
+    """
+    seen = False
+
+    def on_continue(*_: object) -> None:
+        nonlocal seen
+        if os.getppid() == parent or seen:
+            return
+        seen = True
+        with contextlib.suppress(OSError):  # then it ends unless it is stopped again
+            _continue_again_and_again()
+        if call is not None:
+            call()
+
+    signal.signal(signal.SIGCONT, on_continue)
+    return set_parent_death_signal(signal.SIGCONT, parent)
+
+
+def _continue_again_and_again() -> None:
+    """Have the kernel send SIGCONT to this process every 0.2 s.
 
     Raises:
         OSError: The kernel gives no timer.
