@@ -47,6 +47,7 @@ RUNS = {
     "record": "record",
     "kills": "kills",
     "soak": "soak",
+    "siblings": "siblings",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -63,6 +64,7 @@ QUICK = {
     "startup": "--rounds 2",
     "kills": "--rounds 2",
     "soak": "--minutes 0.1",
+    "siblings": "--seconds 0.5",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",
