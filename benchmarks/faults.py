@@ -10,8 +10,9 @@ A row is a kind of fault, repeated: cuts of several lengths, in one direction or
 random loss, an agent, an RTPU process or a machine killed, a machine that comes back
 with its clock an hour ahead. It shows the oldest command and the oldest sample of the
 source that `cycle` acted on, when `stable` came first, how much longer than the cut
-nothing was controlled, and how long after the end of the fault all was well. Then b is
-cut off, and `status` and `stop` are asked on a: what they said, and what was so.
+nothing was controlled, and how long after the end of the fault all was well. For cables
+that carry too little it shows how often `cycle` and `stable` took turns. Then b is cut
+off, and `status` and `stop` are asked on a: what they said, and what was so.
 
 Ends with status 3 when a goal is missed.
 
@@ -23,6 +24,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import random
 import signal
@@ -58,6 +60,11 @@ MAXAGE = 0.05
 STALL = 0.02
 """Seconds between a copy-in and `cycle`, for which a machine may stand still."""
 LENGTHS = (0.05, 0.2, 0.5, 1.0)
+RATES = (50e3, 100e3, 150e3)
+"""Bytes a second of a narrow cable; the controller's table needs about 120 kB/s."""
+NARROW_TIME = 6.0
+MOST_CHANGES = 2.0
+"""Goal: changes between `cycle` and `stable` a second, on a narrow cable."""
 WELL = 0.3
 """Seconds without `stable` after which all is well."""
 LIMIT = 30.0
@@ -402,6 +409,27 @@ def lossy(cell: Cell, chance: random.Random) -> Outcome:
     return outcome(cell.robot.take(), begin, end)
 
 
+def narrow(cell: Cell, rate: float) -> dict[str, float]:
+    """Let the cable before the robot carry little for a time; return what it did."""
+    cell.robot.reset()
+    begin = time.time()
+    cell.lan.narrow("b", "c", rate)
+    time.sleep(NARROW_TIME)
+    end = time.time()
+    cell.lan.narrow("b", "c", math.inf)
+    rows = cell.robot.take()
+    wait(lambda: cell.robot.is_well(end), "healing", LIMIT)
+    cycles = Cycles(*rows[(rows[:, 2] > begin) & (rows[:, 2] < end)].T)
+    acted = cycles.stable == 0.0
+    ages = (cycles.now - cycles.command)[acted]
+    return {
+        "rate": rate,
+        "changes": float(np.count_nonzero(np.diff(cycles.stable))) / NARROW_TIME,
+        "stable": float(1.0 - acted.mean()),
+        "command": float(ages.max(initial=0.0)),
+    }
+
+
 def killed(cell: Cell, what: str) -> Outcome:
     """Kill a part of b, and bring it back."""
     side = cell.sides["two"]
@@ -498,6 +526,20 @@ def goals(found: dict[str, list[Outcome]]) -> Iterator[str]:
             yield rtbench.verdict(f"{name}: hole beyond the cut, p90, s,", p90, 0.15)
 
 
+def narrow_goals(found: list[dict[str, float]]) -> Iterator[str]:
+    """Print what narrow cables did, and yield a line for each goal."""
+    for one in found:
+        print(
+            f"cable of {one['rate'] / 1e3:.0f} kB/s, b - c: {one['changes']:.1f} "
+            f"changes between cycle and stable a second, {one['stable']:.0%} stable, "
+            f"oldest command {1e3 * one['command']:.0f} ms"
+        )
+    most = max(one["changes"] for one in found)
+    yield rtbench.verdict("narrow cable: changes a second", most, MOST_CHANGES)
+    oldest = max(one["command"] for one in found)
+    yield rtbench.verdict("narrow cable: oldest command, s,", oldest, MAXAGE + STALL)
+
+
 def measure(cell: Cell, count: int, randoms: int, seed: int) -> dict[str, Any]:
     """Run the table, and print it as it grows."""
     found: dict[str, list[Outcome]] = {}
@@ -522,6 +564,7 @@ def measure(cell: Cell, count: int, randoms: int, seed: int) -> dict[str, Any]:
     for name, what, times in cuts(count):
         add(name, what, times)
     add("cut 20-400 ms, 20 % loss, b - c", partial(lossy, chance=chance), randoms)
+    cables = [narrow(cell, rate) for rate in RATES]
     for part in ("agent", "RTPU process", "machine", "machine, clock"):
         add(f"{part} of b killed", partial(killed, what=part), max(count // 10, 1))
     said = stopping(cell)
@@ -532,7 +575,7 @@ def measure(cell: Cell, count: int, randoms: int, seed: int) -> dict[str, Any]:
             + ", ".join(f"{task} {state}" for task, state in one["so"].items())
         )
         print("    " + one["said"].replace("\n", "\n    "))
-    return {"rows": found, "said": said}
+    return {"rows": found, "cables": cables, "said": said}
 
 
 def main() -> None:
@@ -558,9 +601,9 @@ def main() -> None:
             cell.close()
     if args.json:
         rows = {k: [o._asdict() for o in many] for k, many in found["rows"].items()}
-        text = json.dumps({"rows": rows, "said": found["said"]}, indent=1)
+        text = json.dumps({**found, "rows": rows}, indent=1)
         args.json.write_text(text, encoding="utf-8")
-    rtbench.judge(goals(found["rows"]))
+    rtbench.judge([*goals(found["rows"]), *narrow_goals(found["cables"])])
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ one takes root; where that is missing `missing` says so.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import secrets
 import shutil
@@ -187,6 +188,20 @@ class Lan:
         except BaseException:
             self.quick()
             raise
+
+    def narrow(self, one: str, other: str, rate: float) -> None:
+        """Let a cable carry at most `rate` bytes a second, each way; `inf` ends it.
+
+        What does not fit waits for up to 0.4 s, and is lost then. It needs `tc`
+        (iproute2).
+        """
+        limit = ("tbf", "rate", f"{rate * 8:.0f}bit", "burst", "3kb", "latency")
+        for host, peer in ((one, other), (other, one)):
+            tc = ("tc", "-n", self.hosts[host].space, "qdisc")
+            where = ("dev", f"to-{peer}", "root")
+            _run(*tc, "del", *where, check=False)
+            if math.isfinite(rate):
+                _run(*tc, "add", *where, *limit, "400ms")
 
     def quick(self) -> None:
         """Delay nothing any more."""
