@@ -533,6 +533,9 @@ class Agent:
             self._start_again(how)
         except Exception as error:
             log.debug("starting again has failed", exc_info=True)
+            if self._over.is_set():
+                cleanup.clean_after(self.places)
+                return
             self._give_up(f"the RTPU process does not start again: {error}")
 
     def _start_again(self, how: str) -> None:
@@ -545,7 +548,7 @@ class Agent:
         if self._over.is_set():
             return
         link = RtpuLink(self.places, self._rtpu_config, self)
-        link.open()
+        link.open(self._over.is_set)
         with self._guard:
             stopping = self._stopping
             if not stopping:

@@ -29,7 +29,7 @@ from . import start_rtpu
 from .stopped_processes import PERIOD
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     from pbonet.xm.net import run_folder
 
@@ -114,8 +114,13 @@ class RtpuLink:
         self.taken_over = False
         self.info: rtpu_messages.RtpuInfo | None = None
 
-    def open(self) -> rtpu_messages.RtpuInfo:
+    def open(
+        self, given_up: Callable[[], bool] = lambda: False
+    ) -> rtpu_messages.RtpuInfo:
         """Take over the running RTPU process, or start one.
+
+        Args:
+            given_up: Returns whether one that starts is not wanted any more.
 
         Raises:
             NodeError: It cannot be started, or is of another version or core.
@@ -124,7 +129,7 @@ class RtpuLink:
         self.taken_over = self._sock is not None
         if self._sock is None:
             cleaned = cleanup.clean_after(self._places)
-            self._process = start_rtpu.start(self._places, self._config)
+            self._process = start_rtpu.start(self._places, self._config, given_up)
             self._sock = self._connect()
             if self._sock is None:
                 raise NodeError(

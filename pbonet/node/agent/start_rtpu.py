@@ -18,20 +18,29 @@ from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import process_setup, rtpu_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from pbonet.xm.net import run_folder
 
 START_TIME = 30.0
 """Seconds in which an RTPU process must start, even on a busy machine."""
+GIVE_UP_PERIOD = 0.05
+"""Seconds between two looks whether a start was given up."""
 LOG_TAIL = 4000
 
 
 def start(
-    places: run_folder.Places, config: rtpu_messages.RtpuConfig
+    places: run_folder.Places,
+    config: rtpu_messages.RtpuConfig,
+    given_up: Callable[[], bool],
 ) -> subprocess.Popen[bytes]:
     """Start an RTPU process and return it when it accepts agents.
+
+    Args:
+        places: Its files.
+        config: Its settings.
+        given_up: Returns whether it is not wanted any more, and must not be waited for.
 
     Raises:
         PbonetError: The start failed.
@@ -57,14 +66,17 @@ def start(
                 )
         finally:
             os.close(write)
-        _wait_until_ready(places, process, read)
+        _wait_until_ready(places, process, read, given_up)
     finally:
         os.close(read)
     return process
 
 
 def _wait_until_ready(
-    places: run_folder.Places, process: subprocess.Popen[bytes], read: int
+    places: run_folder.Places,
+    process: subprocess.Popen[bytes],
+    read: int,
+    given_up: Callable[[], bool],
 ) -> None:
     """Wait for the message with the result of the start.
 
@@ -73,7 +85,9 @@ def _wait_until_ready(
     """
     deadline = time.monotonic() + START_TIME
     data = b""
-    while readable(read, max(deadline - time.monotonic(), 0.0)):
+    while (left := deadline - time.monotonic()) > 0.0 and not given_up():
+        if not readable(read, min(left, GIVE_UP_PERIOD)):
+            continue
         part = os.read(read, 65536)
         if not part:
             break

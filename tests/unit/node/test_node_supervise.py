@@ -15,8 +15,9 @@ from long_limits import LIMIT
 import pbonet
 from pbonet.config.model import AgentConfig
 from pbonet.errors import NodeError
-from pbonet.node.agent import agent as agents, rtpu_link
+from pbonet.node.agent import agent as agents, rtpu_link, start_rtpu
 from pbonet.node.wire import rtpu_messages
+from pbonet.xm.net import run_folder
 
 CONFIG = rtpu_messages.RtpuConfig(domain="d", name="arm0", core=0)
 
@@ -228,7 +229,7 @@ def test_a_listener_that_fails_ends_no_link(ends, info):
 
 
 def test_an_agent_that_cannot_start_its_rtpu_process_again_ends(monkeypatch, tmp_path):
-    def refused(_):
+    def refused(*_):
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path))
@@ -248,3 +249,22 @@ def test_who_stops_lets_go_of_tables_before_they_are_removed(ends, info, monkeyp
     os.kill(info.pid, signal.SIGKILL)
     assert link.shut_down(LIMIT)
     assert hears.heard[-2:] == ["let go", "c"]
+
+
+@pytest.mark.usefixtures("run_dir")
+def test_a_start_that_was_given_up_is_not_waited_for(monkeypatch):
+    """An agent that ends needs no RTPU process any more."""
+    monkeypatch.setattr(start_rtpu, "START_TIME", float("inf"))
+    started = []
+
+    class Stopped(subprocess.Popen):
+        def __init__(self, *words, **more):
+            super().__init__(*words, **more)
+            self.send_signal(signal.SIGSTOP)  # so that it never gets ready
+            started.append(self)
+
+    monkeypatch.setattr(start_rtpu.subprocess, "Popen", Stopped)
+    places = run_folder.Places("d", "arm0")
+    with pytest.raises(NodeError, match="did not start"):
+        start_rtpu.start(places, CONFIG, lambda: bool(started))
+    assert started[0].returncode == -signal.SIGKILL
