@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 from pbonet.errors import Severity, SvarError
+
+from .task_signals import WINDOW_NS
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -28,6 +30,10 @@ MASTER = "master"
 """Raises the entries of a subsystem's masters."""
 UNFINISHED = "unfinished"
 """Raises the entries of variables that were handed over and not taken over."""
+
+
+CHANGES: Final = 6
+"""Changes of one cause that are reported one by one in a window."""
 
 
 class _Entry(Struct):
@@ -46,6 +52,75 @@ class _Entry(Struct):
     """The table's state when the entry was evaluated last."""
 
 
+class _Cause(Struct):
+    """A cause of the flag, and what was reported of it."""
+
+    began_ns: int
+    up: bool = False
+    """As it was seen last."""
+    single: int = 0
+    """Reports in this window."""
+    held: int = 0
+    """Changes that were not reported."""
+
+
+class CauseEvents:
+    """Reports which causes of the flag come (ILLEGAL) and go (LEGAL).
+
+    A cause that comes and goes again and again would hide what else happens: within a
+    window only its first changes are reported one by one. How it is then, and how often
+    it has changed, follows at the end of the window.
+
+    Args:
+        events: Takes the reports.
+    """
+
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+        self._causes: dict[str, dict[tuple[str, str], _Cause]] = {}
+
+    def subsystems(self) -> Collection[str]:
+        """Return the subsystems with causes that were reported."""
+        return list(self._causes)
+
+    def forget(self, subsystem: str) -> None:
+        """Forget the causes of a subsystem whose table is gone."""
+        self._causes.pop(subsystem, None)
+
+    def update(self, subsystem: str, there: Collection[tuple[str, str]]) -> None:
+        """Report what has changed, given the causes that are there, with raisers."""
+        now_ns = self._events.now_ns()
+        causes = self._causes.setdefault(subsystem, {})
+        for key in there:
+            causes.setdefault(key, _Cause(now_ns))
+        for key, cause in list(causes.items()):
+            if (key in there) != cause.up:
+                cause.up = not cause.up
+                cause.held += 1
+                self._events.count(_code(cause.up), subsystem=subsystem)
+            over = now_ns - cause.began_ns >= WINDOW_NS
+            if cause.held and (over or cause.single < CHANGES):
+                self._report(subsystem, key, cause)
+            if over and not (cause.up or cause.single):
+                del causes[key]
+            elif over:
+                cause.began_ns, cause.single = now_ns, 0
+
+    def _report(self, subsystem: str, key: tuple[str, str], cause: _Cause) -> None:
+        text = "{} ({})".format(*key) if cause.up else "no longer: {} ({})".format(*key)
+        if cause.held > 1:
+            text = f"[{cause.held} changes] {text}"
+        severity = Severity.WARNING if cause.up else Severity.INFO
+        self._events.count(_code(cause.up), -1, subsystem=subsystem)
+        self._events.add(severity, _code(cause.up), text, subsystem=subsystem)
+        cause.single += 1
+        cause.held = 0
+
+
+def _code(up: bool) -> str:  # noqa: FBT001 - it is what the code says
+    return "ILLEGAL" if up else "LEGAL"
+
+
 class Flags:
     """Causes raised by one RTPU, and on a table's keeper those of masters.
 
@@ -59,8 +134,7 @@ class Flags:
         self._rtpu = rtpu
         self._events = events
         self._tables = tables
-        self._reported: dict[str, dict[tuple[str, str], None]] = {}
-        """Causes and raisers that were reported, by subsystem."""
+        self._reports = CauseEvents(events)
         self._entries: dict[tuple[str, str, str], _Entry] = {}
         """By subsystem, name and, where a name has several, a cause or a variable."""
         self.waits = asyncio.Event()
@@ -198,26 +272,18 @@ class Flags:
 
         Causes that a master has raised are reported by the keeper of the table.
         """
-        for subsystem in {*self._tables.subsystems(), *self._reported}:
+        for subsystem in {*self._tables.subsystems(), *self._reports.subsystems()}:
             opened = self._tables.sound(subsystem)
-            before = self._reported.pop(subsystem, {})
             if opened is None:
+                self._reports.forget(subsystem)
                 continue
-            now = {
+            there = {
                 (cause.cause, cause.raiser): None
                 for cause in opened.table.illegal
                 if cause.raiser.startswith(f"{self._rtpu}/")
                 or (opened.use.keep and "/" not in cause.raiser)
             }
-            self._reported[subsystem] = now
-            for cause, raiser in now.keys() - before:
-                self._add(Severity.WARNING, "ILLEGAL", f"{cause} ({raiser})", subsystem)
-            for cause, raiser in before.keys() - now:
-                text = f"no longer: {cause} ({raiser})"
-                self._add(Severity.INFO, "LEGAL", text, subsystem)
-
-    def _add(self, severity: Severity, code: str, text: str, subsystem: str) -> None:
-        self._events.add(severity, code, text, subsystem=subsystem)
+            self._reports.update(subsystem, there)
 
     def evaluate_if_changed(self) -> None:
         """Evaluate again if variables have changed owners since, on any RTPU."""

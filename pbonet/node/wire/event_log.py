@@ -52,6 +52,10 @@ class EventLog:
         """The number of the next event."""
         return self._next
 
+    def now_ns(self) -> int:
+        """Return the time that an event would have now."""
+        return self._clock_ns()
+
     def add(
         self,
         severity: Severity,

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from pbonet.errors import Severity
+from pbonet.node.rtpu.illegal_flag import CHANGES, CauseEvents
 from pbonet.node.rtpu.task_signals import (
     CAUSES,
     SINGLE,
@@ -101,3 +102,43 @@ def test_a_module_with_ever_new_texts_uses_little_memory(rig: Rig) -> None:
     passed = [rig.warn(f"text {'x' * i}", 0) for i in range(CAUSES + 20)]
     assert all(passed)
     assert rig.warn("text " + "x" * (CAUSES + 10), 1), "it is not followed"
+
+
+class TestCauses:
+    """A cause of the flag that comes and goes again and again."""
+
+    def events(self, changes: int, every_ns: int) -> EventLog:
+        now = [0]
+        log = EventLog("arm0", clock_ns=lambda: now[0], wall=lambda: 0.0)
+        causes = CauseEvents(log)
+        for i in range(changes):
+            now[0] = i * every_ns
+            causes.update("s", [("x is stale", "arm0/t")] if i % 2 == 0 else [])
+        now[0] += WINDOW_NS
+        causes.update("s", [])
+        return log
+
+    def test_a_few_are_reported_one_by_one(self) -> None:
+        events = self.events(4, 1).since(0)
+        assert [(one.code, one.text) for one in events] == [
+            ("ILLEGAL", "x is stale (arm0/t)"),
+            ("LEGAL", "no longer: x is stale (arm0/t)"),
+        ] * 2
+
+    def test_many_are_joined_and_the_newest_state_follows(self) -> None:
+        log = self.events(1000, 40_000_000)  # for 40 s
+        events = log.since(0)
+        assert len(events) <= 5 * (CHANGES + 1)
+        assert events[CHANGES].text.startswith("[24")
+        assert events[-1].code == "LEGAL"
+        assert by_task(log.counts(), "s") == {"": {"ILLEGAL": 500, "LEGAL": 500}}
+
+    def test_slow_changes_are_all_reported(self) -> None:
+        assert len(self.events(100, WINDOW_NS // 4).since(0)) == 100
+
+    def test_nothing_is_kept_of_a_cause_that_is_gone(self) -> None:
+        log = EventLog("arm0", clock_ns=lambda: 0, wall=lambda: 0.0)
+        causes = CauseEvents(log)
+        causes.update("s", [("x", "arm0/t")])
+        causes.forget("s")
+        assert causes.subsystems() == []
