@@ -34,6 +34,8 @@ JOB = Path(__file__).parents[1] / "examples" / "puma" / "puma.job"
 PERIOD = 60.0
 MOST_SLOPE = 0.5
 """Goal: kB/s of a process's own memory over the second half."""
+END_TIME = 30.0
+"""Seconds in which a run must end, however long it was."""
 MISSED = 3
 T = TypeVar("T")
 FIELDS = ("own kB", "PSS kB", "descriptors")
@@ -172,8 +174,10 @@ def wait_on(run: subprocess.Popen[bytes], said: Path) -> None:
 def end(run: subprocess.Popen[bytes]) -> None:
     """End the run in order."""
     if run.poll() is None:
+        begun = time.monotonic()
         run.send_signal(signal.SIGINT)
-        run.wait(60)
+        run.wait(END_TIME)
+        print(f"the run ended {time.monotonic() - begun:.1f} s after the interrupt")
 
 
 def main() -> int:

@@ -269,6 +269,11 @@ class Log(Cycles):
         return all(part.complete for part in self.parts)
 
     @property
+    def size(self) -> int:
+        """Bytes of all its files."""
+        return sum(part.size for part in self.parts)
+
+    @property
     def damage(self) -> list[Lost]:
         """Parts that cannot be read, as far as it was read or checked (`check`)."""
         return lost_in(self.parts, self.clocks)

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pbonet.log import Cycles, Log
     from pbonet.xm.net import RtpuStatus
 
+MOST_READ: Final = 32 << 20
+"""Bytes of a log up to which it is read at the end: some tenths of a second."""
 _FORCE: Final = 2
 """At this many interrupts everything is stopped at once."""
 
@@ -75,8 +77,16 @@ class Outcome(Struct, kw_only=True):
         return f"WARNING> {texts}" if texts else ""
 
 
+def is_read(log: Log) -> bool:
+    """Return whether a log is short enough to be read at the end of its run."""
+    return log.size <= MOST_READ
+
+
 def unrecorded(
-    log: Log | None, planned: Iterable[str], recorded: Container[str]
+    log: Log | None,
+    planned: Iterable[str],
+    recorded: Container[str],
+    tasks: Iterable[summary.TaskSummary] = (),
 ) -> str:
     """Return what a run's recording lacks, in one sentence; empty if nothing.
 
@@ -84,12 +94,15 @@ def unrecorded(
         log: The log on this machine, None if there is none.
         planned: The RTPUs that should have recorded.
         recorded: Those that did.
+        tasks: What they lost by their last status counts where a log is not read.
     """
     absent = [rtpu for rtpu in planned if rtpu not in recorded]
     lacks = [f"nothing of {', '.join(absent)}"] if absent else []
     if log is not None:
-        lacks += [f"{count} cycles of {task}" for task, count in log.lost().items()]
-        damage = len(log.check())
+        whole = is_read(log)
+        lost = log.lost() if whole else {one.task: one.lost for one in tasks}
+        lacks += [f"{count} cycles of {task}" for task, count in lost.items() if count]
+        damage = len(log.check()) if whole else 0
         lacks += [f"{damage} damaged parts of the log"] if damage else []
         lacks += [] if log.complete else ["the end of the log"]
     return f"not recorded: {', '.join(lacks)}" if lacks else ""

@@ -22,6 +22,7 @@ from .run_end import (
     Shortfall,
     Standstills,
     Status,
+    is_read,
     unrecorded,
 )
 from .watch_values import OUTPUT, Listener
@@ -198,7 +199,7 @@ class Run:
             self._unfinished.append(error)
 
     def _read_log(self, outcome: Outcome) -> None:
-        """Read this machine's log, for the exact delays."""
+        """Read this machine's log, for the exact delays, if that is soon done."""
         try:
             log = self._recordings.log()
         except PbonetError as error:
@@ -207,12 +208,14 @@ class Run:
             return
         if self._recordings.wanted:
             planned = [entry.name for entry in self.files.sbs.rtpus]
-            if text := unrecorded(log, planned, self._recordings.paths):
+            paths = self._recordings.paths
+            if text := unrecorded(log, planned, paths, outcome.tasks):
                 outcome.shortfalls.append(Shortfall(Status.UNRECORDED, text))
         if log is None:
             return
         outcome.log, outcome.recording = str(log.path), log
-        outcome.tasks = summary.refined(outcome.tasks, log)
+        if is_read(log):
+            outcome.tasks = summary.refined(outcome.tasks, log)
 
     def _save_profiles(self, subsystem: Subsystem) -> None:
         """Save the measured profiles; a failure here is not a failure of the run."""

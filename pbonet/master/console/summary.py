@@ -96,6 +96,8 @@ class TaskSummary(Struct, frozen=True, kw_only=True):
     transfer: float | None
     """Share of the CPU time spent on transfers, in per cent (Table 1 of 6.6.1)."""
     warnings: int
+    lost: int = 0
+    """Cycles that were not recorded, because their ring was full."""
     error: str = ""
 
 
@@ -151,6 +153,7 @@ def _task(status: TaskStatus, *, virtual: bool) -> TaskSummary:
         jitter_exact=False,
         transfer=fields["xfer"],
         warnings=status.warn,
+        lost=status.lost,
         error=status.error if status.state in _FAILED else "",
     )
 

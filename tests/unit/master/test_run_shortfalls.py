@@ -5,6 +5,7 @@ import pytest
 
 from pbonet.master.console import summary
 from pbonet.master.console.run_end import (
+    MOST_READ,
     Outcome,
     Shortfall,
     Standstills,
@@ -19,13 +20,16 @@ class FakeLog:
 
     complete = True
 
-    def __init__(self, lost=(), damage=()) -> None:
-        self._lost, self._damage = dict(lost), damage
+    def __init__(self, lost=(), damage=(), size=0) -> None:
+        self._lost, self._damage, self.size = dict(lost), damage, size
+        self.read = False
 
     def lost(self):
+        self.read = True
         return self._lost
 
     def check(self):
+        self.read = True
         return self._damage
 
 
@@ -80,6 +84,17 @@ def test_what_is_not_in_the_log_is_told():
         "not recorded: nothing of c1, 3 cycles of a, 1 damaged parts of the log, the "
         "end of the log"
     )
+
+
+def test_a_long_log_is_not_read_at_the_end():
+    """Reading that of a day takes minutes; what was lost stands in the status."""
+    (task,) = summary.summarize([rtpu(0, 0.0)])
+    task = msgspec.structs.replace(task, lost=3)
+    log = FakeLog(size=MOST_READ + 1)
+    assert unrecorded(log, ["c0"], {"c0"}, [task]) == "not recorded: 3 cycles of a"
+    assert not log.read
+    log.complete = False
+    assert "the end of the log" in unrecorded(log, ["c0"], {"c0"})
 
 
 @pytest.mark.parametrize("status", list(Status))
