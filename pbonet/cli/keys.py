@@ -1,4 +1,4 @@
-"""``pbonet keys``: certificates of agents, masters and observers."""
+"""``pbonet keys``: certificates of agents, gateways, masters and observers."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from typing import Annotated as A
 from . import options
 from .parser import Argument, Option
 
-HELP = "Make certificates for agents, masters and observers."
+HELP = "Make and revoke certificates for agents, gateways, masters and observers."
 
 Authority = A[Path, Option("The authority's folder.", "FOLDER", names=("--ca",))]
 Name = A[str, Argument("The holder: a machine or a person.")]
 Days = A[float, Option("How many days they are valid.", "DAYS", least=0.0)]
+Hosts = A[
+    list[str] | None,
+    Option("A name or address by which others connect to it.", "HOST"),
+]
 Out = A[Path | None, Option("Where to put them; CA/NAME if left out.", "FOLDER")]
 HERE = Path("keys")
 LONG = 825.0
@@ -40,16 +44,13 @@ def ca(
 def agent(
     *,
     name: Name,
-    host: A[
-        list[str] | None,
-        Option("A name or address by which others connect to it.", "HOST"),
-    ] = None,
+    host: Hosts = None,
     folder: Authority = HERE,
     days: Days = LONG,
     out: Out = None,
     json_: options.Json = False,
 ) -> None:
-    """Make the certificate of a machine that runs agents.
+    """Make the certificate of a machine with agents; it may not command.
 
     Examples:
         Make that of a machine with two addresses:
@@ -61,6 +62,31 @@ def agent(
 
     made = pki.issue(
         folder, credentials.Role.AGENT, name, hosts=host or (), days=days, folder=out
+    )
+    options.show_files([made], as_data=json_)
+
+
+def gateway(
+    *,
+    name: Name,
+    host: Hosts = None,
+    folder: Authority = HERE,
+    days: Days = LONG,
+    out: Out = None,
+    json_: options.Json = False,
+) -> None:
+    """Make the certificate of an agent that passes commands on.
+
+    Examples:
+        Make that of the computer from which robots are commanded:
+        pbonet keys gateway desk --host desk.lab --host 10.0.0.1
+        Replace the one of an agent that had keys before there were gateways:
+        pbonet keys gateway arm-pc --host 10.0.0.2 --out keys/arm-pc-new
+    """
+    from pbonet.xm.net import credentials, pki
+
+    made = pki.issue(
+        folder, credentials.Role.GATEWAY, name, hosts=host or (), days=days, folder=out
     )
     options.show_files([made], as_data=json_)
 
@@ -109,12 +135,34 @@ def observer(
     options.show_files([made], as_data=json_)
 
 
+def revoke(
+    *,
+    name: A[str, Argument("The holder of the certificates, as `show` prints it.")],
+    folder: Authority = HERE,
+    json_: options.Json = False,
+) -> None:
+    """Revoke all certificates of a holder, by a new ca.pem for all.
+
+    Copy it to every machine and person, and restart each agent with SIGHUP: from then
+    on it refuses these certificates.
+
+    Examples:
+        Revoke those of a robot that was lost:
+        pbonet keys revoke robot1
+        Revoke those of a person who has left, where the authority is on a stick:
+        pbonet keys revoke anna --ca /media/stick/keys
+    """
+    from pbonet.xm.net import pki
+
+    options.show_files(pki.revoke(folder, name), as_data=json_)
+
+
 def show(
     *,
     folders: A[list[Path], Argument("Folders of certificates.", "FOLDER")],
     json_: options.Json = False,
 ) -> None:
-    """Show the holder of certificates, and how long they are valid.
+    """Show holders of certificates, how long they are valid or revoked.
 
     Examples:
         Show one:
@@ -129,10 +177,14 @@ def show(
     for one in found:
         hosts = f" at {', '.join(one.hosts)}" if one.hosts else ""
         state = f"{one.days:.0f} days left" if one.days > 0 else "EXPIRED"
-        lines.append(
-            f"{one.name}: {one.role.value}{hosts}, until {one.until} ({state})"
-        )
+        state = "REVOKED" if one.revoked else state
+        line = f"{one.name}: {one.role.value}{hosts}, until {one.until} ({state})"
+        if one.refuses:
+            line += f"; refuses {', '.join(one.refuses)}"
+        if not one.revocable:
+            line += "; of an older version: cannot be revoked, make another"
+        lines.append(line)
     options.show("\n".join(lines), found, as_data=json_)
 
 
-COMMANDS = (ca, agent, master, observer, show)
+COMMANDS = (ca, agent, gateway, master, observer, revoke, show)

@@ -83,7 +83,7 @@ def test_an_agent_outlives_what_is_sent_to_it(nodes, tmp_path):
     table = Table.attach(f"{nodes.domain}.arm")
     before = client.call("arm0", m.Hello(), m.AgentInfo)
     grown = {pid: size(pid) for pid in (before.pid, before.rtpu_pid)}
-    leaves = ["sbs", "status", "clock", "alive", "event"]
+    leaves = ["sbs", "mail", "status", "clock", "alive", "event"]
     other = [
         key_expressions.svar(nodes.domain, "s", leaf)
         for leaf in ("news", "sync", "flush")

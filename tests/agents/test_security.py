@@ -24,7 +24,7 @@ from pbonet.xm.net import (
     resource_messages as r,
     session,
 )
-from pbonet.xm.net.credentials import Role
+from pbonet.xm.net.credentials import AGENTS, Role
 from pbonet.xm.net.rpc import Client
 
 SBS = """
@@ -48,7 +48,7 @@ def lab(tmp_path):
         authority = tmp_path / where
         pki.make_authority(authority)
         for role in Role:
-            hosts = ["127.0.0.1"] if role is Role.AGENT else []
+            hosts = ["127.0.0.1"] if role in AGENTS else []
             made = pki.issue(authority, role, role.value, hosts=hosts)
             folders[f"{where} {role.value}"] = made
     return folders
@@ -65,7 +65,7 @@ class Cell:
     def __init__(self, nodes, lab):
         self.nodes, self.lab = nodes, lab
         self.near, self.far = (f"tls/127.0.0.1:{free_port()}" for _ in range(2))
-        own = {"keys": str(lab["lab agent"])}
+        own = {"keys": str(lab["lab gateway"])}
         self.files = nodes.library.parent / "files"
         self.files.mkdir()
         nodes.agent_process("arm0", listen=(self.near,), files=str(self.files), **own)
@@ -101,8 +101,10 @@ def come(cell):
         one.close()
 
 
-def test_master_steers_through_the_second_agent(cell, come):
-    cell.nodes._session = come("lab master", cell.far)
+@pytest.mark.parametrize("who", ["master", "gateway"])
+def test_master_steers_through_the_second_agent(cell, come, who):
+    """Also one with a gateway's keys, as a program with agents of its own has them."""
+    cell.nodes._session = come(f"lab {who}", cell.far)
     master = cell.nodes.master("arm0", "arm")
     master.spawn("a", "counts")
     assert master.on("a").state == "ON"
@@ -184,6 +186,46 @@ def test_resources_and_files_are_a_masters_and_observers_read(cell, come, edge):
     assert len(tokens) == 2
 
 
+@pytest.mark.parametrize("edge", ["near", "far"])
+def test_an_agents_key_reads_and_serves_and_commands_nothing(cell, come, edge):
+    domain = cell.nodes.domain
+    boss = Master(_Over(cell, come("lab master", cell.near)), "arm0", "arm")
+    boss.open_table()
+    boss.spawn("a", "counts")
+    boss.on("a")
+    link = come("lab agent", getattr(cell, edge))
+    thief = Client(link, domain, boss.name)  # who claims to be the master
+    status = thief.call("arm0", m.Status(subsystem="arm"), m.RtpuStatus)
+    assert [task.state for task in status.tasks] == ["ON"]
+    for request in (
+        m.Control(task="a", signal="off", subsystem="arm", epoch=boss.epoch),
+        m.Stop(subsystem="arm", stop_id="x"),
+        m.Claim(subsystem="arm", take_over=True),
+        m.Spawn(task="b", rmod=rmod("counts"), rmod_name="b", epoch=boss.epoch),
+        m.Set(task="a", name="x", value="1", subsystem="arm", epoch=boss.epoch),
+        m.Write(name="Y1", values=[1.0, 1.0], subsystem="arm", epoch=boss.epoch),
+    ):
+        with pytest.raises(AccessError, match="dropped on the way"):
+            thief.call("arm0", request, object)
+    assert boss.status("a").state == "ON"
+    pack = codec.Codec().pack
+
+    def answer(query):
+        asked = codec.Codec().request(query.payload.to_bytes())
+        query.reply(query.key_expr, pack(m.Answer(id=asked.id, ok=True, result=[])))
+
+    key = key_expressions.rtpu(domain, "eye0", "sbs")
+    alive = key_expressions.rtpu(domain, "eye0", "alive")
+    shown = [
+        link.declare_queryable(key, answer),
+        link.liveliness().declare_token(alive),
+    ]
+    wait_for(lambda: "eye0" in boss.client.rtpus(), "the agent with the key")
+    assert boss.client.call("eye0", m.Stop(), list) == []
+    assert len(shown) == 2
+    boss.stop()
+
+
 def test_observer_cannot_steer_on_the_key_for_looking(cell, come):
     """Access control lets the request through; the agent looks at what it asks."""
     watcher = come("lab observer", cell.near)
@@ -204,15 +246,20 @@ def test_observer_cannot_speak_for_others(cell, come):
         zenoh.handlers.Callback(heard.append),
     )
     watcher = come("lab observer", cell.near)
-    watcher.liveliness().declare_token(key_expressions.rtpu(domain, "fake", "alive"))
-    watcher.declare_queryable(key_expressions.rtpu(domain, "fake", "sbs"), heard.append)
+    alive = key_expressions.rtpu(domain, "fake", "alive")
+    serves = key_expressions.rtpu(domain, "fake", "sbs")
+    shown = [
+        watcher.liveliness().declare_token(alive),
+        watcher.declare_queryable(serves, heard.append),
+    ]
     watcher.put(key_expressions.rtpu(domain, "arm0", "event"), b"false alarm")
     boss.put(key_expressions.rtpu(domain, "arm0", "event"), b"from the master")
     wait_for(lambda: heard, "the master's own event")
     assert [one.payload.to_bytes() for one in heard] == [b"from the master"]
     both = ["arm0", "arm1"]
     wait_for(lambda: session.rtpus(boss, domain) == both, "both agents, no other")
-    assert not list(boss.get(key_expressions.rtpu(domain, "fake", "sbs"), timeout=1.0))
+    assert not list(boss.get(serves, timeout=1.0))
+    assert len(shown) == 2
 
 
 @pytest.mark.parametrize("who", ["other agent", "other master"])

@@ -35,7 +35,7 @@ class Keys:
     def agent(self, host, into, **more):
         """Make the keys of a host's agent, and put them into a folder."""
         hosts = [self.lan[host].address(peer) for peer in "abc" if peer != host]
-        made = pki.issue(self.authority, Role.AGENT, host, hosts=hosts, **more)
+        made = pki.issue(self.authority, Role.GATEWAY, host, hosts=hosts, **more)
         into.mkdir(mode=0o700, exist_ok=True)
         for name in FILES:
             shutil.copy(made / name, into / name)

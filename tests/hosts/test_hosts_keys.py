@@ -46,7 +46,7 @@ def folders(lan, tmp_path_factory):
 
         for host, peers in (("a", "bc"), ("b", "ac"), ("c", "ab")):
             hosts = [lan[host].address(peer) for peer in peers]
-            issue(Role.AGENT, host, hosts=hosts)
+            issue(Role.GATEWAY if host == "a" else Role.AGENT, host, hosts=hosts)
         issue(Role.OBSERVER, "observer")
         issue(Role.AGENT, "old", hosts=[lan["c"].address("a")], days=-0.01)
     return made
@@ -68,7 +68,7 @@ def lab(lan, folders):
 
 def test_a_table_and_a_link(lab, lan):
     assert lab.info("arm1", "a").dials == [f"tls/{lan['a'].address('b')}:{lab.port}"]
-    cell = Desk(lab, "cell", ("arm0", "arm1"), host="b")
+    cell = Desk(lab, "cell", ("arm0", "arm1"), host="a")
     cell.spawn("arm0", "src", "counts", out="Z0")
     cell.on("arm0", "src")
     common = {"name": "arm0:x", "dtype": "f8"}
@@ -103,7 +103,7 @@ def comes(cell):
     ("keys", "said"),
     [
         ("lab old", "the certificate has expired"),
-        ("lab observer", "these keys are for another role (expected agent, got obser"),
+        ("lab observer", "for another role (expected agent or gateway, got observer)"),
     ],
 )
 def test_an_agent_says_what_is_wrong_with_its_keys(lab, folders, keys, said):

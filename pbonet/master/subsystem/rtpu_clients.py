@@ -261,6 +261,23 @@ class RtpuClients:
         requests = {rtpu: self._signed(rtpu, make(rtpu)) for rtpu in wanted}
         return self.client.call_all(requests, result, timeout=timeout)
 
+    def pass_to_gateways(self, stop: m.Stop) -> None:
+        """Give a stop also to agents without RTPUs of the subsystem, if they have keys.
+
+        Gateways among them repeat it to a machine that is out of reach now, which
+        takes it from no other agent.
+        """
+        if all(agent.keys_left is None for agent in self._agents.values()):
+            return
+        try:
+            others = sorted(set(self.client.rtpus()) - self.entries.keys())
+            requests = {rtpu: self._signed(rtpu, stop) for rtpu in others}
+            _, errors = self.client.call_all(requests, m.Stopped)
+        except PbonetError as failure:  # the stop itself has been carried out
+            errors = [failure]
+        for error in errors:
+            logger("pbonet.master").info("not told of the stop: %s", error)
+
     def release(self) -> list[PbonetError]:
         """Give every RTPU back; return what went wrong."""
         errors: list[PbonetError] = []

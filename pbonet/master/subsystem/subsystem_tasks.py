@@ -681,12 +681,13 @@ class SubsystemTasks:
         Returns:
             The results, the errors, and the tasks that may still be ON, by RTPU.
         """
-        order, stop_id = self.order_of_off(), secrets.token_hex(8)
-        results, errors = self.clients.each(
-            lambda _: m.Stop(timeout=STOP_TIME, order=order, stop_id=stop_id),
-            m.Stopped,
-            timeout=STOP_TIME + rpc.ANSWER_TIME,
+        request = m.Stop(
+            timeout=STOP_TIME, order=self.order_of_off(), stop_id=secrets.token_hex(8)
         )
+        results, errors = self.clients.each(
+            lambda _: request, m.Stopped, timeout=STOP_TIME + rpc.ANSWER_TIME
+        )
+        self.clients.pass_to_gateways(request)
         self.recordings.end()
         stopped = m.Stopped(
             off=[task for one in results.values() for task in one.off],

@@ -196,7 +196,7 @@ class Agent:
         self._refuse_duplicate()
         self._duplicates = DuplicateAgents(
             self._session,
-            key_expressions.rtpu(self.config.domain, self.name, "sbs"),
+            key_expressions.rtpu(self.config.domain, self.name, "status"),
             os.getpid(),
             self._met_twin,
         )

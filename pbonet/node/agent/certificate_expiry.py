@@ -108,8 +108,9 @@ class KeyTerm:
 
     def _say_refused(self, endpoint: str, why: str) -> None:
         text = (
-            f"no link to {endpoint}: {why}; if one of the two agents has old keys, "
-            f"replace them by keys of the common authority (here in {self._folder}), "
+            f"no link to {endpoint}: {why}; if one of the two agents has old or "
+            f"revoked keys, replace them by keys of the common authority (here in "
+            f"{self._folder}), "
             f"and restart that agent (this one with `kill -HUP {os.getpid()}`)"
         )
         log.warning("%s: %s", self._name, text)
@@ -117,8 +118,9 @@ class KeyTerm:
 
     def _say(self, left: float) -> None:
         remedy = (
-            f"make new ones with `pbonet keys agent`, put them into {self._folder}, "
-            f"and restart the agent with `kill -HUP {os.getpid()}`; its tasks continue"
+            "make new ones with `pbonet keys agent`, or `pbonet keys gateway` if "
+            f"commands pass through this agent, put them into {self._folder}, and "
+            f"restart the agent with `kill -HUP {os.getpid()}`; its tasks continue"
         )
         if left > 0:
             severity = Severity.WARNING

@@ -329,7 +329,7 @@ class PeerLatencies:
                 continue
             peer = self._peers.setdefault(name, Peer())
             begin = time.monotonic_ns()
-            found = self._ask(key_expressions.rtpu(domain, name, "sbs"))
+            found = self._ask(key_expressions.rtpu(domain, name, "status"))
             end = time.monotonic_ns()
             with self._guard:
                 if isinstance(found, m.AgentInfo):

@@ -58,7 +58,7 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
     for endpoint in new.connect:
         session.check_dialled(endpoint, key_folder=keys)
     if keys is not None:
-        credentials.prove(keys, credentials.Role.AGENT)
+        credentials.prove(keys, credentials.AGENTS)
     FileServer(new.files, old.name or "")
     ours = {_address(endpoint)[1] for endpoint in old.listen}
     for endpoint in new.listen:

@@ -5,7 +5,8 @@ knows these from the greetings of the other agents. If one of them was out of re
 gets the order as soon as it is seen again; until it has carried it out, nothing that
 its machine sends for the subsystem's table is used. Every agent that has received the
 stop does this, so it needs neither the master nor the command that gave it. An RTPU
-carries an order out once, so it does not matter how often it arrives.
+carries an order out once, so it does not matter how often it arrives. With keys, other
+machines take the repetition from a gateway only (see `pbonet.xm.net.access_control`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec import Struct
 
-from pbonet.errors import PbonetError, Severity
+from pbonet.errors import AccessError, PbonetError, Severity
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import key_expressions, messages as m
 
@@ -182,6 +183,9 @@ class StopOrders:
         )
         try:
             done = self._client.call(name, request, m.Stopped, timeout=TIME)
+        except AccessError:  # now no gateways alone lead there; or our keys are none
+            log.debug("%s: the stop of %s is left to a gateway", self._name, name)
+            return
         except PbonetError as error:  # the next greeting repeats it
             log.warning("%s: %s is not stopped yet: %s", self._name, name, error)
             return

@@ -11,12 +11,13 @@ import os
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, Self, cast
 
 from pbonet.errors import ConfigFileError
 
 if TYPE_CHECKING:
     import ssl
+    from collections.abc import Collection
 
 FILES = CA, CERT, KEY = "ca.pem", "cert.pem", "key.pem"
 VARIABLE = "PBONET_KEYS"
@@ -24,21 +25,44 @@ VARIABLE = "PBONET_KEYS"
 _RUN_OUT: Final = 10
 _NOT_YET: Final = 9
 """OpenSSL's error numbers for certificates outside their validity period."""
+_REVOKED: Final = 48
+"""OpenSSL's error number for a name that the authority's certificate excludes."""
 SOON: Final = 30 * 86400.0
 """Seconds before its expiry from which an expiring certificate is reported."""
 
 
 class Role(StrEnum):
-    """Permissions of a certificate's holder."""
+    """Permissions of a certificate's holder; see `access_control`."""
 
     AGENT = "agent"
+    """An agent, of whose link no commands are accepted."""
+    GATEWAY = "gateway"
+    """An agent through which commands may come. Every agent's certificate was one
+    before there was the role `AGENT`."""
     MASTER = "master"
     OBSERVER = "observer"
 
     @property
     def common_name(self) -> str:
-        """Return the certificate's common name."""
-        return f"pbonet-{self.value}"
+        """Return the certificate's common name, which zenoh compares as a whole."""
+        return _COMMON_NAMES[self]
+
+    @classmethod
+    def of(cls, common_name: str) -> Self | None:
+        """Return the role of a certificate; None if pbonet has not made it."""
+        return next((one for one in cls if one.common_name == common_name), None)
+
+
+_COMMON_NAMES: Final = {
+    Role.AGENT: "pbonet-robot",
+    Role.GATEWAY: "pbonet-agent",
+    Role.MASTER: "pbonet-master",
+    Role.OBSERVER: "pbonet-observer",
+}
+AGENTS: Final = (Role.AGENT, Role.GATEWAY)
+"""Roles of certificates with which an agent runs."""
+MAKE: Final = f"`pbonet keys {'|'.join(Role)} NAME`"
+"""The commands that make a key folder."""
 
 
 def named() -> Path | None:
@@ -63,7 +87,7 @@ def check(folder: Path) -> Path:
                 where=str(folder / name),
                 expected=f"{CA}, {CERT} and {KEY}",
                 got=error.strerror or str(error),
-                remedy="`pbonet keys agent|master|observer NAME` makes one",
+                remedy=f"{MAKE} makes one",
             ) from None
     mode = (folder / KEY).stat().st_mode & 0o077
     if mode & 0o007:
@@ -93,7 +117,7 @@ def days(seconds: float) -> str:
     return f"{seconds / 86400:.0f} days"
 
 
-def prove(folder: Path, role: Role | None = None) -> float:
+def prove(folder: Path, roles: Collection[Role] = tuple(Role)) -> float:
     """Check that other machines will accept the keys of `folder`.
 
     Its certificate is verified with its own authority, as other machines will do. A
@@ -101,14 +125,14 @@ def prove(folder: Path, role: Role | None = None) -> float:
 
     Args:
         folder: A key folder.
-        role: The required role; by default any.
+        roles: The accepted roles.
 
     Returns:
         The time of its expiry, for `left`.
 
     Raises:
         ConfigFileError: A file is missing or damaged, the certificate has expired, was
-            not signed by the authority, or is for another role.
+            not signed by the authority, has been revoked, or is for another role.
     """
     import ssl
 
@@ -125,13 +149,14 @@ def prove(folder: Path, role: Role | None = None) -> float:
             got=error.reason or str(error),
             remedy="copy the whole folder that `pbonet keys` has made",
         ) from None
-    if role and common != role.common_name:
+    role = Role.of(common)
+    if role not in roles:
         raise ConfigFileError(
             "these keys are for another role",
             where=str(folder / CERT),
-            expected=role,
-            got=common.removeprefix("pbonet-"),
-            remedy=f"`pbonet keys {role} NAME` makes the correct ones",
+            expected=" or ".join(roles),
+            got=role or common,
+            remedy=f"`pbonet keys {'|'.join(roles)} NAME` makes the correct ones",
         )
     return until
 
@@ -165,6 +190,7 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
         how = {
             _RUN_OUT: "has expired",
             _NOT_YET: "is not valid yet (check the clocks of both machines)",
+            _REVOKED: "has been revoked",
         }
         other = "was not signed by the authority of these keys"
         return f"its certificate {how.get(error.verify_code, other)}"
@@ -206,7 +232,11 @@ def _refused(folder: Path, error: ssl.SSLCertVerificationError) -> ConfigFileErr
     what, remedy = {
         _RUN_OUT: (
             "the certificate has expired",
-            "`pbonet keys agent|master|observer NAME` makes another",
+            f"{MAKE} makes another",
+        ),
+        _REVOKED: (
+            "the certificate has been revoked",
+            f"{MAKE} makes another",
         ),
         _NOT_YET: (
             "the certificate is not valid yet",

@@ -6,7 +6,7 @@ ROOT = "pbonet"
 
 
 def rtpu(domain: str, name: str, leaf: str) -> str:
-    """Return an RTPU's key for `leaf`: ``alive``, ``sbs``, ``status`` or ``event``."""
+    """Return an RTPU's key for `leaf`: ``alive``, ``event``, one of `roles.LEAVES`."""
     return f"{ROOT}/{domain}/rtpu/{name}/{leaf}"
 
 

@@ -1,14 +1,21 @@
-"""Certificates of a laboratory: the roles agent, master and observer.
+"""Certificates of a laboratory: the roles agent, gateway, master and observer.
 
 One authority signs for one laboratory and makes a key folder (see `credentials`) for
-each machine and person. A certificate's common name is the role, which access control
-checks; its organizational unit is the holder's own name, for display.
+each machine and person. A certificate's common name stands for the role, which access
+control checks; its organizational unit is the holder's own name, for display.
+
+zenoh takes no list of revoked certificates, but the names that an authority's
+certificate excludes bind it and OpenSSL. So each certificate contains a name of its
+own, which reaches no host, and the authority revokes it by renewing its own
+certificate ``ca.pem`` so that this excludes the name. Its key stays the same, so all
+other certificates stay valid.
 
 Needs the package cryptography, which running a robot does not need.
 """
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import ipaddress
 import os
@@ -18,7 +25,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.errors import ConfigFileError, NodeError
+from pbonet.errors import ConfigFileError, NodeError, did_you_mean
 
 try:
     from cryptography import x509
@@ -31,12 +38,14 @@ except ImportError:
         remedy="pip install 'pbonet[keys]'",
     ) from None
 
-from .credentials import CA, CERT, KEY, Role, check
+from .credentials import AGENTS, CA, CERT, KEY, MAKE, Role, check
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 AUTHORITY_KEY = "ca.key"
+ISSUED = "issued.txt"
+"""The authority's list of certificates: own name, role and holder, one in a line."""
 YEARS = 10.0
 """Validity of an authority in years."""
 DAYS = 825.0
@@ -44,6 +53,8 @@ DAYS = 825.0
 _EARLY = dt.timedelta(hours=1)
 """Certificates are valid from the past on, because clocks of machines differ."""
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
+_OWN = re.compile(r"[0-9a-f]+\.([0-9a-f]+)\.pbonet\.invalid")
+"""A certificate's own name: its serial number, and its holder's name in hexadecimal."""
 
 
 class Holder(Struct, frozen=True):
@@ -57,6 +68,12 @@ class Holder(Struct, frozen=True):
     """Last day, as YEAR-MONTH-DAY."""
     days: float
     """Remaining days; negative after expiry."""
+    revocable: bool
+    """Whether it has a name of its own; those of older versions have none."""
+    revoked: bool
+    """Whether the authority's certificate beside it excludes it."""
+    refuses: tuple[str, ...]
+    """Holders of the certificates that the authority's certificate excludes."""
 
 
 def make_authority(folder: Path, name: str = "pbonet") -> Path:
@@ -81,9 +98,22 @@ def make_authority(folder: Path, name: str = "pbonet") -> Path:
             "or remove it first",
         )
     key = ec.generate_private_key(ec.SECP256R1())
-    subject = _subject("pbonet-authority", name)
     now = dt.datetime.now(dt.UTC)
-    made = (
+    end = now + dt.timedelta(days=365.25 * YEARS)
+    made = _signed_by_itself(key, _subject("pbonet-authority", name), now, end)
+    _write(folder, {AUTHORITY_KEY: _private(key), CA: _pem(made), ISSUED: b""})
+    return folder / CA
+
+
+def _signed_by_itself(
+    key: ec.EllipticCurvePrivateKey,
+    subject: x509.Name,
+    now: dt.datetime,
+    end: dt.datetime,
+    revoked: Iterable[str] = (),
+) -> x509.Certificate:
+    """Return an authority's certificate, which excludes the names in `revoked`."""
+    builder = (
         x509
         .CertificateBuilder()
         .subject_name(subject)
@@ -91,13 +121,113 @@ def make_authority(folder: Path, name: str = "pbonet") -> Path:
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - _EARLY)
-        .not_valid_after(now + dt.timedelta(days=365.25 * YEARS))
+        .not_valid_after(end)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(authority=True), critical=True)
-        .sign(key, hashes.SHA256())
     )
-    _write(folder, {AUTHORITY_KEY: _private(key), CA: _pem(made)})
-    return folder / CA
+    if excluded := [x509.DNSName(one) for one in sorted(revoked)]:
+        builder = builder.add_extension(
+            x509.NameConstraints(None, excluded), critical=True
+        )
+    return builder.sign(key, hashes.SHA256())
+
+
+def revoke(authority: Path, name: str) -> list[Path]:
+    """Revoke all certificates that were made for a holder.
+
+    Every agent and client that has the new ``ca.pem`` refuses them. It is written into
+    the authority's folder, and into the key folders that are in it.
+
+    Args:
+        authority: The authority's folder.
+        name: The holder's own name.
+
+    Returns:
+        The files written.
+
+    Raises:
+        NodeError: No certificate was made for this holder.
+        ConfigFileError: The authority cannot be read, or a file cannot be written.
+    """
+    signer, key = _load_authority(authority)
+    issued = _issued(authority)
+    owns = [own for own, holder in issued if holder == name]
+    if not owns:
+        raise NodeError(
+            f"no certificate was made for a holder {name}, so none is revoked",
+            where=str(authority / ISSUED),
+            got="holders: " + (", ".join(sorted({h for _, h in issued})) or "none"),
+            remedy=did_you_mean(name, [holder for _, holder in issued])
+            or "certificates of older versions cannot be revoked alone: make another "
+            "authority, and new keys for all",
+        )
+    now, end = dt.datetime.now(dt.UTC), signer.not_valid_after_utc
+    revoked = {*_excluded(signer), *owns}
+    made = _pem(_signed_by_itself(key, signer.subject, now, end, revoked))
+    folders = [authority, *sorted(_folders_of(authority, signer))]
+    for folder in folders:
+        _write(folder, {CA: made})
+    return [folder / CA for folder in folders]
+
+
+def _issued(authority: Path) -> list[tuple[str, str]]:
+    """Return own name and holder of each certificate that the authority has made."""
+    try:
+        lines = (authority / ISSUED).read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:  # an authority of an older version
+        return []
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigFileError(
+            "the list of certificates cannot be read",
+            where=str(authority / ISSUED),
+            got=getattr(error, "strerror", "") or str(error),
+            remedy="restore it from a copy",
+        ) from None
+    parts = [line.split() for line in lines]
+    return [(part[0], part[2]) for part in parts if len(part) == len(_COLUMNS)]
+
+
+_COLUMNS = ("own name", "role", "holder")
+
+
+def _note_issued(authority: Path, own: str, role: Role, name: str) -> None:
+    """Add a certificate to the list, before it is made."""
+    try:
+        with (authority / ISSUED).open("a", encoding="utf-8") as file:
+            file.write(f"{own} {role} {name}\n")
+    except OSError as error:
+        raise ConfigFileError(
+            "the list of certificates cannot be written",
+            where=str(authority / ISSUED),
+            got=error.strerror or str(error),
+            remedy="a certificate that is not in it could not be revoked; make the "
+            "authority's folder writable",
+        ) from None
+
+
+def _folders_of(authority: Path, signer: x509.Certificate) -> Iterable[Path]:
+    """Yield the key folders in the authority's folder that have its certificate."""
+    for path in authority.glob(f"*/{CA}"):
+        with contextlib.suppress(OSError, ValueError):
+            found = x509.load_pem_x509_certificate(path.read_bytes())
+            if found.public_key() == signer.public_key():
+                yield path.parent
+
+
+def _excluded(signer: x509.Certificate) -> tuple[str, ...]:
+    """Return the own names of the certificates that an authority has revoked."""
+    for extension in signer.extensions:
+        if isinstance(extension.value, x509.NameConstraints):
+            return tuple(
+                str(one.value) for one in extension.value.excluded_subtrees or ()
+            )
+    return ()
+
+
+def _holder(own: str) -> str:
+    """Return the holder in a certificate's own name."""
+    match = _OWN.fullmatch(own)
+    return bytes.fromhex(match[1]).decode() if match else own
 
 
 def issue(
@@ -109,7 +239,7 @@ def issue(
     days: float = DAYS,
     folder: Path | None = None,
 ) -> Path:
-    """Make a key folder for an agent, a master or an observer.
+    """Make a key folder for an agent, a gateway, a master or an observer.
 
     Args:
         authority: The authority's folder.
@@ -134,12 +264,13 @@ def issue(
             got=repr(name),
             remedy="name the machine or the person, such as arm-pc or anna",
         )
-    if role is Role.AGENT and not hosts:
+    if role in AGENTS and not hosts:
         raise NodeError(
             f"no machine could reach agent {name}: its certificate would name no host",
             expected="every name and address by which others connect to it",
-            remedy=f"for example: pbonet keys agent {name} --host 10.0.0.2",
+            remedy=f"for example: pbonet keys {role} {name} --host 10.0.0.2",
         )
+    names = [_host(one) for one in hosts]
     folder = folder or authority / name
     if (folder / KEY).exists():
         raise NodeError(
@@ -148,24 +279,27 @@ def issue(
         )
     signer, signer_key = _load_authority(authority)
     key = ec.generate_private_key(ec.SECP256R1())
+    serial = x509.random_serial_number()
+    own = f"{serial:x}.{name.encode().hex()}.pbonet.invalid"
+    _note_issued(authority, own, role, name)
     now = dt.datetime.now(dt.UTC)
-    builder = (
+    made = (
         x509
         .CertificateBuilder()
         .subject_name(_subject(role.common_name, name))
         .issuer_name(signer.subject)
         .public_key(key.public_key())
-        .serial_number(x509.random_serial_number())
+        .serial_number(serial)
         .not_valid_before(now - _EARLY)
         .not_valid_after(now + dt.timedelta(days=days))
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(authority=False), critical=True)
         .add_extension(_purposes(role), critical=False)
+        .add_extension(
+            x509.SubjectAlternativeName([*names, x509.DNSName(own)]), critical=False
+        )
+        .sign(signer_key, hashes.SHA256())
     )
-    if hosts:
-        names = x509.SubjectAlternativeName([_host(one) for one in hosts])
-        builder = builder.add_extension(names, critical=False)
-    made = builder.sign(signer_key, hashes.SHA256())
     _write(folder, {KEY: _private(key), CERT: _pem(made), CA: _pem(signer)})
     return folder
 
@@ -179,22 +313,34 @@ def read(folder: Path) -> Holder:
     check(folder)
     try:
         found = x509.load_pem_x509_certificate((folder / CERT).read_bytes())
-        role = Role(_attribute(found, NameOID.COMMON_NAME).removeprefix("pbonet-"))
+        signer = x509.load_pem_x509_certificate((folder / CA).read_bytes())
+        role = _role(found)
     except ValueError as error:
         raise ConfigFileError(
             "this is not a certificate of pbonet",
             where=str(folder / CERT),
             got=str(error),
-            remedy="`pbonet keys agent|master|observer NAME` makes one",
+            remedy=f"{MAKE} makes one",
         ) from None
-    hosts: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
     for extension in found.extensions:
         if isinstance(extension.value, x509.SubjectAlternativeName):
-            hosts = tuple(str(one.value) for one in extension.value)
+            names = tuple(str(one.value) for one in extension.value)
+    owns = [one for one in names if _OWN.fullmatch(one)]
+    excluded = _excluded(signer)
     until = found.not_valid_after_utc
     left = (until - dt.datetime.now(dt.UTC)).total_seconds() / 86400
     name = _attribute(found, NameOID.ORGANIZATIONAL_UNIT_NAME)
-    return Holder(name, role, hosts, f"{until:%Y-%m-%d}", left)
+    return Holder(
+        name=name,
+        role=role,
+        hosts=tuple(one for one in names if one not in owns),
+        until=f"{until:%Y-%m-%d}",
+        days=left,
+        revocable=bool(owns),
+        revoked=not set(owns).isdisjoint(excluded),
+        refuses=tuple(sorted({_holder(one) for one in excluded})),
+    )
 
 
 def _subject(common: str, unit: str) -> x509.Name:
@@ -209,6 +355,14 @@ def _attribute(found: x509.Certificate, oid: x509.ObjectIdentifier) -> str:
     if not values:
         raise ValueError(f"its subject has no {oid._name}")  # noqa: SLF001
     return str(values[0].value)
+
+
+def _role(found: x509.Certificate) -> Role:
+    common = _attribute(found, NameOID.COMMON_NAME)
+    role = Role.of(common)
+    if role is None:
+        raise ValueError(f"its common name is {common}")
+    return role
 
 
 def _usage(*, authority: bool) -> x509.KeyUsage:
@@ -227,7 +381,7 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
 
 def _purposes(role: Role) -> x509.ExtendedKeyUsage:
     purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]
-    if role is Role.AGENT:
+    if role in AGENTS:
         purposes.append(ExtendedKeyUsageOID.SERVER_AUTH)
     return x509.ExtendedKeyUsage(purposes)
 
@@ -292,14 +446,17 @@ def _pem(made: x509.Certificate) -> bytes:
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
-    """Write files that only their owner may read, keys first."""
+    """Write files, of which only their owner may read keys, as wholes, keys first."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         for name, data in files.items():
-            mode = 0o644 if name.endswith("ca.pem") or name == CERT else 0o600
-            fd = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode)
+            mode = 0o600 if name.endswith("key.pem") or name == AUTHORITY_KEY else 0o644
+            part = folder / f".{name}.part"
+            part.unlink(missing_ok=True)
+            fd = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
             with os.fdopen(fd, "wb") as file:
                 file.write(data)
+            part.replace(folder / name)
     except OSError as error:
         raise ConfigFileError(
             "the keys cannot be written",

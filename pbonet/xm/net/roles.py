@@ -1,8 +1,9 @@
-"""Which requests only read, so that clients without command rights can make them.
+"""The keys on which requests are made, by what they change.
 
-An RTPU answers on two keys: ``sbs`` accepts every request, ``status`` those that change
-nothing. Access control is by key (see `access_control`), so an observer reaches only
-the second.
+An RTPU answers on three keys: ``sbs`` accepts every request, ``mail`` those about
+semaphores, queues, mailboxes and files, which tasks make themselves, and ``status``
+those that change nothing. Access control is by key (see `access_control`), so an
+observer reaches only the last one, and an agent the last two.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 from pbonet.errors import AccessError
 
 from . import messages as m
+from .resource_messages import XmRequest
 
-LEAVES = ("sbs", "status")
+LEAVES = ("sbs", "mail", "status")
 _LOOKING = {
     *("hello", "links", "get", "profile", "display", "modules", "events"),
     *("xm_stat", "xm_list", "xm_read"),
@@ -32,11 +34,13 @@ def only_looks(request: m.Request) -> bool:
 
 def leaf(request: m.Request) -> str:
     """Return the last part of the key on which the request is made."""
-    return "status" if only_looks(request) else "sbs"
+    if only_looks(request):
+        return "status"
+    return "mail" if isinstance(request, XmRequest) else "sbs"
 
 
 def check(request: m.Request, key: str) -> None:
-    """Refuse a request that changes something on a key for reading only.
+    """Refuse a request on a key for requests that change less.
 
     Args:
         request: The request.
@@ -45,12 +49,14 @@ def check(request: m.Request, key: str) -> None:
     Raises:
         AccessError: The request is not allowed on that key.
     """
-    if key.rpartition("/")[2] != "sbs" and not only_looks(request):
+    asked = key.rpartition("/")[2]
+    if asked not in {"sbs", leaf(request)} and not only_looks(request):
         raise AccessError(
             "this key accepts only requests that change nothing",
             where=key,
             expected="hello, links, status without reset, profile, display, modules, "
             "events, get, reading files, and freq, sigmask and job without changes",
             got=type(request).__name__.lower(),
-            remedy="commands go to the key that ends in sbs, with a master's keys",
+            remedy="commands go to the key that ends in sbs, with a master's keys; "
+            "requests of tasks to the one that ends in mail",
         )

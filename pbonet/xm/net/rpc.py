@@ -307,7 +307,7 @@ class Client:
                 )
             if greeted:  # it answered the greeting, but not this request
                 raise _no_access(rtpu)
-            greeted = leaf == "sbs" and rtpu in names and self._hello(rtpu)
+            greeted = leaf != "status" and rtpu in names and self._hello(rtpu)
             if now > min(give_up, end) and not patient:
                 break
             time.sleep(
@@ -463,9 +463,11 @@ def _no_access(rtpu: str) -> AccessError:
     return AccessError(
         "the agent is there, but your request was dropped on the way",
         where=rtpu,
-        expected="the keys of a master",
+        expected="the keys of a master, and a way that passes commands on",
         remedy="name them with --keys; an observer's keys allow only status, display, "
-        "profile and events (`pbonet keys show` shows their role)",
+        "profile and events (`pbonet keys show` shows their role). With a master's "
+        f"keys, connect to {rtpu} itself, or to an agent with the keys of a gateway: "
+        "other agents' links carry no commands",
     )
 
 

@@ -61,8 +61,8 @@ OPEN_TIME = 1.1
 """Seconds for which a client tries to connect."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
-    " Were both sides' keys made by one authority, and is the address among the agent's"
-    " hosts (`pbonet keys show`)?"
+    " Were both sides' keys made by one authority and not revoked, and is the address"
+    " among the agent's hosts (`pbonet keys show`)?"
 )
 PROTOCOLS = ("tcp", "tls", "udp", "ws", "unixsock-stream")
 _HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):(\d{1,5})([?#].*)?")
@@ -347,7 +347,8 @@ def _config(
         "queries_default_timeout": 2000,
     }
     if key_folder:
-        credentials.prove(key_folder, credentials.Role.AGENT if listen else None)
+        roles = credentials.AGENTS if listen else tuple(credentials.Role)
+        credentials.prove(key_folder, roles)
     if listen is not None:
         settings["listen"] = listen
         if key_folder:

@@ -270,10 +270,10 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
         (f.FileStat(path="a"), "status"),
         (f.FileList(path="a"), "status"),
         (f.FileRead(path="a", offset=0, size=1), "status"),
-        (f.FileWrite(path="a", part="a", offset=0, data=b""), "sbs"),
-        (f.FileFinish(path="a", part="a", size=0, keep=True), "sbs"),
-        (f.FileChange(path="a", what="remove"), "sbs"),
-        (f.FileMove(path="a", to="b"), "sbs"),
+        (f.FileWrite(path="a", part="a", offset=0, data=b""), "mail"),
+        (f.FileFinish(path="a", part="a", size=0, keep=True), "mail"),
+        (f.FileChange(path="a", what="remove"), "mail"),
+        (f.FileMove(path="a", to="b"), "mail"),
     ],
 )
 def test_observers_read_and_masters_write(request_, leaf):

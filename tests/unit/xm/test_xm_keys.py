@@ -5,7 +5,9 @@ import stat
 import subprocess
 
 import pytest
+from cryptography import x509
 
+from pbonet.cli import program
 from pbonet.errors import ConfigFileError, NodeError
 from pbonet.xm.net import credentials, pki, session
 from pbonet.xm.net.credentials import Role
@@ -21,6 +23,7 @@ def test_agents_keys_tell_where_it_is(lab):
     folder = pki.issue(lab, Role.AGENT, "arm-pc", hosts=["10.0.0.2", "::1", "arm.lab"])
     holder = pki.read(folder)
     assert (holder.name, holder.role) == ("arm-pc", Role.AGENT)
+    assert (holder.revocable, holder.revoked, holder.refuses) == (True, False, ())
     assert holder.hosts == ("10.0.0.2", "::1", "arm.lab")
     assert 824 < holder.days <= 825
 
@@ -78,10 +81,10 @@ def test_folder_without_a_file_is_none(lab, missing):
     assert "pbonet keys" in caught.value.remedy
 
 
-def refusal(folder, role=None):
+def refusal(folder, roles=tuple(Role)):
     """Return what is said of keys that nobody would take."""
     with pytest.raises(ConfigFileError) as caught:
-        credentials.prove(folder, role)
+        credentials.prove(folder, roles)
     return str(caught.value)
 
 
@@ -89,14 +92,14 @@ def refusal(folder, role=None):
 def test_good_keys_are_proved(lab, role):
     folder = pki.issue(lab, role, "anna", hosts=["h"])
     credentials.prove(folder)
-    credentials.prove(folder, role)
+    credentials.prove(folder, [role])
 
 
 def test_a_certificate_that_has_run_out_is_told(lab):
     folder = pki.issue(lab, Role.MASTER, "anna", days=-0.01)
     assert refusal(folder) == (
         f"{folder}/cert.pem: the certificate has expired (got certificate has expired);"
-        " `pbonet keys agent|master|observer NAME` makes another"
+        " `pbonet keys agent|gateway|master|observer NAME` makes another"
     )
     assert pki.read(folder).days < 0  # and is still shown
 
@@ -127,9 +130,9 @@ def test_a_file_that_is_none_is_told(lab, name):
 @pytest.mark.parametrize("role", [Role.MASTER, Role.OBSERVER])
 def test_an_agent_takes_no_other_keys(lab, role):
     folder = pki.issue(lab, role, "anna")
-    assert refusal(folder, Role.AGENT) == (
-        f"{folder}/cert.pem: these keys are for another role (expected agent, got "
-        f"{role}); `pbonet keys agent NAME` makes the correct ones"
+    assert refusal(folder, credentials.AGENTS) == (
+        f"{folder}/cert.pem: these keys are for another role (expected agent or "
+        f"gateway, got {role}); `pbonet keys agent|gateway NAME` makes the correct ones"
     )
 
 
@@ -147,10 +150,11 @@ def test_name_must_be_one(lab, name):
         pki.issue(lab, Role.MASTER, name)
 
 
-def test_agent_without_a_host_is_refused(lab):
+@pytest.mark.parametrize("role", credentials.AGENTS)
+def test_agent_without_a_host_is_refused(lab, role):
     with pytest.raises(NodeError) as caught:
-        pki.issue(lab, Role.AGENT, "arm-pc")
-    assert "pbonet keys agent arm-pc --host 10.0.0.2" in caught.value.remedy
+        pki.issue(lab, role, "arm-pc")
+    assert f"pbonet keys {role} arm-pc --host 10.0.0.2" in caught.value.remedy
 
 
 def test_host_that_is_none_is_refused(lab):
@@ -181,6 +185,95 @@ def test_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "lab").write_text("a file")
     with pytest.raises(ConfigFileError, match="cannot be written"):
         pki.make_authority(tmp_path / "lab" / "keys")
+
+
+# -- revocation ---
+
+
+def test_a_revoked_certificate_is_refused_by_the_new_ca_and_others_are_not(lab):
+    """Of a holder who has two, both; a later one of the same name is good."""
+    anna, bert = (pki.issue(lab, Role.MASTER, name) for name in ("anna", "bert"))
+    again = pki.issue(lab, Role.OBSERVER, "anna", folder=lab / "again")
+    away = pki.issue(lab, Role.MASTER, "anna", folder=lab.parent / "away")
+    written = pki.revoke(lab, "anna")
+    assert written == [f / "ca.pem" for f in (lab, lab / "again", anna, bert)]
+    for folder in (anna, again):
+        assert "the certificate has been revoked" in refusal(folder)
+        assert pki.read(folder).revoked
+    credentials.prove(away)  # its ca.pem is the old one
+    (away / "ca.pem").write_bytes((lab / "ca.pem").read_bytes())
+    assert "the certificate has been revoked" in refusal(away)
+    later = pki.issue(lab, Role.MASTER, "anna", folder=lab / "later")
+    for folder in (bert, later):
+        credentials.prove(folder)
+        assert not pki.read(folder).revoked
+        assert pki.read(folder).refuses == ("anna",)
+
+
+def test_revocations_add_up_and_the_authority_lasts_as_long(lab):
+    names = ["_a.b-.", "x" * 31, "bert"]
+    folders = [pki.issue(lab, Role.AGENT, name, hosts=["h.lab"]) for name in names]
+    bert = folders[-1]
+    before = x509.load_pem_x509_certificate((lab / "ca.pem").read_bytes())
+    for name in names[:2]:
+        pki.revoke(lab, name)
+    after = x509.load_pem_x509_certificate((lab / "ca.pem").read_bytes())
+    assert after.not_valid_after_utc == before.not_valid_after_utc
+    assert after.subject == before.subject
+    pki.revoke(lab, names[0])  # as before
+    assert pki.read(bert).refuses == tuple(sorted(names[:2]))
+    assert [pki.read(folder).revoked for folder in folders] == [True, True, False]
+    credentials.prove(bert)
+
+
+def test_a_name_that_has_no_certificate_is_told(lab):
+    pki.issue(lab, Role.MASTER, "anna")
+    with pytest.raises(NodeError, match="was made for a holder ana") as caught:
+        pki.revoke(lab, "ana")
+    assert "anna" in caught.value.remedy
+    assert pki.read(lab / "anna").refuses == ()
+
+
+def test_a_folder_of_another_authority_keeps_its_own(lab, tmp_path):
+    pki.make_authority(tmp_path / "other")
+    alien = pki.issue(tmp_path / "other", Role.MASTER, "eve", folder=lab / "eve")
+    kept = (alien / "ca.pem").read_bytes()
+    pki.issue(lab, Role.MASTER, "anna")
+    assert len(pki.revoke(lab, "anna")) == 2
+    assert (alien / "ca.pem").read_bytes() == kept
+
+
+def test_what_an_older_version_has_made(lab, monkeypatch):
+    """An agent's certificate is a gateway's, and none has a name of its own."""
+    old = x509.SubjectAlternativeName
+    with monkeypatch.context() as patch:
+        patch.setattr(x509, "SubjectAlternativeName", lambda names: old(names[:-1]))
+        folder = pki.issue(lab, Role.GATEWAY, "arm-pc", hosts=["h"])
+    (lab / "issued.txt").unlink()
+    holder = pki.read(folder)
+    subject = x509.load_pem_x509_certificate((folder / "cert.pem").read_bytes()).subject
+    assert "CN=pbonet-agent" in subject.rfc4514_string()
+    assert (holder.role, holder.revocable) == (Role.GATEWAY, False)
+    credentials.prove(folder, credentials.AGENTS)
+    with pytest.raises(NodeError) as caught:
+        pki.revoke(lab, "arm-pc")
+    assert "make another authority" in caught.value.remedy
+
+
+def test_the_commands_say_what_is_revoked(lab, capsys):
+    for name in ("anna", "bert"):
+        pki.issue(lab, Role.MASTER, name)
+    program.run(["keys", "revoke", "anna", "--ca", str(lab)])
+    assert f"{lab}/anna/ca.pem" in capsys.readouterr().out.splitlines()
+    program.run(["keys", "gateway", "desk", "--host", "10.0.0.1", "--ca", str(lab)])
+    capsys.readouterr()
+    folders = [str(lab / name) for name in ("anna", "bert", "desk")]
+    program.run(["keys", "show", *folders])
+    anna, bert, desk = capsys.readouterr().out.splitlines()
+    assert anna.startswith("anna: master, until ")
+    assert anna.endswith(" (REVOKED); refuses anna")
+    assert bert.endswith(" days left); refuses anna")
+    assert desk.startswith("desk: gateway at 10.0.0.1, until ")
 
 
 # -- endpoints ---

@@ -1,8 +1,9 @@
-"""Which requests an observer may make."""
+"""Which requests an observer may make, and which an agent makes for its tasks."""
 
 import pytest
 
-from pbonet.xm.net import messages as m, roles
+from pbonet.errors import AccessError
+from pbonet.xm.net import messages as m, resource_messages as r, roles
 
 
 @pytest.mark.parametrize(
@@ -36,3 +37,15 @@ def test_what_only_asks_is_for_everybody(request_):
 )
 def test_what_changes_something_is_not(request_):
     assert roles.leaf(request_) == "sbs"
+    for leaf in ("mail", "status", "*", "**"):
+        with pytest.raises(AccessError, match="accepts only requests"):
+            roles.check(request_, f"pbonet/d/rtpu/arm0/{leaf}")
+
+
+def test_requests_of_tasks_have_a_key_of_their_own():
+    give = r.Give(handle=1)
+    assert roles.leaf(give) == "mail"
+    for leaf in ("mail", "sbs"):
+        roles.check(give, f"pbonet/d/rtpu/arm0/{leaf}")
+    with pytest.raises(AccessError):
+        roles.check(give, "pbonet/d/rtpu/arm0/status")
