@@ -55,6 +55,14 @@ def runs(monkeypatch, tmp_path):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def state_dir(monkeypatch, tmp_path):
+    """The folder for what outlives a restart of this test's machine."""
+    folder = tmp_path / "state"
+    monkeypatch.setenv("PBONET_STATE_DIR", str(folder))
+    return folder
+
+
 @pytest.fixture
 def run_dir(monkeypatch):
     """A runtime folder with a short path, for sockets have little room."""

@@ -103,7 +103,8 @@ def command(
     }
     given = {key: value for key, value in told.items() if value is not None}
     read = partial(agent_settings, config, given)
-    return agent_main.main(read(), backend=backend, again=read)
+    lasts = not with_parent  # the parent's job ends with the parent
+    return agent_main.main(read(), backend=backend, again=read, lasts=lasts)
 
 
 def _end_with(parent: int) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import did_you_mean
 
@@ -15,7 +15,7 @@ from . import words
 from .blocks import Block, Grammar, read_block
 from .conditions import parse, replaced
 from .lines import Line, Word, fault, quote
-from .model import Condition, JobFile, JobTask, Place, RecordLine
+from .model import Condition, JobFile, JobTask, Place, RecordLine, Restart
 from .reader import Reader, load
 from .timing import frequency
 from .write import number, same_again, text_line
@@ -30,7 +30,10 @@ LAST = "last"
 """Only the last seconds, once something goes wrong."""
 _PAIR = 2
 """Words that an option is made of."""
-_TASK = "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod]"
+RESTARTS: Final[tuple[Restart, ...]] = ("never", "off", "on")
+"""Treatment of a task whose RTPU process or machine was lost."""
+_TASK = "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod] [RESTART never|off|on]"
+_OPTIONS = {"FREQ", "FALLBACK", "RESTART"}
 
 
 def read_job(path: str | Path) -> JobFile:
@@ -114,7 +117,8 @@ def _task(reader: Reader, line: Line) -> JobTask:
         )
     rmod = _rmod(rest.pop(0))
     rtpu = freq = fallback = None
-    if rest and rest[0].text not in {"FREQ", "FALLBACK"}:
+    restart: Restart = "off"
+    if rest and rest[0].text not in _OPTIONS:
         rtpu = _rtpu(rest.pop(0))
     if len(rest) >= _PAIR and rest[0].text == "FREQ":
         freq = frequency(reader, rest[1]._replace(keyword="FREQ"))
@@ -122,15 +126,40 @@ def _task(reader: Reader, line: Line) -> JobTask:
     if len(rest) >= _PAIR and rest[0].text == "FALLBACK":
         fallback = _rmod(rest[1])
         del rest[:_PAIR]
+    if len(rest) >= _PAIR and rest[0].text == "RESTART":
+        restart = _restart(rest[1])
+        del rest[:_PAIR]
     if rest:
         raise fault(
             "TASK is malformed",
             rest[0].place,
             expected=_TASK,
             got=f"{quote(rest[0].text)} here",
-            remedy="write the RTPU first, then FREQ and Hz, then FALLBACK and an RMOD",
+            remedy="write the RTPU first, then FREQ and Hz, then FALLBACK and an RMOD, "
+            "then RESTART",
         )
-    return JobTask(rmod=rmod, rtpu=rtpu, freq=freq, fallback=fallback, place=line.place)
+    return JobTask(
+        rmod=rmod,
+        rtpu=rtpu,
+        freq=freq,
+        fallback=fallback,
+        restart=restart,
+        place=line.place,
+    )
+
+
+def _restart(word: Word) -> Restart:
+    for known in RESTARTS:
+        if word.text == known:
+            return known
+    raise fault(
+        f"RESTART has {quote(word.text)}",
+        word.place,
+        expected=" or ".join(RESTARTS),
+        got=quote(word.text),
+        remedy=did_you_mean(word.text, RESTARTS)
+        or "write 'off' to have the task spawned again, and left OFF",
+    )
 
 
 def _check_fallbacks(reader: Reader, tasks: dict[str, JobTask]) -> None:
@@ -261,7 +290,8 @@ def write_job(record: JobFile) -> str:
     for task in record.tasks:
         freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
         standby = f"FALLBACK {task.fallback}" if task.fallback else ""
-        parts = (task.rmod, task.rtpu or "", freq, standby)
+        again = "" if task.restart == "off" else f"RESTART {task.restart}"
+        parts = (task.rmod, task.rtpu or "", freq, standby, again)
         lines.append(text_line("TASK", " ".join(part for part in parts if part)))
     lines += [
         text_line("RECORD", " ".join((one.mode, *one.names))) for one in record.record

@@ -8,10 +8,14 @@ still find a fault, so that it can name file, line and column.
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Literal, TypeAlias
 
 from msgspec import Struct
 
 from .types import numpy_type
+
+Restart: TypeAlias = Literal["never", "off", "on"]
+"""Treatment of a task whose RTPU process or machine was lost."""
 
 
 class Place(Struct, frozen=True, order=True):
@@ -219,6 +223,9 @@ class JobTask(Struct, frozen=True, kw_only=True):
     freq: float | None = None
     fallback: str | None = None
     """The RMOD that stands by to take its place when it fails."""
+    restart: Restart = "off"
+    """Treatment of it, and of its fallback, when the RTPU process or the machine was
+    lost."""
     place: Place | None = None
 
     @property

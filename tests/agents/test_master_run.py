@@ -27,6 +27,7 @@ from pbonet.master.console import run_job as run_module
 from pbonet.master.console.live_status import Screen
 from pbonet.master.subsystem import subsystem_tasks
 from pbonet.master.subsystem.embedded_agents import assign_cores
+from pbonet.node.restart import desired_state
 from pbonet.xm.net import run_folder, session
 
 ROOT = Path(__file__).parents[2]
@@ -423,3 +424,25 @@ def test_live_table_shows_every_task(puma):
     for task in ("puma_pidg", "grav_comp", "qrdiff", "jttrace"):
         assert task in text
     assert "Ctrl-C turns everything off" in text
+
+
+def test_a_killed_rtpu_process_of_a_run_has_its_tasks_again(run, nodes, verb):
+    """They are OFF, as the job says nothing else; the run goes on, and tells why."""
+    process = run("--record", "off")
+    until_on(process)
+    os.kill(nodes.state("arm1").pid, signal.SIGKILL)
+
+    def shown():
+        return verb("status").stdout
+
+    wait_for(lambda: shown().count("RESTART> ") == 3, "all tasks are there again")
+    text = shown()
+    assert "spawned again, OFF: RESTART off" in text
+    for task in ("grav_comp", "qrdiff", "jttrace"):
+        assert verb("on", task).returncode == 0
+    assert "RESTART> " not in shown()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=200)
+    assert "interrupted" in out, err
+    assert left_of(nodes) == []
+    assert not desired_state.path_of(nodes.domain, "arm1").parent.exists()

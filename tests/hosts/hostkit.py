@@ -239,6 +239,7 @@ class Lab:
         return {
             **os.environ,
             "PBONET_RUN_DIR": str(self.run_dirs[host]),
+            "PBONET_STATE_DIR": str(self.run_dirs[host] / "state"),
             "PBONET_SHM_DIR": str(self.shm_dirs[host]),
         }
 

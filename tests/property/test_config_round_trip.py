@@ -179,12 +179,15 @@ def sbss(draw: st.DrawFn) -> SbsFile:
     )
 
 
+OPTIONS = {"FREQ", "FALLBACK", "RESTART"}
+
+
 @st.composite
 def jobs(draw: st.DrawFn) -> JobFile:
     chosen = draw(st.lists(labels, min_size=1, max_size=4, unique=True))
     off = draw(st.lists(st.sampled_from(chosen), unique=True))
     conditions = st.lists(questions.map(Condition), max_size=3).map(tuple)
-    rtpu = st.none() | labels.filter(lambda name: name not in {"FREQ", "FALLBACK"})
+    rtpu = st.none() | labels.filter(lambda name: name not in OPTIONS)
     return JobFile(
         file="a.job",
         name=draw(labels),
@@ -198,6 +201,7 @@ def jobs(draw: st.DrawFn) -> JobFile:
                 rtpu=draw(rtpu),
                 freq=draw(st.none() | hertz),
                 fallback=draw(st.none() | st.just(f"{rmod}_safe")),
+                restart=draw(st.sampled_from(["never", "off", "on"])),
             )
             for rmod in chosen
         ),

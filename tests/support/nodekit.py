@@ -142,7 +142,8 @@ class Master:
 
     def spawn(self, task, module, limit=LIMIT, **settings):
         """Spawn one of the modules in `misbehaving`; return its status."""
-        keep = {k: settings.pop(k) for k in ("crit", "priority") if k in settings}
+        names = {"crit", "priority", "restart"} & settings.keys()
+        keep = {name: settings.pop(name) for name in names}
         text = settings.pop("text", None) or rmod(module, **settings)
         request = m.Spawn(
             task=task, rmod=text, rmod_name=f"{task}.rmod", timeout=limit, **keep

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import Place, Rmod
     from pbonet.pbo import ModuleInfo
+    from pbonet.xm.net import Restart
 
     from .saved_profiles import Saved
     from .subsystem_files import RmodSource
@@ -37,6 +38,8 @@ class Member(Struct, kw_only=True):
     """Its saved profile on its machine, if there is one."""
     fallback_of: str = ""
     """The task for which it stands by."""
+    restart: Restart = "off"
+    """Treatment by its agent when the RTPU process or the machine was lost."""
 
     @property
     def name(self) -> str:

@@ -71,7 +71,8 @@ def status(session: SessionState, given: Given) -> Data:
     if given.get("reset"):
         tasks = session.subsystem.task_set.restart_extremes(tasks)
     profiles = session.baselines.since(tasks)
-    missing = [] if wanted else find_missing(session.subsystem.files, rtpus)
+    silent = session.subsystem.task_set.silent
+    missing = [] if wanted else find_missing(session.subsystem.files, rtpus, silent)
     return {
         "fields": list(fields),
         "tasks": [msgspec.to_builtins(one) for one in profiles],

@@ -6,10 +6,8 @@ the subsystem. So a command runs in a thread of its own while the terminal is re
 
 from __future__ import annotations
 
-import os
 import threading
 import traceback
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from prompt_toolkit import PromptSession
@@ -25,7 +23,7 @@ from prompt_toolkit.patch_stdout import patch_stdout
 
 from pbonet.errors import PbonetError, StateError
 from pbonet.master.subsystem import Window
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import messages as m, run_folder
 
 from . import render
 from .command_session import CommandSession
@@ -270,8 +268,7 @@ def summary(
 
 def _history() -> History:
     """Return the user's history file, or none where there is no home."""
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    path = Path(state) / "pbonet" / "history"
+    path = run_folder.state_folder() / "history"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch(mode=0o600)

@@ -23,6 +23,7 @@ _UNITS: Final = {field.name: field.unit for field in status_fields.FIELDS}
 _WIDEST_VALUES: Final = 8
 _BELOW: Final = {
     "STANDBY": "standby",
+    "RESTART": "restarted",
     "WARNING": "warning",
     "TIMING": "timing",
     "WAITS": "waits",

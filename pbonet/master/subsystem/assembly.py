@@ -45,6 +45,7 @@ def plan(task_set: SubsystemTasks, job: JobFile) -> list[Member]:
                 error.where = str(task.place or job.file)
             errors.append(error)
             continue
+        member.restart = task.restart
         members.append(member)
         try:
             members += _fallback(task_set, task, member)
@@ -69,7 +70,7 @@ def _fallback(
     if task.fallback is None:
         return []
     member = task_set.plan(task_set.files.rmod(task.fallback), original.rtpu, None)
-    member.fallback_of = original.name
+    member.fallback_of, member.restart = original.name, task.restart
     return [member]
 
 
@@ -301,6 +302,11 @@ def stands(task_set: SubsystemTasks, member: Member) -> bool:
         return False
     same = old.source.text == member.source.text
     if same and old.rtpu == member.rtpu and old.state is not State.ERROR:
+        if old.restart != member.restart:
+            task_set.warn([
+                f"{old.name} keeps RESTART {old.restart}, with which it was spawned; "
+                f"for RESTART {member.restart} kill it first"
+            ])
         return True
     raise StateError(
         f"the task {old.name} is in the way",

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
+    from pbonet.errors import PbonetError
     from pbonet.master.configuration import Files
     from pbonet.xm.net import RtpuStatus
 
@@ -22,12 +23,17 @@ class Missing(Struct, frozen=True):
     reason: str
 
 
-def find_missing(files: Files, rtpus: Iterable[RtpuStatus]) -> list[Missing]:
+def find_missing(
+    files: Files,
+    rtpus: Iterable[RtpuStatus],
+    silent: Mapping[str, PbonetError] | None = None,
+) -> list[Missing]:
     """Return the tasks of the job, and their standbys, that are on no RTPU.
 
     Args:
         files: The subsystem's files; without a job no task is missing.
         rtpus: The status of all tasks of the RTPUs that answered.
+        silent: The errors of the other RTPUs.
     """
     if files.job is None:
         return []
@@ -39,15 +45,17 @@ def find_missing(files: Files, rtpus: Iterable[RtpuStatus]) -> list[Missing]:
         for name in (one.rmod, one.fallback)
         if name and name not in there
     }
+    errors = silent or {}
     return [
-        Missing(name, rtpu, _reason(rtpu, answered.get(rtpu)))
+        Missing(name, rtpu, _reason(rtpu, answered.get(rtpu), errors.get(rtpu)))
         for name, rtpu in named.items()
     ]
 
 
-def _reason(rtpu: str, status: RtpuStatus | None) -> str:
+def _reason(rtpu: str, status: RtpuStatus | None, error: PbonetError | None) -> str:
     if status is None:
-        return f"not known, because RTPU {rtpu} does not answer"
+        why = f": {error.what}" if error is not None else ""
+        return f"not known, because RTPU {rtpu} does not answer{why}"
     reason = (
         "it was not spawned, or was killed,"
         if status.scheduler

@@ -107,6 +107,8 @@ class Profile(Struct, frozen=True, kw_only=True):
     """How long its cycles wait for something other than the core."""
     standby: str = ""
     """The task that it is the fallback of, and whether it stands by."""
+    restarted: str = ""
+    """The agent's treatment of it when it was lost, until it is ON."""
 
     def only(self, names: Iterable[str]) -> Profile:
         """Return it with these fields alone."""
@@ -197,6 +199,7 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
         timing=_timing_text(now, before),
         waits=now.waits,
         standby=_standby_text(now),
+        restarted=now.restarted,
     )
 
 

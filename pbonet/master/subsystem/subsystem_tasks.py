@@ -107,6 +107,8 @@ class SubsystemTasks:
         """Whether a judgement may rest on the RTPUs that answer."""
         self._missing: set[str] = set()
         """RTPUs that do not answer: judgements leave their tasks out."""
+        self.silent: dict[str, PbonetError] = {}
+        """The errors of the RTPUs that did not give their status when asked last."""
         self._priorities: dict[str, int] = {}  # as the RTPUs have them
 
     # -- the task model ----------------------------------------------------------------
@@ -267,6 +269,8 @@ class SubsystemTasks:
             lambda _: m.Status(), m.RtpuStatus, rtpus=asked
         )
         results |= found
+        failed = [name for name in asked if name not in found]
+        self.silent = dict(zip(failed, errors, strict=True))
         missing = [name for name in wanted if name not in results]
         survive = self.partly and all(isinstance(one, _UNHEARD) for one in errors)
         if not results or (strict and not survive):
@@ -342,6 +346,7 @@ class SubsystemTasks:
             self._model.add(member)
         member.rtpu, member.freq = status.rtpu, status.ref_f
         member.fallback_of = status.fallback_of or member.fallback_of
+        member.restart = status.restart
         self._model.move(status.task, State(status.state))
 
     def locate(self, task: str) -> str:
@@ -528,6 +533,7 @@ class SubsystemTasks:
             effc=soft.seconds if soft else None,
             timeout=SPAWN_TIME,
             replaces=list(replaces),
+            restart=member.restart,
         )
         if not len(self.model):
             self.recordings.begin(self.clients, self.files, self.warned)

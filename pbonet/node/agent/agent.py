@@ -1,9 +1,10 @@
 """The agent: the network side of an RTPU (Stewart 1994, section 4.5).
 
 It registers by a liveliness token, receives requests over zenoh, passes them to its
-RTPU process, which carries them out, and publishes events of that process. It holds no
-important state: if it is killed, control continues for the declared grace, and an agent
-that starts within it takes over.
+RTPU process, which carries them out, and publishes events of that process. If it is
+killed, control continues for the declared grace, and an agent that starts within it
+takes over. What it keeps is what the RTPU process is to do when that, or the machine,
+was lost (`desired_state`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import logging
 import os
 import platform
+import secrets
 import socket
 import threading
 import time
@@ -25,6 +27,7 @@ import zenoh
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.node.mirror import TableCarrier
+from pbonet.node.restart import DesiredState, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts
@@ -72,6 +75,8 @@ TOKEN_TIME = 1.0
 """Seconds for which the token of a killed predecessor may remain."""
 LOCK_TIME = 0.3
 """Seconds for which an ending RTPU process may hold the name, to clean up."""
+READY_TIME = 5.0
+"""Seconds for which masters do not see an agent that spawns tasks again."""
 LET_GO_TIME = 2.0
 """Seconds for closing tables."""
 RESTARTS = 5
@@ -86,9 +91,12 @@ class Agent:
     Args:
         config: The machine's configuration; `name` must be set.
         backend: ``auto``, ``fifo`` or ``park``; see `pbonet.node.rt._rt.Dispatcher`.
+        lasts: Whether the next agent of that name is to know what this one had.
     """
 
-    def __init__(self, config: AgentConfig, *, backend: str = "auto") -> None:
+    def __init__(
+        self, config: AgentConfig, *, backend: str = "auto", lasts: bool = True
+    ) -> None:
         if config.name is None:
             raise NodeError(
                 "an agent needs a name",
@@ -112,9 +120,12 @@ class Agent:
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
         self._recorders = Recorders(self._note, config)
-        fares = self._recorders.fares
+        self._mark = f"again-{secrets.token_hex(4)}-"
+        file = path_of(config.domain, config.name) if lasts else None
+        self._desired = DesiredState(file, self._note, self._mark)
         self._overview = SharedMemoryStatus(
-            config.domain, config.name, self._note, fares
+            *(config.domain, config.name, self._note, self._recorders.fares),
+            notes=self._desired.notes,
         )
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
@@ -124,6 +135,7 @@ class Agent:
         self._heartbeat: Heartbeat | None = None
         self._ways: PeerLatencies | None = None
         self._stops: StopOrders | None = None
+        self._again: TaskRestarts | None = None
         self._mirrors: TableCarrier | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._subscriptions: KeySubscriptions | None = None
@@ -135,6 +147,7 @@ class Agent:
         self._about: AgentInfo | None = None
         self._over = Ending()
         self._stopping = False
+        self._started = False
         self._restarts: list[float] = []
         self._restarter: threading.Thread | None = None
         self._guard = threading.Lock()
@@ -163,6 +176,7 @@ class Agent:
         except BaseException:
             self.stop()
             raise
+        self._started = True
         return self
 
     def _open(self) -> None:
@@ -177,8 +191,10 @@ class Agent:
         dialled.settle()
         self._session, self._dials = dialled.session, dialled.dials
         self._refuse_duplicate()
+        damage = self._desired.load()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
+        self._desired.begin(taken_over=self._link.taken_over)
         self._stopped.start()
         self._about = self._describe()
         self._mail = Mail(self._session, self.places, self.config.files, self._note)
@@ -191,7 +207,18 @@ class Agent:
             book=self._recorders,
         )
         client = Client(self._session, self.config.domain, f"{self.name}-stops")
-        self._stops = StopOrders(self.name, client, self._note)
+        self._stops = StopOrders(
+            *(self.name, client, self._note),
+            before=self._desired.orders,
+            changed=self._desired.changed,
+        )
+        self._desired.orders_of, self._desired.others_of = (
+            self._stops.left,
+            self._stops.others,
+        )
+        self._again = TaskRestarts(
+            *(self.name, self._desired, client, self), note=self._note, mark=self._mark
+        )
         self._server.start()
         self._refuse_duplicate()
         self._duplicates = DuplicateAgents(
@@ -223,6 +250,7 @@ class Agent:
         unlinked = partial(self._ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
+        self._begin_again(damage)
         self._token = self._session.liveliness().declare_token(
             key_expressions.rtpu(self.config.domain, self.name, "alive")
         )
@@ -230,6 +258,20 @@ class Agent:
         log.info(
             "%s: %s RTPU process %d on core %d", self.name, how, info.pid, info.core
         )
+
+    def _begin_again(self, damage: str) -> None:
+        """Give again what the agent before this one had, or tell why not."""
+        if damage:
+            log.error("%s: %s", self.name, damage)
+            note = rtpu_messages.Note
+            self._note(note(int(Severity.ERROR), "STATE_UNREADABLE", damage))
+        if self._again is not None:
+            self._again.begin(
+                "the machine was started again"
+                if self._desired.rebooted
+                else "the agent and the RTPU process had ended",
+                wait=READY_TIME,
+            )
 
     def _processes(self) -> dict[int, str]:
         """Return the processes that this agent keeps running, with what each one is."""
@@ -253,11 +295,12 @@ class Agent:
                 )
             time.sleep(0.05)
 
-    def stop(self, timeout: float = STOP_TIME) -> bool:
+    def stop(self, timeout: float = STOP_TIME, *, keep: bool = False) -> bool:
         """Turn all tasks OFF in order, end the RTPU process, and release the name.
 
         Args:
             timeout: Seconds for turning all tasks OFF.
+            keep: Let the next agent spawn the tasks again: the machine is shut down.
 
         Returns:
             Whether the RTPU process ended by itself.
@@ -267,7 +310,7 @@ class Agent:
             return link.shut_down(timeout) if link is not None else True
         finally:
             self._recorders.stop()
-            self._leave()
+            self._leave(keep=keep or not self._started)
 
     def abandon(self) -> None:
         """Leave, and let the RTPU process continue for the next agent."""
@@ -277,7 +320,7 @@ class Agent:
         if self._server is not None:
             self._server.fail_pending("the agent restarts; requests under way continue")
         self._recorders.stop(sweep=False)
-        self._leave()
+        self._leave(keep=True)
 
     def _begin_to_stop(self) -> RtpuLink | None:
         """Prevent restarts; return the RTPU process to end, if any."""
@@ -285,6 +328,9 @@ class Agent:
             self._stopping = True
             link, self._link = self._link, None
         self._over.set()
+        self._desired.freeze()
+        if self._again is not None:
+            self._again.abandon()
         if self._mail is not None:
             self._mail.end_waits()
         return link
@@ -322,7 +368,11 @@ class Agent:
         if link is not None:
             link.send(message)
 
-    def _leave(self) -> None:
+    def _leave(self, *, keep: bool) -> None:
+        if self._again is not None:
+            self._again.stop()
+            self._again = None
+        self._desired.close(keep=keep)
         network = (
             self._heartbeat,
             self._mail,
@@ -421,7 +471,8 @@ class Agent:
             claims=info.claims,
             on=self._overview.on(),
             rtpu_age=(time.monotonic_ns() - info.started_ns) * 1e-9,
-            stops=info.stops,
+            stops=list(dict.fromkeys([*self._desired.stops, *info.stops])),
+            due=self._stops.due() if self._stops is not None else {},
             now_ns=time.monotonic_ns(),
             keys_left=term.left if term is not None else None,
             lost=ways.lost() if ways is not None else [],
@@ -485,11 +536,39 @@ class Agent:
     def learned(self, news: SnapshotChanges) -> None:
         """Store the RTPU process's report of its state."""
         self._overview.learn(news)
+        self._desired.learn(news)
 
     def stop_ordered(self, request: messages.Stop) -> None:
-        """Repeat a stop to RTPUs that are out of reach, when they are seen again."""
+        """Repeat a stop to RTPUs that are out of reach, when they are seen again.
+
+        Nothing that was lost here is given again after it.
+        """
         if self._stops is not None:
             self._stops.add(request)
+        if request.stop_id not in self._desired.stops:
+            self._desired.ended(request.subsystem)
+
+    def done(self, request: messages.AnyRequest, data: bytes) -> None:
+        """Keep what a command makes the RTPU do."""
+        self._desired.done(request, data)
+
+    # -- for giving lost tasks again ---------------------------------------------------
+
+    def submit(
+        self, request: messages.AnyRequest, reply: Callable[[bytes], None]
+    ) -> None:
+        """Carry out a request of this agent, and pass its packed answer on.
+
+        Raises:
+            NodeError: The agent ends.
+        """
+        if self._server is None:
+            raise restarting(self.name)
+        self._server.submit(request, reply)
+
+    def values(self, request: messages.Display) -> bytes:
+        """Return the packed answer with values of variables."""
+        return self._overview.answer(request)
 
     def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
         """Call `done` when other machines have the table; see `TableCarrier.spread`."""
@@ -511,6 +590,9 @@ class Agent:
 
     def lost(self, how: str, *, again: bool) -> None:
         """Restart the RTPU process if it was killed; otherwise end."""
+        self._desired.lost()
+        if self._again is not None:
+            self._again.abandon()
         self._recorders.update({})
         if self._server is not None:
             self._server.fail_pending(how)
@@ -539,7 +621,7 @@ class Agent:
             self._give_up(f"the RTPU process does not start again: {error}")
 
     def _start_again(self, how: str) -> None:
-        now = time.monotonic()
+        now, at = time.monotonic(), time.strftime("%H:%M:%S")
         self._restarts = [t for t in self._restarts if now - t < RESTART_WINDOW] + [now]
         if len(self._restarts) > RESTARTS:
             self._give_up(f"the RTPU process was lost {len(self._restarts)} times")
@@ -556,10 +638,13 @@ class Agent:
         if stopping:
             link.shut_down(STOP_TIME)
             return
-        text = f"{how}; its tasks turned themselves off, its claims are void"
+        text = f"{how}; its tasks turned themselves off; RESTART says which come back"
         self._note(rtpu_messages.Note(int(Severity.FATAL), "RTPU_DIED", text))
         for text in cleaned:
             self._note(rtpu_messages.Note(int(Severity.WARNING), "CLEANED", text))
+        self._desired.begin(taken_over=False)
+        if self._again is not None:
+            self._again.begin(f"{how.splitlines()[0]}, at {at}")
 
     def _give_up(self, reason: str) -> None:
         self.reason = reason

@@ -117,6 +117,7 @@ def main(
     *,
     backend: str = "auto",
     again: Callable[[], AgentConfig] | None = None,
+    lasts: bool = True,
 ) -> int:
     """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
 
@@ -128,6 +129,7 @@ def main(
         config: The agent's configuration.
         backend: See `Agent`.
         again: Returns the configuration for a restart; by default the same one.
+        lasts: See `Agent`.
 
     Returns:
         The exit status: 0, or 1 if it ended by itself or a process had to be killed.
@@ -135,7 +137,7 @@ def main(
     Raises:
         NodeError: It cannot start, or too few files may be open.
     """
-    agent = Agent(config, backend=backend)
+    agent = Agent(config, backend=backend, lasts=lasts)
     open_files.ensure(agent.name)
     life = AgentRun(agent, again)
     life.heed_signals()
@@ -150,5 +152,5 @@ def main(
         life.leave_signals()
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - itself
     systemd_notify.notify("STOPPING=1")
-    in_order = agent.stop()
+    in_order = agent.stop(keep=systemd_notify.is_shutting_down())
     return 0 if in_order and not agent.reason else 1

@@ -36,7 +36,7 @@ from pbonet.xm.net import codec, messages as m
 from . import variable_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pbonet.analysis.schedule import SlotStatus
     from pbonet.node.wire import Recorder, RtpuInfo
@@ -72,6 +72,8 @@ class SharedMemoryStatus:
         rtpu: The RTPU's name.
         note: Called with the report of a fault inside pbonet.
         recorder: Returns the state of a subsystem's recorder.
+        notes: Returns what was done for tasks of a subsystem that were lost with an
+            RTPU process before, as `TaskStatus.restarted`.
     """
 
     def __init__(
@@ -80,8 +82,9 @@ class SharedMemoryStatus:
         rtpu: str,
         note: Callable[[Note], None],
         recorder: Callable[[str], Recorder | None],
+        notes: Callable[[str], Mapping[str, str]] = lambda _: {},
     ) -> None:
-        self._recorder = recorder
+        self._recorder, self._notes = recorder, notes
         self._domain, self._rtpu = domain, rtpu
         self._links = places.StandingLinks(domain)
         self._answers = Answers(
@@ -228,6 +231,9 @@ class SharedMemoryStatus:
         )
         if self._started_ns:
             found.age = (time.monotonic_ns() - self._started_ns) * 1e-9
+        notes = self._notes(whose)
+        for task in found.tasks:
+            task.restarted = notes.get(task.task, "")
         return found
 
     def with_status(self, claim: m.Claim, answer: bytes, agent: m.AgentInfo) -> bytes:

@@ -7,6 +7,10 @@ its machine sends for the subsystem's table is used. Every agent that has receiv
 stop does this, so it needs neither the master nor the command that gave it. An RTPU
 carries an order out once, so it does not matter how often it arrives. With keys, other
 machines take the repetition from a gateway only (see `pbonet.xm.net.access_control`).
+
+An RTPU process that is new is concerned too: its agent may spawn the tasks again that
+were lost with the former one. So that agent asks for the orders first
+(`AgentInfo.due`), and they outlive the agent, see `pbonet.node.restart`.
 """
 
 from __future__ import annotations
@@ -20,11 +24,12 @@ from typing import TYPE_CHECKING, Final, Protocol
 from msgspec import Struct
 
 from pbonet.errors import AccessError, PbonetError, Severity
+from pbonet.node.restart import StopLeft
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import key_expressions, messages as m
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 log = logging.getLogger("pbonet.node")
 
@@ -81,15 +86,34 @@ class StopOrders:
         name: The agent's RTPU.
         client: Sends requests to other RTPUs.
         note: Called with reports for masters.
+        before: The orders of the agent before this one.
+        changed: Called when `left` has changed.
     """
 
     def __init__(
-        self, name: str, client: Caller, note: Callable[[rtpu_messages.Note], None]
+        self,
+        name: str,
+        client: Caller,
+        note: Callable[[rtpu_messages.Note], None],
+        before: Iterable[StopLeft] = (),
+        changed: Callable[[], None] = lambda: None,
     ) -> None:
         self._name, self._client, self._note = name, client, note
+        self._changed = changed
         self._peers: dict[str, _Peer] = {}
-        self._orders: list[_Order] = []
-        self._gone: set[str] = set()
+        now = time.monotonic()
+        self._orders = [
+            _Order(
+                id=one.id,
+                subsystem=one.subsystem,
+                at=now,
+                due=dict.fromkeys(one.due, 0.0),
+                machines=one.machines,
+                sent=set(),
+            )
+            for one in before
+        ]
+        self._gone = {name for order in self._orders for name in order.due}
         """RTPUs that are not seen now."""
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(4, "pbonet stops")
@@ -128,6 +152,34 @@ class StopOrders:
                 sent=set(),
             )
             self._orders = [*self._orders[1 - MOST :], order]
+        self._changed()
+
+    def left(self) -> list[StopLeft]:
+        """Return the orders that RTPUs which were out of reach have not carried out."""
+        with self._guard:
+            found = [
+                StopLeft(
+                    id=order.id,
+                    subsystem=order.subsystem,
+                    due=[name for name, due in order.due.items() if not due],
+                    machines=order.machines,
+                )
+                for order in self._orders
+            ]
+        return [order for order in found if order.due]
+
+    def due(self) -> dict[str, list[tuple[str, str]]]:
+        """Return the orders of `left` by RTPU: id and subsystem."""
+        found: dict[str, list[tuple[str, str]]] = {}
+        for order in self.left():
+            for name in order.due:
+                found.setdefault(name, []).append((order.id, order.subsystem))
+        return found
+
+    def others(self, subsystem: str) -> list[str]:
+        """Return the other RTPUs that a subsystem uses, as their agents said last."""
+        with self._guard:
+            return [n for n, one in self._peers.items() if subsystem in one.subsystems]
 
     def met(self, info: m.AgentInfo) -> None:
         """Compare another agent's greeting with the orders, and repeat what is due."""
@@ -139,8 +191,9 @@ class StopOrders:
             for order in self._orders:
                 if info.name not in order.due:
                     continue
-                if order.id in info.stops or now - info.rtpu_age > order.at:
-                    del order.due[info.name]  # it has done so, or is a new process
+                if order.id in info.stops:
+                    del order.due[info.name]
+                    self._changed()
                 elif order.due[info.name] <= now and info.name not in order.sent:
                     order.sent.add(info.name)
                     self._pool.submit(self._repeat, order, info.name)
@@ -152,6 +205,7 @@ class StopOrders:
             for order in self._orders:
                 if name in order.due:
                     order.due[name] = 0.0
+        self._changed()
 
     def ended(self, name: str) -> None:
         """Forget an RTPU that has ended in order: its tasks are OFF."""
@@ -160,6 +214,7 @@ class StopOrders:
             self._gone.discard(name)
             for order in self._orders:
                 order.due.pop(name, None)
+        self._changed()
 
     def refuses(self, subsystem: str, machine: str) -> bool:
         """Return whether a machine has not carried out a stop of a subsystem.
@@ -195,6 +250,7 @@ class StopOrders:
         with self._guard:
             if order.due.pop(name, None) is None:
                 return
+        self._changed()
         tasks = " ".join([*done.off, *done.killed])
         if not tasks:
             return

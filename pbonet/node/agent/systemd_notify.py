@@ -1,13 +1,18 @@
-"""Reports the agent's state to its service manager (systemd's `Type=notify`)."""
+"""The agent and its service manager, systemd: `Type=notify`, and a shutdown."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import socket
+import subprocess
+from typing import Final
 
 VARIABLE = "NOTIFY_SOCKET"
 """Variable with the manager's socket; not set if there is no manager."""
+ASK_TIME: Final = 2.0
+"""Seconds in which the manager must say whether the machine is being shut down."""
 
 
 def notify(state: str) -> bool:
@@ -33,3 +38,20 @@ def notify(state: str) -> bool:
         sock.sendto(state.encode(), address)
         return True
     return False
+
+
+def is_shutting_down() -> bool:
+    """Return whether the service manager ends the agent because the machine ends."""
+    program = shutil.which("systemctl")
+    if not os.environ.get(VARIABLE) or program is None:
+        return False
+    try:
+        done = subprocess.run(
+            [program, "is-system-running"],
+            capture_output=True,
+            timeout=ASK_TIME,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.stdout.strip() == b"stopping"

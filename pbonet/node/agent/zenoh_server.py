@@ -86,6 +86,9 @@ class Node(Protocol):
     def stop_ordered(self, request: m.Stop) -> None:
         """Repeat a stop to RTPUs that are out of reach, when they are seen again."""
 
+    def done(self, request: m.AnyRequest, data: bytes) -> None:
+        """Take in a command that was carried out, with its packed answer."""
+
     def info(self) -> AgentInfo:
         """Return this agent's identity."""
         ...
@@ -102,7 +105,7 @@ _Work: TypeAlias = "Callable[[], None]"
 class _Waiting(NamedTuple):
     """A request that was passed on."""
 
-    query: zenoh.Query
+    reply: Callable[[bytes], None]
     request: m.AnyRequest
     begun_ns: int
 
@@ -212,20 +215,24 @@ class Server:
             return
         self._record(one.request, data, one.begun_ns)
         if isinstance(one.request, m.Claim):
-            self._looks.submit(self._claimed, one.query, one.request, data)
+            self._looks.submit(self._claimed, one.reply, one.request, data)
         else:
-            self._spread(one.query, one.request, data)
+            self._spread(one.reply, one.request, data)
 
-    def _claimed(self, query: zenoh.Query, request: m.Claim, data: bytes) -> None:
+    def _claimed(
+        self, reply: Callable[[bytes], None], request: m.Claim, data: bytes
+    ) -> None:
         """Answer a claim with the status, which may take some time."""
         whole = self._overview.with_status(request, data, self._node.info())
-        self._spread(query, request, whole)
+        self._spread(reply, request, whole)
 
-    def _spread(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
+    def _spread(
+        self, reply: Callable[[bytes], None], request: m.AnyRequest, data: bytes
+    ) -> None:
         """Send an answer when other machines have a table that may have changed."""
         self._node.spread(
             request.subsystem if isinstance(request, CHANGES) else "",
-            partial(self._reply, query, data),
+            partial(reply, data),
             take=isinstance(request, m.Claim),
         )
 
@@ -234,6 +241,7 @@ class Server:
         if roles.only_looks(request):
             return
         if self._noted.first(request.client, request.id):
+            self._node.done(request, answer)
             self._book.commanded(request, answer, begun_ns, time.monotonic_ns())
 
     def publish(self, data: bytes) -> None:
@@ -247,14 +255,18 @@ class Server:
         with self._guard:
             waiting = list(self._pending.values())
             self._pending.clear()
-        for query, request, begun_ns in waiting:
+        for reply, request, begun_ns in waiting:
             error = NodeError(
                 f"the request was not completed: {reason}",
                 remedy="'status' shows what was done; then repeat it",
             )
             data = self._codec.pack(codec.failure(error, request.id))
             self._record(request, data, begun_ns)
-            self._reply(query, data)
+            reply(data)
+
+    def submit(self, request: m.AnyRequest, reply: Callable[[bytes], None]) -> None:
+        """Pass a request on to the RTPU process, and its packed answer to `reply`."""
+        self._pass_on(reply, request, self._codec.pack(request))
 
     def _arrive(self, query: zenoh.Query) -> None:
         """Receive a query in zenoh's own thread, which must not be blocked.
@@ -349,10 +361,15 @@ class Server:
             return
         if isinstance(request, m.Stop):
             self._node.stop_ordered(request)
+        self._pass_on(partial(self._reply, query), request, data)
+
+    def _pass_on(
+        self, reply: Callable[[bytes], None], request: m.AnyRequest, data: bytes
+    ) -> None:
         if isinstance(request, m.Claim):
-            self._pool.submit(self._claim, query, request, data)
+            self._pool.submit(self._claim, reply, request, data)
         else:
-            self._forward(query, request, data, None)
+            self._forward(reply, request, data, None)
 
     def _handle(self, query: zenoh.Query, request: Handled) -> None:
         """Carry out a request in this process; only once if it changes something."""
@@ -409,7 +426,9 @@ class Server:
             answer = m.Answer(id=request_id, ok=True, result=report)
             self._reply(query, self._codec.pack(answer))
 
-    def _claim(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
+    def _claim(
+        self, reply: Callable[[bytes], None], request: m.AnyRequest, data: bytes
+    ) -> None:
         """Forward a claim with the list of live masters."""
         masters: list[tuple[str, str]] | None
         try:
@@ -420,18 +439,18 @@ class Server:
             masters = None
         else:
             masters = [key_expressions.master_of(token) for token in tokens]
-        self._forward(query, request, data, masters)
+        self._forward(reply, request, data, masters)
 
     def _forward(
         self,
-        query: zenoh.Query,
+        reply: Callable[[bytes], None],
         request: m.AnyRequest,
         data: bytes,
         masters: list[tuple[str, str]] | None,
     ) -> None:
         n = next(self._count)
         with self._guard:
-            self._pending[n] = _Waiting(query, request, time.monotonic_ns())
+            self._pending[n] = _Waiting(reply, request, time.monotonic_ns())
         try:
             self._node.forward(n, data, masters)
         except PbonetError as error:

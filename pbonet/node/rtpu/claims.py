@@ -88,6 +88,9 @@ class Claims:
         held = self._entries.get(request.subsystem)
         if held is not None and held.client == request.client:
             epoch = held.epoch
+        elif held is None and request.epoch:
+            epoch = request.epoch
+            self.epoch = max(self.epoch, epoch)
         else:
             self.epoch += 1
             epoch = self.epoch

@@ -22,11 +22,12 @@ from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import run_folder
 
+from . import status
 from .task_handle import Facts, Task
 
 if TYPE_CHECKING:
     from pbonet.config import Rmod
-    from pbonet.xm.net import Spawn
+    from pbonet.xm.net import Gone, Spawn, TaskStatus
 
     from .rtpu_state import Rtpu
     from .tables import Opened
@@ -77,8 +78,28 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
         raise
     rtpu.tombs.pop(key, None)
     await _wait_until_off(rtpu, task, request.timeout)
-    rtpu.flags.down(*key)
+    if not request.missed:
+        rtpu.flags.down(*key)
     return task
+
+
+def gone(rtpu: Rtpu, request: Gone) -> TaskStatus:
+    """Note a task that was lost with an RTPU process before, as one that has died.
+
+    Raises:
+        StateError: There is a task of that name.
+        ConfigError: The RMOD is wrong.
+    """
+    key = (request.subsystem, request.task)
+    _check_free(rtpu, key)
+    rmod = parse_rmod(request.rmod, request.rmod_name)
+    last = rtpu.tombs[key] = status.of_lost(rtpu.name, rmod, request)
+    outputs = [rmod.svar_name(port) for port in rmod.outvar]
+    if request.was_on and outputs:
+        cause = f"{request.task} was lost with its RTPU process"
+        rtpu.flags.up(*key, cause, outputs)
+    rtpu.notify_changed()
+    return last
 
 
 def with_effective(rmod: Rmod, seconds: float | None) -> Rmod:
@@ -217,6 +238,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         text=request.rmod,
         slot=slot,
         ring=ring,
+        restart=request.restart,
     )
     task = Task(
         facts,

@@ -73,6 +73,7 @@ class RequestHandlers:
             m.Release: self._release,
             m.CloseTable: self._close_table,
             m.Spawn: self._spawn,
+            m.Gone: self._gone,
             m.Control: self._control,
             m.Successors: self._successors,
             m.Reconfig: self._reconfig,
@@ -289,6 +290,9 @@ class RequestHandlers:
         self._rtpu.owned_constants.took_over(task, request.replaces)
         notes = task.ready.notes if task.ready and self._rtpu.locks_memory else []
         return self._rtpu.status_of(task), list(notes)
+
+    async def _gone(self, request: m.Gone) -> Result:
+        return create_task.gone(self._rtpu, request), []
 
     async def _control(self, request: m.Control) -> Result:
         rtpu = self._rtpu

@@ -168,7 +168,11 @@ class AgentLink:
                 task.add_done_callback(self._running.discard)
             case rtpu_messages.Note():
                 self._rtpu.events.add(
-                    Severity(message.severity), message.code, message.text
+                    Severity(message.severity),
+                    message.code,
+                    message.text,
+                    subsystem=message.subsystem,
+                    task=message.task,
                 )
             case rtpu_messages.Arrived():
                 self._queues.put(message)

@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import UnknownTaskError, did_you_mean
-from pbonet.xm.net import TaskStatus
+from pbonet.xm.net import Restart, TaskStatus
 
 from . import ranking
 from .claims import Claims, Entry
@@ -67,6 +67,8 @@ class TaskSnapshot(Struct, kw_only=True):
     stands_by: bool
     waits: str = ""
     """How long its cycles wait for other things than the core; empty: they do not."""
+    restart: Restart = "off"
+    robot_interface: bool = False
 
 
 class SnapshotChanges(Struct, tag="known", kw_only=True):
@@ -144,6 +146,8 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
         fallback_of=rtpu.fallbacks.of(task),
         stands_by=bool(task.stands_by),
         waits=task.waits,
+        restart=facts.restart,
+        robot_interface=bool(ready and ready.info.get("robot_interface")),
     )
 
 

@@ -19,13 +19,16 @@ from pbonet.xm.net import (
     TbufStatus,
 )
 
+from .rtpu_snapshot import letter
 from .task_signals import by_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from pbonet.analysis.schedule import CoreStatus, Histograms, SlotStatus
+    from pbonet.config import Rmod
     from pbonet.node.wire import Recorder
+    from pbonet.xm.net import Gone
 
     from .rtpu_snapshot import TaskSnapshot
 
@@ -103,6 +106,7 @@ def task_status(
         fallback_of=task.fallback_of,
         stands_by=task.stands_by,
         waits=task.waits,
+        restart=task.restart,
         sections={
             one.name: SectionStatus(
                 count=one.count,
@@ -112,6 +116,33 @@ def task_status(
             )
             for one in slot.sections
         },
+    )
+
+
+def of_lost(rtpu: str, rmod: Rmod, lost: Gone) -> TaskStatus:
+    """Return the status of a task that was lost with an RTPU process before."""
+    return TaskStatus(
+        rmod=rmod.name,
+        task=lost.task,
+        rtpu=rtpu,
+        tid=0,
+        S=letter(rmod),
+        crit=0,
+        state=State.NOT_CREATED,
+        cycle=0,
+        miss=0,
+        ref_f=rmod.freq or 0.0,
+        mez_f=0.0,
+        mez_t=0.0,
+        ptime=0.0,
+        tot_c=0.0,
+        tick=TICK,
+        min_c=0.0,
+        max_c=0.0,
+        last_c=0.0,
+        warn=0,
+        error=lost.error,
+        signals={"ERROR": 1},
     )
 
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import Rmod
     from pbonet.node import rt
-    from pbonet.xm.net import Call, TaskStatus
+    from pbonet.xm.net import Call, Restart, TaskStatus
 
     from .fork_client import Child
 
@@ -62,6 +62,8 @@ class Facts(msgspec.Struct, kw_only=True):
     """The RMOD's text, for masters that come later."""
     slot: int
     ring: str
+    restart: Restart = "off"
+    """As in `Spawn`; its agent acts on it."""
 
     @property
     def outputs(self) -> list[str]:

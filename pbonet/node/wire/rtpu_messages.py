@@ -104,6 +104,8 @@ class Note(Struct, tag="note"):
     severity: int
     code: str
     text: str
+    subsystem: str = ""
+    task: str = ""
 
 
 class Shutdown(Struct, tag="shutdown"):

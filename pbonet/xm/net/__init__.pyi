@@ -23,7 +23,7 @@ from .codec import Codec as Codec, failure as failure
 from .decoders import convert as convert, decoder as decoder, prepare as prepare
 from .deliveries import Deliveries as Deliveries
 from .file_messages import FileWrite as FileWrite
-from .message_parts import VarValue as VarValue, plain as plain
+from .message_parts import Restart as Restart, VarValue as VarValue, plain as plain
 from .messages import (
     LAST_TICKET as LAST_TICKET,
     MOST_CALLERS as MOST_CALLERS,
@@ -33,6 +33,7 @@ from .messages import (
     Call as Call,
     Claim as Claim,
     Event as Event,
+    Gone as Gone,
     LinkReport as LinkReport,
     ParamValue as ParamValue,
     Reconfig as Reconfig,

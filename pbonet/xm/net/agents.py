@@ -59,6 +59,9 @@ class AgentInfo(Struct, kw_only=True):
     """Seconds since the start of the RTPU process."""
     stops: list[str] = []
     """Stop orders that the RTPU has carried out (`Stop.stop_id`), the newest last."""
+    due: dict[str, list[tuple[str, str]]] = {}
+    """RTPUs that have not carried out stop orders that this agent was given, and the
+    identity and the subsystem of each; an empty name: every one."""
 
 
 class Way(Struct, kw_only=True):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from msgspec import Struct
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+Restart: TypeAlias = Literal["never", "off", "on"]
+"""Treatment of a task whose RTPU process or machine was lost."""
 
 
 def plain(value: NDArray[Any]) -> list[float] | bytes:

@@ -35,6 +35,7 @@ VERSION = 1
 MOST_CALLERS = 32
 """Maximum number of tasks for which one successor can wait."""
 LAST_TICKET = (1 << 31) - 1
+Restart: TypeAlias = values.Restart
 _Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]
 ParamValue: TypeAlias = values.ParamValue
 Standing: TypeAlias = values.Standing
@@ -67,6 +68,9 @@ class Claim(Request, tag="claim"):
     The same subsystem may claim again when the former master's token is gone, or with
     `take_over`; the epoch then increases and the former master's commands are refused.
     With `probe` the RTPU only answers what it would answer, and changes nothing.
+
+    A claim that carries an `epoch` gets it where the RTPU process knows no claim of the
+    subsystem, because it is new: so the commands of its master are valid again.
 
     With the text of a ``.svar`` file the subsystem's table is opened, too: it is
     created, or attached if the machine already has it. A table with another layout is
@@ -124,6 +128,29 @@ class Spawn(Request, tag="spawn"):
     """Time limit of `init` in seconds."""
     replaces: list[str] = []
     """Tasks that it replaces: it takes over their constants, whatever the values."""
+    restart: Restart = "off"
+    """Treatment by the agent when the RTPU process or the machine was lost:
+    ``never``: nothing; ``off``: it is spawned again; ``on``: it is also turned on if it
+    was ON, unless it is a robot interface."""
+    missed: bool = False
+    """Whether it was ON when it was lost: the illegal-configuration flag stays up until
+    its variables are written."""
+
+
+class Gone(Request, tag="gone"):
+    """Note a task that was lost with an RTPU process before this one, as one that died.
+
+    If it was ON, the illegal-configuration flag is up until its variables are written.
+    Result: `TaskStatus`.
+    """
+
+    task: str
+    rmod: str
+    """Text of its ``.rmod`` file."""
+    rmod_name: str
+    error: str
+    """How it was lost."""
+    was_on: bool = False
 
 
 class Control(Request, tag="control"):
@@ -380,6 +407,7 @@ AnyRequest = (
     | Release
     | CloseTable
     | Spawn
+    | Gone
     | Control
     | Successors
     | Reconfig

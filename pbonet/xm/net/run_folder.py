@@ -76,6 +76,22 @@ def folder() -> Path:
     return path
 
 
+def state_folder() -> Path:
+    """Return the folder for what outlives a restart of the machine; not made here.
+
+    ``$PBONET_STATE_DIR``, else ``$XDG_STATE_HOME/pbonet``, else
+    ``~/.local/state/pbonet``; for a user without a home it is the runtime folder.
+    """
+    if chosen := os.environ.get("PBONET_STATE_DIR"):
+        return Path(chosen)
+    if home := os.environ.get("XDG_STATE_HOME"):
+        return Path(home) / "pbonet"
+    try:
+        return Path.home() / ".local" / "state" / "pbonet"
+    except RuntimeError:
+        return _choose()
+
+
 def _choose() -> Path:
     if chosen := os.environ.get("PBONET_RUN_DIR"):
         return Path(chosen)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from .message_parts import Restart
+
 
 class SectionStatus(Struct, kw_only=True):
     """One timed section of a task's cycle; CPU seconds."""
@@ -100,6 +102,10 @@ class TaskStatus(Struct, kw_only=True):
     """Whether it is ready to be released in place of that task."""
     waits: str = ""
     """How long its cycles wait for other things than the core; empty: they do not."""
+    restart: Restart = "off"
+    """``never``, ``off`` or ``on``, as it was spawned; see `Spawn.restart`."""
+    restarted: str = ""
+    """The agent's treatment of it when it was lost, until it is ON or was killed."""
     signals: dict[str, int] = {}
     """Number of signals of each kind sent since it was spawned, without masked ones."""
 

@@ -172,15 +172,17 @@ class TestRtpuProcess:
             killed = time.monotonic()
             wait_gone([old, forks, *pids])
             check_last_words(books, killed, reference)
-        assert nodes.wait_restarted("arm0", old).claims == {}
-        assert not list(shared_memory.glob("*.svar"))
-        assert not list(shared_memory.glob("*.ring"))
-        again = nodes.master("arm0", "arm")
-        assert again.epoch > arm.epoch
-        event = again.wait_event("RTPU_DIED")
+        nodes.wait_restarted("arm0", old)
+        event = arm.wait_event("RTPU_DIED")
         assert "SIGKILL" in event.text
-        again.spawn("t0", "counts")
-        assert again.on("t0").state == "ON"
+        arm.wait_event("RESTARTED", "t1")
+        assert {one.state for one in arm.status().values()} == {"OFF"}
+        assert nodes.client().call("arm0", m.Hello(), m.AgentInfo).claims == {
+            "arm": arm.epoch
+        }
+        rings = {path.stem.split(".")[-1] for path in shared_memory.glob("*.ring")}
+        assert rings == {"t0", "t1"}, "nothing is left of the former ones"
+        assert arm.on("t0").state == "ON"
 
     def test_killed_with_a_task_that_hangs(self, arm, nodes, tmp_path):
         """One that never comes back keeps the others from nothing, and is ended."""
@@ -208,10 +210,12 @@ class TestRtpuProcess:
         assert all(said(book, "kill") for book in books)
         assert list(shared_memory.glob("*.svar"))  # nobody was there to clean
         nodes.forget_session()
+        tables = {path.stat().st_ino for path in shared_memory.glob("*.svar")}
         nodes.agent_process("arm0")
-        assert not list(shared_memory.glob("*.svar"))
+        assert not tables & {p.stat().st_ino for p in shared_memory.glob("*.svar")}
         master = nodes.master("arm0", "arm")
-        assert master.claimed.tasks == []
+        assert master.claimed.tasks == ["t0", "t1"]
+        assert {one.state for one in master.status().values()} == {"OFF"}
         assert any("table" in event.text for event in master.events("CLEANED"))
 
     def test_everything_killed_leaves_nothing_behind_the_next(
@@ -230,11 +234,11 @@ class TestRtpuProcess:
             os.kill(pid, signal.SIGKILL)
         nodes.processes["arm0"].wait()
         wait_gone(victims)
-        assert list(shared_memory.glob("*.ring"))
+        left = {path.stat().st_ino for path in shared_memory.glob("*.*ing")}
+        assert left
         nodes.forget_session()
         process = nodes.agent_process("arm0", stop_time=30.0)
-        assert not list(shared_memory.glob("*.ring"))
-        assert not list(shared_memory.glob("*.svar"))
+        assert not left & {p.stat().st_ino for p in shared_memory.glob("*.*ing")}
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
         assert list(shared_memory.iterdir()) == []
@@ -300,13 +304,12 @@ class TestTwoRtpus:
             assert after.on_ns == before.on_ns
             assert after.miss - before.miss <= reference.lost(40.0)
         assert len(list(shared_memory.glob("*.svar"))) == 1  # it is still in use
-        new = nodes.master(victim, "arm", table=False)
-        new.open_table(keep=victim == "arm0")
-        assert new.value(f"Y{task[1]}").writer == task
-        new.spawn("again", "counts", out=f"Y{1 - int(task[1])}")
-        assert new.on("again").state == "ON"  # the dead one's claims are gone
-        assert dead.rtpu == victim
-        for master in (new, alive_one):
+        back = f"t{1 - int(task[1])}"
+        dead.wait_event("RESTARTED", back)
+        assert dead.value(f"Y{task[1]}").writer == task
+        assert dead.status(back).state == "OFF"
+        assert dead.on(back).state == "ON"  # under the claim of before
+        for master in (dead, alive_one):
             master.stop()
 
     def test_all_of_one_killed_at_once(self, nodes, shared_memory):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pbonet.config import Library, parse_job
+from pbonet.errors import NodeError
 from pbonet.master.configuration import Files
 from pbonet.master.subsystem import find_missing
 from pbonet.xm.net import messages as m
@@ -55,3 +56,14 @@ def test_a_standby_is_named_too_where_its_original_is(files):
 
 def test_without_a_job_nothing_is_missing(puma):
     assert find_missing(Files(puma, Library()), []) == []
+
+
+def test_the_reason_is_that_of_the_error_where_there_is_one(files):
+    error = NodeError("the RTPU process has ended and is being started again")
+    found = find_missing(files, [], {"arm1": error})
+    reasons = {one.task: one.reason for one in found}
+    assert reasons["qrdiff"] == (
+        "not known, because RTPU arm1 does not answer: the RTPU process has ended and "
+        "is being started again"
+    )
+    assert reasons["puma_pidg"] == "not known, because RTPU arm0 does not answer"

@@ -220,13 +220,14 @@ def test_a_write_overtakes_no_write_that_waits():
 
 def test_a_command_that_is_repeated_stands_on_record_once():
     """Who hears nothing for a while asks again, under the same id."""
-    booked, forwarded = [], []
+    booked, forwarded, kept = [], [], []
     one = zenoh_server.Server(
         *(None, "d", "arm0"),
         node=SimpleNamespace(
             forward=lambda n, *_: forwarded.append(n),
             spread=lambda _, done, **__: done(),
             stop_ordered=lambda _: None,
+            done=lambda request, data: kept.append((request.id, data)),
         ),
         mail=None,
         overview=None,
@@ -245,3 +246,4 @@ def test_a_command_that_is_repeated_stands_on_record_once():
         one.stop()
     assert [query.answers for query in asked] == [[b"stopped"]] * 5
     assert booked == ["1", "2", "", ""]
+    assert kept == [(number, b"stopped") for number in booked]

@@ -98,27 +98,52 @@ def test_one_that_is_lost_after_the_order_is_stopped_later(orders, agents):
     orders.add(stop(""))
     orders.met(info("arm1", "arm"))
     assert agents.orders.empty(), "the master asks it, too"
+    assert orders.left() == [], "it is seen, and nothing is kept for the next agent"
     orders.lost("arm1")
     orders.met(info("arm1", "arm"))
     assert agents.orders.get(timeout=60)[0] == "arm1"
 
 
-@pytest.mark.parametrize(
-    "later",
-    [
-        info("arm1", "arm", stops=["s0", "s1"]),
-        info("arm1", "arm", age=0.0),
-    ],
-    ids=["it was carried out", "the process is new"],
-)
-def test_who_has_stopped_is_left_alone(orders, agents, later):
+def test_who_has_stopped_is_left_alone(orders, agents):
     orders.met(info("arm1", "arm"))
     orders.lost("arm1")
     orders.add(stop())
-    orders.met(later)
+    assert orders.due() == {"arm1": [("s1", "arm")]}
+    orders.met(info("arm1", "arm", stops=["s0", "s1"]))
+    assert orders.due() == {}
     orders.met(info("arm1", "arm"))
     assert agents.orders.empty()
     assert not orders.refuses("arm", key_expressions.machine("boot-arm1"))
+
+
+def test_a_process_that_is_new_is_stopped_too(orders, agents):
+    """Its agent may have spawned again what was lost with the former one."""
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    orders.met(info("arm1", age=0.0))
+    assert agents.orders.get(timeout=60)[0] == "arm1"
+
+
+def test_what_is_left_is_for_the_next_agent(orders, agents, notes):
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    left = orders.left()
+    changes = []
+    later = StopOrders("arm0", agents, notes.put, left, lambda: changes.append(1))
+    try:
+        assert later.left() == left
+        assert later.due() == {"arm1": [("s1", "arm")]}
+        assert later.refuses("arm", key_expressions.machine("boot-arm1"))
+        later.met(info("arm1", age=0.0))
+        assert agents.orders.get(timeout=60)[0] == "arm1"
+        agents.answers.release()
+        assert notes.get(timeout=60).code == "STOPPED"
+        assert later.left() == []
+        assert changes
+    finally:
+        later.stop()
 
 
 @pytest.mark.parametrize(
