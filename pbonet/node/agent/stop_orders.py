@@ -191,6 +191,7 @@ class StopOrders:
             for order in self._orders:
                 if info.name not in order.due:
                     continue
+                order.machines[info.name] = machine  # it is new after a reboot
                 if order.id in info.stops:
                     del order.due[info.name]
                     self._changed()
