@@ -32,8 +32,12 @@ _PAIR = 2
 """Words that an option is made of."""
 RESTARTS: Final[tuple[Restart, ...]] = ("never", "off", "on")
 """Treatment of a task whose RTPU process or machine was lost."""
-_TASK = "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod] [RESTART never|off|on]"
+_TASK = (
+    "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod [TAKEOVER seconds]] "
+    "[RESTART never|off|on]"
+)
 _OPTIONS = {"FREQ", "FALLBACK", "RESTART"}
+SHORTEST_TAKEOVER, LONGEST_TAKEOVER = 0.5, 30.0
 
 
 def read_job(path: str | Path) -> JobFile:
@@ -117,18 +121,18 @@ def _task(reader: Reader, line: Line) -> JobTask:
         )
     rmod = _rmod(rest.pop(0))
     rtpu = freq = fallback = None
+    takeover = 0.0
     restart: Restart = "off"
     if rest and rest[0].text not in _OPTIONS:
         rtpu = _rtpu(rest.pop(0))
-    if len(rest) >= _PAIR and rest[0].text == "FREQ":
-        freq = frequency(reader, rest[1]._replace(keyword="FREQ"))
-        del rest[:_PAIR]
-    if len(rest) >= _PAIR and rest[0].text == "FALLBACK":
-        fallback = _rmod(rest[1])
-        del rest[:_PAIR]
-    if len(rest) >= _PAIR and rest[0].text == "RESTART":
-        restart = _restart(rest[1])
-        del rest[:_PAIR]
+    if (word := _taken(rest, "FREQ")) is not None:
+        freq = frequency(reader, word._replace(keyword="FREQ"))
+    if (word := _taken(rest, "FALLBACK")) is not None:
+        fallback = _rmod(word)
+        if (word := _taken(rest, "TAKEOVER")) is not None:
+            takeover = _takeover(reader, word)
+    if (word := _taken(rest, "RESTART")) is not None:
+        restart = _restart(word)
     if rest:
         raise fault(
             "TASK is malformed",
@@ -136,13 +140,14 @@ def _task(reader: Reader, line: Line) -> JobTask:
             expected=_TASK,
             got=f"{quote(rest[0].text)} here",
             remedy="write the RTPU first, then FREQ and Hz, then FALLBACK and an RMOD, "
-            "then RESTART",
+            "then TAKEOVER and seconds, then RESTART",
         )
     return JobTask(
         rmod=rmod,
         rtpu=rtpu,
         freq=freq,
         fallback=fallback,
+        takeover=takeover,
         restart=restart,
         place=line.place,
     )
@@ -159,6 +164,28 @@ def _restart(word: Word) -> Restart:
         got=quote(word.text),
         remedy=did_you_mean(word.text, RESTARTS)
         or "write 'off' to have the task spawned again, and left OFF",
+    )
+
+
+def _taken(rest: list[Word], keyword: str) -> Word | None:
+    """Take a keyword and the word behind it; return that, or None without them."""
+    if len(rest) < _PAIR or rest[0].text != keyword:
+        return None
+    word = rest[1]
+    del rest[:_PAIR]
+    return word
+
+
+def _takeover(reader: Reader, word: Word) -> float:
+    """Return after how many seconds a standby takes over by itself."""
+    return words.real(
+        reader,
+        word._replace(keyword="TAKEOVER"),
+        f"{SHORTEST_TAKEOVER:g} to {LONGEST_TAKEOVER:g} s",
+        low=SHORTEST_TAKEOVER,
+        high=LONGEST_TAKEOVER,
+        open_low=False,
+        open_high=False,
     )
 
 
@@ -290,8 +317,9 @@ def write_job(record: JobFile) -> str:
     for task in record.tasks:
         freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
         standby = f"FALLBACK {task.fallback}" if task.fallback else ""
+        after = f"TAKEOVER {number(task.takeover)}" if task.takeover else ""
         again = "" if task.restart == "off" else f"RESTART {task.restart}"
-        parts = (task.rmod, task.rtpu or "", freq, standby, again)
+        parts = (task.rmod, task.rtpu or "", freq, standby, after, again)
         lines.append(text_line("TASK", " ".join(part for part in parts if part)))
     lines += [
         text_line("RECORD", " ".join((one.mode, *one.names))) for one in record.record

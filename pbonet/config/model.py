@@ -223,6 +223,9 @@ class JobTask(Struct, frozen=True, kw_only=True):
     freq: float | None = None
     fallback: str | None = None
     """The RMOD that stands by to take its place when it fails."""
+    takeover: float = 0.0
+    """Seconds without the original after which a standby on another RTPU takes over by
+    itself; 0: only by `swap`."""
     restart: Restart = "off"
     """Treatment of it, and of its fallback, when the RTPU process or the machine was
     lost."""

@@ -200,7 +200,8 @@ def jobs(draw: st.DrawFn) -> JobFile:
                 rmod=rmod,
                 rtpu=draw(rtpu),
                 freq=draw(st.none() | hertz),
-                fallback=draw(st.none() | st.just(f"{rmod}_safe")),
+                fallback=(safe := draw(st.none() | st.just(f"{rmod}_safe"))),
+                takeover=draw(st.just(0.0) | st.floats(0.5, 30.0)) if safe else 0.0,
                 restart=draw(st.sampled_from(["never", "off", "on"])),
             )
             for rmod in chosen

@@ -70,7 +70,7 @@ class Code(StrEnum):
     UNSAFE_ROBOT = "unsafe-robot"
     """A robot interface goes on while the configuration is illegal."""
     FALLBACK_RTPU = "fallback-rtpu"
-    """A standby's RMOD names another RTPU than that of its original."""
+    """A standby's RTPU does not go with TAKEOVER."""
     STAMP_LOOP = "stamp-loop"
     """Tasks pass on each other's age, which only grows."""
     HOLD_LOOP = "hold-loop"
@@ -121,6 +121,8 @@ class Task(Struct, frozen=True, kw_only=True):
     """Its name, when that is not the RMOD's."""
     fallback_of: str = ""
     """The task that it stands by for, OFF until that one fails."""
+    takeover: float = 0.0
+    """Seconds after which it takes over from another RTPU by itself; 0: never."""
     job_places: Mapping[str, Place] = {}
     """Where a job says something in place of the RMOD, such as its RTPU."""
 
@@ -188,6 +190,10 @@ class Configuration(Struct, frozen=True, kw_only=True):
     """Of the ``.sbs`` file."""
     machines: Mapping[str, str] = {}
     """The machine of each RTPU, where it is known."""
+    keeper: str = ""
+    """The RTPU that keeps the table; empty: not known."""
+    alone: float = 2.0
+    """Seconds without its machine after which others act (``ALONE``); 0: never."""
     strict: bool = False
     """Whether what is unsafe is refused (``STRICT``)."""
     producers: Mapping[str, tuple[str, ...]] = {}

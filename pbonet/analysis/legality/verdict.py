@@ -22,9 +22,10 @@ from .parts import check_ports, check_task
 from .records import Code, Configuration, Problem, Severity, Task
 from .safety import check_safety
 from .shapes import check_shapes
+from .takeover import check_standbys
 from .times import check_times
 from .timing import check_loads, check_traffic
-from .wiring import check_constants, check_readers, check_standbys, check_writers
+from .wiring import check_constants, check_readers, check_writers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

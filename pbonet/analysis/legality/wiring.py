@@ -89,25 +89,6 @@ def _swap_back(tasks: list[Task]) -> str:
     return ""
 
 
-def check_standbys(configuration: Configuration) -> Iterator[Problem]:
-    """Yield standbys whose RMOD asks for an RTPU on which they are not."""
-    for task in configuration.tasks:
-        wanted = task.rmod.rtpu
-        if task.fallback_of and wanted and wanted != task.rtpu:
-            yield Problem(
-                code=Code.FALLBACK_RTPU,
-                severity=Severity.WARN,
-                what=f"{task.name} stands by for {task.fallback_of}, so it is on the "
-                f"same RTPU {task.rtpu} and is lost with it",
-                where=str(task.rmod.places.get("RTPU") or task.rmod.file),
-                expected=f"no RTPU in {task.rmod.name}.rmod, or {task.rtpu}",
-                got=wanted,
-                remedy=f"remove the line; for the loss of {task.rtpu}, spawn a task of "
-                f"its own on {wanted}, and turn it on then",
-                tasks=(task.name,),
-            )
-
-
 def _two_givers(variable: str, tasks: list[Task]) -> Problem:
     names = [task.name for task in tasks]
     return Problem(

@@ -11,7 +11,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from pbonet.analysis import legality
 from pbonet.analysis.schedule import PLANNED
@@ -203,7 +203,8 @@ def planned(
             continue
         rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
         if original:
-            rtpu = next((t.rtpu for t in tasks if t.name == original), rtpu)
+            home = next((t.rtpu for t in tasks if t.name == original), rtpu)
+            rtpu = rmod.rtpu or home
         saved, note = files.profiles.find(rmod, host, info)
         found.warnings += [note] if note else []
         task = legality.Task(
@@ -213,12 +214,15 @@ def planned(
             freq=wanted.freq,
             job_places=wanted.job_places,
             fallback_of=original,
+            takeover=wanted.takeover,
         )
         tasks.append(with_times(task, saved))
     found.warnings += unused(files.profiles, tasks, host)
     empty = legality.Configuration(
         svar=files.table,
         rtpus=files.sbs.rtpus,
+        keeper=files.sbs.keeper,
+        alone=files.sbs.alone,
         strict=files.sbs.strict,
         producers=files.producers(),
         limit=PLANNED,
@@ -237,9 +241,9 @@ def _described(rmod: Rmod, library: Library) -> ModuleInfo:
 
 def _lines(task: JobTask) -> list[tuple[JobTask, str]]:
     """Return what a TASK line makes: its task, and perhaps a standby for that."""
-    made = [(task, "")]
+    made = [(structs.replace(task, takeover=0.0), "")]
     if task.fallback is not None:
-        standby = JobTask(rmod=task.fallback, rtpu=task.rtpu, place=task.place)
+        standby = JobTask(rmod=task.fallback, takeover=task.takeover, place=task.place)
         made.append((standby, task.rmod))
     return made
 

@@ -200,8 +200,11 @@ class Files:
                 if (path.parent / job.sbs).resolve() == self.path.resolve():
                     jobs.append(job)
         named = [one.rtpu for job in jobs for one in job.tasks if one.rmod == task]
-        with contextlib.suppress(NodeError, ConfigError):
-            named.append(self.rmod(task).record.rtpu)
+        originals = [one for job in jobs for one in job.tasks if one.fallback == task]
+        for rmod in (task, *(one.rmod for one in originals if not one.rtpu)):
+            with contextlib.suppress(NodeError, ConfigError):
+                named.append(self.rmod(rmod).record.rtpu)
+        named += [one.rtpu for one in originals]  # unless it has an RTPU of its own
         rtpus = [entry.name for entry in self.sbs.rtpus]
         return next((rtpu for rtpu in named if rtpu in rtpus), rtpus[0])
 

@@ -40,6 +40,10 @@ class Member(Struct, kw_only=True):
     """The task for which it stands by."""
     restart: Restart = "off"
     """Treatment by its agent when the RTPU process or the machine was lost."""
+    original_rtpu: str = ""
+    """The RTPU of that task, if it is another one."""
+    takeover: float = 0.0
+    """As in `verify.Task`."""
 
     @property
     def name(self) -> str:
@@ -68,6 +72,7 @@ class Member(Struct, kw_only=True):
             freq=self.freq or None,
             job_places=self.job_places,
             fallback_of=self.fallback_of,
+            takeover=self.takeover,
         )
         return with_times(task, self.saved)
 

@@ -62,15 +62,20 @@ def plan(task_set: SubsystemTasks, job: JobFile) -> list[Member]:
 def _fallback(
     task_set: SubsystemTasks, task: JobTask, original: Member
 ) -> list[Member]:
-    """Return the standby of a task, to be spawned on the RTPU of its original.
+    """Return the standby of a task, to be spawned where its RMOD says.
+
+    Without that it is on the RTPU of its original.
 
     Raises:
         PbonetError: Its RMOD or module is missing or wrong.
     """
     if task.fallback is None:
         return []
-    member = task_set.plan(task_set.files.rmod(task.fallback), original.rtpu, None)
-    member.fallback_of, member.restart = original.name, task.restart
+    source = task_set.files.rmod(task.fallback)
+    member = task_set.plan(source, source.record.rtpu or original.rtpu, None)
+    member.fallback_of, member.takeover = original.name, task.takeover
+    member.restart = task.restart
+    member.original_rtpu = original.rtpu if original.rtpu != member.rtpu else ""
     return [member]
 
 
@@ -161,7 +166,7 @@ def pair(task_set: SubsystemTasks, wanted: Sequence[Member]) -> None:
     """
     for member in wanted:
         if member.fallback_of:
-            task_set.stand_by(member.name, member.fallback_of)
+            task_set.stand_by(member.name, member.fallback_of, member.takeover)
 
 
 def unpaired(

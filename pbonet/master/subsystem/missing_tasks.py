@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
+from pbonet.errors import PbonetError
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from pbonet.errors import PbonetError
+    from pbonet.config import JobTask
     from pbonet.master.configuration import Files
     from pbonet.xm.net import RtpuStatus
 
@@ -40,7 +43,7 @@ def find_missing(
     answered = {status.rtpu: status for status in rtpus}
     there = {task.task for status in answered.values() for task in status.tasks}
     named = {
-        name: files.likely_rtpu(one.rmod)  # a standby is where its original is
+        name: _home(files, one, name)
         for one in files.job.tasks
         for name in (one.rmod, one.fallback)
         if name and name not in there
@@ -50,6 +53,15 @@ def find_missing(
         Missing(name, rtpu, _reason(rtpu, answered.get(rtpu), errors.get(rtpu)))
         for name, rtpu in named.items()
     ]
+
+
+def _home(files: Files, one: JobTask, name: str) -> str:
+    """Return the RTPU of a TASK line's task, or of its standby."""
+    own = None
+    if name != one.rmod:
+        with contextlib.suppress(PbonetError):
+            own = files.rmod(name).record.rtpu
+    return own or files.likely_rtpu(one.rmod)
 
 
 def _reason(rtpu: str, status: RtpuStatus | None, error: PbonetError | None) -> str:

@@ -244,9 +244,15 @@ def _failures(now: TaskStatus, since: TaskStatus | None) -> dict[str, int]:
 
 def _standby_text(now: TaskStatus) -> str:
     """Return the original if the task is a fallback; else empty."""
-    if now.stands_by:
-        return f"stands by for {now.fallback_of}"
-    return f"the fallback of {now.fallback_of}" if now.fallback_of else ""
+    if not now.fallback_of:
+        return ""
+    what = "stands by for" if now.stands_by else "the fallback of"
+    text = f"{what} {now.fallback_of}"
+    if now.original_rtpu:
+        text += f" on {now.original_rtpu}"
+    if now.takeover:
+        text += f", takes over after {now.takeover:g} s without it"
+    return text
 
 
 def _timing_text(now: TaskStatus, before: TaskStatus | None) -> str:

@@ -345,9 +345,21 @@ class SubsystemTasks:
             )
             self._model.add(member)
         member.rtpu, member.freq = status.rtpu, status.ref_f
-        member.fallback_of = status.fallback_of or member.fallback_of
         member.restart = status.restart
+        if status.fallback_of:
+            member.fallback_of = status.fallback_of
+            member.original_rtpu = status.original_rtpu
+            member.takeover = status.takeover
         self._model.move(status.task, State(status.state))
+
+    def recall(self, task: str, rtpu: str) -> None:
+        """Enter a task that was lost into the model, as it was seen by others."""
+        source = self._source(task, None)
+        state = State.ON if rtpu in self._missing else State.NOT_CREATED
+        freq = source.record.freq or 0.0
+        self.model.add(
+            configuration.Member(source=source, rtpu=rtpu, freq=freq, state=state)
+        )
 
     def locate(self, task: str) -> str:
         """Return the RTPU of a task, asking the agents when it is not known.
@@ -487,6 +499,8 @@ class SubsystemTasks:
             on=frozenset(member.name for member in self.reached if member.is_on),
             rtpus=self.files.sbs.rtpus,
             machines=self.clients.machines(),
+            keeper=self.files.sbs.keeper,
+            alone=self.files.sbs.alone,
             strict=self.files.sbs.strict,
             producers=self.files.producers() if self._whole else {},
             limit=schedule.PLANNED,
@@ -544,16 +558,103 @@ class SubsystemTasks:
         self.note(status)
         return status
 
-    def stand_by(self, standby: str, original: str) -> None:
-        """Make a task the fallback of another one on its RTPU; "" ends that.
+    def stand_by(
+        self,
+        standby: str,
+        original: str,
+        takeover: float = 0.0,
+        *,
+        ready: bool | None = None,
+    ) -> None:
+        """Make a task the fallback of another one; "" ends that.
+
+        Args:
+            standby: The one.
+            original: The other one.
+            takeover: Seconds without its RTPU after which the standby takes over by
+                itself; 0: never.
+            ready: Whether it does so from now on; None: if the original is ON.
 
         Raises:
             PbonetError: It could not take over.
         """
-        member = self.model.find(standby)
-        request = m.Standby(task=standby, original=original)
-        member.fallback_of = original
+        member, other = self.model.find(standby), self.model.get(original)
+        if other is not None:
+            away = other.rtpu != member.rtpu
+            member.original_rtpu = other.rtpu if away else ""
+        request = m.Standby(
+            task=standby,
+            original=original,
+            rtpu=member.original_rtpu if original else "",
+            takeover=takeover,
+            ready=ready if ready is not None else other is not None and other.is_on,
+        )
+        member.fallback_of, member.takeover = original, takeover
         self.note(self.clients.call(member.rtpu, request, m.TaskStatus))
+
+    def _inform_standbys(
+        self, items: Iterable[tuple[str, str]], *, ready: bool
+    ) -> None:
+        """Inform the standbys of tasks on other RTPUs that these get an order.
+
+        What was ordered is no loss. A standby that cannot be informed is reported.
+
+        Args:
+            items: Pairs of task and signal.
+            ready: Whether the tasks were turned on, else they are to be turned off.
+        """
+        signals = {"on"} if ready else {"off", "kill"}
+        ordered = {task for task, signal in items if signal in signals}
+        for one in list(self.model):
+            original = one.fallback_of
+            if not one.original_rtpu or original not in ordered:
+                continue
+            try:
+                self.stand_by(one.name, original, one.takeover, ready=ready)
+            except PbonetError as error:
+                does = "does not stand by" if ready else "may take over"
+                self.warned(f"the fallback {one.name} of {original} {does}: {error}")
+
+    def order_lost(self, items: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+        """Give tasks that cannot be reached the order to go off when they can be.
+
+        Every RTPU in reach repeats it to theirs when that is seen again, before
+        anything that it writes is used.
+
+        Args:
+            items: Pairs of task and signal.
+
+        Returns:
+            The items for the RTPUs that answer.
+
+        Raises:
+            PbonetError: No RTPU has taken the order.
+        """
+        lost: dict[str, list[str]] = {}
+        for task, signal in items:
+            rtpu = self.model.find(task).rtpu
+            if signal == "off" and rtpu in self._missing:
+                lost.setdefault(rtpu, []).append(task)
+        if not lost:
+            return list(items)
+        gone = {task for tasks in lost.values() for task in tasks}
+        self._inform_standbys([(task, "off") for task in gone], ready=False)
+        stop_id = secrets.token_hex(8)
+        taken, errors = self.clients.each(
+            lambda _: m.Replaced(stop_id=stop_id, tasks=lost, timeout=STOP_TIME),
+            m.Stopped,
+            rtpus=[name for name in self.clients.names if name not in self._missing],
+            timeout=STOP_TIME + rpc.ANSWER_TIME,
+        )
+        if not taken:
+            rpc.raise_all("no RTPU takes the order to turn a lost task off", errors)
+        self.warn(map(str, errors))
+        self.warn(
+            f"{' '.join(tasks)} may still be ON on {rtpu}, and will be turned off when "
+            "that is in reach again"
+            for rtpu, tasks in lost.items()
+        )
+        return [item for item in items if item[0] not in gone]
 
     def control(
         self, task: str, signal: str, arg: str, replaces: Sequence[str] = ()
@@ -572,8 +673,10 @@ class SubsystemTasks:
         rtpu = self.home(task, signal)
         request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
         request.replaces = list(replaces)
+        self._inform_standbys([(task, signal)], ready=False)
         status = self.clients.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
         self.model.ordered(task, signal)
+        self._inform_standbys([(task, signal)], ready=True)
         self.note(status)
         if signal == "kill":
             self._inbox.bury([task])
@@ -603,9 +706,11 @@ class SubsystemTasks:
         Raises:
             ReconfigError: An item failed; the rest was not sent.
         """
+        self._inform_standbys(items, ready=False)
         states = send_signal_list.send(
             self.model, self.clients, items, CONTROL_TIME, before=before
         )
+        self._inform_standbys(items, ready=True)
         self._inbox.bury(task for task, signal in items if signal == "kill")
         return states
 

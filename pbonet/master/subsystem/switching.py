@@ -81,7 +81,7 @@ def carry_out(
         with plan.supposed():
             plan.spawn(transition, stopped, gate)
         items = transition.items
-        transition.states = task_set.send(items)
+        transition.states = task_set.send(task_set.order_lost(items))
         plan.pair()
         if kills := [(name, "kill") for name in transition.kills]:
             came = prove(task_set, items, kills, clock, stopped)
@@ -250,11 +250,29 @@ def plan_swap(
         VerificationError: No task is named.
     """
     olds, news = _once_each(old), _once_each(new)
+    for name in olds:
+        _recall_lost(task_set, name, news)
     plan = Plan(task_set)
     plan.take_out([task_set.model.find(name) for name in olds], but=news)
     for name in news:
         plan.put_in(_newcomer(task_set, name, rtpu, task_set.model.find(olds[0])))
     return plan
+
+
+def _recall_lost(task_set: SubsystemTasks, name: str, news: Sequence[str]) -> None:
+    """Enter a task that was lost into the model if one of its successors knows it.
+
+    A master that was opened after the loss has not seen it; its fallback on another
+    RTPU names it. It may be ON if its RTPU does not answer, and is no more if it does.
+    """
+    standbys = [task_set.model.get(new) for new in news]
+    for one in standbys:
+        if (
+            name not in task_set.model
+            and one is not None
+            and (one.fallback_of, bool(one.original_rtpu)) == (name, True)
+        ):
+            task_set.recall(name, one.original_rtpu)
 
 
 def plan_job(task_set: SubsystemTasks, job: JobFile) -> Plan:

@@ -26,7 +26,7 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.node.mirror import TableCarrier
+from pbonet.node.mirror import TableCarrier, Takeovers
 from pbonet.node.restart import DesiredState, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import rtpu_messages
@@ -54,7 +54,7 @@ from .rtpu_link import RtpuLink
 from .shared_memory_status import SharedMemoryStatus, restarting
 from .shutdown_event import Ending
 from .start_rtpu import choose_core
-from .stop_orders import StopOrders
+from .stop_orders import Order, StopOrders
 from .stopped_processes import StoppedProcesses
 from .subsystem_links import Links
 from .zenoh_server import Server
@@ -136,14 +136,19 @@ class Agent:
         self._ways: PeerLatencies | None = None
         self._stops: StopOrders | None = None
         self._again: TaskRestarts | None = None
+        self._takeovers: Takeovers | None = None
         self._mirrors: TableCarrier | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._subscriptions: KeySubscriptions | None = None
         self._links: Links | None = None
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
-        self._stopped = StoppedProcesses(self.name, self._processes, self._note)
+        self._stopped = StoppedProcesses(
+            self.name, self._processes, self._note, self._send_alive
+        )
         self._link: RtpuLink | None = None
+        self._apart: dict[str, float] = {}
+        """Subsystems whose keeper is on another machine, and its silence, as sent."""
         self._about: AgentInfo | None = None
         self._over = Ending()
         self._stopping = False
@@ -228,11 +233,21 @@ class Agent:
             self._met_twin,
         )
         self._duplicates.start()
-        self._heartbeat = Heartbeat(self._session, self.info(), self._on_sight)
+        self._heartbeat = Heartbeat(
+            self._session, self.info(), self._on_sight, self._stops.holds
+        )
+        self._takeovers = Takeovers(
+            self.name,
+            *(client, self._heartbeat, self._stops),
+            written=self._overview.written,
+            send=self._note,
+        )
+        self._takeovers.update(info)
+        self._takeovers.start()
         self._ways = PeerLatencies(
             self._session,
             *(self.info, self._recorders.send, self._note),
-            stops=self._stops,
+            listeners=(self._stops, self._takeovers),
             silent=self._heartbeat.is_silent,
         )
         self._ways.start()
@@ -279,6 +294,20 @@ class Agent:
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
+
+    def _send_alive(self) -> None:
+        """Send the RTPU process a sign of life, if others depend on this agent."""
+        link, beats = self._link, self._heartbeat
+        if link is None or link.info is None or beats is None:
+            return
+        before = self._apart
+        self._apart = {
+            subsystem: beats.unanswered(use.keeper)
+            for subsystem, use in link.info.tables.items()
+            if use.alone and not beats.is_here(use.keeper)
+        }
+        if before or self._apart:
+            self._note(rtpu_messages.Alive(self._apart))
 
     def _refuse_duplicate(self) -> None:
         """Raise if an agent of that name is alive anywhere in the domain."""
@@ -357,7 +386,7 @@ class Agent:
             mirrors.out_of_sight(change.machine)
 
     def _note(self, note: msgspec.Struct) -> None:
-        """Report an event through the RTPU process, if there is one."""
+        """Send a message to the RTPU process, if there is one, such as an event."""
         link = self._link
         if link is not None:
             with contextlib.suppress(NodeError):
@@ -380,6 +409,7 @@ class Agent:
             self._subscriptions,
             self._mirrors,
             self._ways,
+            self._takeovers,
             self._stops,
         )
         for part in (*network, self._duplicates, self._term, self._stopped):
@@ -387,7 +417,7 @@ class Agent:
                 part.stop()
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
-        self._stops = None
+        self._stops = self._takeovers = None
         self._heartbeat = None
         if self._restarter is not None:
             self._restarter.join()
@@ -532,20 +562,25 @@ class Agent:
         self._overview.informed(info)
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)
+        if self._takeovers is not None:
+            self._takeovers.update(info)
 
     def learned(self, news: SnapshotChanges) -> None:
         """Store the RTPU process's report of its state."""
         self._overview.learn(news)
         self._desired.learn(news)
 
-    def stop_ordered(self, request: messages.Stop) -> None:
+    def stop_ordered(self, request: Order) -> None:
         """Repeat a stop to RTPUs that are out of reach, when they are seen again.
 
         Nothing that was lost here is given again after it.
         """
         if self._stops is not None:
             self._stops.add(request)
-        if request.stop_id not in self._desired.stops:
+        if isinstance(request, messages.Replaced):
+            here = request.tasks.get(self.name, ())
+            self._desired.replaced(request.subsystem, here)
+        elif request.stop_id not in self._desired.stops:
             self._desired.ended(request.subsystem)
 
     def done(self, request: messages.AnyRequest, data: bytes) -> None:

@@ -3,17 +3,25 @@
 An agent that gives no sign of life for 0.4 s is out of sight: its machine's variables
 have no writer then, though the link is kept for some seconds, because an interruption
 is often over before a new link could be made.
+
+A sign of life also says whose signs of life its sender hears. So an agent knows that it
+is heard, and since when it may not be: what it must do alone (``ALONE``) is counted
+from the last of its own signs of life that was answered. A machine that was out of
+reach and has orders to carry out (`stop_orders`) is not answered before it has done so.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import threading
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
+import msgspec
 import zenoh
+from msgspec import Struct
 
 from pbonet.node.wire import process_setup
 from pbonet.xm.net import direct, key_expressions, session
@@ -35,7 +43,21 @@ FIND_TURNS = 40
 """Turns between searches for new connections."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
+HELD = -1
+"""Answers a sign of life of a machine that has orders to carry out."""
 _LEAF = "beat"
+
+
+class Beat(Struct, array_like=True):
+    """A sign of life."""
+
+    machine: str
+    """The sender's, in the form used in keys."""
+    sent_ns: int
+    """CLOCK_MONOTONIC of that machine."""
+    heard: dict[str, int]
+    """The agents that the sender hears: `sent_ns` of each one's last sign of life, or
+    `HELD`."""
 
 
 class Change(NamedTuple):
@@ -54,8 +76,29 @@ class _Agent:
 
     def __init__(self, machine: str) -> None:
         self.machine = machine
-        self.heard = time.monotonic()
+        self.heard = self.back = time.monotonic()
         self.seen = True
+        self.sent_ns = 0
+        """Of its last sign of life, by the clock of its machine."""
+        self.answered = 0.0
+        """When the last sign of life was sent that it has answered."""
+        self.holds = False
+        """Whether it says that there are orders to carry out here."""
+        self.answers: dict[str, int] = {}
+        """The last answer that it gave each agent."""
+        self.told: dict[str, float] = {}
+        """When its answer to each agent was last a new one."""
+
+    def take(self, beat: Beat, me: str, now: float) -> None:
+        """Take a sign of life."""
+        if not self.seen:
+            self.back = now
+        self.heard, self.sent_ns = now, beat.sent_ns
+        self.holds = beat.heard.get(me) == HELD
+        for name, sent_ns in beat.heard.items():
+            if self.answers.get(name) != sent_ns:
+                self.told[name] = now
+        self.answers = beat.heard
 
 
 class Heartbeat:
@@ -66,6 +109,7 @@ class Heartbeat:
         me: The agent's identity.
         report: Called when another agent goes out of sight or comes back, in zenoh's
             thread or in one of its own.
+        holds: Returns whether a machine must carry out orders before it is answered.
     """
 
     def __init__(
@@ -73,10 +117,13 @@ class Heartbeat:
         link: zenoh.Session,
         me: AgentInfo,
         report: Callable[[Change], None],
+        holds: Callable[[str], bool] = lambda _machine: False,
     ) -> None:
-        self._session, self._report = link, report
+        self._session, self._report, self._holds = link, report, holds
         self._domain, self._name = me.domain, me.name
-        self._machine = key_expressions.machine(me.machine).encode()
+        self._machine = key_expressions.machine(me.machine)
+        self._decoder = msgspec.msgpack.Decoder(Beat)
+        self._encoder = msgspec.msgpack.Encoder()
         self._agents: dict[str, _Agent] = {}
         self._began = time.monotonic()
         self._guard = threading.Lock()
@@ -107,23 +154,64 @@ class Heartbeat:
         if self._thread.is_alive():
             self._thread.join()
 
-    def silence(self, name: str) -> float:
-        """Return for how many seconds an agent's machine has given no sign of life.
-
-        An agent that was never heard counts as heard at the start.
-        """
+    def is_here(self, name: str) -> bool:
+        """Return whether an agent is known to be on this machine."""
         with self._guard:
-            agent = self._agents.get(name)
-            if name == self._name or (
-                agent is not None and agent.machine == self._machine.decode()
-            ):
+            return self._of_machine(name) is None
+
+    def silence(self, name: str) -> float:
+        """Return for how many seconds an agent's machine has not answered.
+
+        That is since the last sign of life from here that any agent of it has answered.
+        The start counts as answered, and nothing while one of them answers that there
+        are orders to carry out.
+        """
+        return min(self.unanswered(name), time.monotonic() - self._began)
+
+    def unanswered(self, name: str) -> float:
+        """Return the same, infinite before the first answer since the start."""
+        with self._guard:
+            agents = self._of_machine(name)
+            if agents is None:
                 return 0.0
-            heard = [
-                one.heard
-                for one in self._agents.values()
-                if agent is not None and one.machine == agent.machine
-            ]
-        return time.monotonic() - max(heard, default=self._began)
+            answered = max((one.answered for one in agents.values()), default=0.0)
+        return time.monotonic() - answered if answered else math.inf
+
+    def absence(self, name: str, keeper: str) -> float:
+        """Return for how many seconds an agent's machine was surely alone.
+
+        It has been heard neither here nor by the machine of the keeper, which must be
+        in sight. Infinite for this machine, of which other things are known.
+
+        Args:
+            name: The agent.
+            keeper: The agent of the keeper's RTPU.
+        """
+        now = time.monotonic()
+        with self._guard:
+            lost = self._of_machine(name)
+            if lost is None:
+                return math.inf
+            last = [one.heard for one in lost.values()]
+            witnesses = self._of_machine(keeper)
+            if witnesses is not None:
+                there = [one for one in witnesses.values() if one.seen]
+                if not there:
+                    return 0.0
+                last += [one.back for one in there]
+                last += [one.told.get(other, 0.0) for one in there for other in lost]
+        return now - max(last, default=now)
+
+    def _of_machine(self, name: str) -> dict[str, _Agent] | None:
+        """Return the agents of an agent's machine; None if that is this machine."""
+        agent = self._agents.get(name)
+        if name == self._name or (agent is not None and agent.machine == self._machine):
+            return None
+        return {
+            other: one
+            for other, one in self._agents.items()
+            if agent is not None and one.machine == agent.machine
+        }
 
     def is_silent(self, name: str) -> bool:
         """Return whether an agent is out of sight, though its link may still exist."""
@@ -133,13 +221,24 @@ class Heartbeat:
     def _note_beat(self, sample: zenoh.Sample) -> None:
         """Note a sign of life; runs in zenoh's own thread."""
         name = key_expressions.rtpu_name(str(sample.key_expr))
+        try:
+            beat = self._decoder.decode(sample.payload.to_bytes())
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            return  # of another version: it counts as out of sight
         with self._guard:
             agent = self._agents.get(name)
             if agent is None:
-                machine = sample.payload.to_bytes().decode(errors="replace")
-                agent = self._agents[name] = _Agent(machine)
-            agent.heard = time.monotonic()
+                agent = self._agents[name] = _Agent(beat.machine)
+            now = time.monotonic()
+            agent.take(beat, self._name, now)
             back, agent.seen = not agent.seen, True
+            if not any(
+                one.holds and one.seen
+                for one in self._agents.values()
+                if one.machine == agent.machine
+            ):
+                answered = beat.heard.get(self._name, 0) * 1e-9
+                agent.answered = max(agent.answered, min(answered, now))
         if back:
             self._report(Change(name, agent.machine, seen=True, last=False))
 
@@ -153,11 +252,20 @@ class Heartbeat:
                 self._retransmission.tend()
                 if turn % BEAT_TURNS == 0:
                     with contextlib.suppress(zenoh.ZError):
-                        self._publisher.put(self._machine)  # pyright: ignore[reportUnknownMemberType]
+                        self._publisher.put(self._beat())  # pyright: ignore[reportUnknownMemberType]
                 self._check(time.monotonic())
             except Exception:  # a fault in one turn must not end the signs of life
                 log.exception("the links could not be checked")
             turn += 1
+
+    def _beat(self) -> bytes:
+        """Return a packed sign of life."""
+        with self._guard:
+            seen = [(name, one) for name, one in self._agents.items() if one.seen]
+        held = {one.machine: self._holds(one.machine) for _, one in seen}
+        heard = {name: HELD if held[one.machine] else one.sent_ns for name, one in seen}
+        beat = Beat(self._machine, round(time.monotonic() * 1e9), heard)
+        return self._encoder.encode(beat)
 
     def _check(self, now: float) -> None:
         """Report agents that went out of sight."""
@@ -172,7 +280,7 @@ class Heartbeat:
                     one.seen and one.machine == agent.machine
                     for one in self._agents.values()
                 )
-                here = agent.machine == self._machine.decode()  # see `silence`
+                here = agent.machine == self._machine  # see `silence`
                 if last and not here and agent.heard < now - FORGET:
                     self._agents.pop(name, None)
             if gone:

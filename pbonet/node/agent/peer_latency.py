@@ -40,7 +40,7 @@ from . import link_watchdog
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Sequence
 
-    from .stop_orders import StopOrders
+    from .stop_orders import Listener
 
 log = logging.getLogger("pbonet.node")
 
@@ -94,7 +94,7 @@ class PeerLatencies:
         me: The agent's identity.
         tell: Called with the clock offsets, every second.
         note: Called with reports for masters.
-        stops: Compares each greeting with the stop orders.
+        listeners: Learn of each greeting, and of agents that are lost or have ended.
         silent: Returns whether an agent is out of sight, though its link is kept.
     """
 
@@ -105,14 +105,14 @@ class PeerLatencies:
         tell: Callable[[rtpu_messages.Clocks], None] | None = None,
         note: Callable[[rtpu_messages.Note], None] | None = None,
         *,
-        stops: StopOrders | None = None,
+        listeners: Sequence[Listener] = (),
         silent: Callable[[str], bool] = lambda _name: False,
     ) -> None:
         self._session = link
         self._me = me
         self._tell = tell
         self._note = note
-        self._stops = stops
+        self._listeners = listeners
         self._silent = silent
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
@@ -194,8 +194,8 @@ class PeerLatencies:
             peer = self._peers.pop(name, None)
             if peer is not None:
                 self._lose(name, peer)
-        if self._stops is not None:
-            self._stops.lost(name)
+        for one in self._listeners:
+            one.lost(name)
 
     def in_sight(self, name: str) -> None:
         """Record that it is in sight again; may be called from any thread."""
@@ -212,8 +212,8 @@ class PeerLatencies:
             if name in self._peers:
                 self._ended.add(name)
             self._lost.pop(name, None)
-        if self._stops is not None:
-            self._stops.ended(name)
+        for one in self._listeners:
+            one.ended(name)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         """Let an agent that has appeared be asked now, or one that is gone be noted.
@@ -224,8 +224,9 @@ class PeerLatencies:
         if sample.kind == zenoh.SampleKind.PUT:
             with self._guard:
                 self._new.add(name)
-        elif self._stops is not None:
-            self._stops.lost(name)
+        else:
+            for one in self._listeners:
+                one.lost(name)
         self._wake.set()
 
     def clock(self, name: str) -> Clock | None:
@@ -343,8 +344,9 @@ class PeerLatencies:
                     self._watchdog.met(found, here=found.machine == machine)
                 else:
                     peer.error = found
-            if self._stops is not None and isinstance(found, m.AgentInfo):
-                self._stops.met(found)
+            if isinstance(found, m.AgentInfo):
+                for one in self._listeners:
+                    one.met(found)
 
     def _lose(self, name: str, peer: Peer) -> None:
         """Remember agents that are no longer seen, unless they announced their end."""

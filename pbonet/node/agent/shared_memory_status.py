@@ -36,7 +36,7 @@ from pbonet.xm.net import codec, messages as m
 from . import variable_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from pbonet.analysis.schedule import SlotStatus
     from pbonet.node.wire import Recorder, RtpuInfo
@@ -138,6 +138,14 @@ class SharedMemoryStatus:
             ]
             for entry in known.claims or ()
         }
+
+    def written(self, subsystem: str, names: Iterable[str]) -> bool:
+        """Return whether a task writes any of these variables, or it is not known."""
+        found = self._tables.get(subsystem)
+        try:
+            return found is None or any(map(found[0].written, names))
+        except SvarError:
+            return True
 
     def let_go(self) -> None:
         """Close all tables, because the RTPU process has ended."""

@@ -11,6 +11,9 @@ machines take the repetition from a gateway only (see `pbonet.xm.net.access_cont
 An RTPU process that is new is concerned too: its agent may spawn the tasks again that
 were lost with the former one. So that agent asks for the orders first
 (`AgentInfo.due`), and they outlive the agent, see `pbonet.node.restart`.
+
+The same holds for an order to turn tasks OFF in whose place others are now. It concerns
+the RTPUs that it names, also new processes of them, which may have such a task again.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import logging
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from msgspec import Struct
 
@@ -42,19 +45,35 @@ PATIENCE: Final = 4.0
 has received it from the master, too."""
 
 
+Order: TypeAlias = m.Stop | m.Replaced
+
+
 class Caller(Protocol):
     """Sends a request to an RTPU, such as `pbonet.xm.net.Client`."""
 
     def call(
         self,
         rtpu: str,
-        request: m.Stop,
+        request: Order,
         result: type[m.Stopped],
         *,
         timeout: float,
     ) -> m.Stopped:
         """Return the result; raises a `PbonetError`."""
         ...
+
+
+class Listener(Protocol):
+    """Learns of other agents, as `StopOrders`."""
+
+    def met(self, info: m.AgentInfo) -> None:
+        """Take an agent's greeting."""
+
+    def lost(self, name: str) -> None:
+        """Take in that an agent is not seen any more."""
+
+    def ended(self, name: str) -> None:
+        """Take in that an agent has ended in order."""
 
 
 class _Peer(Struct):
@@ -77,6 +96,8 @@ class _Order(Struct):
     """Their machines."""
     sent: set[str]
     """RTPUs to which it is being sent."""
+    tasks: dict[str, list[str]]
+    """Tasks to be turned OFF, by RTPU; empty: all tasks are ended."""
 
 
 class StopOrders:
@@ -110,6 +131,7 @@ class StopOrders:
                 due=dict.fromkeys(one.due, 0.0),
                 machines=one.machines,
                 sent=set(),
+                tasks=one.tasks,
             )
             for one in before
         ]
@@ -122,7 +144,7 @@ class StopOrders:
         """Repeat no order any longer."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def add(self, request: m.Stop) -> None:
+    def add(self, request: Order) -> None:
         """Take an order that this agent's RTPU was given.
 
         One without an identity is not repeated: whether it was carried out cannot be
@@ -133,23 +155,26 @@ class StopOrders:
             known = any(order.id == request.stop_id for order in self._orders)
             if known or not request.stop_id:
                 return
-            concerned = {
-                name: peer
+            tasks = request.tasks if isinstance(request, m.Replaced) else {}
+            concerned = [name for name in tasks if name != self._name] or [
+                name
                 for name, peer in self._peers.items()
-                if _concerns(request.subsystem, peer.subsystems)
-            }
+                if not tasks and _concerns(request.subsystem, peer.subsystems)
+            ]
+            there = self._peers.keys() - self._gone
+            later = now + request.timeout + PATIENCE
             order = _Order(
                 id=request.stop_id,
                 subsystem=request.subsystem,
                 at=now,
-                due={
-                    name: 0.0
-                    if name in self._gone
-                    else now + request.timeout + PATIENCE
+                due={name: later if name in there else 0.0 for name in concerned},
+                machines={
+                    name: self._peers[name].machine
                     for name in concerned
+                    if name in self._peers
                 },
-                machines={name: peer.machine for name, peer in concerned.items()},
                 sent=set(),
+                tasks=tasks,
             )
             self._orders = [*self._orders[1 - MOST :], order]
         self._changed()
@@ -163,16 +188,17 @@ class StopOrders:
                     subsystem=order.subsystem,
                     due=[name for name, due in order.due.items() if not due],
                     machines=order.machines,
+                    tasks=order.tasks,
                 )
                 for order in self._orders
             ]
         return [order for order in found if order.due]
 
     def due(self) -> dict[str, list[tuple[str, str]]]:
-        """Return the orders of `left` by RTPU: id and subsystem."""
+        """Return the stops of `left` by RTPU: id and subsystem."""
         found: dict[str, list[tuple[str, str]]] = {}
         for order in self.left():
-            for name in order.due:
+            for name in order.due if not order.tasks else ():
                 found.setdefault(name, []).append((order.id, order.subsystem))
         return found
 
@@ -217,6 +243,24 @@ class StopOrders:
                 order.due.pop(name, None)
         self._changed()
 
+    def in_reach(self) -> list[str]:
+        """Return the RTPUs that are seen now."""
+        with self._guard:
+            return sorted(self._peers.keys() - self._gone)
+
+    def holds(self, machine: str) -> bool:
+        """Return whether a machine that was out of reach has orders to carry out.
+
+        Args:
+            machine: The machine in the form used in keys.
+        """
+        with self._guard:
+            return any(
+                not due and order.machines.get(name) == machine
+                for order in self._orders
+                for name, due in order.due.items()
+            )
+
     def refuses(self, subsystem: str, machine: str) -> bool:
         """Return whether a machine has not carried out a stop of a subsystem.
 
@@ -226,7 +270,7 @@ class StopOrders:
         """
         with self._guard:
             return any(
-                order.machines[name] == machine
+                order.machines.get(name) == machine
                 for order in self._orders
                 if order.subsystem in {"", subsystem}
                 for name, due in order.due.items()
@@ -234,9 +278,12 @@ class StopOrders:
             )
 
     def _repeat(self, order: _Order, name: str) -> None:
-        request = m.Stop(
-            subsystem=order.subsystem, timeout=TIME, stop_id=order.id, order=[]
+        request: Order = (
+            m.Replaced(tasks=order.tasks, stop_id=order.id, timeout=TIME)
+            if order.tasks
+            else m.Stop(stop_id=order.id, timeout=TIME)
         )
+        request.subsystem = order.subsystem
         try:
             done = self._client.call(name, request, m.Stopped, timeout=TIME)
         except AccessError:  # now no gateways alone lead there; or our keys are none
@@ -255,9 +302,11 @@ class StopOrders:
         tasks = " ".join([*done.off, *done.killed])
         if not tasks:
             return
-        what = order.subsystem or "all subsystems"
+        what = f"the stop of {order.subsystem or 'all subsystems'}"
+        if order.tasks:
+            what = f"the order that others replace {' '.join(order.tasks[name])}"
         ago = time.monotonic() - order.at
-        text = f"the stop of {what}, given {ago:.1f} s ago, has reached {name} only now"
+        text = f"{what}, given {ago:.1f} s ago, has reached {name} only now"
         note = rtpu_messages.Note(
             int(Severity.WARNING), "STOPPED", f"{text}: {tasks} turned off"
         )

@@ -2,7 +2,7 @@
 
 A stopped RTPU process ranks no task and answers no command, and a stopped recorder
 loses data when its rings are full. A debugger holds a process in another way, and is
-left alone.
+left alone. The RTPU process gets signs of life of the agent.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ class StoppedProcesses:
         name: The agent's name.
         processes: Returns the identifiers of its processes, with what each one is.
         note: Called with reports for masters.
+        alive: Called at each check: sends the RTPU process a sign of life.
     """
 
     def __init__(
@@ -37,8 +38,10 @@ class StoppedProcesses:
         name: str,
         processes: Callable[[], Mapping[int, str]],
         note: Callable[[rtpu_messages.Note], None],
+        alive: Callable[[], None] = lambda: None,
     ) -> None:
         self._name, self._processes, self._note = name, processes, note
+        self._alive = alive
         self._over = threading.Event()
         self._thread = threading.Thread(
             target=self._watch, name="pbonet stopped", daemon=True
@@ -63,3 +66,4 @@ class StoppedProcesses:
                     log.warning("%s: %s", self._name, text)
                     note = rtpu_messages.Note(int(Severity.WARNING), "RESUMED", text)
                     self._note(note)
+            self._alive()  # after that, since it waits for a process that is stopped

@@ -63,6 +63,7 @@ CHANGES = (
     m.Reconfig,
     m.Flag,
     m.Stop,
+    m.Replaced,
 )
 """Requests that may change a table: answered when the subsystem's other machines have
 the change, so that the next request may go to any of them."""
@@ -83,7 +84,7 @@ class Node(Protocol):
         value was set.
         """
 
-    def stop_ordered(self, request: m.Stop) -> None:
+    def stop_ordered(self, request: m.Stop | m.Replaced) -> None:
         """Repeat a stop to RTPUs that are out of reach, when they are seen again."""
 
     def done(self, request: m.AnyRequest, data: bytes) -> None:
@@ -359,7 +360,7 @@ class Server:
             failed = codec.failure(error, codec.request_id(data))
             self._reply(query, self._codec.pack(failed))
             return
-        if isinstance(request, m.Stop):
+        if isinstance(request, m.Stop | m.Replaced):
             self._node.stop_ordered(request)
         self._pass_on(partial(self._reply, query), request, data)
 

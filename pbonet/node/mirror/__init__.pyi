@@ -1,1 +1,2 @@
 from .table_carrier import TableCarrier as TableCarrier
+from .takeover import Takeovers as Takeovers

@@ -22,7 +22,7 @@ from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import codec, messages as m, run_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
     from pbonet.node.rtpu import SnapshotChanges, TaskSnapshot
@@ -110,6 +110,8 @@ class StopLeft(Struct, kw_only=True):
     subsystem: str
     due: list[str]
     machines: dict[str, str]
+    tasks: dict[str, list[str]] = {}
+    """Tasks to be turned OFF, by RTPU; empty: all tasks are ended."""
 
 
 class _File(Struct, kw_only=True):
@@ -296,6 +298,13 @@ class DesiredState:
             for name, kept in self.subsystems.items():
                 if subsystem in {"", name}:
                     kept.end()
+
+    def replaced(self, subsystem: str, tasks: Collection[str]) -> None:
+        """Take in that others are in the place of tasks: these are not turned on."""
+        with self.guard:
+            kept = self.subsystems.get(subsystem)
+            if kept is not None:
+                kept.on = [one for one in kept.on if one not in tasks]
 
     def carried_out(self, stop_id: str) -> None:
         """Remember a stop order that was carried out."""

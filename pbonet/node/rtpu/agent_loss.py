@@ -4,6 +4,10 @@ Variables that tasks on other machines write were owned here by the agent. They 
 longer updated, so they are given up for a task here to take over, and the
 illegal-configuration flag is up until they are written again. Another agent of this
 machine carries them on if there is one, and a restarted agent does.
+
+An agent that hangs, is stopped or was killed cannot notice that the keeper's machine is
+out of sight (``ALONE``), and others may take its machine for lost. So the RTPU process
+expects signs of life from it, and raises the flag itself.
 """
 
 from __future__ import annotations
@@ -23,6 +27,68 @@ NAME = "agent"
 PATIENCE = 1.0
 """Seconds in which a process whose socket was closed has ended, if it was killed."""
 PAUSE = 0.005
+SILENCE = "agent's silence"
+"""The subject of the entry for an agent that gives no sign of life."""
+TURN = 0.1
+"""Seconds between checks of that."""
+MISSED = 0.5
+"""Seconds after which the agent, if it works, has given another one. Then the time for
+which the keeper had not answered before counts, too."""
+
+
+class Silence:
+    """The signs of life that the RTPU process expects from its agent.
+
+    Args:
+        rtpu: The RTPU.
+    """
+
+    def __init__(self, rtpu: Rtpu) -> None:
+        self._rtpu = rtpu
+        self._silences: dict[str, float] = {}
+        self._last = 0.0
+        self._raised: set[str] = set()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def take(self, silences: dict[str, float]) -> None:
+        """Take a sign of life; more are expected while subsystems are named.
+
+        An agent that works again may have missed the loss of the keeper's machine. So
+        the flag stays up until that has answered.
+
+        Args:
+            silences: Subsystems, and for how long their keeper's machine has not
+                answered.
+        """
+        self._last, self._silences = time.monotonic(), silences
+        for subsystem in list(self._raised):
+            if silences.get(subsystem, 0.0) <= self._alone(subsystem):
+                self._raised.discard(subsystem)
+                self._rtpu.flags.down(subsystem, SILENCE)
+        if silences and self._timer is None:
+            self._check()
+
+    def close(self) -> None:
+        """Expect no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _check(self) -> None:
+        silent = time.monotonic() - self._last
+        for subsystem, before in self._silences.items():
+            alone = self._alone(subsystem)
+            lost = silent > alone or (silent > MISSED and silent + before > alone)
+            if alone and lost and subsystem not in self._raised:
+                self._raised.add(subsystem)
+                cause = f"the agent gives no sign of life for {alone:g} s (ALONE)"
+                self._rtpu.flags.up(subsystem, SILENCE, cause)
+        again = asyncio.get_running_loop().call_later
+        self._timer = again(TURN, self._check) if self._silences else None
+
+    def _alone(self, subsystem: str) -> float:
+        """Return the time of ``ALONE``; 0: never."""
+        opened = self._rtpu.tables.get(subsystem)
+        return opened.use.alone if opened is not None else 0.0
 
 
 async def give_up(rtpu: Rtpu) -> None:

@@ -5,6 +5,10 @@ beforehand which task stands by, and reports afterwards what has happened. A pai
 arranged while the original is ON and the standby OFF, and whenever the original is
 about to come on.
 
+A standby of a task on another RTPU is turned ON by its agent, when that task has been
+lost for a declared time. Nothing is arranged for that: its ``on`` is that of any task,
+and is refused while its variables are written.
+
 Nothing flaps: an original that is cleared does not take its place back, a standby that
 fails too has no further standby, and after `LIMIT` times a pair is not arranged again.
 """
@@ -50,6 +54,13 @@ class Pair(Struct):
     """The last reported reason why it cannot stand by."""
     arranged: Task | None = None
     """The original that the standby waits for, or has waited for last."""
+    rtpu: str = ""
+    """The RTPU of the original, if it is another one."""
+    takeover: float = 0.0
+    """Seconds without that original until the standby is turned ON; 0: never."""
+    ready: bool = False
+    """Whether the loss of an original on another RTPU counts: it was turned ON, and not
+    off by an order."""
 
 
 class Home(Protocol):
@@ -61,6 +72,10 @@ class Home(Protocol):
     tasks: dict[tuple[str, str], Task]
     stopping: set[str]
     lists: dict[str, list[tuple[str, str]]]
+
+    def publish_claims(self) -> None:
+        """Tell the agent what has changed."""
+        ...
 
     def of(self, subsystem: str) -> list[Task]:
         """Return the tasks of a subsystem."""
@@ -84,8 +99,25 @@ class Fallbacks:
         self._running: set[asyncio.Task[None]] = set()
         self._lock = asyncio.Lock()
 
-    async def pair(self, subsystem: str, standby: str, original: str) -> None:
+    async def pair(
+        self,
+        subsystem: str,
+        standby: str,
+        original: str,
+        *,
+        rtpu: str = "",
+        takeover: float = 0.0,
+        ready: bool = False,
+    ) -> None:
         """Make a task the fallback of another one; an empty original ends that.
+
+        Args:
+            subsystem: Of both tasks.
+            standby: The one.
+            original: The other one.
+            rtpu: Its RTPU, if it is another one.
+            takeover: Seconds without it after which the standby is turned ON; 0: never.
+            ready: Whether its loss counts from now on.
 
         Raises:
             UnknownTaskError: One of them is not here.
@@ -93,7 +125,7 @@ class Fallbacks:
             PbonetError: The standby could not take over: why.
         """
         task = self._rtpu.need(subsystem, standby)
-        if original:
+        if original and not rtpu:
             self._rtpu.need(subsystem, original)
         if original == standby:
             raise StateError(
@@ -102,20 +134,31 @@ class Fallbacks:
                 remedy="name another task",
             )
         known = self._pairs.get((subsystem, standby))
-        if known is not None and known.original == original and known.engaged < LIMIT:
+        if (
+            known is not None
+            and (known.original, known.rtpu) == (original, rtpu)
+            and known.engaged < LIMIT
+        ):
+            known.takeover, known.ready = takeover, ready
+            self._publish_away(known)
             await self._arrange(known)
             return
         await self.withdraw(task)
-        self._pairs.pop((subsystem, standby), None)
+        if known is not None:
+            del self._pairs[subsystem, standby]
+            self._publish_away(known)
         if not original:
             return
-        made = self._pairs[subsystem, standby] = Pair(subsystem, original, standby)
+        made = Pair(
+            subsystem, original, standby, rtpu=rtpu, takeover=takeover, ready=ready
+        )
+        self._pairs[subsystem, standby] = made
+        self._publish_away(made)
         await self._arrange(made)
 
-    def of(self, task: Task) -> str:
-        """Return the original whose fallback a task is; empty for none."""
-        pair = self._pairs.get((task.facts.subsystem, task.name))
-        return pair.original if pair else ""
+    def of(self, task: Task) -> Pair | None:
+        """Return a task and its original if it is a fallback."""
+        return self._pairs.get((task.facts.subsystem, task.name))
 
     def missed(self, task: Task) -> list[str]:
         """Return which of its variables others must write when a task has failed.
@@ -136,6 +179,61 @@ class Fallbacks:
         """Forget all pairs of a subsystem."""
         for key in [key for key in self._pairs if key[0] == subsystem]:
             del self._pairs[key]
+
+    # -- for tasks of other RTPUs ------------------------------------------------------
+
+    def away(self) -> list[rtpu_messages.Standby]:
+        """Return the standbys whose originals the agent watches."""
+        return [
+            rtpu_messages.Standby(
+                subsystem=pair.subsystem,
+                standby=pair.standby,
+                original=pair.original,
+                rtpu=pair.rtpu,
+                takeover=pair.takeover,
+                outputs=tuple(task.facts.outputs),
+            )
+            for key, pair in self._pairs.items()
+            if pair.takeover
+            and (task := self._rtpu.tasks.get(key)) is not None
+            and self.stands_away(task)
+        ]
+
+    def stands_away(self, task: Task) -> bool:
+        """Return whether a task stands by for one of another RTPU."""
+        pair = self.of(task)
+        return (
+            pair is not None
+            and bool(pair.rtpu)
+            and pair.ready
+            and pair.engaged < LIMIT
+            and task.state is State.OFF
+        )
+
+    def takes_over(self, task: Task) -> None:
+        """Note that a task comes in the place of one of another RTPU."""
+        pair = self.of(task)
+        if pair is not None:
+            pair.engaged, pair.ready = pair.engaged + 1, False
+            self._publish_away(pair)
+
+    def report_away(self, task: Task, why: str, error: PbonetError | None) -> None:
+        """Report how a task has come in the place of one of another RTPU."""
+        pair = self.of(task)
+        if pair is None:
+            return
+        self._report(
+            Severity.WARNING if error is None else Severity.ERROR,
+            pair,
+            f"{pair.original} on {pair.rtpu} is lost, {why}: its fallback {task.name} "
+            f"was turned on; state {task.state}, time {pair.engaged} of {LIMIT}"
+            + (f": {error}" if error is not None else ""),
+        )
+
+    def _publish_away(self, pair: Pair) -> None:
+        """Tell the agent which originals to watch, if that may have changed."""
+        if pair.rtpu:
+            self._rtpu.publish_claims()
 
     # -- standing by -------------------------------------------------------------------
 
@@ -163,6 +261,7 @@ class Fallbacks:
                 pair.original,
                 pair.standby,
             }:
+                self._publish_away(pair)
                 self._later(pair)
 
     def update_all(self) -> None:

@@ -39,7 +39,7 @@ LONGEST = 3600.0
 LARGEST_LIST = 900_000
 """Bytes of events in one answer; the client continues from the last number it got."""
 _LOOKING = m.Hello | m.Modules | m.Events
-_UNCLAIMED = _LOOKING | m.Claim | m.Stop
+_UNCLAIMED = _LOOKING | m.Claim | m.Stop | m.Replaced
 _READING = _LOOKING | m.Get
 
 Masters = list[tuple[str, str]] | None
@@ -84,6 +84,7 @@ class RequestHandlers:
             m.Rank: self._rank,
             m.Modules: self._modules,
             m.Stop: self._stop,
+            m.Replaced: self._replaced,
             m.Flag: self._flag,
             m.Sigmask: self._sigmask,
             m.Job: self._job,
@@ -326,7 +327,14 @@ class RequestHandlers:
 
     async def _standby(self, request: m.Standby) -> Result:
         rtpu = self._rtpu
-        await rtpu.fallbacks.pair(request.subsystem, request.task, request.original)
+        await rtpu.fallbacks.pair(
+            request.subsystem,
+            request.task,
+            request.original,
+            rtpu=request.rtpu,
+            takeover=request.takeover,
+            ready=request.ready,
+        )
         return rtpu.status_of(rtpu.need(request.subsystem, request.task)), []
 
     async def _freq(self, request: m.Freq) -> Result:
@@ -368,6 +376,16 @@ class RequestHandlers:
         for name in names:
             self._rtpu.claims.stand(name, None)
         self._rtpu.publish_claims()
+        return stopped, []
+
+    async def _replaced(self, request: m.Replaced) -> Result:
+        rtpu, stopped = self._rtpu, m.Stopped(off=[], killed=[])
+        if request.stop_id not in rtpu.stops:
+            rtpu.stops.append(request.stop_id)
+            names = request.tasks.get(rtpu.name, [])
+            tasks = [one for one in rtpu.of(request.subsystem) if one.name in names]
+            stopped = await signal_tasks.replaced(rtpu, tasks, request.timeout)
+            rtpu.publish_claims()
         return stopped, []
 
     # -- the rest ----------------------------------------------------------------------

@@ -59,6 +59,7 @@ class AgentLink:
         self._grace_timer: asyncio.TimerHandle | None = None
         self._published = 0
         self._snapshots = SnapshotPublisher(rtpu)
+        self._silence = agent_loss.Silence(rtpu)
         self._outbox: list[bytes] = []
         self._due = False
         self.end_time = END_TIME
@@ -87,6 +88,7 @@ class AgentLink:
     async def close(self, reason: str) -> None:
         """Notify the agent that the process ends, and close."""
         self._queues.close()
+        self._silence.close()
         if self._server is not None:
             self._server.close()
         if self._writer is not None:
@@ -173,6 +175,12 @@ class AgentLink:
                     message.text,
                     subsystem=message.subsystem,
                     task=message.task,
+                )
+            case rtpu_messages.Alive():
+                self._silence.take(message.silences)
+            case rtpu_messages.TakeOver():
+                self._rtpu.later(
+                    signal_tasks.take_over(self._rtpu, message), "takeover"
                 )
             case rtpu_messages.Arrived():
                 self._queues.put(message)

@@ -64,6 +64,8 @@ class TaskSnapshot(Struct, kw_only=True):
     own: dict[str, int]
     """Names and bits of the module's own signals."""
     fallback_of: str
+    original_rtpu: str
+    takeover: float
     stands_by: bool
     waits: str = ""
     """How long its cycles wait for other things than the core; empty: they do not."""
@@ -125,6 +127,7 @@ class SnapshotPublisher:
 def of(rtpu: Home, task: Task) -> TaskSnapshot:
     """Return what an RTPU process knows of one of its tasks."""
     facts, ready = task.facts, task.ready
+    pair = rtpu.fallbacks.of(task)
     rank = rtpu.ranks.get((facts.subsystem, facts.name), _UNRANKED)
     return TaskSnapshot(
         subsystem=facts.subsystem,
@@ -143,8 +146,10 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
         version=ready.version if ready else "",
         ring=facts.ring,
         own=task.signals,
-        fallback_of=rtpu.fallbacks.of(task),
-        stands_by=bool(task.stands_by),
+        fallback_of=pair.original if pair else "",
+        original_rtpu=pair.rtpu if pair else "",
+        takeover=pair.takeover if pair else 0.0,
+        stands_by=bool(task.stands_by) or rtpu.fallbacks.stands_away(task),
         waits=task.waits,
         restart=facts.restart,
         robot_interface=bool(ready and ready.info.get("robot_interface")),

@@ -203,6 +203,7 @@ class Rtpu:
             stops=list(self.stops),
             tables=self.tables.uses(),
             recordings=self.recordings,
+            standbys=self.fallbacks.away(),
         )
 
     def save(self) -> None:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 OFF_SHARE = 0.6
 """Of the time for a stop, what turning OFF may take; the rest is for ending."""
+TAKEOVER_TIME = 5.0
+"""Seconds for the `on` of a task that takes over."""
 LEAST = 0.05
 """Seconds that each task gets for its `off`, however many there are."""
 
@@ -205,6 +207,47 @@ async def stop(
             subsystem=subsystems[0] if len(subsystems) == 1 else "",
         )
     return Stopped(off=turned_off, killed=forced)
+
+
+async def replaced(rtpu: Rtpu, tasks: Sequence[Task], limit: float) -> Stopped:
+    """Turn off tasks in whose place others are; kill those that do not obey.
+
+    Args:
+        rtpu: The RTPU of the tasks.
+        tasks: Those of them that are ON are turned off.
+        limit: Seconds for each.
+    """
+    done = Stopped(off=[], killed=[])
+    for task in tasks:
+        if task.state is not State.ON:
+            continue
+        try:
+            await control(rtpu, task, "off", limit)
+            done.off.append(task.name)
+        except PbonetError:
+            if task.state is State.ON:
+                with contextlib.suppress(PbonetError):
+                    await control(rtpu, task, "kill", limit)
+                done.killed.append(task.name)
+    return done
+
+
+async def take_over(rtpu: Rtpu, order: rtpu_messages.TakeOver) -> None:
+    """Turn a standby ON in the place of a task on another RTPU, and report that."""
+    task = rtpu.tasks.get((order.subsystem, order.standby))
+    if (
+        task is None
+        or order.subsystem in rtpu.stopping
+        or not rtpu.fallbacks.stands_away(task)
+    ):
+        return
+    rtpu.fallbacks.takes_over(task)
+    failed: PbonetError | None = None
+    try:
+        await control(rtpu, task, "on", TAKEOVER_TIME)
+    except PbonetError as error:
+        failed = error
+    rtpu.fallbacks.report_away(task, order.why, failed)
 
 
 def _position(task: Task, order: Sequence[str]) -> tuple[int, int]:

@@ -104,6 +104,8 @@ def task_status(
         held_off=slot.held_off,
         signals=by_name(signals, task.own),
         fallback_of=task.fallback_of,
+        original_rtpu=task.original_rtpu,
+        takeover=task.takeover,
         stands_by=task.stands_by,
         waits=task.waits,
         restart=task.restart,

@@ -131,7 +131,23 @@ class Recorder(Struct, tag="recorder", kw_only=True):
     """Records that could not be written."""
 
 
-FromAgent = Attach | Forward | Note | Shutdown | Arrived
+class Alive(Struct, tag="alive"):
+    """A sign of life of the agent, every 0.2 s while a subsystem is named."""
+
+    silences: dict[str, float]
+    """Subsystems with the keeper on another machine, and for how many seconds that one
+    has not answered. Without this message for ``ALONE`` their flag goes up."""
+
+
+class TakeOver(Struct, tag="takeover"):
+    """Turn a standby ON, because its original on another RTPU is lost."""
+
+    subsystem: str
+    standby: str
+    why: str
+
+
+FromAgent = Attach | Forward | Note | Shutdown | Arrived | Alive | TakeOver
 
 
 # -- agent to recorder, and back ------------------------------------------------------
@@ -223,6 +239,20 @@ class OpenTable(Struct, frozen=True):
     """Seconds without its machine after which the flag goes up; 0: never."""
 
 
+class Standby(Struct, frozen=True, kw_only=True):
+    """A task that takes over by itself when its original on another RTPU is lost."""
+
+    subsystem: str
+    standby: str
+    original: str
+    rtpu: str
+    """That of the original."""
+    takeover: float
+    """Seconds without the original."""
+    outputs: tuple[str, ...]
+    """The variables that the standby writes."""
+
+
 class RtpuInfo(Struct, tag="info", kw_only=True):
     """Identity of the RTPU process."""
 
@@ -240,6 +270,8 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     """The open tables, by subsystem."""
     recordings: dict[str, Recording] = {}
     """Recordings, by subsystem."""
+    standbys: list[Standby] = []
+    """Standbys whose originals the agent watches."""
 
 
 class Answered(Struct, tag="answered"):

@@ -223,16 +223,24 @@ class Reconfig(Request, tag="reconfig"):
 
 
 class Standby(Request, tag="standby"):
-    """Make a task the fallback of another one on its RTPU. Result: `TaskStatus`.
+    """Make a task the fallback of another one. Result: `TaskStatus`.
 
-    Whenever the original is ON and the standby OFF, the standby is ready to run; the
-    dispatcher releases it when the original goes to ERROR or dies.
+    On one RTPU: whenever the original is ON and the standby OFF, the standby is ready
+    to run; the dispatcher releases it when the original goes to ERROR or dies. Of a
+    task on another RTPU: the agent has it turned ON when that one is lost.
     """
 
     task: str
     """The standby."""
     original: str
     """Empty: it is no longer a standby."""
+    rtpu: str = ""
+    """The RTPU of the original, if it is another one."""
+    takeover: float = 0.0
+    """Seconds without that original after which it is turned ON; 0: never."""
+    ready: bool = False
+    """The original on another RTPU is ON. False: it is not, or is about to be turned
+    off by an order, and is not replaced."""
 
 
 class Freq(Request, tag="freq"):
@@ -317,6 +325,20 @@ class Stop(Request, tag="stop"):
     stop_id: str = ""
     """Identity of the order. An RTPU carries an order out once; agents repeat it to
     RTPUs that were out of reach."""
+
+
+class Replaced(Request, tag="replaced"):
+    """Turn tasks OFF in whose place others are now; always accepted. Result: `Stopped`.
+
+    It is sent to every RTPU that is in reach, for those that are not: agents repeat it
+    there as they repeat a ``stop``.
+    """
+
+    stop_id: str
+    """As in `Stop`."""
+    tasks: dict[str, list[str]]
+    """The tasks, by RTPU."""
+    timeout: float = 2.0
 
 
 class Flag(Request, tag="flag"):
@@ -422,6 +444,7 @@ AnyRequest = (
     | Write
     | Modules
     | Stop
+    | Replaced
     | Flag
     | Sigmask
     | Job

@@ -98,6 +98,10 @@ class TaskStatus(Struct, kw_only=True):
     """Timed sections by name (section 6.7.2)."""
     fallback_of: str = ""
     """The task whose fallback it is."""
+    original_rtpu: str = ""
+    """The RTPU of that task, if it is another one."""
+    takeover: float = 0.0
+    """Seconds without that task after which it takes over by itself; 0: never."""
     stands_by: bool = False
     """Whether it is ready to be released in place of that task."""
     waits: str = ""

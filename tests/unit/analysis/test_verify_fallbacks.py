@@ -96,16 +96,50 @@ def test_an_original_that_is_turned_on_beside_its_fallback_is_swapped_back():
     )
 
 
-@pytest.mark.parametrize(("rtpu", "said"), [("arm1", 1), ("arm0", 0), (None, 0)])
-def test_an_rtpu_of_a_standbys_own_is_ignored_and_that_is_said(rtpu, said):
+def away(takeover, *, rtpu="arm1", critical=True, **more):
+    """Judge an original on arm0, and a standby on another RTPU."""
+    first = task("pid", outvar="T")
+    first = structs.replace(
+        first, rtpu="arm0", rmod=structs.replace(first.rmod, critical=critical)
+    )
     spare = standby("pid", outvar="T")
-    spare = structs.replace(spare, rmod=structs.replace(spare.rmod, rtpu=rtpu))
-    found = judged(task("pid", outvar="T"), spare, READER).problems
-    assert [one.code for one in found] == [legality.Code.FALLBACK_RTPU] * said
-    if said:
-        (one,) = found
-        assert one.severity is legality.Severity.WARN
-        assert one.where == "safe.rmod"
-        assert one.what == (
-            "safe stands by for pid, so it is on the same RTPU arm0 and is lost with it"
-        )
+    spare = structs.replace(spare, rtpu=rtpu, takeover=takeover)
+    rtpus = tuple(RtpuEntry(name=f"arm{n}") for n in range(3))
+    return judged(first, spare, READER, rtpus=rtpus, **more).problems
+
+
+APART = {"arm0": "a", "arm1": "b", "arm2": "b"}
+
+
+@pytest.mark.parametrize(
+    ("takeover", "more"),
+    [
+        (0.0, {"machines": APART, "keeper": "arm0", "alone": 0.0}),
+        (3.0, {"machines": APART, "keeper": "arm2"}),
+        (0.5, {"machines": dict.fromkeys(APART, "a"), "keeper": "arm0"}),
+        (0.5, {"keeper": "arm0"}),
+    ],
+    ids=["by an order alone", "long enough", "on one machine", "of unknown machines"],
+)
+def test_a_standby_on_another_rtpu_is_legal(takeover, more):
+    assert away(takeover, **more) == ()
+
+
+@pytest.mark.parametrize(
+    ("takeover", "said", "more"),
+    [
+        (3.0, "TAKEOVER is for the loss of another RTPU", {"rtpu": "arm0"}),
+        (3.0, "has the keeper arm0, so it is never alone", {"keeper": "arm0"}),
+        (2.9, "must have ended its cycles before", {}),
+        (30.0, "must have ended its cycles before", {"alone": 0.0}),
+        (3.0, "pid is not CRITICAL", {"critical": False}),
+    ],
+    ids=["one RTPU", "the keeper's machine", "too early", "never alone", "goes on"],
+)
+def test_a_standby_that_could_write_beside_its_original_is_refused(
+    takeover, said, more
+):
+    (problem,) = away(takeover, **{"machines": APART, "keeper": "arm2", **more})
+    assert problem.code is legality.Code.FALLBACK_RTPU
+    assert problem.severity is legality.Severity.REFUSE
+    assert said in problem.what

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from pbonet.config import Library, parse_job
@@ -52,6 +54,15 @@ def test_a_standby_is_named_too_where_its_original_is(files):
         ("qrdiff", "arm1"),
         ("puma_pidg", "arm1"),
     ]
+
+
+def test_a_standby_on_an_rtpu_of_its_own_is_named_there(files, monkeypatch):
+    text = "JOB j\nDESC\nSBS puma.sbs\nTASK qrdiff arm0 FALLBACK spare\nEOF\n"
+    files.job = parse_job(text, "j.job")
+    own = SimpleNamespace(record=SimpleNamespace(rtpu="arm1"))
+    monkeypatch.setattr(files, "rmod", lambda _name: own)
+    found = {one.task: one.rtpu for one in find_missing(files, [])}
+    assert found == {"qrdiff": "arm0", "spare": "arm1"}
 
 
 def test_without_a_job_nothing_is_missing(puma):

@@ -86,6 +86,9 @@ class Home:
         self.fallbacks = Fallbacks(self)
         asyncio.run(self.fallbacks.pair("arm", STANDBY, ORIGINAL))
 
+    def publish_claims(self):
+        self.told = self.fallbacks.away()
+
     def of(self, subsystem):
         return [one for (of, _), one in self.tasks.items() if of == subsystem]
 
@@ -225,7 +228,7 @@ def test_a_pair_that_is_ended_is_not_arranged_once_more(restless):
     asyncio.run(run())
     assert stands_by(restless) == ALONE
     assert restless.prepared[-1] == ([], [])
-    assert restless.fallbacks.of(restless.second) == ""
+    assert restless.fallbacks.of(restless.second) is None
 
 
 def test_nobody_gets_ready_again_for_a_task_that_is_killed(restless, monkeypatch):
@@ -257,3 +260,78 @@ def test_what_a_fallback_does_not_write_is_not_missed(home):
     assert home.fallbacks.missed(home.first) == ["Y"]
     del home.tasks["arm", STANDBY]
     assert home.fallbacks.missed(home.first) == ["X", "Y"]
+
+
+AWAY = {"rtpu": "arm9", "takeover": 3.0}
+
+
+def away(home, **more):
+    """Have the second, OFF, stand by for a task of another RTPU."""
+    home.second.state = State.OFF
+    asyncio.run(home.fallbacks.pair("arm", STANDBY, "far", **{**AWAY, **more}))
+    return [(one.original, one.rtpu, one.takeover, one.outputs) for one in home.told]
+
+
+def test_the_agent_watches_the_original_of_another_rtpu(home):
+    assert away(home) == [], "it is not ON yet"
+    assert not home.fallbacks.stands_away(home.second)
+    assert away(home, ready=True) == [("far", "arm9", 3.0, ("Y",))]
+    assert home.fallbacks.stands_away(home.second)
+    home.second.state = State.ERROR
+    home.fallbacks.update(home.second)
+    assert home.told == []
+    assert away(home, ready=True, takeover=0.0) == [], "only by an order"
+    assert home.fallbacks.stands_away(home.second)
+    assert stands_by(home) == ("", None), "the dispatcher knows nothing of it"
+
+
+def test_it_takes_over_three_times_and_is_made_ready_by_a_master_each_time(
+    home, monkeypatch
+):
+    signals, fails = [], [None]
+
+    async def control(_rtpu, task, signal, _limit):
+        signals.append((task.name, signal))
+        if fails[0]:
+            raise fails[0]
+        task.state = State.ON
+
+    def take_over():
+        away(home, ready=True)
+        order = rtpu_messages.TakeOver("arm", STANDBY, "why")
+        asyncio.run(signal_tasks.take_over(home, order))
+        return home.events.since(0)[-1].text
+
+    monkeypatch.setattr(signal_tasks, "control", control)
+    assert take_over() == (
+        "far on arm9 is lost, why: its fallback second was turned on; state ON, time 1 "
+        "of 3"
+    )
+    assert home.told == []
+    order = rtpu_messages.TakeOver("arm", STANDBY, "again")
+    asyncio.run(signal_tasks.take_over(home, order))
+    assert len(signals) == 1, "it is not ready"
+    fails[0] = NoAnswerError("no", where=STANDBY)
+    assert "state OFF, time 2 of 3: " in take_over()
+    assert "time 3 of 3" in take_over()
+    home.fallbacks.takes_over(home.second)
+    assert not home.fallbacks.stands_away(home.second)
+
+
+def test_a_task_that_was_replaced_is_turned_off_or_killed(home, monkeypatch):
+    signals = []
+
+    async def control(_rtpu, task, signal, _limit):
+        signals.append((task.name, signal))
+        if task is home.first and signal == "off":
+            raise MethodError("off has failed", where=task.name)
+        task.state = State.OFF
+
+    monkeypatch.setattr(signal_tasks, "control", control)
+    home.first.state = home.second.state = State.ON
+    off = FakeTask(OTHER, 5, State.OFF)
+    tasks = [home.first, home.second, off]
+    done = asyncio.run(signal_tasks.replaced(home, tasks, 2.0))
+    assert (done.off, done.killed) == ([STANDBY], [ORIGINAL])
+    wanted = [(ORIGINAL, "off"), (ORIGINAL, "kill"), (STANDBY, "off")]
+    assert signals == wanted

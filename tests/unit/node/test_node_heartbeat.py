@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
-from pbonet.node.agent.heartbeat import FORGET, Change, Heartbeat
+from pbonet.node.agent.heartbeat import FORGET, HELD, Beat, Change, Heartbeat
 from pbonet.xm.net import session
 
 SILENT = session.SILENT_MS * 1e-3
@@ -31,8 +33,12 @@ def beats(now, changes):  # noqa: ARG001 - the time is set for it
     return Heartbeat(None, me, changes.append)
 
 
-def sample(name, machine):
-    payload = SimpleNamespace(to_bytes=machine.encode)
+def sample(name, machine, sent=1.0, **heard):
+    """Return a sign of life; what it has heard is in seconds, or `HELD`."""
+    stamps = {who: at if at == HELD else round(at * 1e9) for who, at in heard.items()}
+    beat = Beat(machine, round(sent * 1e9), stamps)
+    data = msgspec.msgpack.encode(beat)
+    payload = SimpleNamespace(to_bytes=lambda: data)
     return SimpleNamespace(key_expr=f"pbonet/d/rtpu/{name}/beat", payload=payload)
 
 
@@ -76,20 +82,78 @@ def test_a_machine_is_lost_with_the_last_of_its_agents(beats, now, changes) -> N
     ]
 
 
-def test_silence_is_that_of_the_whole_machine(beats, now) -> None:
+def test_silence_counts_from_the_last_sign_of_life_that_was_answered(
+    beats, now
+) -> None:
     now[0] += 3.0
     assert beats.silence("arm1") == 3.0, "never heard: since the start"
     beats._note_beat(sample("arm1", "m"))
-    now[0] += 1.0
-    assert beats.silence("arm1") == 1.0
-    beats._note_beat(sample("arm2", "m"))
+    assert beats.unanswered("arm1") == math.inf
+    assert beats.silence("arm1") == 3.0, "it is heard, and does not hear this one"
+    beats._note_beat(sample("arm1", "m", arm0=1002.5))
+    assert beats.silence("arm1") == pytest.approx(0.5)
+    beats._note_beat(sample("arm2", "m", arm0=1002.75))
+    assert beats.silence("arm1") == pytest.approx(0.25), "any agent of its machine"
+    beats._note_beat(sample("arm1", "m", arm0=1002.5))
+    beats._note_beat(sample("arm1", "m", arm0=5000.0))
+    assert beats.silence("arm1") == 0.0, "an answer from before a reboot"
     beats._note_beat(sample("arm3", "here"))
-    now[0] += 0.5
-    assert beats.silence("arm1") == 0.5
-    now[0] += FORGET + 1
-    beats._check(now[0])
+    now[0] += 1.0
     for name in ("arm0", "arm3"):
         assert beats.silence(name) == 0.0, "of this machine"
+    assert beats.unanswered("arm1") == 1.0
+
+
+def test_who_has_orders_to_carry_out_is_not_answered(beats, now) -> None:
+    beats._note_beat(sample("arm1", "m", arm0=1000.0))
+    beats._note_beat(sample("arm2", "m", arm0=HELD))
+    now[0] += 2.0
+    beats._note_beat(sample("arm1", "m", arm0=1002.0))
+    assert beats.silence("arm1") == 2.0, "another agent of that machine says so"
+    beats._note_beat(sample("arm2", "m", arm0=1002.0))
+    assert beats.silence("arm1") == 0.0
+
+
+def test_a_sign_of_life_answers_those_that_are_in_sight(beats, now) -> None:
+    held = {"m2"}
+    beats._holds = held.__contains__
+    beats._note_beat(sample("arm1", "m", sent=7.0))
+    beats._note_beat(sample("arm2", "m2", sent=8.0))
+    answer = msgspec.msgpack.decode(beats._beat(), type=Beat)
+    assert answer == Beat("here", round(now[0] * 1e9), {"arm1": 7 * 10**9, "arm2": -1})
+    now[0] += SILENT
+    beats._check(now[0])
+    held.clear()
+    beats._note_beat(sample("arm2", "m2", sent=9.0))
+    answer = msgspec.msgpack.decode(beats._beat(), type=Beat)
+    assert answer.heard == {"arm2": 9 * 10**9}
+
+
+def test_what_is_no_sign_of_life_counts_as_none(beats) -> None:
+    payload = SimpleNamespace(to_bytes=lambda: b"m")
+    beats._note_beat(SimpleNamespace(key_expr="pbonet/d/rtpu/a/beat", payload=payload))
+    assert not beats._agents
+
+
+def test_a_machine_was_alone_if_the_keeper_has_not_heard_it_either(beats, now) -> None:
+    beats._note_beat(sample("lost", "m", sent=1.0))
+    beats._note_beat(sample("keep", "k", lost=1.0))
+    now[0] += 1.0
+    beats._note_beat(sample("keep", "k", lost=1.5))
+    now[0] += 1.0
+    beats._note_beat(sample("keep", "k", lost=1.5))
+    assert beats.absence("lost", "keep") == 1.0, "the keeper has heard it later"
+    assert beats.absence("lost", "arm0") == 2.0, "the keeper is here"
+    now[0] += SILENT
+    beats._check(now[0])
+    assert beats.absence("lost", "keep") == 0.0, "the keeper is out of sight, too"
+    beats._note_beat(sample("keep", "k"))
+    now[0] += SILENT / 2
+    assert beats.absence("lost", "keep") == pytest.approx(SILENT / 2), (
+        "not known before"
+    )
+    assert beats.absence("nobody", "arm0") == 0.0
+    assert beats.absence("arm0", "keep") == math.inf
 
 
 def test_an_agent_of_a_machine_that_is_heard_is_not_forgotten(beats, now) -> None:
@@ -97,7 +161,7 @@ def test_an_agent_of_a_machine_that_is_heard_is_not_forgotten(beats, now) -> Non
     now[0] += FORGET + 1
     beats._note_beat(sample("arm2", "m"))
     beats._check(now[0])
-    assert beats.silence("arm1") == 0.0
+    assert {*beats._agents} == {"arm1", "arm2"}
 
 
 def test_who_stays_away_is_forgotten(beats, now) -> None:

@@ -181,6 +181,48 @@ def test_what_fails_is_repeated_with_the_next_greeting(orders, agents):
     assert agents.orders.get()[1].stop_id == "s1"
 
 
+def replaced(stop_id="r1"):
+    return m.Replaced(subsystem="arm", stop_id=stop_id, tasks={"arm1": ["ctl"]})
+
+
+def test_a_task_that_was_replaced_is_turned_off_when_its_rtpu_is_seen(
+    orders, agents, notes
+):
+    """Also one that this agent has never met, and a new process of it."""
+    orders.met(info("arm2", "arm"))
+    orders.add(replaced())
+    machine = key_expressions.machine("boot-arm1")
+    assert not orders.holds(machine), "whose machine is not known"
+    orders.lost("arm2")
+    assert not orders.holds(key_expressions.machine("boot-arm2")), "not concerned"
+    orders.met(info("arm1", "arm", age=0.0))
+    rtpu, request = agents.orders.get(timeout=60)
+    assert (rtpu, request.stop_id, request.tasks) == ("arm1", "r1", {"arm1": ["ctl"]})
+    assert request.subsystem == "arm"
+    assert orders.holds(machine)
+    assert orders.refuses("arm", machine)
+    agents.answers.release()
+    note = notes.get(timeout=60)
+    assert note.text.startswith("the order that others replace ctl, given ")
+    assert note.text.endswith("has reached arm1 only now: ctl turned off")
+    assert not orders.holds(machine)
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty()
+
+
+def test_an_rtpu_in_reach_gets_the_order_by_its_master(orders, agents):
+    orders.met(info("arm1", "arm"))
+    orders.add(replaced())
+    assert not orders.holds(key_expressions.machine("boot-arm1"))
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.empty()
+    assert orders.in_reach() == ["arm1"]
+    orders.lost("arm1")
+    assert orders.in_reach() == []
+    orders.met(info("arm1", "arm", stops=["r1"]))
+    assert agents.orders.empty(), "it was carried out"
+
+
 def test_packets_of_such_a_machine_are_not_used():
     from pbonet.node.mirror.mirrored_table import MirroredTable
     from pbonet.svar.mirror import packets

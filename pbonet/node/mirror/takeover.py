@@ -1,0 +1,241 @@
+"""Standbys that take over by themselves when an original on another RTPU is lost.
+
+A master says when an original has been turned ON, and before it turns it off. In
+between, it is lost if no task writes the variables of its standby, and its RTPU says
+that it is not ON or says nothing. If its machine is out of sight,
+that machine must have been alone for as long: unheard here and by the keeper's machine
+(`Signs.absence`). Its CRITICAL tasks run `stable` by then, for its own agents count
+the same time (``ALONE``), which is shorter.
+
+Before the standby is turned ON, the keeper's agent, this one, and all others in reach
+have the order to turn the original OFF when it is seen again (`Orders`). What was
+begun is finished, even if the original comes back meanwhile.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import secrets
+import threading
+import time
+from typing import TYPE_CHECKING, Final, Protocol
+
+from msgspec import Struct, structs
+
+from pbonet.errors import NodeError, PbonetError
+from pbonet.node.wire import rtpu_messages
+from pbonet.xm.net import messages as m, session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    import msgspec
+
+log = logging.getLogger("pbonet.node")
+
+TURN: Final = 0.1
+"""Seconds between checks while there is a standby."""
+TIME: Final = 2.0
+"""Seconds for an RTPU to turn the original off."""
+PAUSE: Final = 1.0
+"""Seconds until the keeper is asked again."""
+
+
+class Signs(Protocol):
+    """Knows who is out of sight, such as `Heartbeat`."""
+
+    def is_silent(self, name: str) -> bool:
+        """Return whether an agent is out of sight."""
+        ...
+
+    def absence(self, name: str, keeper: str) -> float:
+        """Return for how many seconds an agent's machine was surely alone."""
+        ...
+
+
+class Caller(Protocol):
+    """Sends requests to other RTPUs, such as `pbonet.xm.net.Client`."""
+
+    def call_all(
+        self,
+        requests: Mapping[str, m.Request],
+        result: type[m.Stopped],
+        *,
+        timeout: float,
+    ) -> tuple[dict[str, m.Stopped], list[PbonetError]]:
+        """Return the results by RTPU, and the errors of the others."""
+        ...
+
+
+class Orders(Protocol):
+    """Repeats orders to RTPUs that are out of reach, such as `StopOrders`."""
+
+    def add(self, request: m.Replaced) -> None:
+        """Take an order."""
+
+    def in_reach(self) -> list[str]:
+        """Return the RTPUs that are seen now."""
+        ...
+
+
+class _Watched(Struct):
+    standby: rtpu_messages.Standby
+    keeper: str
+    missing: bool = False
+    """Whether the RTPU of the original says that it is not ON."""
+    ended: bool = False
+    """Whether that has ended in order."""
+    since: float | None = None
+    """Since when it has been lost."""
+    order: m.Replaced | None = None
+    """The order that it be turned off, once it is being given."""
+
+
+class Takeovers:
+    """The standbys of one RTPU whose originals its agent watches.
+
+    Args:
+        name: The RTPU.
+        client: Sends orders to other RTPUs.
+        signs: The other agents' signs of life.
+        orders: Repeats orders to RTPUs that are out of reach.
+        written: Returns whether a task writes any of a subsystem's variables.
+        send: Sends a message to the RTPU process.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        client: Caller,
+        signs: Signs,
+        orders: Orders,
+        *,
+        written: Callable[[str, Iterable[str]], bool],
+        send: Callable[[msgspec.Struct], None],
+    ) -> None:
+        self._name, self._client = name, client
+        self._signs, self._orders = signs, orders
+        self._is_written, self._send = written, send
+        self._watched: list[_Watched] = []
+        self._guard = threading.Lock()
+        self._some = threading.Event()
+        self._over = threading.Event()
+        self._thread = threading.Thread(
+            target=self._work, name="pbonet takeover", daemon=True
+        )
+
+    def start(self) -> None:
+        """Start to watch."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End."""
+        self._over.set()
+        self._some.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def update(self, info: rtpu_messages.RtpuInfo) -> None:
+        """Watch the originals of the standbys that the RTPU process names."""
+        with self._guard:
+            known = {structs.astuple(one.standby): one for one in self._watched}
+            self._watched = [
+                known.get(structs.astuple(standby)) or _Watched(standby, table.keeper)
+                for standby in info.standbys
+                if (table := info.tables.get(standby.subsystem)) is not None
+            ]
+            (self._some.set if self._watched else self._some.clear)()
+
+    def met(self, info: m.AgentInfo) -> None:
+        """Take in whether an agent's RTPU has originals ON."""
+        for one in self._of(info.name):
+            on = info.on.get(one.standby.subsystem, [])
+            one.missing = one.standby.original not in on
+
+    def lost(self, name: str) -> None:
+        """Do nothing: signs of life say when an agent is out of sight."""
+
+    def ended(self, name: str) -> None:
+        """Take in that an agent has turned its tasks off and ended."""
+        for one in self._of(name):
+            one.ended = True
+
+    def _of(self, rtpu: str) -> list[_Watched]:
+        with self._guard:
+            return [one for one in self._watched if one.standby.rtpu == rtpu]
+
+    def _work(self) -> None:
+        while not self._over.wait(TURN):
+            self._some.wait()
+            try:
+                self.turn(time.monotonic())
+            except Exception:  # a fault in one turn must not end the watch
+                log.exception("the originals could not be checked")
+
+    def turn(self, now: float) -> None:
+        """Check each original, and have standbys take over."""
+        with self._guard:
+            watched = list(self._watched)
+        for one in watched:
+            if one.order is None and not self._is_lost(one):
+                one.since = None
+                continue
+            one.since = now if one.since is None else one.since
+            if now - one.since >= one.standby.takeover:
+                self._replace(one, now)
+
+    def _written(self, standby: rtpu_messages.Standby) -> bool:
+        return self._is_written(standby.subsystem, standby.outputs)
+
+    def _is_lost(self, one: _Watched) -> bool:
+        standby = one.standby
+        if one.ended or self._written(standby):
+            return False
+        if not self._signs.is_silent(standby.rtpu):
+            return one.missing
+        alone = self._signs.absence(standby.rtpu, one.keeper)
+        return alone >= session.SILENT_MS * 1e-3
+
+    def _replace(self, one: _Watched, now: float) -> None:
+        """Give the order that the original be turned off, then turn the standby on."""
+        standby = one.standby
+        order = one.order = one.order or m.Replaced(
+            subsystem=standby.subsystem,
+            stop_id=secrets.token_hex(8),
+            tasks={standby.rtpu: [standby.original]},
+            timeout=TIME,
+        )
+        others = [name for name in self._orders.in_reach() if name != one.keeper]
+        needed = [] if self._is_here(one.keeper) else [one.keeper]
+        if needed and self._ask(needed, order):
+            one.since = now - standby.takeover + PAUSE
+            return
+        self._orders.add(order)
+        self._ask(others, order)
+        if self._written(standby):
+            one.since = now - standby.takeover + PAUSE  # the order turns it off first
+            return
+        seconds = f"no task has written its variables for {standby.takeover:g} s"
+        try:
+            self._send(
+                rtpu_messages.TakeOver(standby.subsystem, standby.standby, seconds)
+            )
+        except NodeError as error:
+            log.warning("%s: %s does not take over: %s", self._name, standby, error)
+        one.order, one.since = None, None
+
+    def _is_here(self, keeper: str) -> bool:
+        """Return whether the keeper's machine is this one."""
+        return self._signs.absence(keeper, self._name) == math.inf
+
+    def _ask(self, names: list[str], order: m.Replaced) -> list[PbonetError]:
+        """Give an order to RTPUs; return the errors of those that do not take it."""
+        requests = {name: structs.replace(order) for name in names}
+        _, errors = self._client.call_all(requests, m.Stopped, timeout=TIME)
+        for error in errors:
+            log.warning("%s: the order is repeated later: %s", self._name, error)
+        return errors
+
+
+__all__ = ["Takeovers"]

@@ -1,0 +1,63 @@
+"""The flag that an RTPU process raises when its agent gives no sign of life."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from types import SimpleNamespace
+
+from pbonet.node.rtpu.agent_loss import SILENCE, Silence
+
+
+class Flags:
+    def __init__(self):
+        self.raised = {}
+
+    def up(self, subsystem, name, cause):
+        self.raised[subsystem, name] = cause
+
+    def down(self, subsystem, name):
+        self.raised.pop((subsystem, name))
+
+
+def test_the_flag_is_up_while_the_agent_is_silent(monkeypatch):
+    clock, flags = [100.0], Flags()
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    times = {"arm": 1.0, "leg": 3.0, "never": 0.0}
+    tables = {
+        name: SimpleNamespace(use=SimpleNamespace(alone=alone))
+        for name, alone in times.items()
+    }
+    rtpu = SimpleNamespace(flags=flags, tables=tables)
+
+    async def run():
+        silence = Silence(rtpu)
+        silence.take(dict.fromkeys([*times, "closed"], 0.0))
+
+        def after(seconds):
+            clock[0] += seconds
+            silence._timer.cancel()
+            silence._check()
+            return {subsystem for subsystem, _ in flags.raised}
+
+        assert after(0.9) == set()
+        assert after(0.2) == {"arm"}
+        cause = "the agent gives no sign of life for 1 s (ALONE)"
+        assert flags.raised["arm", SILENCE] == cause
+        assert after(2.0) == {"arm", "leg"}
+        silence.take({"arm": 1.1, "leg": 3.1})
+        assert len(flags.raised) == 2, "the keeper has not answered yet"
+        silence.take({"leg": 0.2})
+        assert not flags.raised
+        assert after(2.0) == set(), "the keeper of the other one is here now"
+        silence.take({"leg": 2.8, "arm": 0.0})
+        assert after(0.4) == set(), "the agent may come within that time"
+        assert after(0.2) == {"leg"}, "the keeper had been silent before"
+        silence.take({})
+        assert after(9.0) == set()
+        assert silence._timer is None
+        silence.take({"arm": 0.0})
+        assert after(1.1) == {"arm"}
+        silence.close()
+
+    asyncio.run(run())
