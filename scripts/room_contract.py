@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _WHOLE = re.compile(r"^from \. import (?:\(([^)]*)\)|(.*))", re.MULTILINE)
 _NAME = re.compile(r"(\w+) as \w+")
-EVERYBODY = ("pbonet", "pbonet.errors", "pbonet.lazy")
+EVERYBODY = ("pbonet", "pbonet.errors", "pbonet.lazy", "pbonet.versions")
 
 
 def face(room: str) -> set[str]:

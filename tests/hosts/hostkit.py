@@ -75,6 +75,8 @@ class Lab:
         self._sessions: dict[str, object] = {}
         self.run_dirs: dict[str, Path] = {}
         self.shm_dirs: dict[str, Path] = {}
+        self.releases: dict[str, Path] = {}
+        """By host, a folder that Python runs first there; see `test_hosts_upgrade`."""
         for name in lan.hosts:
             made = tempfile.mkdtemp(prefix=f"pbonet-{name}-", dir="/tmp")
             self.run_dirs[name] = Path(made)
@@ -241,6 +243,9 @@ class Lab:
             "PBONET_RUN_DIR": str(self.run_dirs[host]),
             "PBONET_STATE_DIR": str(self.run_dirs[host] / "state"),
             "PBONET_SHM_DIR": str(self.shm_dirs[host]),
+            **(
+                {"PYTHONPATH": str(first)} if (first := self.releases.get(host)) else {}
+            ),
         }
 
     def close(self):

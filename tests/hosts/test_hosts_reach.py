@@ -11,6 +11,7 @@ from watching import wait_for
 
 import pbonet
 from pbonet.errors import PbonetError, ProtocolError, UnreachableError
+from pbonet.versions import LAYERS, Range
 from pbonet.xm.net import dialling, messages as m, session
 from pbonet.xm.net.rpc import Client
 
@@ -190,12 +191,14 @@ def _events(lab, code):
     return [event for event in got if event.code == code]
 
 
-def test_an_old_version_is_told(lab):
+def test_an_old_version_is_told(lab, monkeypatch):
     """Both numbers, and what to do."""
+    monkeypatch.setitem(LAYERS, "commands", Range(0, 0))
     with pytest.raises(ProtocolError) as caught:
-        lab.client("c").call("arm0", m.Status(v=0), m.RtpuStatus)
+        lab.client("c").call("arm0", m.Status(), m.RtpuStatus)
     text = str(caught.value)
     assert "another protocol version" in text
+    assert caught.value.where == "arm0"
     assert "version 1" in text
     assert "version 0" in text
     assert "run the same pbonet version on every machine" in text
@@ -208,8 +211,8 @@ from pbonet.node.agent import agent"""
 def test_doctor_tells_agents_of_other_versions(lab):
     """One of an older release, and one that speaks another protocol."""
     older = f"{TELLS}\nagent.pbonet = Namespace(__version__='0.0.1')\n{AGENT}"
-    newer = f"""from pbonet.xm.net import codec, messages
-codec.VERSION = messages.VERSION = 2
+    newer = f"""from pbonet.versions import LAYERS, Range
+LAYERS["commands"] = Range(2, 2)
 {AGENT}"""
     for name, code in (("older", older), ("newer", newer)):
         lab.start(name, "b", listen=(), wait=False, code=code)
@@ -221,11 +224,11 @@ codec.VERSION = messages.VERSION = 2
             lab.stop(name)
     lines = got.stdout.splitlines()
     (old,) = [line for line in lines if "older runs pbonet 0.0.1" in line]
-    said = "FAIL newer: it has another protocol version (2, this is 1)"
+    said = "FAIL no common version of commands: this program, "
     (new,) = [line for line in lines if line.startswith(said)]
     assert old.startswith("WARN")
     assert f"this is {pbonet.__version__}" in old
-    assert "only hello and stop work" in new
+    assert "version 1; newer of host-b version 2; between them only hello" in new
     for line in (old, new):
         assert "run the same" in line
 

@@ -77,6 +77,7 @@ def status(session: SessionState, given: Given) -> Data:
         "fields": list(fields),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "missing": [msgspec.to_builtins(one) for one in missing],
+        "versions": session.subsystem.clients.mismatches(),
         "rtpus": [
             {
                 "rtpu": rtpu.rtpu,

@@ -195,7 +195,7 @@ class Port:
             try:
                 order = _decode(data)
             except PbonetError as error:
-                failed = codec.failure(error, codec.request_id(data))
+                failed = codec.refusal(error, data)
                 self._reply(query, msgspec.msgpack.encode(failed))
                 continue
             if order.command == "stop" or order.line.strip() == "stop":

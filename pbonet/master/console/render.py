@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.subsystem import is_sequence, status_fields
+from pbonet.versions import REMEDY
 from pbonet.xm.net import Event, convert
 
 if TYPE_CHECKING:
@@ -137,6 +138,7 @@ def _status(data: Data) -> str:
         f"NOT-CREATED> {one['task']} on {one['rtpu']}: {one['reason']}"
         for one in data["missing"]
     ]
+    lines += [f"VERSIONS> {text}: {REMEDY}" for text in data["versions"]]
     raised: dict[str, list[str]] = {}  # RTPUs of one machine share one flag
     for rtpu in data["rtpus"]:
         for cause in rtpu["illegal"]:

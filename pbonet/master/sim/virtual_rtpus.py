@@ -22,6 +22,7 @@ from pbonet.node.agent import HANDLED
 from pbonet.node.task import placed
 from pbonet.node.wire import EventLog
 from pbonet.pbo import Signal
+from pbonet.versions import LAYERS
 from pbonet.xm.net import Codec, failure, machine, messages as m, rpc
 
 from .rtpu_in_process import SharedState, VirtualRtpu
@@ -129,7 +130,9 @@ class VirtualRtpus:
         """Return the packed answer of an RTPU or of its substitute agent."""
         if isinstance(request, m.Hello):
             info = _info(rtpu)
-            return self._codec.pack(m.Answer(id=request.id, ok=True, result=info))
+            return self._codec.pack(
+                m.Answer(v=request.v, id=request.id, ok=True, result=info)
+            )
         if isinstance(request, m.Profile):
             raise StateError(
                 "a simulation measures no execution times",
@@ -229,6 +232,7 @@ def _info(rtpu: VirtualRtpu) -> m.AgentInfo:
         rtpu_pid=0,
         backend="inline",
         version="",
+        versions=LAYERS,
         python=platform.python_version(),
     )
 

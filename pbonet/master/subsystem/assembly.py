@@ -14,6 +14,7 @@ from pbonet.analysis import legality
 from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
 from pbonet.master.configuration import forced
 from pbonet.pbo import State
+from pbonet.versions import REMEDY
 from pbonet.xm.net import messages as m, rpc
 
 from . import constants
@@ -109,6 +110,7 @@ def start(
     problems = task_set.legal(legality.job(tasks))
     gate.must_hold()
     task_set.say(problems)
+    task_set.warn(f"{text} ({REMEDY})" for text in task_set.clients.mismatches())
     by_name = {member.name: member for member in wanted}
     done = Done(task_set)
     with done.undone_on_error(f"the job {job.name} did not start"):

@@ -21,6 +21,7 @@ from pbonet.analysis.schedule import PLANNED
 from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master.console import render
 from pbonet.master.subsystem import client_name
+from pbonet.versions import REMEDY
 from pbonet.xm.net import (
     credentials,
     messages as m,
@@ -260,6 +261,8 @@ def agents(
         yield from _tbufs(client, infos)
         yield from _pairs(client, [info.name for info in infos])
         yield from losses(infos)
+        for text in m.mismatched(infos):
+            yield Finding(Level.FAIL, text, REMEDY)
     finally:
         client.close()
 
@@ -384,18 +387,11 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
             "make others with `pbonet keys agent`, put them where the old ones are, "
             f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
         )
-    if info.protocol != m.VERSION:
-        yield Finding(
-            Level.FAIL,
-            f"{info.name}: it has another protocol version ({info.protocol}, this is "
-            f"{m.VERSION}), so only hello and stop work",
-            "run the same version on every machine",
-        )
-    elif info.version != pbonet.__version__:
+    if info.version != pbonet.__version__:
         yield Finding(
             Level.WARN,
             f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",
-            "run the same version on every machine",
+            REMEDY,
         )
 
 

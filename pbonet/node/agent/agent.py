@@ -31,6 +31,7 @@ from pbonet.node.restart import DesiredState, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts
+from pbonet.versions import LAYERS
 from pbonet.xm.net import (
     AgentInfo,
     Client,
@@ -253,7 +254,8 @@ class Agent:
         self._ways.start()
         where = self._session, self.config.domain
         self._mirrors = TableCarrier(
-            *where, self._ways.clocks, self._note, self._stops.refuses
+            *(*where, self._ways.clocks, self._note, self._stops.refuses),
+            speaks=self._ways.table_version,
         )
         self._mirrors.start(self._heartbeat.silence)
         self._mirrors.carry(info.tables)
@@ -522,6 +524,7 @@ class Agent:
             backend="",
             version=pbonet.__version__,
             protocol=messages.VERSION,
+            versions=LAYERS,
             python=platform.python_version(),
             libraries=list(self._rtpu_config.libraries),
             zid=str(self._session.info.zid()) if self._session is not None else "",

@@ -25,6 +25,7 @@ from pbonet.node.wire import (
     round_trip,
     rtpu_messages,
 )
+from pbonet.versions import LAYERS, spoken
 from pbonet.xm.net import (
     codec,
     convert,
@@ -132,6 +133,7 @@ class PeerLatencies:
         """Set when agents have appeared or are gone, and at the end."""
         self._new: set[str] = set()
         """Agents that have appeared since the last round trips."""
+        self._table_version = LAYERS["table"].oldest
         self._codec = codec.Codec()
         self._thread = threading.Thread(
             target=self._watch, name="pbonet ways", daemon=True
@@ -224,10 +226,18 @@ class PeerLatencies:
         if sample.kind == zenoh.SampleKind.PUT:
             with self._guard:
                 self._new.add(name)
+                self._table_version = LAYERS["table"].oldest
         else:
             for one in self._listeners:
                 one.lost(name)
         self._wake.set()
+
+    def table_version(self) -> int:
+        """Return the version of table packets that all agents in sight understand.
+
+        It is the oldest of this agent's while one of them has not told its own.
+        """
+        return self._table_version
 
     def clock(self, name: str) -> Clock | None:
         """Return the clock of an agent's machine, if it is known."""
@@ -347,6 +357,11 @@ class PeerLatencies:
             if isinstance(found, m.AgentInfo):
                 for one in self._listeners:
                     one.met(found)
+        with self._guard:
+            if not self._new:  # those have not told their versions yet
+                infos = [peer.info for peer in self._peers.values()]
+                ranges = [i.understands("table") if i else None for i in infos]
+                self._table_version = spoken(LAYERS["table"], ranges)
 
     def _lose(self, name: str, peer: Peer) -> None:
         """Remember agents that are no longer seen, unless they announced their end."""

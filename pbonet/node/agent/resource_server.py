@@ -197,7 +197,7 @@ class ResourceServer:
         try:
             self._admit(wait=wait)
         except PbonetError as error:
-            answer(self._codec.pack(codec.failure(error, request.id)))
+            answer(self._codec.pack(codec.failure(error, request.id, request.v)))
             return
         self._pool.submit(self._serve, request, answer, wait=wait)
 
@@ -218,18 +218,19 @@ class ResourceServer:
     def _serve(
         self, request: r.XmRequest, reply: Callable[[bytes], None], *, wait: bool
     ) -> None:
+        asked = request.id, request.v
         try:
             if isinstance(request, FileWrite) and request.offset == 0:
                 self._must_live(request.client)
             result = self._do[type(request)](request)
-            answer = m.Answer(id=request.id, ok=True, result=result)
+            answer = m.Answer(v=request.v, id=request.id, ok=True, result=result)
         except PbonetError as error:
-            answer = codec.failure(error, request.id)
+            answer = codec.failure(error, request.id, request.v)
         except (ValueError, TypeError, OverflowError) as error:
-            answer = codec.failure(_unfit(self._rtpu, error), request.id)
+            answer = codec.failure(_unfit(self._rtpu, error), *asked)
         except Exception as error:  # the server survives any request
             log.exception("%s: a request could not be carried out", self._rtpu)
-            answer = codec.failure(_unfit(self._rtpu, error), request.id)
+            answer = codec.failure(_unfit(self._rtpu, error), *asked)
         with self._change:
             self._queued -= 1
             self._waits -= wait

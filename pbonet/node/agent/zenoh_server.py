@@ -170,7 +170,7 @@ class Server:
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
         self._ways = ThreadPoolExecutor(1, thread_name_prefix="pbonet report")
-        self._measured: list[tuple[zenoh.Query, str]] = []
+        self._measured: list[tuple[zenoh.Query, m.Links]] = []
         """Requests that wait for a measurement of latencies: one serves all."""
         self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
         self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
@@ -261,7 +261,7 @@ class Server:
                 f"the request was not completed: {reason}",
                 remedy="'status' shows what was done; then repeat it",
             )
-            data = self._codec.pack(codec.failure(error, request.id))
+            data = self._codec.pack(codec.failure(error, request.id, request.v))
             self._record(request, data, begun_ns)
             reply(data)
 
@@ -341,7 +341,7 @@ class Server:
                 return
             if isinstance(request, m.Links):
                 with self._guard:
-                    self._measured.append((query, request.id))
+                    self._measured.append((query, request))
                 self._ways.submit(self._measure)
                 return
             if isinstance(request, HANDLED):
@@ -357,7 +357,7 @@ class Server:
                     remedy="wait for answers before sending more requests",
                 )
         except PbonetError as error:
-            failed = codec.failure(error, codec.request_id(data))
+            failed = codec.refusal(error, data)
             self._reply(query, self._codec.pack(failed))
             return
         if isinstance(request, m.Stop | m.Replaced):
@@ -423,8 +423,8 @@ class Server:
         if not asked:
             return
         report = self._node.ways()
-        for query, request_id in asked:
-            answer = m.Answer(id=request_id, ok=True, result=report)
+        for query, request in asked:
+            answer = m.Answer(v=request.v, id=request.id, ok=True, result=report)
             self._reply(query, self._codec.pack(answer))
 
     def _claim(

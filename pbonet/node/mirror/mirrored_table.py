@@ -63,6 +63,8 @@ class Owner(Protocol):
     tell: Callable[[rtpu_messages.Note], None]
     refuses: Callable[[str, str], bool]
     """Whether a subsystem's packets from a machine are not to be used."""
+    speaks: Callable[[], int]
+    """Returns the version of packets that all other machines understand."""
     silence: Callable[[str], float]
     """Returns for how many seconds an RTPU's machine has given no sign of life."""
 
@@ -254,6 +256,7 @@ class MirroredTable:
             secrets.randbits(62),
             keep=self._use.keep,
             late=owner.late,
+            speaks=owner.speaks,
         )
         session, key = (
             owner.session,

@@ -23,6 +23,7 @@ import zenoh
 from pbonet.errors import SvarError
 from pbonet.node.wire import ClockOffsets, round_trip, rtpu_messages
 from pbonet.svar import Watch
+from pbonet.versions import LAYERS
 from pbonet.xm.net import key_expressions, messages as m, run_folder
 
 from .call_once import CallOnce
@@ -53,6 +54,7 @@ class TableCarrier:
         clocks: The other machines' clocks.
         tell: Called with reports for masters.
         refuses: Returns whether a subsystem's packets from a machine are not used.
+        speaks: Returns the version of packets that all other machines understand.
     """
 
     def __init__(
@@ -62,9 +64,11 @@ class TableCarrier:
         clocks: ClockOffsets,
         tell: Callable[[rtpu_messages.Note], None] = lambda _: None,
         refuses: Callable[[str, str], bool] = lambda _, __: False,
+        *,
+        speaks: Callable[[], int] = lambda: LAYERS["table"].newest,
     ) -> None:
         self.session, self.domain, self.tell = session, domain, tell
-        self.refuses = refuses
+        self.refuses, self.speaks = refuses, speaks
         self.silence: Callable[[str], float] = lambda _: 0.0
         self.machine = key_expressions.machine(run_folder.machine())
         self._clocks = clocks

@@ -97,7 +97,7 @@ class RequestHandlers:
         try:
             request = self._codec.request(data)
         except PbonetError as error:
-            return self._codec.pack(codec.failure(error, codec.request_id(data)))
+            return self._codec.pack(codec.refusal(error, data))
         if isinstance(request, _READING) or not request.id:
             return await self._carry_out(request, masters)
         key = (request.client, request.id)

@@ -11,8 +11,10 @@ from __future__ import annotations
 import msgspec
 from msgspec import Struct
 
-VERSION = 1
-"""Version of packets; packets of other versions are refused and reported."""
+from pbonet.versions import LAYERS
+
+VERSIONS = LAYERS["table"]
+"""Versions of packets that are understood; others are refused and reported."""
 
 
 class Group(Struct, array_like=True):
@@ -96,7 +98,7 @@ def unpack(data: bytes) -> Packet | None:
         packet = _decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
-    return packet if packet.v == VERSION else None
+    return packet if packet.v in VERSIONS else None
 
 
 def other_version(data: bytes) -> Head | None:
@@ -105,4 +107,4 @@ def other_version(data: bytes) -> Head | None:
         head = _head_decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
-    return head if head.v != VERSION else None
+    return head if head.v not in VERSIONS else None

@@ -51,6 +51,7 @@ class Mirror:
         *,
         keep: bool,
         late: Callable[[str, int], int | None] = lambda _machine, _sent: 0,
+        speaks: Callable[[], int] = lambda: packets.VERSIONS.newest,
     ) -> None:
         self.table = table
         self.machine, self.run = machine, run
@@ -58,7 +59,7 @@ class Mirror:
         self.others: dict[str, Machine] = {}
         self._newcomers: set[str] = set()
         """Machines that have not received this table's content yet."""
-        self._late = late
+        self._late, self._speaks = late, speaks
         self._epochs = Epochs()
         self._outbox = Outbox(table, keep=keep)
         self._state = 0
@@ -105,7 +106,7 @@ class Mirror:
         if full:
             self._newcomers = self._newcomers - comes
         return packets.Packet(
-            packets.VERSION,
+            self._speaks(),
             self.machine,
             self.host,
             self.run,
@@ -159,7 +160,7 @@ class Mirror:
         """Raise the flag for a machine whose packets are of another version."""
         text = (
             f"the table of host {head.host[:40]} is of version {head.v}, here "
-            f"{packets.VERSION}: no values are exchanged"
+            f"{packets.VERSIONS}: no values are exchanged"
         )[:120]
         new = text not in self._unread
         self._unread[text] = head.machine, now_ns()

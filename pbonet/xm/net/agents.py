@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from msgspec import Struct
+
+from pbonet import versions
+from pbonet.versions import LAYERS, UNTOLD, Range
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 class Lost(Struct, kw_only=True):
@@ -37,7 +45,9 @@ class AgentInfo(Struct, kw_only=True):
     version: str
     python: str
     protocol: int = 1
-    """Version of the messages that it takes."""
+    """The newest version of the messages that it takes."""
+    versions: dict[str, Range] = {}
+    """Versions that it understands of each layer (`pbonet.versions`)."""
     claims: dict[str, int] = {}
     """Subsystems that use the RTPU, and the epoch of each one's claim."""
     libraries: list[str] = []
@@ -62,6 +72,20 @@ class AgentInfo(Struct, kw_only=True):
     due: dict[str, list[tuple[str, str]]] = {}
     """RTPUs that have not carried out stop orders that this agent was given, and the
     identity and the subsystem of each; an empty name: every one."""
+
+    def understands(self, layer: str) -> Range:
+        """Return the versions of a layer that it understands."""
+        alone = Range(self.protocol, self.protocol) if layer == "commands" else UNTOLD
+        return self.versions.get(layer, alone)
+
+
+def mismatched(infos: Iterable[AgentInfo]) -> list[str]:
+    """Say what these agents, and this program, cannot tell each other, and why."""
+    programs = {"this program": {"commands": LAYERS["commands"]}}
+    for info in infos:
+        told = {layer: info.understands(layer) for layer in LAYERS}
+        programs[f"{info.name} of {info.host}"] = told
+    return versions.mismatches(programs)
 
 
 class Way(Struct, kw_only=True):

@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import PbonetError, ProtocolError
+from pbonet.versions import LAYERS, REMEDY
 
 from .decoders import decoder
 from .messages import VERSION, Answer, Event, Request
@@ -90,7 +91,25 @@ class Codec:
                 remedy="run the same pbonet version on every machine",
             ) from None
 
+    def version(self, data: bytes) -> int:
+        """Return the version of a message, which need not be understood otherwise.
+
+        Raises:
+            ProtocolError: It is too long, or not msgpack.
+        """
+        return self._head(data).v
+
     def _check(self, data: bytes, frozen: Collection[str] = ()) -> None:
+        head, known = self._head(data), LAYERS["commands"]
+        if head.v not in known and head.op not in frozen:
+            raise ProtocolError(
+                "the message is of another protocol version",
+                expected=str(known),
+                got=f"version {head.v}",
+                remedy=REMEDY,
+            )
+
+    def _head(self, data: bytes) -> _Version:
         if len(data) > self.MAX_BYTES:
             raise ProtocolError(
                 "the message is too long",
@@ -99,20 +118,13 @@ class Codec:
                 remedy="send it in parts, or send less",
             )
         try:
-            head = _VERSION.decode(data)
+            return _VERSION.decode(data)
         except MALFORMED as error:
             raise ProtocolError(
                 "the message is not msgpack",
                 got=str(error),
                 remedy="send a msgpack map, as described in docs/protocol.md",
             ) from None
-        if head.v != VERSION and head.op not in frozen:
-            raise ProtocolError(
-                "the message is of another protocol version",
-                expected=f"version {VERSION}",
-                got=f"version {head.v}",
-                remedy="run the same pbonet version on every machine",
-            )
 
 
 def failure(error: PbonetError, request_id: str = "", v: int = VERSION) -> Answer:
@@ -120,9 +132,15 @@ def failure(error: PbonetError, request_id: str = "", v: int = VERSION) -> Answe
     return Answer(v=v, id=request_id, ok=False, error=error.to_wire())
 
 
-def request_id(data: bytes) -> str:
-    """Return the id of a request that cannot be decoded otherwise, if it has one."""
+def refusal(error: PbonetError, data: bytes) -> Answer:
+    """Return the answer to a request that is refused, decoded or not.
+
+    It has the id and version of the request; a version that is not understood is
+    answered in this program's own, which tells the client so.
+    """
     try:
-        return _VERSION.decode(data).id
+        head = _VERSION.decode(data)
     except MALFORMED:
-        return ""
+        return failure(error)
+    known = head.v in LAYERS["commands"] or head.op in FROZEN
+    return failure(error, head.id, head.v if known else VERSION)

@@ -14,6 +14,7 @@ from typing import Annotated as A, Any, TypeAlias
 from msgspec import Meta, Struct
 
 from pbonet.errors import WireError
+from pbonet.versions import LAYERS
 
 from . import message_parts as values
 from .agents import (
@@ -22,6 +23,7 @@ from .agents import (
     Lost as Lost,  # noqa: PLC0414 - taken from here
     TableNews as TableNews,  # noqa: PLC0414 - taken from here
     Way as Way,  # noqa: PLC0414 - taken from here
+    mismatched as mismatched,  # noqa: PLC0414 - taken from here
 )
 from .statuses import (
     RtpuStatus as RtpuStatus,  # noqa: PLC0414
@@ -31,7 +33,8 @@ from .statuses import (
     TbufStatus as TbufStatus,  # noqa: PLC0414
 )
 
-VERSION = 1
+VERSION = LAYERS["commands"].newest
+"""Version of the messages that this pbonet makes, unless it says another one."""
 MOST_CALLERS = 32
 """Maximum number of tasks for which one successor can wait."""
 LAST_TICKET = (1 << 31) - 1

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 import msgspec
 import zenoh
 
+from pbonet import versions
 from pbonet.errors import (
     AccessError,
     NoAnswerError,
@@ -33,6 +34,7 @@ from pbonet.errors import (
     UnreachableError,
 )
 from pbonet.lazy import logger
+from pbonet.versions import LAYERS
 
 from . import key_expressions, roles, run_folder, unreachable_reason
 from .agents import AgentInfo
@@ -139,6 +141,8 @@ class Client:
         self._deliveries: Deliveries | None = None
         self._silent: dict[str, float] = {}
         """Time at which an RTPU's agent did not answer a greeting."""
+        self._spoken: dict[str, int] = {}
+        """The version of commands that an RTPU's agent has understood."""
 
     def tokens(self, key: str) -> list[str]:
         """Return the keys of the liveliness tokens that match `key`, sorted."""
@@ -180,6 +184,7 @@ class Client:
         """
         request.id = f"{self._run}-{next(self._count)}"
         request.client = request.client or self.name
+        request.v = self._spoken.get(rtpu, LAYERS["commands"].newest)
         answer = self._exchange(rtpu, request, timeout)
         for text in answer.warnings:
             self.warned(rtpu, text)
@@ -195,6 +200,7 @@ class Client:
         """
         request.id = f"{self._run}-{next(self._count)}"
         request.client = request.client or self.name
+        request.v = self._spoken.get(rtpu, LAYERS["commands"].newest)
         payload = self._codec.pack(request)
         self._get(rtpu, roles.leaf(request), payload, ANSWER_TIME)
 
@@ -293,7 +299,7 @@ class Client:
         for tries in itertools.count(1):
             reply = self._ask(rtpu, leaf, payload, end)
             if reply is not None and reply.ok is not None:
-                return self._answer(rtpu, request, reply.ok.payload.to_bytes())
+                return self._answer(rtpu, request, reply.ok.payload.to_bytes(), timeout)
             if reply is not None:  # zenoh's own time-out
                 raise _no_answer(rtpu, timeout)
             names = self.rtpus()
@@ -314,6 +320,29 @@ class Client:
                 _RETRY_PAUSE
             )  # it is starting, or our own link is being restored
         raise _no_answer(rtpu, ANSWER_TIME)
+
+    def _agree(self, rtpu: str, refused: int) -> int:
+        """Return the version to speak with an agent, after it has refused another one.
+
+        Raises:
+            ProtocolError: There is none.
+        """
+        hello = Hello(v=refused, id=f"{self._run}-{next(self._count)}")
+        hello.client = self.name
+        answer = self._exchange(rtpu, hello, ANSWER_TIME)  # it takes any version
+        mine = LAYERS["commands"]
+        theirs = read_result(rtpu, answer, AgentInfo).understands("commands")
+        found = versions.common(mine, theirs)
+        if found is None or found == refused:
+            raise ProtocolError(
+                "the agent speaks another protocol version: only hello and stop work",
+                where=rtpu,
+                expected=str(mine),
+                got=str(theirs),
+                remedy=versions.REMEDY,
+            )
+        self._spoken[rtpu] = found
+        return found
 
     def _is_silent(self, rtpu: str) -> bool:
         """Return whether an agent has just failed to answer a greeting."""
@@ -430,7 +459,13 @@ class Client:
         by, lost = found
         return unreachable_reason.loss(by, lost), unreachable_reason.remedy(by, lost)
 
-    def _answer(self, rtpu: str, request: Request, data: bytes) -> Answer:
+    def _answer(
+        self, rtpu: str, request: Request, data: bytes, timeout: float
+    ) -> Answer:
+        """Return the answer in `data`; if its version was refused, that to another."""
+        if self._codec.version(data) != request.v:
+            request.v = self._agree(rtpu, request.v)
+            return self._exchange(rtpu, request, timeout)
         answer = self._codec.answer(data)
         if answer.id != request.id:
             raise ProtocolError(

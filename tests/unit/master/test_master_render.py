@@ -66,6 +66,7 @@ def test_status_has_warning_and_error_below_their_task():
         "fields": list(DEFAULT),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "missing": [],
+        "versions": ["no common version of table: a; b"],
         "rtpus": [
             {
                 "rtpu": "arm0",
@@ -92,7 +93,8 @@ def test_status_has_warning_and_error_below_their_task():
         "ERROR> pid: q is NaN",
     ]
     assert lines[5].startswith("traj ")
-    assert lines[6:] == [
+    assert lines[6].startswith("VERSIONS> no common version of table: a; b: run the ")
+    assert lines[7:] == [
         "ILLEGAL> arm0, arm1: equation 2",
         "ILLEGAL> arm1: arm1/pid died",
         "STALLED> arm1: its core stood still 2 times, 100 ms in all",
@@ -102,10 +104,8 @@ def test_status_has_warning_and_error_below_their_task():
         "nothing yet",
     ]
     assert render.text("display", {"variables": []}) == "no variables"
-    empty = render.text(
-        "status", {"fields": ["rmod"], "tasks": [], "missing": [], "rtpus": []}
-    )
-    assert empty == "no tasks"
+    none = {"fields": ["rmod"], "tasks": [], "missing": [], "versions": [], "rtpus": []}
+    assert render.text("status", none) == "no tasks"
 
 
 def test_variables_show_writer_age_and_unit():

@@ -119,7 +119,7 @@ def test_the_flag_goes_up_without_the_keepers_machine(carrying, table, monkeypat
 
 def test_packets_of_another_version_raise_the_flag(carrying, table):
     mirrors, _ = carrying
-    packet = packets.Packet(packets.VERSION + 1, "m2", "two", 1, 0, 0, [])
+    packet = packets.Packet(packets.VERSIONS.newest + 1, "m2", "two", 1, 0, 0, [])
     assert mirrors._carried["arm"]._take(packets.pack(packet)) == ""
     assert mirrors._carried["arm"]._take(b"\x91") == ""
     (cause,) = table.illegal
@@ -198,7 +198,8 @@ def test_how_late_a_call_comes_is_known_when_that_machines_clock_is(
     made = []
     monkeypatch.setattr(remote_handover, "make", lambda *how: made.append(how))
     sent = time.monotonic_ns()  # an hour ago, by a clock that is an hour ahead
-    packet = packets.Packet(packets.VERSION, "m2", "two", 1, 0, sent, [], calls=[b"c"])
+    known = packets.VERSIONS.newest
+    packet = packets.Packet(known, "m2", "two", 1, 0, sent, [], calls=[b"c"])
     mirrors._carried["arm"]._take(packets.pack(packet))
     mirrors.measured("m2", sent, sent, sent + 3_600_000_000_000)
     mirrors._carried["arm"]._take(packets.pack(packet))
@@ -214,7 +215,7 @@ def test_an_exchange_of_states_measures_the_other_clock(carrying):
     carried = mirrors._carried["arm"]
     carried._exchange(done=int)
     sent = time.monotonic_ns() + ahead
-    packet = packets.Packet(packets.VERSION, "m2", "two", 1, 0, sent, [])
+    packet = packets.Packet(packets.VERSIONS.newest, "m2", "two", 1, 0, sent, [])
     assert mirrors.late("m2", sent) is None
     mirrors.session.answers(packets.pack(packet))
     turn(mirrors)

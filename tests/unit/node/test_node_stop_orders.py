@@ -237,6 +237,6 @@ def test_packets_of_such_a_machine_are_not_used():
     table._owner, table.subsystem = owner, "arm"
     table.mirror = SimpleNamespace(others={}, take=lambda p: taken.append(p) or True)
     for machine in ("there", "elsewhere"):
-        packet = packets.Packet(packets.VERSION, machine, "h", 1, 1, 1, [])
+        packet = packets.Packet(packets.VERSIONS.newest, machine, "h", 1, 1, 1, [])
         table._take(packets.pack(packet))
     assert [packet.machine for packet in taken] == ["elsewhere"]

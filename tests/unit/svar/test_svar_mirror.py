@@ -428,7 +428,7 @@ def test_what_is_no_packet():
     assert packets.unpack(b"") is None
     assert packets.unpack(b"\x91\xa1\xff") is None  # text that is no UTF-8
     assert packets.unpack(b"\x93\x01\x02\x03") is None
-    other = packets.Packet(packets.VERSION + 1, "a", "host-a", 1, 0, 0, [])
+    other = packets.Packet(packets.VERSIONS.newest + 1, "a", "host-a", 1, 0, 0, [])
     assert packets.unpack(packets.pack(other)) is None
     assert packets.other_version(packets.pack(other)).host == "host-a"
     assert packets.other_version(b"") is None
@@ -442,10 +442,10 @@ def test_a_machine_with_packets_of_another_version_raises_the_flag(sides):
         return [one.cause for one in b.table.illegal]
 
     text = (
-        f"the table of host host-a is of version {packets.VERSION + 1}, here "
-        f"{packets.VERSION}: no values are exchanged"
+        f"the table of host host-a is of version {packets.VERSIONS.newest + 1}, here "
+        f"{packets.VERSIONS}: no values are exchanged"
     )
-    head = packets.Head(packets.VERSION + 1, "a", "host-a")
+    head = packets.Head(packets.VERSIONS.newest + 1, "a", "host-a")
     for _ in range(2):
         b.mirror.refuse(head)
         assert causes() == [text]

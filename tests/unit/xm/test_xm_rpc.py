@@ -38,7 +38,7 @@ def test_text_that_is_no_utf8_is_refused_like_all_that_is_malformed(message):
     with pytest.raises(ProtocolError) as caught:
         read(packed)
     assert "utf-8" in str(caught.value)
-    assert codec.request_id(packed) in {"i", ""}
+    assert codec.refusal(caught.value, packed).id in {"i", ""}
 
 
 def test_who_has_keys_that_ran_out_is_told_so(tmp_path, monkeypatch, run_dir):  # noqa: ARG001 - an empty folder
