@@ -138,7 +138,7 @@ def _status(data: Data) -> str:
         f"NOT-CREATED> {one['task']} on {one['rtpu']}: {one['reason']}"
         for one in data["missing"]
     ]
-    lines += [f"VERSIONS> {text}: {REMEDY}" for text in data["versions"]]
+    lines += [f"VERSIONS> {text}: {REMEDY}" for text in data.get("versions", ())]
     raised: dict[str, list[str]] = {}  # RTPUs of one machine share one flag
     for rtpu in data["rtpus"]:
         for cause in rtpu["illegal"]:
