@@ -218,7 +218,7 @@ def test_a_task_that_cannot_be_spawned_is_told_and_keeps_no_other_away(
     arm.on("b")
     path.unlink()
     kill_rtpu(nodes)
-    wait_states(arm, b="ON")
+    wait_for(lambda: states(arm).get("b") == "ON", "the other one to be ON again")
     wait_for(lambda: arm.events("NOT_SPAWNED", "a"), "that it is given up")
     missing, _ = reasons(arm)
     assert "; not spawned again: " in missing["a"]

@@ -25,6 +25,7 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.pbo import ModuleInfo
+from pbonet.versions import LAYERS
 from pbonet.xm.net import (
     codec,
     dialling,
@@ -398,6 +399,7 @@ class FakeAgent:
         if request.reset:
             self.did(f"reset {request.task}")
         return m.RtpuStatus(
+            versions=LAYERS,
             rtpu=self.name,
             backend="park",
             scheduler="MUF",

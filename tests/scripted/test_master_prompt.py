@@ -175,7 +175,7 @@ def test_prompt_on_a_real_terminal(world, agents, puma, tmp_path):
         stdout=slave,
         stderr=slave,
         close_fds=True,
-        env={**os.environ, "XDG_STATE_HOME": str(tmp_path), "TERM": "xterm"},
+        env={**os.environ, "PBONET_STATE_DIR": str(tmp_path), "TERM": "xterm"},
         cwd=Path(__file__).parents[2],
     )
     os.close(slave)
@@ -204,5 +204,5 @@ def test_prompt_on_a_real_terminal(world, agents, puma, tmp_path):
         process.kill()
         process.wait()
         os.close(master)
-    assert "spawn puma_pidg arm0" in (tmp_path / "pbonet" / "history").read_text()
+    assert "spawn puma_pidg arm0" in (tmp_path / "history").read_text()
     assert agents["arm0"].claims == {}

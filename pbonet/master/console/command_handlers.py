@@ -9,8 +9,11 @@ import msgspec
 from pbonet.analysis import legality
 from pbonet.errors import ConfigError, SeveralError, StateError, VerificationError
 from pbonet.master.subsystem import find_missing, status_fields
+from pbonet.versions import LAYERS
 
 if TYPE_CHECKING:
+    from pbonet.xm.net import RtpuStatus
+
     from .session_state import SessionState
 
 Given: TypeAlias = dict[str, Any]
@@ -77,7 +80,7 @@ def status(session: SessionState, given: Given) -> Data:
         "fields": list(fields),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "missing": [msgspec.to_builtins(one) for one in missing],
-        "versions": session.subsystem.clients.mismatches(),
+        "versions": _mismatches(session, rtpus),
         "rtpus": [
             {
                 "rtpu": rtpu.rtpu,
@@ -93,6 +96,14 @@ def status(session: SessionState, given: Given) -> Data:
             for rtpu in rtpus
         ],
     }
+
+
+def _mismatches(session: SessionState, rtpus: list[RtpuStatus]) -> list[str]:
+    """Ask the agents for versions if one may have others; say what does not match."""
+    subsystem = session.subsystem
+    if subsystem.task_set.silent or any(one.versions != LAYERS for one in rtpus):
+        return subsystem.clients.mismatches()
+    return []
 
 
 def profiles(session: SessionState, given: Given) -> Data:

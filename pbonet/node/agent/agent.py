@@ -280,8 +280,8 @@ class Agent:
         """Give again what the agent before this one had, or tell why not."""
         if damage:
             log.error("%s: %s", self.name, damage)
-            note = rtpu_messages.Note
-            self._note(note(int(Severity.ERROR), "STATE_UNREADABLE", damage))
+            error = int(Severity.ERROR)
+            self._note(rtpu_messages.Note(error, "STATE_UNREADABLE", damage))
         if self._again is not None:
             self._again.begin(
                 "the machine was started again"

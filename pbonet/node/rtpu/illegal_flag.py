@@ -110,9 +110,13 @@ class CauseEvents:
         text = "{} ({})".format(*key) if cause.up else "no longer: {} ({})".format(*key)
         if cause.held > 1:
             text = f"[{cause.held} changes] {text}"
-        severity = Severity.WARNING if cause.up else Severity.INFO
         self._events.count(_code(cause.up), -1, subsystem=subsystem)
-        self._events.add(severity, _code(cause.up), text, subsystem=subsystem)
+        self._events.add(
+            Severity.WARNING if cause.up else Severity.INFO,
+            "ILLEGAL" if cause.up else "LEGAL",
+            text,
+            subsystem=subsystem,
+        )
         cause.single += 1
         cause.held = 0
 

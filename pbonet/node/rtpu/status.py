@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pbonet.analysis.schedule import edge_ns
 from pbonet.node.rt import KINDS
 from pbonet.pbo import State
+from pbonet.versions import LAYERS
 from pbonet.xm.net import (
     RtpuStatus,
     SectionStatus,
@@ -227,4 +228,5 @@ def rtpu_status(
         unlogged=recorder.lost if recorder else 0,
         stalls=core.stalls,
         stalled=core.stalled_ns * _NS,
+        versions=LAYERS,
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from pbonet.versions import Range
+
 from .message_parts import Restart
 
 
@@ -156,6 +158,8 @@ class RtpuStatus(Struct, kw_only=True):
     """The links on the machine, in this RTPU's domain."""
     age: float = 0.0
     """Seconds since the start of the RTPU process; 0: not known."""
+    versions: dict[str, Range] = {}
+    """As in `AgentInfo`."""
 
 
 class TaskProfile(Struct, kw_only=True):

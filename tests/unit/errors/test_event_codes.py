@@ -13,7 +13,7 @@ from pbonet.xm.net import event_codes
 
 ROOT = Path(__file__).parents[3]
 CODE = re.compile(r"[A-Z][A-Z_]+")
-TELLING = {"add", "notice", "Notice", "Note", "_say", "_add"}
+TELLING = {"add", "notice", "Notice", "Note", "_say", "_add", "say"}
 
 
 def told():
