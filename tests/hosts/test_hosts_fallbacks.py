@@ -231,7 +231,10 @@ def test_swap_does_it_where_the_job_does_not_say_so(start, hosts, lan, tmp_path)
     arm.open()
     wait_replaced(arm, start)
     late = "the order that others replace first"
-    assert late in events(arm, "arm1", "STOPPED")[-1]
+    wait_for(
+        lambda: any(late in text for text in events(arm, "arm1", "STOPPED")),
+        "the report of the order",
+    )
 
 
 def test_an_order_is_no_loss(start, hosts, lan):
