@@ -26,8 +26,8 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.node.mirror import TableCarrier, Takeovers
-from pbonet.node.restart import DesiredState, TaskRestarts, path_of
+from pbonet.node.mirror import TableCarrier
+from pbonet.node.restart import DesiredState, Takeovers, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts

@@ -1,4 +1,4 @@
-"""The desired state of an RTPU, kept for the loss of its process or its machine."""
+"""What becomes of tasks whose RTPU process or machine was lost: restart, takeover."""
 
 from pbonet.lazy import attach
 

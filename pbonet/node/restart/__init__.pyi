@@ -3,4 +3,5 @@ from .desired_state import (
     StopLeft as StopLeft,
     path_of as path_of,
 )
+from .standby_takeover import Takeovers as Takeovers
 from .task_restarts import TaskRestarts as TaskRestarts

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.errors import NoAnswerError
-from pbonet.node.mirror import Takeovers
+from pbonet.node.restart import Takeovers
 from pbonet.node.wire.rtpu_messages import OpenTable, Standby, TakeOver
 from pbonet.xm.net import session
 
