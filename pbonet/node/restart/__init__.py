@@ -1,4 +1,4 @@
-"""What becomes of tasks whose RTPU process or machine was lost: restart, takeover."""
+"""Restart of tasks that were lost with their RTPU process, and takeover by standbys."""
 
 from pbonet.lazy import attach
 
