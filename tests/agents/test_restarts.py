@@ -333,6 +333,18 @@ def test_agent_and_rtpu_process_are_killed_and_started_anew(nodes):
     }
 
 
+def test_an_agent_that_ends_in_order_leaves_neither_file_nor_folder(nodes):
+    nodes.agent_process("arm0")
+    arm = nodes.master("arm0", "arm")
+    arm.spawn("a", "counts")
+    arm.on("a")
+    wait_written(nodes, "arm0", ["a"])
+    process = nodes.processes["arm0"]
+    process.terminate()
+    assert process.wait(60) == 0
+    assert not desired_state.path_of(nodes.domain, "arm0").parent.exists()
+
+
 def test_a_stop_before_that_stays_in_force(nodes):
     nodes.agent_process("arm0")
     arm = nodes.master("arm0", "arm")

@@ -418,10 +418,16 @@ class DesiredState:
     def _write(path: Path, data: bytes) -> None:
         if not data:
             path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # others' files are there
+                path.parent.rmdir()
             return
-        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         fresh = path.with_suffix(".new")
-        fd = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+        try:
+            fd = os.open(fresh, flags, 0o600)
+        except FileNotFoundError:  # no folder, or another agent has removed it
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            fd = os.open(fresh, flags, 0o600)
         with os.fdopen(fd, "wb") as file:
             file.write(data)
             file.flush()
