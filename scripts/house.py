@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 ROOT: Final = Path(__file__).resolve().parents[1]
 MOST_FILES: Final = 31
 SOURCES: Final = {".py", ".pyx", ".pxd", ".pxi", ".h", ".pyi"}
-OPEN: Final = {"pbonet.cli", "pbonet.modules"}
+LIBRARY: Final = "pbonet.modules"
+"""One room with folders in it, one for each class of modules."""
+OPEN: Final = {"pbonet.cli", LIBRARY}
 """Rooms whose files are used one by one: verbs, and modules that RMODs name."""
 _LIST = re.compile(r"^from ([\w.]+) import (?:\(([^)]*)\)|(.*))", re.MULTILINE)
 _NAME = re.compile(r"(\w+) as \w+")
@@ -54,7 +56,9 @@ class House:
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             self.files[name] = path
         self.rooms = {
-            name for name, path in self.files.items() if path.name == "__init__.py"
+            name
+            for name, path in self.files.items()
+            if path.name == "__init__.py" and not name.startswith(f"{LIBRARY}.")
         }
         self.faces = {room: self._face(room) for room in self.rooms}
 
@@ -74,6 +78,8 @@ class House:
         """Return the room of a file; of a file at the top, the file itself."""
         if module in self.rooms:
             return module
+        if module.startswith(f"{LIBRARY}."):
+            return LIBRARY
         room = module.rpartition(".")[0]
         return module if room == "pbonet" else room
 

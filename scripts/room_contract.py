@@ -37,8 +37,14 @@ def is_package(module: str) -> bool:
     return Path(*module.split(".")).is_dir()
 
 
+LIBRARY = "pbonet.modules"
+"""One room with folders in it, one for each class of modules."""
+
+
 def room_of(module: str) -> str:
     """Return the room in which a module stands."""
+    if module.startswith(f"{LIBRARY}."):
+        return LIBRARY
     return module if is_package(module) else module.rpartition(".")[0]
 
 

@@ -32,14 +32,12 @@ class Drive(Params):
     z: A[float, param("m", "where it lies")] = -0.42
 
 
-class Jaws(PortBasedObject[Drive]):
+class Jaws(PortBasedObject[Drive], module_class="robot interface"):
     """WIDTH follows WIDTH_REF; what is between closing jaws is HELD and goes with them.
 
     It tells CLOSED and OPENED when the jaws have come to rest, CLOSED also without a
     part between them. Setting `x` brings a new part.
     """
-
-    robot_interface = True
 
     CLOSED = UserSignal(0, "the jaws have stopped closing")
     OPENED = UserSignal(1, "the jaws are open")

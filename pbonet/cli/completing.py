@@ -137,8 +137,8 @@ def _found(kind: str, folder: Path) -> Iterator[Offer]:
     if kind == "job":
         yield from ((path.stem, str(path)) for path in folder.glob("*.job"))
     elif kind == "rmod":
-        for place in (_LIBRARY, folder):
-            yield from ((path.stem, str(path)) for path in place.glob("*.rmod"))
+        for paths in (_LIBRARY.glob("*/*.rmod"), folder.glob("*.rmod")):
+            yield from ((path.stem, str(path)) for path in paths)
     elif kind == "field":
         from pbonet.master.subsystem import status_fields
 

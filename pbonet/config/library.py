@@ -3,8 +3,9 @@
 A library is a list of folders with ``module.py`` files and ``.rmod`` files. The folders
 that a machine's ``agent.toml`` or a command names come first, then the modules that
 pbonet brings, then the packages that register under the entry point group
-``pbonet.modules``. A module is loaded by its name only, never from a path or from text
-that came over the network.
+``pbonet.modules``. A package's modules may stand in folders of it, one per class. A
+module is loaded by its name only, never from a path or from text that came over the
+network.
 """
 
 from __future__ import annotations
@@ -97,8 +98,13 @@ class Library:
         """Yield the folders; those of installed packages only if all else fails."""
         for folder in self.folders:
             yield Shelf(folder, _package_name(folder))
-        yield from _packaged(BUILT_IN)
+        yield from self._built_in
         yield from self._installed
+
+    @cached_property
+    def _built_in(self) -> list[Shelf]:
+        """The folders of the modules that pbonet brings."""
+        return _packaged(BUILT_IN)
 
     @cached_property
     def _installed(self) -> list[Shelf]:
@@ -255,7 +261,8 @@ class Library:
         )
 
     def _places(self) -> str:
-        return " or ".join(str(shelf.folder) for shelf in self.shelves)
+        folders = [shelf.folder for shelf in self.shelves]
+        return " or ".join(str(one) for one in folders if one.parent not in folders)
 
     def _missing(self) -> str:
         """Return the hint about missing folders."""
@@ -312,10 +319,14 @@ def _read(path: Path) -> bytes:
 
 
 def _packaged(package: str) -> list[Shelf]:
-    """Return the folders of an importable package."""
+    """Return the folders of an importable package: its own, and those in it."""
     spec = importlib.util.find_spec(package)
-    folders = (spec.submodule_search_locations or []) if spec else []
-    return [Shelf(Path(folder), package) for folder in folders]
+    folders = [Path(one) for one in (spec and spec.submodule_search_locations) or ()]
+    return [Shelf(folder, package) for folder in folders] + [
+        Shelf(inner.parent, f"{package}.{inner.parent.name}")
+        for folder in folders
+        for inner in sorted(folder.glob("*/__init__.py"))
+    ]
 
 
 def _registered() -> list[Shelf]:
@@ -348,7 +359,7 @@ def _run(shelf: Shelf, path: Path, source: bytes, version: str) -> types.ModuleT
     are not two classes of one name.
     """
     module = path.stem
-    if shelf.package not in sys.modules and shelf.package != BUILT_IN:
+    if shelf.package not in sys.modules:
         _make_package(shelf)
     name = f"{shelf.package}.{module}"
     before = sys.modules.get(name)

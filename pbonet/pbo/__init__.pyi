@@ -30,7 +30,10 @@ from ._handling import (
 )
 from ._object import (
     METHODS as METHODS,
+    MODULE_CLASSES as MODULE_CLASSES,
+    ROBOT_INTERFACE as ROBOT_INTERFACE,
     Interface as Interface,
+    ModuleClass as ModuleClass,
     PortBasedObject as PortBasedObject,
     interface as interface,
 )

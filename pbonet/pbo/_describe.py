@@ -12,7 +12,7 @@ from msgspec import Struct, structs
 from pbonet.ports import Kind, Port, is_safe, shape_text
 
 from ._combine import Part, combination, methods, signals
-from ._object import PortBasedObject
+from ._object import ROBOT_INTERFACE, PortBasedObject
 from ._signals import SignalInfo
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     """Methods that the module writes itself."""
     critical_ok: bool
     """True when it has `stable`, or safe values, and so may be marked CRITICAL."""
-    robot_interface: bool = False
-    """Whether it turns what it reads into motion."""
+    module_class: str = ""
+    """Its class in the library, one of `MODULE_CLASSES`; empty: none is declared."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
@@ -62,6 +62,11 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     def named(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of the ports of one kind, as an RMOD lists them."""
         return tuple(port.name for port in self.ports if port.kind is kind)
+
+    @property
+    def robot_interface(self) -> bool:
+        """Whether it turns what it reads into motion."""
+        return self.module_class == ROBOT_INTERFACE
 
     @property
     def inner(self) -> tuple[Port, ...]:
@@ -120,11 +125,19 @@ def combined_info(
         ),
         methods=written,
         critical_ok="stable" in written or is_safe(whole.ports),
-        robot_interface=any(one.info.robot_interface for one in parts),
+        module_class=_class_of(parts),
         signals=signals(told),
         parts=tuple(parts),
         within=whole.within,
     )
+
+
+def _class_of(parts: Sequence[PartInfo]) -> str:
+    """Return the class of a combination; with a robot interface in it, it is one."""
+    classes = {one.info.module_class for one in parts}
+    if ROBOT_INTERFACE in classes:
+        return ROBOT_INTERFACE
+    return classes.pop() if len(classes) == 1 else ""
 
 
 def source_version(source: bytes) -> str:
@@ -163,7 +176,7 @@ def describe(
         params=_params(cls),
         methods=declared.methods,
         critical_ok="stable" in declared.methods or is_safe(declared.ports),
-        robot_interface=cls.robot_interface,
+        module_class=cls.module_class,
         signals=declared.signals,
     )
 

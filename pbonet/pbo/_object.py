@@ -9,6 +9,7 @@ from typing import (
     Any,
     ClassVar,
     Generic,
+    Literal,
     TypeGuard,
     get_args,
     get_origin,
@@ -60,6 +61,24 @@ METHODS = {
 """The methods that the runtime calls, and how each is written."""
 
 
+ModuleClass = Literal[
+    "",
+    "controller",
+    "robot interface",
+    "kinematics",
+    "trajectory",
+    "sensor",
+    "teleoperation",
+    "signal",
+    "connector",
+    "subsystem interface",
+]
+"""A class of modules in the library; empty: none is declared."""
+MODULE_CLASSES: tuple[str, ...] = get_args(ModuleClass)[1:]
+"""The classes of modules in the library (Stewart 1994, Figure 3.14)."""
+ROBOT_INTERFACE: ModuleClass = "robot interface"
+
+
 class Interface(Struct, frozen=True):
     """Declarations in a module's class body."""
 
@@ -78,7 +97,10 @@ class PortBasedObject(Generic[P]):
     see `error`.
 
     A class with ports that several modules share is declared ``abstract=True`` and
-    needs no `cycle`.
+    needs no `cycle`. ``module_class="controller"`` gives the module's class in the
+    library, one of `MODULE_CLASSES` (Stewart 1994, Figure 3.14). A "robot interface"
+    turns what it reads into motion: such a task should be CRITICAL, and `pbonet check`
+    says so.
 
     Attributes:
         params: The module's parameters, as `Params` of its own.
@@ -88,9 +110,8 @@ class PortBasedObject(Generic[P]):
     __interface__: ClassVar[Interface] = Interface((), ())
     __params__: ClassVar[type[Params]] = Params
     __abstract__: ClassVar[bool] = True
-    robot_interface: ClassVar[bool] = False
-    """Whether the module turns what it reads into motion, as a drive's module does.
-    Such a task should be CRITICAL, and `pbonet check` says so."""
+    module_class: ClassVar[ModuleClass] = ""
+    """The module's class in the library, one of `MODULE_CLASSES`; see above."""
     __within__: ClassVar[tuple[Port, ...]] = ()
     """Ports of a combination's parts that are none of it; see `combination`."""
 
@@ -113,11 +134,19 @@ class PortBasedObject(Generic[P]):
         """Do the rest of a method that ended in a corrected error."""
         return None
 
-    def __init_subclass__(cls, *, abstract: bool = False, **settings: Any) -> None:  # noqa: ANN401
+    def __init_subclass__(
+        cls,
+        *,
+        abstract: bool = False,
+        module_class: ModuleClass = "",
+        **settings: Any,  # noqa: ANN401
+    ) -> None:
         """Read and check the declarations of one module."""
         super().__init_subclass__(**settings)
         body = Declaring(cls, here())
         cls.__abstract__ = abstract
+        cls.module_class = module_class or cls.module_class
+        _check_class(module_class, body)
         cls.__params__ = _params(cls, body)
         _refuse_constructor(cls, body)
         ports = _ports(cls, body)
@@ -309,6 +338,18 @@ def _params(cls: type[PortBasedObject[Any]], body: Declaring) -> type[Params]:
 
 def _is_params(chosen: object) -> TypeGuard[type[Params]]:
     return isinstance(chosen, type) and issubclass(chosen, Params)
+
+
+def _check_class(got: str, body: Declaring) -> None:
+    if not got or got in MODULE_CLASSES:
+        return
+    raise body.error(
+        "",
+        "module_class names no class of modules",
+        expected="one of " + ", ".join(f'"{name}"' for name in MODULE_CLASSES),
+        got=repr(got),
+        remedy=did_you_mean(str(got), MODULE_CLASSES) or "leave it out if none fits",
+    )
 
 
 def _refuse_constructor(cls: type, body: Declaring) -> None:

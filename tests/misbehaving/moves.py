@@ -5,10 +5,8 @@ from typing import Annotated as A
 from pbonet import OutVar, PortBasedObject, Vector
 
 
-class Moves(PortBasedObject):
+class Moves(PortBasedObject, module_class="robot interface"):
     """y counts the cycles."""
-
-    robot_interface = True
 
     y: A[Vector, OutVar("Y", "2", "none", "cycles")]
 

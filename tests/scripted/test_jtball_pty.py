@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from magellan import VERSION, Magellan
 
-from pbonet.modules.jtball import JtBall
+from pbonet.modules.teleoperation.jtball import JtBall
 from pbonet.testing import Bench
 
 SPEED = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0)

@@ -18,7 +18,7 @@ from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.pbo import State
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "puma"
-LIBRARY = Path(pbonet.modules.__file__).parent
+LIBRARY = Path(pbonet.modules.__file__).parent / "teleoperation"
 
 
 class Operator:

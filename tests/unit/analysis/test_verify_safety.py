@@ -39,7 +39,7 @@ def reader(**more) -> legality.Task:
 
 def robot(*, critical: bool, ok: bool) -> legality.Task:
     info = structs.replace(
-        module(port("invar", "U")), robot_interface=True, critical_ok=ok
+        module(port("invar", "U")), module_class="robot interface", critical_ok=ok
     )
     made = task("arm", invar="U", info=info, rtpu="arm1")
     return structs.replace(made, rmod=structs.replace(made.rmod, critical=critical))

@@ -144,7 +144,7 @@ def test_a_module_that_is_missing_is_told_at_the_line_that_names_it(call, tmp_pa
     )
     (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU c0\nEOF\n")
     (tmp_path / "j.job").write_text("JOB j\nDESC d\nSBS s.sbs\nTASK d\nEOF\n")
-    rmod = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    rmod = Path(cli.__file__).parents[1] / "modules" / "signals" / "diff.rmod"
     (tmp_path / "d.rmod").write_text(rmod.read_text().replace(" diff", " dif", 1))
     for words in (("check",), ("run", "--sim", "--record", "off")):
         status, out, err = call(*words, tmp_path / "j.job")
@@ -280,7 +280,7 @@ def test_version(call):
 def test_check_takes_every_kind_of_file(call, tmp_path):
     agent = tmp_path / "agent.toml"
     agent.write_text('name = "arm0"\n')
-    rmod = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    rmod = Path(cli.__file__).parents[1] / "modules" / "signals" / "diff.rmod"
     files = [PUMA / "puma.svar", PUMA / "puma.sbs", PUMA / "puma.job", rmod, agent]
     status, out, _ = call("check", *files)
     assert status == 0
@@ -320,7 +320,7 @@ def test_check_of_an_illegal_job_names_tasks_ports_and_remedy(call, tmp_path):
 
 
 def test_check_compares_an_rmod_with_its_module(call, tmp_path):
-    source = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    source = Path(cli.__file__).parents[1] / "modules" / "signals" / "diff.rmod"
     rmod = tmp_path / "mine.rmod"
     text = source.read_text().replace("EOF", "\nLOCAL\nTAU       0.01\nEOF")
     for old, new, what in (

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-import pbonet.modules.diff
+import pbonet.modules.signals.diff
 from pbonet.config import library
 from pbonet.config.library import Library
 from pbonet.errors import ConfigFileError, DeclarationError, ModuleLoadError
@@ -70,7 +70,7 @@ def test_folders_come_before_what_pbonet_brings(folder):
     shelf = Library([folder])
     assert shelf.load("diff").path == folder / "diff.py"
     assert shelf.find_rmod("qmdiff") == folder / "qmdiff.rmod"
-    assert Library().load("diff").cls is pbonet.modules.diff.Diff
+    assert Library().load("diff").cls is pbonet.modules.signals.diff.Diff
 
 
 def test_of_two_folders_the_first_one_counts(folder, tmp_path):

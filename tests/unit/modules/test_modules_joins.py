@@ -10,10 +10,10 @@ import pytest
 from pbonet import State
 from pbonet.config import parse_rmod
 from pbonet.errors import MethodError, ParameterError
-from pbonet.modules.join_average import JoinAverage
-from pbonet.modules.join_first import JoinFirst
-from pbonet.modules.join_max import JoinMax
-from pbonet.modules.join_min import JoinMin
+from pbonet.modules.connectors.join_average import JoinAverage
+from pbonet.modules.connectors.join_first import JoinFirst
+from pbonet.modules.connectors.join_max import JoinMax
+from pbonet.modules.connectors.join_min import JoinMin
 from pbonet.pbo import decode_params
 from pbonet.testing import Bench
 

@@ -15,9 +15,9 @@ from pbonet.config import read_rmod, read_svar
 from pbonet.config.library import Library
 from pbonet.errors import MethodError
 from pbonet.io.puma560 import PUMA560
-from pbonet.modules.grav_comp import GravComp
-from pbonet.modules.jtball import JtBall
-from pbonet.modules.puma_pidg import PumaPidg
+from pbonet.modules.controllers.grav_comp import GravComp
+from pbonet.modules.robot_interfaces.puma_pidg import PumaPidg
+from pbonet.modules.teleoperation.jtball import JtBall
 from pbonet.pbo import decode_params
 from pbonet.testing import Bench
 
@@ -27,7 +27,7 @@ START = np.array([0.0, np.pi / 4, -np.pi, 0.0, np.pi / 4, 0.0])
 
 def configured(name: str) -> Params:
     """Return the parameters that an RMOD of the library gives its module."""
-    rmod = read_rmod(LIBRARY / f"{name}.rmod")
+    rmod = read_rmod(Library().find_rmod(name))
     return decode_params(Library().load(rmod.module).cls, rmod.local)
 
 

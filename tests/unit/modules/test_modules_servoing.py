@@ -15,11 +15,11 @@ from pbonet.config.library import Library
 from pbonet.errors import MethodError, ParameterError
 from pbonet.io.puma560 import PUMA560
 from pbonet.modules._dh import Geometry, gap, rotation, scale
-from pbonet.modules.damped_ls import DampedLS
-from pbonet.modules.forward_kin import ForwardKin
-from pbonet.modules.integrator import Integrator
-from pbonet.modules.puma_inv_kin import PumaInvKin
-from pbonet.modules.visual_target import VisualTarget
+from pbonet.modules.kinematics.damped_ls import DampedLS
+from pbonet.modules.kinematics.forward_kin import ForwardKin
+from pbonet.modules.kinematics.puma_inv_kin import PumaInvKin
+from pbonet.modules.signals.integrator import Integrator
+from pbonet.modules.trajectories.visual_target import VisualTarget
 from pbonet.pbo import decode_params
 from pbonet.testing import Bench
 
@@ -193,7 +193,7 @@ def test_limits_that_leave_no_room_are_refused() -> None:
 
 def test_limits_in_the_rmods_are_the_arm_s() -> None:
     for name in ("puma_inv_kin", "qrint"):
-        given: Any = configured(LIBRARY / f"{name}.rmod")
+        given: Any = configured(Library().find_rmod(name))
         assert given.lower == pytest.approx(PUMA560.lower, abs=1e-6)
         assert given.upper == pytest.approx(PUMA560.upper, abs=1e-6)
 
@@ -461,7 +461,7 @@ def test_what_is_no_path_is_refused(params: dict[str, object], message: str) -> 
 
 def test_the_example_s_target_and_the_library_s_are_reached() -> None:
     """Every pose of both paths is within the PUMA's reach."""
-    for file in (EXAMPLE / "target.rmod", LIBRARY / "visual_target.rmod"):
+    for file in (EXAMPLE / "target.rmod", Library().find_rmod("visual_target")):
         bench = Bench(VisualTarget, params=configured(file), freq=25)
         bench.on()
         controller = inverse()

@@ -9,11 +9,11 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.modules.constant import Constant
-from pbonet.modules.diff import Diff
-from pbonet.modules.gain import Gain
-from pbonet.modules.joint_pid import JointPID
-from pbonet.modules.sine import Sine
+from pbonet.modules.controllers.joint_pid import JointPID
+from pbonet.modules.signals.diff import Diff
+from pbonet.modules.signals.gain import Gain
+from pbonet.modules.teleoperation.constant import Constant
+from pbonet.modules.trajectories.sine import Sine
 from pbonet.testing import Bench
 
 # ------------------------------------------------------------------------------- diff

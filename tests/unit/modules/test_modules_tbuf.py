@@ -6,8 +6,8 @@ import pytest
 from pbonet import Signal, State, tbuf, xm
 from pbonet.errors import MethodError, XmNameError
 from pbonet.io import no_devices
-from pbonet.modules.tbuf_receive import NEVER, TbufReceive
-from pbonet.modules.tbuf_send import TbufSend
+from pbonet.modules.subsystem_interfaces.tbuf_receive import NEVER, TbufReceive
+from pbonet.modules.subsystem_interfaces.tbuf_send import TbufSend
 from pbonet.testing import Bench
 
 

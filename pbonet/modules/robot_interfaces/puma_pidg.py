@@ -20,8 +20,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import PUMA560, SimulatedArm
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 N = PUMA560.ndof
 PER_JOINT = ("kp", "kd", "ki", "wind", "speed")
@@ -39,7 +38,7 @@ class Gains(Params):
     slow: A[float, param("rad/s^2", "deceleration of the arm in `stable`", gt=0)] = 4.0
 
 
-class PumaPidg(PortBasedObject[Gains]):
+class PumaPidg(PortBasedObject[Gains], module_class="robot interface"):
     """tau = kp*e + integral(ki*e) + kd*(v - qd) + t_grav, with e = r - q.
 
     The reference r moves with v = qd_ref + follow*(q_ref - r), not faster than `speed`
@@ -47,8 +46,6 @@ class PumaPidg(PortBasedObject[Gains]):
     often become a smooth motion, and nothing that is written to Q_REF, however far
     away, makes the arm jump; r starts where the arm is.
     """
-
-    robot_interface = True
 
     ndof: A[int, OutConst("NDOF", "1", "none", "degrees of freedom")]
     dh: A[Matrix, OutConst("DH", "6,4", "mixed", "rows of theta, d, a, alpha")]

@@ -7,8 +7,7 @@ import numpy as np
 from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
 from pbonet.io import AXES, Ball, RecordedBall, SerialLine
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 
 class Steering(Params):
@@ -36,7 +35,7 @@ class Steering(Params):
     ] = 0
 
 
-class JtBall(PortBasedObject[Steering]):
+class JtBall(PortBasedObject[Steering], module_class="teleoperation"):
     """q_ref += rate * dt, within the limits; rate = speed * push of the joint's axis.
 
     The reference goes on from wherever it stands when the module is turned on. When

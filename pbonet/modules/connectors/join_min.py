@@ -7,7 +7,7 @@ import numpy as np
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector
 
 
-class JoinMin(PortBasedObject[Params]):
+class JoinMin(PortBasedObject[Params], module_class="connector"):
     """z = the smaller of z1 and z2, element by element.
 
     Two modules that produce the same variable get different ones by SVARALIAS, and this

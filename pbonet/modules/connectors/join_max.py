@@ -7,7 +7,7 @@ import numpy as np
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector
 
 
-class JoinMax(PortBasedObject[Params]):
+class JoinMax(PortBasedObject[Params], module_class="connector"):
     """z = the larger of z1 and z2, element by element.
 
     Two modules that produce the same variable get different ones by SVARALIAS, and this

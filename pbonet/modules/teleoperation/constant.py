@@ -3,8 +3,7 @@
 from typing import Annotated as A
 
 from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 
 class Setting(Params):
@@ -14,7 +13,7 @@ class Setting(Params):
     slew: A[float, param("none", "largest change a second; 0 jumps", ge=0)] = 0.0
 
 
-class Constant(PortBasedObject[Setting]):
+class Constant(PortBasedObject[Setting], module_class="teleoperation"):
     """y moves to `value` by at most `slew` a second, and stays there.
 
     It starts from what Y was when the module is turned on, and `set` changes the value

@@ -15,8 +15,7 @@ from pbonet import (
     Vector,
     param,
 )
-
-from ._dh import difference, is_rotation, scale
+from pbonet.modules._dh import difference, is_rotation, scale
 
 
 class Damping(Params):
@@ -32,7 +31,7 @@ class Damping(Params):
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
 
 
-class DampedLS(PortBasedObject[Damping]):
+class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
     """qd = J'(J J' + L)^-1 v, with v = gain * (x_des - x) + xd_des and damping L.
 
     Least squares that weigh the hand's error against the joints' speed (Nakamura and

@@ -17,7 +17,7 @@ class Incoming(Params):
     fail: A[bool, param("none", "whether a value that is too old is an error")] = False
 
 
-class TbufReceive(PortBasedObject[Incoming]):
+class TbufReceive(PortBasedObject[Incoming], module_class="subsystem interface"):
     """z = the value received last, stamped with the time at which it was written.
 
     So the age of the variable in the table is that of what it holds, and readers see it

@@ -5,8 +5,7 @@ from typing import Annotated as A
 import numpy as np
 
 from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 TURN = 2.0 * np.pi
 
@@ -20,7 +19,7 @@ class Wave(Params):
     fade: A[float, param("s", "time until the full amplitude is reached", gt=0)] = 1.0
 
 
-class Sine(PortBasedObject[Wave]):
+class Sine(PortBasedObject[Wave], module_class="trajectory"):
     """y = centre + fade(t) * amplitude * sin(2 pi freq t + phase), and y_dot = dy/dt.
 
     The centre is where Y stood when the module was turned on, and the amplitude grows

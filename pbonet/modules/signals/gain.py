@@ -11,8 +11,7 @@ from pbonet import (
     Vector,
     param,
 )
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 
 class Line(Params):
@@ -22,7 +21,7 @@ class Line(Params):
     bias: A[PerElement, param("none", "offset, in the unit of Y")] = (0.0,)
 
 
-class Gain(PortBasedObject[Line]):
+class Gain(PortBasedObject[Line], module_class="signal"):
     """y = gain * z + bias."""
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]

@@ -14,8 +14,7 @@ from pbonet import (
     Vector,
     param,
 )
-
-from ._dh import Geometry, scale
+from pbonet.modules._dh import Geometry, scale
 
 
 class Scale(Params):
@@ -24,7 +23,7 @@ class Scale(Params):
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
 
 
-class ForwardKin(PortBasedObject[Scale]):
+class ForwardKin(PortBasedObject[Scale], module_class="kinematics"):
     """x = pose of the last frame, J = its Jacobian, both at the measured q.
 
     The arm's geometry comes from its robot interface as the constant DH. SIGMA, the

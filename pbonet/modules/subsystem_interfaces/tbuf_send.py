@@ -12,7 +12,7 @@ class Outgoing(Params):
     link: A[str, param("none", "name of the link; other subsystems use SUBSYSTEM:NAME")]
 
 
-class TbufSend(PortBasedObject[Outgoing]):
+class TbufSend(PortBasedObject[Outgoing], module_class="subsystem interface"):
     """Send z in every cycle, with the time; not while z is stale (its MAXAGE).
 
     So what the receiver has is never older than it seems. It never waits: not for

@@ -13,10 +13,9 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-
-from ._dh import is_rotation
-from ._puma_arm import PumaArm
-from ._values import PerElement, spread
+from pbonet.modules._dh import is_rotation
+from pbonet.modules._puma_arm import PumaArm
+from pbonet.modules._values import PerElement, spread
 
 AGAIN = 1.5
 """A new warning needs a distance of NEAR times this from the singularity."""
@@ -33,7 +32,7 @@ class Posture(Params):
     fade: A[float, param("s", "time until Q_REF has reached the solution", gt=0)] = 0.5
 
 
-class PumaInvKin(PortBasedObject[Posture]):
+class PumaInvKin(PortBasedObject[Posture], module_class="kinematics"):
     """q_ref = the joint angles that take the hand to the pose x, nearest to the last.
 
     When it is turned on, Q_REF moves from where it stands to the solution within FADE.

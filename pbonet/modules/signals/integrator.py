@@ -14,8 +14,7 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 
 class Range(Params):
@@ -25,7 +24,7 @@ class Range(Params):
     upper: A[PerElement, param("none", "largest value, in the unit of Z")]
 
 
-class Integrator(PortBasedObject[Range]):
+class Integrator(PortBasedObject[Range], module_class="signal"):
     """z += z_dot * dt, within the limits.
 
     The integral goes on from wherever Z stands when the module is turned on, so it

@@ -13,8 +13,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import Chain
-
-from ._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread
 
 
 class Links(Params):
@@ -28,7 +27,7 @@ class Links(Params):
     payload: A[float, param("kg", "mass held at the last frame's origin", ge=0)] = 0.0
 
 
-class GravComp(PortBasedObject[Links]):
+class GravComp(PortBasedObject[Links], module_class="controller"):
     """t_grav = the torques that hold the arm still where it is.
 
     The arm's geometry comes from its robot interface as the constant DH, so the module

@@ -21,7 +21,7 @@ class Weights(Params):
     ] = (0.5, 0.5)
 
 
-class JoinAverage(PortBasedObject[Weights]):
+class JoinAverage(PortBasedObject[Weights], module_class="connector"):
     """z = weights[0]*z1 + weights[1]*z2, and the weights sum to 1.
 
     Two modules that produce the same variable get different ones by SVARALIAS, and this

@@ -22,7 +22,7 @@ class Smoothing(Params):
     tau: A[float, param("s", "time constant of each of two lags", ge=0)] = 0.0
 
 
-class Diff(PortBasedObject[Smoothing]):
+class Diff(PortBasedObject[Smoothing], module_class="signal"):
     """z_dot = dz/dt by backward difference, smoothed by two first-order lags.
 
     A reference that is written at half this module's rate looks like a staircase:

@@ -24,7 +24,7 @@ class Gains(Params):
     kd: A[float, param("N*m*s/rad", "damping", ge=0)] = 0.0
 
 
-class JointPID(PortBasedObject[Gains]):
+class JointPID(PortBasedObject[Gains], module_class="controller"):
     """Hold q at q_ref: tau = kp*e + integral(ki*e) - kd*qd, with e = q_ref - q.
 
     With an integral term the torque begins at what the table holds: what another

@@ -7,7 +7,7 @@ import numpy as np
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector
 
 
-class JoinFirst(PortBasedObject[Params]):
+class JoinFirst(PortBasedObject[Params], module_class="connector"):
     """z = z1 while that is valid, else z2: finite, and no older than its MAXAGE.
 
     Two modules that produce the same variable get different ones by SVARALIAS, the

@@ -3,9 +3,8 @@
 from typing import Annotated as A
 
 from pbonet import Matrix, OutVar, Params, PortBasedObject, Vector, param
-
-from ._path import PosePath
-from ._values import PerElement
+from pbonet.modules._path import PosePath
+from pbonet.modules._values import PerElement
 
 
 class Sight(Params):
@@ -18,7 +17,7 @@ class Sight(Params):
     repeat: A[bool, param("none", "whether the path repeats at its end")] = False
 
 
-class VisualTarget(PortBasedObject[Sight]):
+class VisualTarget(PortBasedObject[Sight], module_class="trajectory"):
     """x_des = where the target was DELAY ago, on its path from pose to pose.
 
     It stands where a camera, its image processing and a link from another subsystem

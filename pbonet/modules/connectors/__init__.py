@@ -1,0 +1,1 @@
+"""Connectors: they join or select variables."""

@@ -1,0 +1,1 @@
+"""Digital controllers: they compute commands for actuators."""

@@ -1,0 +1,1 @@
+"""Robot interfaces: they command hardware or its simulation, and measure."""

@@ -1,0 +1,1 @@
+"""Sensors and estimators: they turn raw measurements into quantities."""

@@ -1,0 +1,1 @@
+"""Signal processing: filters, limits, derivatives and integrals of any variable."""

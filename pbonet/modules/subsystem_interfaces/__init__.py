@@ -1,0 +1,1 @@
+"""Subsystem interfaces: they exchange variables with other subsystems."""

@@ -1,0 +1,1 @@
+"""Teleoperation: what a person commands."""

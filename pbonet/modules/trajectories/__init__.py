@@ -1,0 +1,1 @@
+"""Trajectory generators: they output a goal for each cycle."""
