@@ -128,18 +128,23 @@ static void check(struct rt_table *t, int park)
         require(s->n_pieces <= RT_PIECES, "pieces");
         if (!s->ready || ((s->word & 3) != RT_ON && !s->engaged))
             continue;
-        ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
-                                       .crit = s->rank, .priority = s->priority,
-                                       .level = s->level, .slot = i};
+        ready[n++] = rt_item(s, i);
         running += s->granted && !s->parked;
         held += !s->granted || s->parked;
     }
     muf_sort(ready, n);
     for (int k = 0; k < n; k++) {
-        require(ready[k].level >= MUF_LOW && ready[k].level <= MUF_HIGH, "level range");
-        require(ready[k].level < last || (ready[k].level == MUF_LOW && n > 81),
+        int level = ready[k].level, in_background = ready[k].group == MUF_BACKGROUND;
+        int low = in_background ? MUF_BACKGROUND_LOW : MUF_LOW;
+        int high = in_background ? MUF_BACKGROUND_HIGH : MUF_HIGH;
+        if (ready[k].group == MUF_HUNG) {
+            require(!level, "what hangs has no level");
+            continue;
+        }
+        require(level >= low && level <= high, "level range");
+        require(level < last || (level == low && n > high - low + 1),
                 "levels follow urgency");
-        last = ready[k].level;
+        last = level;
     }
     require(!park || running <= 1, "one runs under park");
     require(park || held == 0, "all are told under fifo");

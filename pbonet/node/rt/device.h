@@ -68,7 +68,8 @@ static inline void rt_latch_device(struct rt_table *t, int i, struct rt_state *s
 static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                                rt_cpu_fn cpu)
 {
-    rt_overruns(t, i, s, cpu);
+    if (!s->overrun)
+        rt_overruns(s, cpu(&t->slots[i]));
     s->dl_ns += ((now - s->dl_ns) / s->period + 1) * s->period;
     s->late = 1;
     rt_fail(t, i, s, RT_DEADLINE, now, 1);

@@ -167,6 +167,7 @@ static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
     rt_emit(t, RT_EVENT, i, active, event, 0);
     s->active = active;
     s->event_ns = event;
+    s->overrun = 0;
     s->fresh = 1;
     if (s->kind == RT_SPORADIC)
         s->dl_ns = event + s->period;
@@ -191,7 +192,8 @@ static inline int rt_news(const struct rt_slot *slot)
            atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
 }
 
-/* Read how much CPU time a cycle has used since it used up its period. While it hangs the
+/* Read how much CPU time a cycle has used since it used up its period, or the event of a
+ * server since it used up the capacity. While it hangs the
  * task has no level: all others and commands go first. */
 static inline void rt_latch_overrun(struct rt_table *t, int i, struct rt_state *s,
                                     rt_cpu_fn cpu)
@@ -282,8 +284,8 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     missed += s->ready;
     s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;
     if (s->begun) {
-        if (s->rel_ns + s->period <= now)
-            rt_overruns(t, i, s, cpu);
+        if (s->rel_ns + s->period <= now && !s->overrun)
+            rt_overruns(s, cpu(&t->slots[i]));
     } else {
         s->rel_ns = release;
         if (s->granted) {       /* granted, but not begun: it runs as the new one */
@@ -371,11 +373,8 @@ static inline void rt_hold(struct rt_table *t, int i)
 /* Rank the ready tasks: priorities first, then wake-ups, both in order of urgency. */
 static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, int park)
 {
-    int hung = 0;
     muf_sort(ready, n);
-    for (int k = n; k-- > 0 && ready[k].crit < 0; hung++)
-        ready[k].level = 0;
-    muf_assign(ready, n - hung, MUF_LOW, MUF_HIGH);
+    muf_assign_groups(ready, n);
     for (int k = 0; k < n; k++) {
         struct rt_state *s = &t->slots[ready[k].slot].state;
         if (s->level != ready[k].level) {
@@ -404,9 +403,12 @@ static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, in
 /* A ready task in the form in which it is ranked. */
 static inline struct muf_item rt_item(const struct rt_state *s, int i)
 {
+    int group = s->overrun == RT_HUNG         ? MUF_HUNG
+                : s->kind == RT_BACKGROUND ? MUF_BACKGROUND
+                                           : MUF_CYCLES;
     return (struct muf_item){
-        .deadline = s->dl_ns, .since = s->rel_ns,
-        .crit = s->overrun == RT_HUNG ? -1 : s->rank, .priority = s->priority,
+        .deadline = s->dl_ns, .since = s->rel_ns, .group = group,
+        .crit = s->overrun == RT_HUNG ? 0 : s->rank, .priority = s->priority,
         .last = s->overrun >= RT_LAST, .level = s->level, .slot = i};
 }
 

@@ -28,12 +28,12 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 11,
+    RT_VERSION = 12,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
     RT_PIECES = 8,           /* pending replenishments of a sporadic server */
-    RT_COMMAND_LEVEL = 3,
+    RT_COMMAND_LEVEL = 6,
     RT_DISPATCHER_LEVEL = 95,
 };
 #define RT_UNSET (-1)   /* a level that the last leader may have decided on but not set */

@@ -8,10 +8,15 @@
 
 #include <stdint.h>
 
-enum { MUF_MAX = 128, MUF_LOW = 4, MUF_HIGH = 84 };
+enum { MUF_MAX = 128, MUF_LOW = 7, MUF_HIGH = 84 };
+enum { MUF_BACKGROUND_LOW = 1, MUF_BACKGROUND_HIGH = 4 };
+
+/* Background tasks go after all cycles and commands, and cycles that hang have no level. */
+enum muf_group { MUF_CYCLES = 0, MUF_BACKGROUND = 1, MUF_HUNG = 2 };
 
 struct muf_item {
     int64_t deadline, since;    /* absolute; since: first come, first served */
+    int32_t group;              /* muf_group: a later one goes after all others */
     int32_t crit, priority;
     int32_t last;               /* goes after all others of its criticality */
     int32_t level;              /* current one; 0: none */
@@ -21,6 +26,8 @@ struct muf_item {
 /* Whether `a` is more urgent: criticality, deadline, user priority, then FCFS. */
 static inline int muf_before(const struct muf_item *a, const struct muf_item *b)
 {
+    if (a->group != b->group)
+        return a->group < b->group;
     if (a->crit != b->crit)
         return a->crit > b->crit;
     if (a->last != b->last)
@@ -98,6 +105,20 @@ static inline void muf_assign(struct muf_item *items, int n, int low, int high)
         above = below;
         level_above = level_below;
     }
+}
+
+/* Give all ready items, ranked, the levels of their groups. */
+static inline void muf_assign_groups(struct muf_item *ready, int n)
+{
+    int cycles = 0, background = 0;
+    while (cycles < n && ready[cycles].group == MUF_CYCLES)
+        cycles++;
+    while (cycles + background < n && ready[cycles + background].group == MUF_BACKGROUND)
+        background++;
+    muf_assign(ready, cycles, MUF_LOW, MUF_HIGH);
+    muf_assign(ready + cycles, background, MUF_BACKGROUND_LOW, MUF_BACKGROUND_HIGH);
+    for (int k = cycles + background; k < n; k++)
+        ready[k].level = 0;
 }
 
 #endif

@@ -141,9 +141,9 @@ static inline void rt_arm(struct rt_task *task)
     rt_kick(task->table);
 }
 
-/* Go to the priority of commands, below every cycle; an errno value if refused. A
- * real-time priority from an earlier dispatcher is lowered even if none leads any more. An
- * orphan already shares that priority with others. */
+/* Go to the priority of commands, below every cycle; an errno value if refused. Commands
+ * share it by time slices, so that one that does not return blocks no other. A real-time
+ * priority from an earlier dispatcher is lowered even if none leads any more. */
 static inline int rt_command_level(const struct rt_task *task)
 {
     int policy = sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
@@ -151,7 +151,7 @@ static inline int rt_command_level(const struct rt_task *task)
         return 0;
     if (atomic_load(&task->table->backend) != RT_FIFO && policy != SCHED_FIFO)
         return 0;
-    return rt_set_level(0, RT_COMMAND_LEVEL);
+    return rt_schedule(0, SCHED_RR, RT_COMMAND_LEVEL);
 }
 
 /* Leave the cycles for a command, or for good; the priority is lowered first. */
@@ -281,14 +281,13 @@ static inline int rt_begin(struct rt_task *task)
 }
 
 /* Whether the dispatcher must be woken when an event has been served: to charge a
- * sporadic server, or to restore the rank of a synchronous task. */
+ * sporadic server, or to restore the rank of a synchronous task, or a level. */
 static inline int rt_awaited(const struct rt_task *task)
 {
     const struct rt_slot *slot = task->slot;
-    return task->kind == RT_SPORADIC ||
+    return task->kind == RT_SPORADIC || atomic_load(&slot->grant.hung) ||
            (task->kind == RT_SYNCHRONOUS &&
-            (atomic_load(&slot->grant.crit) != atomic_load(&slot->config.crit) ||
-             atomic_load(&slot->grant.hung)));
+            atomic_load(&slot->grant.crit) != atomic_load(&slot->config.crit));
 }
 
 /* End the cycle; under `park` the dispatcher is woken if other tasks wait. */

@@ -72,16 +72,16 @@ static inline void rt_set_rank(struct rt_table *t, int i, struct rt_state *s, in
     rt_emit(t, RT_CRIT, i, (uint32_t)rank, 0, 0);
 }
 
-/* A cycle has used up its period; it continues with the deadline of the next one. It may
- * have been delayed by others. If it uses the CPU time of another whole period it goes last
- * among equally critical tasks, and once it has used `hang`, it hangs. */
-static inline void rt_overruns(const struct rt_table *t, int i, struct rt_state *s,
-                               rt_cpu_fn cpu)
+/* A cycle has used up its period, or a server's event the capacity; `clock` is the CPU
+ * clock now. A cycle continues with the deadline of the next period, for it may have been
+ * delayed by others. If it uses the CPU time of another whole period it goes last among
+ * equally critical tasks, and once it has used `hang`, it hangs. */
+static inline void rt_overruns(struct rt_state *s, int64_t clock)
 {
     if (s->overrun)
         return;
     s->overrun = RT_OVER;
-    s->overrun_mark = cpu(&t->slots[i]);
+    s->overrun_mark = clock;
 }
 
 /* Count a failure; send it to the module's handler if a cycle is under way. */
@@ -285,6 +285,8 @@ static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64
         s->held_off += (uint64_t)(locked != 0);
         rt_settle_debt(t, i, s);
     }
+    if (s->spent && s->active)
+        rt_overruns(s, s->clock);
     s->check_ns = s->owed ? s->locked_ns
                   : s->active && !s->spent ? rt_later(now, s->left) : 0;
 }

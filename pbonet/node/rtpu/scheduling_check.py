@@ -77,8 +77,9 @@ class SchedulingCheck:
         self._events.add(
             Severity.WARNING,
             "SCHEDULING_CHANGED",
-            f"{what} (expected {expected}): another program, such as chrt or taskset, "
-            "has changed that. It is put right; find out which one did it",
+            f"{what} (expected {expected}): the task's module, or another program such "
+            "as chrt or taskset, has changed that (the kernel does not tell which). It "
+            "is put right",
             subsystem=task.facts.subsystem,
             task=task.name,
         )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-LINK_LEVEL = 2
+LINK_LEVEL = 5
 """Priority of the threads that carry records between machines; commands have 3."""
 MARK = "PBONET_RTPU_PROCESS"
 """Names, in the environment, the RTPU process that a process descends from. Processes

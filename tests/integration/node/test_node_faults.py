@@ -422,6 +422,18 @@ class TestHanging:
         arm.kill("bad", limit=0.3)
         assert "bad" not in arm.status()
 
+    def test_in_off(self, arm):
+        """Commands share the core, so that those to other tasks are carried out."""
+        arm.spawn("bad", "hangs_in_off", out="Y1")
+        arm.on("bad")
+        arm.refused(NoAnswerError, arm.off, "bad", limit=0.3)
+        arm.spawn("other", "counts", out="Y2", freq=50.0)
+        arm.on("other")
+        assert arm.ask(m.Freq(task="other", hz=40.0), float) == 40.0
+        arm.wait_cycles("other", 5)
+        arm.kill("bad", limit=0.3)
+        assert arm.status("bad").state == "NOT-CREATED"
+
 
 @pytest.mark.parametrize(
     ("scheduler", "module", "maxc", "backend"),
@@ -462,6 +474,31 @@ def test_a_more_urgent_task_that_hangs_blocks_nobody(
     assert not alive(tid)
     arm.wait_cycles("good", 5)
     assert len(arm.events("HANGS", "bad")) == 1
+
+
+@pytest.mark.parametrize("kind", ["deferrable", "sporadic", "background"])
+def test_an_event_that_does_not_end_blocks_nobody(arm, kind):
+    """A server's event hangs after its capacity; background tasks go after commands."""
+    arm.spawn("good", "counts", out="Y7", freq=40.0)
+    text = rmod("hangs_when_served", freq=20.0).replace("periodic", kind)
+    timed = "" if kind == "background" else "FREQ 20\nCAPACITY 0.004\n"
+    text = text.replace("FREQ 20\n", timed)
+    tid = arm.spawn("bad", "hangs_when_served", text=text).tid
+    arm.on("good")
+    arm.on("bad")
+    if kind == "background":
+        used = Path(f"/proc/{tid}/schedstat")  # nanoseconds on the core come first
+        wait_for(lambda: int(used.read_text().split()[0]) > 2e8, "its CPU time")
+    else:
+        assert "does not return" in arm.wait_event("HANGS", "bad").text
+    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
+    arm.wait_cycles("good", 20)
+    arm.off("good")
+    arm.on("good")
+    arm.kill("bad", limit=1.0)
+    assert arm.wait_event("FORCED", "bad").severity == Severity.WARNING
+    assert not alive(tid)
+    arm.wait_cycles("good", 5)
 
 
 @pytest.mark.parametrize("backend", ["auto", "park"])

@@ -34,7 +34,7 @@ from pbonet.analysis.schedule.records import Decision, Kind, Mode
 from pbonet.analysis.schedule.urgency import NEVER, urgency
 
 from .inputs import After
-from .levels import assign_levels
+from .levels import BACKGROUND, assign_levels
 from .slotstate import HUNG, LAST, SlotState, arms, returns
 from .watch import Watch, contained, disarm, due, limited, over
 
@@ -156,7 +156,7 @@ class Dispatcher:
                 over(state)
             case Event.BEGUN:
                 state.begun |= not record.arg
-                state.overrun = record.arg
+                state.overrun = record.arg or state.overrun
             case _:
                 self._notice(now, slot, state, event, record)
 
@@ -222,8 +222,11 @@ class Dispatcher:
         ranked.sort()
         order = [slot for _, _, slot in ranked]
         states = [self.slots[slot] for slot in order]
-        held = [state.level for state in states if state.overrun != HUNG]
-        levels = assign_levels(held)
+        groups = [_group(state) for state in states]
+        held = [state.level for state in states]
+        cycles, background = groups.count(0), groups.count(1)
+        levels = assign_levels(held[:cycles])
+        levels += assign_levels(held[cycles:][:background], *BACKGROUND)
         levels += [0] * (len(states) - len(levels))
         for slot, state, level in zip(order, states, levels, strict=True):
             if state.level != level:
@@ -250,11 +253,18 @@ class Dispatcher:
             self._decide(Event.RESUME, slot)
 
 
-def _order(state: SlotState) -> tuple[bool, int, bool, int]:
+def _group(state: SlotState) -> int:
+    """Return 0 for cycles, 1 for background tasks, 2 for cycles that hang."""
+    if state.overrun == HUNG:
+        return 2
+    return int(state.kind == Kind.BACKGROUND)
+
+
+def _order(state: SlotState) -> tuple[int, int, bool, int]:
     """Return the sort key of a ready task."""
     rank = 0 if state.overrun == HUNG else state.rank
     return (
-        state.overrun == HUNG,
+        _group(state),
         -rank,
         state.overrun >= LAST,
         -urgency(rank, state.dl_ns, state.priority),

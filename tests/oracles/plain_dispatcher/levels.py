@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 
-LOW, HIGH = 4, 84
-"""SCHED_FIFO levels of cycles; commands are below (3), the dispatcher above (95)."""
+LOW, HIGH = 7, 84
+"""SCHED_FIFO levels of cycles; commands are below (6), the dispatcher above (95)."""
+BACKGROUND = (1, 4)
+"""Lowest and highest level of background tasks, below commands and links."""
 
 
 def assign_levels(held: list[int], low: int = LOW, high: int = HIGH) -> list[int]:

@@ -129,6 +129,7 @@ class Watch:
         """Something came to a server, or has been served."""
         state = self.state
         state.event_ns, state.active, state.fresh = instant, active, True
+        state.overrun = 0
         if state.kind == Kind.SPORADIC:
             state.dl_ns = instant + state.period
 

@@ -204,9 +204,24 @@ def test_a_picture_is_drawn(call, tmp_path) -> None:
     status, out, _ = call("log", "plot", path, "Y", "-o", model)
     assert (status, out.strip()) == (0, str(model))
     assert "<svg" in model.read_text()
+    assert "<!-- spare -->" not in model.read_text(), "one writer needs no name"
     status, _, err = call("log", "plot", path, "Z", "-o", model)
     assert status == 1
     assert "no task of the run wrote Z" in err
+
+
+def test_a_picture_names_all_writers_of_a_variable(call, tmp_path) -> None:
+    path, model = tmp_path / "run.mcap", tmp_path / "a.svg"
+    writer = LogWriter(path, run())
+    for task, first in (("pid", 0), ("spare", 50)):
+        number = writer.add_task(about(task, PLAIN))
+        for n in range(first, first + 9):
+            writer.add(number, record(np.full(6, 0.5 * n).tobytes(), release_ns=n))
+    writer.close()
+    assert call("log", "plot", path, "Y", "-o", model)[0] == 0
+    drawn = model.read_text()  # each text's words stand in a comment before its path
+    assert "<!-- pid -->" in drawn
+    assert "<!-- spare -->" in drawn
 
 
 def test_the_newest_run_is_taken_where_none_is_named(call, runs) -> None:
