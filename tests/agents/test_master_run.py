@@ -203,6 +203,24 @@ def parent_of(pid):
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
+def test_a_strict_run_whose_recorder_was_killed_says_what_is_missing(run, nodes):
+    process = run("--strict")
+    until_on(process)
+    recorder = next(
+        pid
+        for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
+        if "recorder_process" in command
+    )
+    os.kill(recorder, signal.SIGKILL)
+    wait_gone([recorder])
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=200)
+    last = (out + err).splitlines()[-1]
+    assert process.returncode == 3, out + err
+    assert "exit status 3 (--strict): not recorded: " in last
+    assert left_of(nodes) == []
+
+
 def test_a_low_limit_of_open_files_is_raised(run):
     process = run("--record", "off", "--seconds", "0.2", under=FEW_FILES)
     _, err = process.communicate(timeout=200)
