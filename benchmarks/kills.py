@@ -3,9 +3,10 @@
 Each round starts `pbonet run` of a servo and sends SIGKILL, SIGSEGV or SIGSTOP to one
 or two processes: master, agent, RTPU process, fork server, task, recorder. Half a
 second later the run is interrupted, if it still runs. Ends with status 3 when a run did
-not end within its limit, or a process of it was alive 2 s after its end. The next round
-finds out whether a new run works at once; a master that was stopped is killed, as only
-its user can continue it.
+not end within its limit, or a process of it was alive 2 s after its end, or its exit
+status was 0 although a task of it was killed, or shared memory is left after a last run
+that nothing disturbs. The next round finds out whether a new run works at once; a
+master that was stopped is killed, as only its user can continue it.
 
     python -m benchmarks.kills [--rounds 200] [--seed 1] [--json FILE]
 """
@@ -61,6 +62,10 @@ def processes(folder: Path) -> dict[int, str]:
     return found
 
 
+class RoundError(Exception):
+    """What was wrong after a round."""
+
+
 class Rounds:
     """Runs of one job with processes that are killed.
 
@@ -83,7 +88,7 @@ class Rounds:
             "PBONET_SHM_DIR": str(folder / "shm"),
         }
 
-    def round(self, number: int) -> None:
+    def round(self, number: int, *, harmed: bool = True) -> None:
         """Start a run, harm it, and note what was wrong afterwards."""
         said = (self.folder / "said").open("w+")
         words = ["run", str(JOB), "--domain", "kills", "--runs", self.folder / "runs"]
@@ -97,9 +102,10 @@ class Rounds:
         done = "start"
         try:
             self._wait_on(run, Path(said.name))
-            done = self._harm(run)
+            done = self._harm(run) if harmed else "undisturbed"
             self._end(run)
-        except TimeoutError as error:
+            self._judge(run.returncode, done)
+        except RoundError as error:
             self.faults.append(f"round {number}, {done}: {error}")
             print(self.faults[-1], flush=True)
         finally:
@@ -113,7 +119,7 @@ class Rounds:
         deadline = time.monotonic() + START_TIME
         while " is ON: " not in (text := said.read_text()):
             if run.poll() is not None or time.monotonic() > deadline:
-                raise TimeoutError(f"the run did not start: {text[-500:]}")
+                raise RoundError(f"the run did not start: {text[-500:]}")
             time.sleep(0.02)
 
     def _harm(self, run: subprocess.Popen[bytes]) -> str:
@@ -134,6 +140,11 @@ class Rounds:
         time.sleep(0.5)
         return " and ".join(done)
 
+    @staticmethod
+    def _judge(status: int, done: str) -> None:
+        if status == 0 and ("SIGKILL to task" in done or "SIGSEGV to task" in done):
+            raise RoundError("exit status 0 although a task was killed")
+
     def _end(self, run: subprocess.Popen[bytes]) -> None:
         begun = time.monotonic()
         if run.poll() is None:
@@ -141,13 +152,13 @@ class Rounds:
         try:
             run.wait(END_TIME)
         except subprocess.TimeoutExpired:
-            raise TimeoutError(f"the run stands after {END_TIME:g} s") from None
+            raise RoundError(f"the run stands after {END_TIME:g} s") from None
         self.ends.append(time.monotonic() - begun)
         deadline = time.monotonic() + CLEAN_TIME
         while left := processes(self.folder / "run"):
             if time.monotonic() > deadline:
                 names = ", ".join(left.values())
-                raise TimeoutError(f"alive {CLEAN_TIME:g} s after the end: {names}")
+                raise RoundError(f"alive {CLEAN_TIME:g} s after the end: {names}")
             time.sleep(0.02)
 
 
@@ -157,6 +168,11 @@ def measure(rounds: int, seed: int) -> Rounds:
         made = Rounds(Path(folder), seed)
         for number in range(rounds):
             made.round(number)
+        made.round(rounds, harmed=False)
+        left = sorted(one.name for one in (Path(folder) / "shm").iterdir())
+        if left:
+            made.faults.append(f"left in shared memory: {', '.join(left)}")
+            print(made.faults[-1], flush=True)
         return made
 
 
