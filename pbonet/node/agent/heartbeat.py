@@ -74,13 +74,13 @@ class Change(NamedTuple):
 class _Agent:
     """Another agent of the domain."""
 
-    def __init__(self, machine: str) -> None:
+    def __init__(self, machine: str, answered: float = 0.0) -> None:
         self.machine = machine
         self.heard = self.back = time.monotonic()
         self.seen = True
         self.sent_ns = 0
         """Of its last sign of life, by the clock of its machine."""
-        self.answered = 0.0
+        self.answered = answered
         """When the last sign of life was sent that it has answered."""
         self.holds = False
         """Whether it says that there are orders to carry out here."""
@@ -181,7 +181,8 @@ class Heartbeat:
         """Return for how many seconds an agent's machine was surely alone.
 
         It has been heard neither here nor by the machine of the keeper, which must be
-        in sight. Infinite for this machine, of which other things are known.
+        in sight. An agent that is not known was not heard since the start of this one.
+        Infinite for this machine, of which other things are known.
 
         Args:
             name: The agent.
@@ -192,15 +193,16 @@ class Heartbeat:
             lost = self._of_machine(name)
             if lost is None:
                 return math.inf
-            last = [one.heard for one in lost.values()]
+            last = [one.heard for one in lost.values()] or [self._began]
             witnesses = self._of_machine(keeper)
             if witnesses is not None:
                 there = [one for one in witnesses.values() if one.seen]
                 if not there:
                     return 0.0
                 last += [one.back for one in there]
-                last += [one.told.get(other, 0.0) for one in there for other in lost]
-        return now - max(last, default=now)
+                names = {*lost, name}
+                last += [one.told.get(n, 0.0) for one in there for n in names]
+        return now - max(last)
 
     def _of_machine(self, name: str) -> dict[str, _Agent] | None:
         """Return the agents of an agent's machine; None if that is this machine."""
@@ -218,6 +220,11 @@ class Heartbeat:
         agent = self._agents.get(name)
         return agent is not None and not agent.seen
 
+    def is_seen(self, name: str) -> bool:
+        """Return whether an agent is in sight; one that was never heard is not."""
+        agent = self._agents.get(name)
+        return agent is not None and agent.seen
+
     def _note_beat(self, sample: zenoh.Sample) -> None:
         """Note a sign of life; runs in zenoh's own thread."""
         name = key_expressions.rtpu_name(str(sample.key_expr))
@@ -227,11 +234,15 @@ class Heartbeat:
             return  # of another version: it counts as out of sight
         with self._guard:
             agent = self._agents.get(name)
-            if agent is None:
-                agent = self._agents[name] = _Agent(beat.machine)
+            back = agent is not None and not agent.seen
+            if agent is None or agent.machine != beat.machine:
+                if agent is not None and agent.seen:
+                    return  # first the machine where it was must be out of sight
+                answered = agent.answered if agent is not None else 0.0
+                agent = self._agents[name] = _Agent(beat.machine, answered)
             now = time.monotonic()
             agent.take(beat, self._name, now)
-            back, agent.seen = not agent.seen, True
+            agent.seen = True
             if not any(
                 one.holds and one.seen
                 for one in self._agents.values()

@@ -204,8 +204,13 @@ class PeerLatencies:
         with self._guard:
             self._lost.pop(name, None)
             self._back.add(name)
-            self._new.add(name)
+            self._appeared(name)
         self._wake.set()
+
+    def _appeared(self, name: str) -> None:
+        """Have an agent asked that may be of another version than those in sight."""
+        self._new.add(name)
+        self._table_version = LAYERS["table"].oldest
 
     def _on_end(self, sample: zenoh.Sample) -> None:
         """Record the orderly end of an agent; runs in zenoh's own thread."""
@@ -225,8 +230,7 @@ class PeerLatencies:
         name = key_expressions.rtpu_name(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
             with self._guard:
-                self._new.add(name)
-                self._table_version = LAYERS["table"].oldest
+                self._appeared(name)
         else:
             for one in self._listeners:
                 one.lost(name)

@@ -195,11 +195,15 @@ class StopOrders:
         return [order for order in found if order.due]
 
     def due(self) -> dict[str, list[tuple[str, str]]]:
-        """Return the stops of `left` by RTPU: id and subsystem."""
+        """Return the stops not carried out yet by RTPU: id and subsystem.
+
+        Also at RTPUs that are seen: what the stop ends elsewhere is no loss for them.
+        """
         found: dict[str, list[tuple[str, str]]] = {}
-        for order in self.left():
-            for name in order.due if not order.tasks else ():
-                found.setdefault(name, []).append((order.id, order.subsystem))
+        with self._guard:
+            for order in self._orders:
+                for name in order.due if not order.tasks else ():
+                    found.setdefault(name, []).append((order.id, order.subsystem))
         return found
 
     def others(self, subsystem: str) -> list[str]:

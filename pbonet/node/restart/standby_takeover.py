@@ -7,9 +7,13 @@ that machine must have been alone for as long: unheard here and by the keeper's 
 (`Signs.absence`). Its CRITICAL tasks run `stable` by then, for its own agents count
 the same time (``ALONE``), which is shorter.
 
+Nothing is lost of a subsystem that is stopped: agents that have the stop say so while
+it has not arrived here (`AgentInfo.due`).
+
 Before the standby is turned ON, the keeper's agent, this one, and all others in reach
-have the order to turn the original OFF when it is seen again (`Orders`). What was
-begun is finished, even if the original comes back meanwhile.
+have the order to turn the original OFF when it is seen again (`Orders`). If it comes
+back before that, it is judged again, and the order forgotten here. An agent that has the
+order already turns it OFF; that is a new loss.
 """
 
 from __future__ import annotations
@@ -45,8 +49,8 @@ PAUSE: Final = 1.0
 class Signs(Protocol):
     """Knows who is out of sight, such as `Heartbeat`."""
 
-    def is_silent(self, name: str) -> bool:
-        """Return whether an agent is out of sight."""
+    def is_seen(self, name: str) -> bool:
+        """Return whether an agent is in sight."""
         ...
 
     def absence(self, name: str, keeper: str) -> float:
@@ -85,11 +89,15 @@ class _Watched(Struct):
     missing: bool = False
     """Whether the RTPU of the original says that it is not ON."""
     ended: bool = False
-    """Whether that has ended in order."""
+    """Whether that has ended in order, and the original has not been ON since."""
+    stopped: set[str] = set()
+    """RTPUs that say that a stop of the subsystem is to be carried out here."""
     since: float | None = None
     """Since when it has been lost."""
     order: m.Replaced | None = None
     """The order that it be turned off, once it is being given."""
+    again: float = 0.0
+    """When that may be tried again."""
 
 
 class Takeovers:
@@ -148,22 +156,28 @@ class Takeovers:
             (self._some.set if self._watched else self._some.clear)()
 
     def met(self, info: m.AgentInfo) -> None:
-        """Take in whether an agent's RTPU has originals ON."""
-        for one in self._of(info.name):
-            on = info.on.get(one.standby.subsystem, [])
-            one.missing = one.standby.original not in on
+        """Take in whether an agent's RTPU has originals ON, and stops that it knows."""
+        stops = {subsystem for _, subsystem in info.due.get(self._name, ())}
+        with self._guard:
+            watched = list(self._watched)
+        for one in watched:
+            subsystem = one.standby.subsystem
+            known = stops & {"", subsystem}
+            (one.stopped.add if known else one.stopped.discard)(info.name)
+            if one.standby.rtpu == info.name:
+                on = info.on.get(subsystem, [])
+                one.missing = one.standby.original not in on
+                one.ended = one.ended and one.missing
 
     def lost(self, name: str) -> None:
         """Do nothing: signs of life say when an agent is out of sight."""
 
     def ended(self, name: str) -> None:
         """Take in that an agent has turned its tasks off and ended."""
-        for one in self._of(name):
-            one.ended = True
-
-    def _of(self, rtpu: str) -> list[_Watched]:
         with self._guard:
-            return [one for one in self._watched if one.standby.rtpu == rtpu]
+            watched = list(self._watched)
+        for one in watched:
+            one.ended = one.ended or one.standby.rtpu == name
 
     def _work(self) -> None:
         while not self._over.wait(TURN):
@@ -178,24 +192,25 @@ class Takeovers:
         with self._guard:
             watched = list(self._watched)
         for one in watched:
-            if one.order is None and not self._is_lost(one):
-                one.since = None
-                continue
-            one.since = now if one.since is None else one.since
-            if now - one.since >= one.standby.takeover:
+            one.since = self._lost_since(one, now)
+            if one.since is None:
+                one.order = None
+            elif now >= max(one.since + one.standby.takeover, one.again):
                 self._replace(one, now)
 
-    def _written(self, standby: rtpu_messages.Standby) -> bool:
-        return self._is_written(standby.subsystem, standby.outputs)
-
-    def _is_lost(self, one: _Watched) -> bool:
-        standby = one.standby
-        if one.ended or self._written(standby):
-            return False
-        if not self._signs.is_silent(standby.rtpu):
-            return one.missing
+    def _lost_since(self, one: _Watched, now: float) -> float | None:
+        """Return since when an original has been lost; None: it is not."""
+        standby, since = one.standby, now if one.since is None else one.since
+        if one.ended or one.stopped:
+            return None
+        if self._is_written(standby.subsystem, standby.outputs):
+            return None
+        if self._signs.is_seen(standby.rtpu):
+            return since if one.missing else None
         alone = self._signs.absence(standby.rtpu, one.keeper)
-        return alone >= session.SILENT_MS * 1e-3
+        if alone < session.SILENT_MS * 1e-3:
+            return None
+        return max(since, now - alone)  # it may have been heard between two turns
 
     def _replace(self, one: _Watched, now: float) -> None:
         """Give the order that the original be turned off, then turn the standby on."""
@@ -209,13 +224,12 @@ class Takeovers:
         others = [name for name in self._orders.in_reach() if name != one.keeper]
         needed = [] if self._is_here(one.keeper) else [one.keeper]
         if needed and self._ask(needed, order):
-            one.since = now - standby.takeover + PAUSE
+            one.again = now + PAUSE
             return
         self._orders.add(order)
         self._ask(others, order)
-        if self._written(standby):
-            one.since = now - standby.takeover + PAUSE  # the order turns it off first
-            return
+        if self._lost_since(one, now) is None:
+            return  # it came back meanwhile; the order turns it off first
         seconds = f"no task has written its variables for {standby.takeover:g} s"
         try:
             self._send(

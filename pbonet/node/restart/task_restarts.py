@@ -171,16 +171,17 @@ class _Run:
         )
 
     def _work(self) -> None:
-        try:
-            while not self.over.is_set() and self._turn():
+        left = True
+        while left and not self.over.is_set():
+            try:
+                left = self._turn()
+            except _OverError:
+                return
+            except Exception:  # such as a session that is closing; `status` says so
+                log.exception("%s: no task was spawned again now", self._all.name)
+            finally:
                 self.tried.set()
-                self.over.wait(TURN)
-        except _OverError:
-            pass
-        except Exception:  # the agent goes on, and so do the tasks that are there
-            log.exception("%s: tasks could not be spawned again", self._all.name)
-        finally:
-            self.tried.set()
+            self.over.wait(TURN if left else 0.0)
 
     def _left(self) -> list[str]:
         """Return the subsystems of which something is to be given again."""

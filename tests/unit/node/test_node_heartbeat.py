@@ -152,8 +152,59 @@ def test_a_machine_was_alone_if_the_keeper_has_not_heard_it_either(beats, now) -
     assert beats.absence("lost", "keep") == pytest.approx(SILENT / 2), (
         "not known before"
     )
-    assert beats.absence("nobody", "arm0") == 0.0
     assert beats.absence("arm0", "keep") == math.inf
+
+
+def test_an_agent_that_is_not_known_was_alone_since_the_start_of_this_one(
+    beats, now
+) -> None:
+    """It was forgotten, or this agent has started while it was away."""
+    now[0] += 5.0
+    assert not beats.is_seen("lost")
+    assert beats.absence("lost", "arm0") == 5.0, "the keeper is here"
+    assert beats.absence("lost", "keep") == 0.0, "the keeper is not in sight"
+    beats._note_beat(sample("keep", "k"))
+    now[0] += 1.0
+    beats._note_beat(sample("keep", "k"))
+    assert beats.absence("lost", "keep") == 1.0, "the keeper may have heard it before"
+    beats._note_beat(sample("keep", "k", lost=7.0))
+    assert beats.absence("lost", "keep") == 0.0, "the keeper hears it"
+    beats._note_beat(sample("lost", "m"))
+    assert beats.is_seen("lost")
+
+
+def test_an_agent_is_on_another_machine_after_a_reboot(beats, now, changes) -> None:
+    """Or its RTPU has moved; the machine where it was is lost first."""
+    now[0] += 1.0
+    beats._note_beat(sample("arm1", "old", arm0=1000.5))
+    beats._note_beat(sample("arm1", "new"))
+    assert changes == []
+    assert not beats.is_here("arm1")
+    now[0] += SILENT
+    beats._check(now[0])
+    beats._note_beat(sample("arm1", "new", arm0=1000.5))
+    assert changes == [
+        Change("arm1", "old", seen=False, last=True),
+        Change("arm1", "new", seen=True, last=False),
+    ]
+    assert beats.silence("arm1") == pytest.approx(0.5 + SILENT), "counts on"
+    now[0] += SILENT
+    beats._check(now[0])
+    assert changes[2:] == [Change("arm1", "new", seen=False, last=True)]
+
+
+def test_the_keeper_moves_to_another_machine(beats, now) -> None:
+    """ALONE counts from then on, also where another agent of this machine goes on."""
+    beats._note_beat(sample("keep", "here", arm0=1000.0))
+    beats._note_beat(sample("arm2", "here", arm0=1000.0))
+    assert beats.is_here("keep")
+    now[0] += SILENT
+    beats._note_beat(sample("arm2", "here"))
+    beats._check(now[0])
+    beats._note_beat(sample("keep", "other", arm0=now[0]))
+    assert not beats.is_here("keep")
+    now[0] += 3.0
+    assert beats.silence("keep") == 3.0
 
 
 def test_an_agent_of_a_machine_that_is_heard_is_not_forgotten(beats, now) -> None:

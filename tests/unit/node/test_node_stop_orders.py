@@ -99,6 +99,7 @@ def test_one_that_is_lost_after_the_order_is_stopped_later(orders, agents):
     orders.met(info("arm1", "arm"))
     assert agents.orders.empty(), "the master asks it, too"
     assert orders.left() == [], "it is seen, and nothing is kept for the next agent"
+    assert orders.due() == {"arm1": [("s1", "")]}, "it may not have the order yet"
     orders.lost("arm1")
     orders.met(info("arm1", "arm"))
     assert agents.orders.get(timeout=60)[0] == "arm1"

@@ -13,6 +13,7 @@ from pbonet.node.wire.rtpu_messages import OpenTable, Standby, TakeOver
 from pbonet.xm.net import session
 
 SILENT = session.SILENT_MS * 1e-3
+LONG = 100.0
 STANDBY = Standby(
     subsystem="t",
     standby="second",
@@ -28,10 +29,11 @@ class World:
 
     def __init__(self, keeper="arm2"):
         self.silent, self.alone, self.written = set(), 0.0, True
-        self.done, self.fails = [], set()
+        self.done, self.fails, self.ids = [], set(), []
+        self.meanwhile = lambda: None
         self.reach = ["arm2", "arm3"]
         signs = SimpleNamespace(
-            is_silent=self.silent.__contains__, absence=self._absence
+            is_seen=lambda name: name not in self.silent, absence=self._absence
         )
         orders = SimpleNamespace(
             add=lambda order: self.done.append(("kept", order.tasks)),
@@ -56,6 +58,8 @@ class World:
         assert timeout > 0
         for name, order in requests.items():
             self.done.append((name, order.tasks))
+            self.ids.append(order.stop_id)
+        self.meanwhile()
         return {}, [NoAnswerError("no", where=n) for n in requests if n in self.fails]
 
     def turns(self, begin, end):
@@ -63,8 +67,10 @@ class World:
         for turn in range(round(begin * 10), round(end * 10) + 1):
             self.watch.turn(turn / 10)
 
-    def met(self, *on):
-        self.watch.met(SimpleNamespace(name="arm0", on={"t": [*on]}))
+    def met(self, *on, name="arm0", stops=(), where="arm1"):
+        """Take a greeting, of an agent that knows stops not carried out at `where`."""
+        due = {where: [("s1", subsystem) for subsystem in stops]}
+        self.watch.met(SimpleNamespace(name=name, on={"t": [*on]}, due=due))
 
 
 @pytest.fixture
@@ -78,7 +84,7 @@ TOLD = TakeOver("t", "second", "no task has written its variables for 3 s")
 
 def cut(world):
     world.silent.add("arm0")
-    world.written, world.alone = False, SILENT
+    world.written, world.alone = False, LONG
 
 
 def test_the_keeper_and_all_others_have_the_order_before(world):
@@ -109,18 +115,86 @@ def test_without_the_keepers_answer_nothing_is_done_and_it_is_asked_again(world)
     assert world.done[-1] == TOLD
 
 
-def test_what_was_begun_is_finished_once_the_original_has_obeyed(world):
-    """It came back after the keeper had the order."""
+def test_an_original_that_comes_back_is_judged_anew(world):
+    """The keeper was not reached at the order; later another loss is another order."""
+    cut(world)
+    world.fails.add("arm2")
+    world.turns(0, 3)
+    assert world.done == [("arm2", ORDER)]
+    world.fails.clear()
+    world.silent.clear()
+    world.written, world.alone = True, 0.0
+    world.turns(3.1, 3600)
+    assert world.done == [("arm2", ORDER)], "it runs, and is not turned off"
+    cut(world)
+    world.turns(3600.1, 3603)
+    assert world.done == [("arm2", ORDER)], "TAKEOVER counts from the new loss"
+    world.turns(3603.1, 3603.2)
+    assert world.done[-1] == TOLD
+    first, *later = world.ids
+    assert len({*later}) == 1
+    assert first not in later, "what was carried out once has no effect again"
+
+
+def test_one_that_has_obeyed_meanwhile_is_lost_from_then_on(world):
+    """The keeper has the order, though its answer was lost."""
     cut(world)
     world.fails.add("arm2")
     world.turns(0, 3)
     world.fails.clear()
     world.silent.clear()
     world.written, world.alone = True, 0.0
-    world.turns(3.1, 5)
-    assert TOLD not in world.done
+    world.turns(3.1, 4)
+    world.met()
     world.written = False
-    world.turns(5.1, 6.2)
+    world.turns(4.1, 7)
+    assert TOLD not in world.done
+    world.turns(7.1, 7.2)
+    assert world.done[-1] == TOLD
+
+
+def test_one_that_comes_back_while_the_keeper_answers_is_not_replaced(world):
+    cut(world)
+    world.meanwhile = world.silent.clear
+    world.turns(0, 3.5)
+    assert world.done == [("arm2", ORDER), ("kept", ORDER), ("arm3", ORDER)]
+
+
+def test_one_that_was_heard_between_two_turns_is_lost_from_then_on(world):
+    """A turn takes long where the keeper does not answer."""
+    cut(world)
+    world.fails.add("arm2")
+    world.turns(0, 3)
+    world.fails.clear()
+    world.alone = 1.0
+    world.watch.turn(6.0)
+    world.alone = 2.9
+    world.watch.turn(7.9)
+    assert world.done == [("arm2", ORDER)]
+    world.alone = 3.0
+    world.watch.turn(8.0)
+    assert world.done[-1] == TOLD
+
+
+@pytest.mark.parametrize("who", ["arm0", "arm2", "arm3"])
+@pytest.mark.parametrize("subsystem", ["t", ""])
+def test_what_was_stopped_is_not_lost(world, who, subsystem):
+    """The stop is known to some agent, and has not arrived here yet."""
+    world.met("first")
+    world.met(name=who, stops=[subsystem])
+    cut(world)
+    world.turns(0, 20)
+    assert world.done == []
+    world.met(name=who)
+    world.turns(20.1, 23.2)
+    assert world.done[-1] == TOLD
+
+
+@pytest.mark.parametrize("other", [{"stops": ["u"]}, {"stops": ["t"], "where": "arm2"}])
+def test_a_stop_that_does_not_concern_the_standby_is_none(world, other):
+    world.met(**other)
+    world.written = False
+    world.turns(0, 3)
     assert world.done[-1] == TOLD
 
 
@@ -162,6 +236,18 @@ def test_an_rtpu_that_ended_in_order_is_not_lost(world):
     cut(world)
     world.turns(0, 10)
     assert world.done == []
+
+
+def test_one_that_came_back_from_an_orderly_end_can_be_lost(world):
+    """Its agent has restarted, such as for other keys, and the tasks went on."""
+    world.watch.ended("arm0")
+    world.met()
+    cut(world)
+    world.turns(0, 10)
+    assert world.done == [], "the agent was started again, with nothing"
+    world.met("first")
+    world.turns(10.1, 13.2)
+    assert world.done[-1] == TOLD
 
 
 def test_who_does_not_stand_by_any_more_is_left_alone(world):
