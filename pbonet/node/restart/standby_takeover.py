@@ -12,8 +12,8 @@ it has not arrived here (`AgentInfo.due`).
 
 Before the standby is turned ON, the keeper's agent, this one, and all others in reach
 have the order to turn the original OFF when it is seen again (`Orders`). If it comes
-back before that, it is judged again, and the order forgotten here. An agent that has the
-order already turns it OFF; that is a new loss.
+back before that, the order is forgotten here. An agent that has it already turns the
+original OFF; that is a new loss.
 """
 
 from __future__ import annotations
