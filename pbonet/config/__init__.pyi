@@ -24,6 +24,7 @@ from .model import (
     JobTask as JobTask,
     Limit as Limit,
     Place as Place,
+    Restart as Restart,
     Rmod as Rmod,
     RtpuEntry as RtpuEntry,
     SbsFile as SbsFile,

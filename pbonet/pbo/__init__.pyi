@@ -8,6 +8,7 @@ from ._bind import (
 from ._combine import Fault as Fault, Part as Part, faults as faults
 from ._combined import Combined as Combined, PartClass as PartClass, combine as combine
 from ._describe import (
+    OUTPUT_DEVICES as OUTPUT_DEVICES,
     ModuleInfo as ModuleInfo,
     ParamInfo as ParamInfo,
     PartInfo as PartInfo,
@@ -31,7 +32,6 @@ from ._handling import (
 from ._object import (
     METHODS as METHODS,
     MODULE_CLASSES as MODULE_CLASSES,
-    ROBOT_INTERFACE as ROBOT_INTERFACE,
     Interface as Interface,
     ModuleClass as ModuleClass,
     PortBasedObject as PortBasedObject,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -17,6 +18,10 @@ from ._signals import SignalInfo
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+
+
+OUTPUT_DEVICES = frozenset({"SerialLine", "SimulatedArm"})
+"""Classes of `pbonet.io` by which something outside is moved."""
 
 
 class ParamInfo(Struct, frozen=True, kw_only=True):
@@ -52,6 +57,9 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     """True when it has `stable`, or safe values, and so may be marked CRITICAL."""
     module_class: str = ""
     """Its class in the library, one of `MODULE_CLASSES`; empty: none is declared."""
+    robot_interface: bool = False
+    """Whether it turns what it reads into motion: it says so by its class, or it has
+    none, reads variables, and its code names one of `OUTPUT_DEVICES`."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
@@ -62,11 +70,6 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     def named(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of the ports of one kind, as an RMOD lists them."""
         return tuple(port.name for port in self.ports if port.kind is kind)
-
-    @property
-    def robot_interface(self) -> bool:
-        """Whether it turns what it reads into motion."""
-        return self.module_class == ROBOT_INTERFACE
 
     @property
     def inner(self) -> tuple[Port, ...]:
@@ -126,6 +129,7 @@ def combined_info(
         methods=written,
         critical_ok="stable" in written or is_safe(whole.ports),
         module_class=_class_of(parts),
+        robot_interface=any(one.info.robot_interface for one in parts),
         signals=signals(told),
         parts=tuple(parts),
         within=whole.within,
@@ -177,7 +181,35 @@ def describe(
         methods=declared.methods,
         critical_ok="stable" in declared.methods or is_safe(declared.ports),
         module_class=cls.module_class,
+        robot_interface=_is_robot_interface(cls),
         signals=declared.signals,
+    )
+
+
+def _is_robot_interface(cls: type[PortBasedObject[Any]]) -> bool:
+    if cls.module_class:
+        return cls.module_class == ROBOT_INTERFACE
+    reads = any(port.kind is Kind.INVAR for port in cls.__interface__.ports)
+    return reads and any(map(_names_device, cls.__mro__))
+
+
+def _names_device(cls: type) -> bool:
+    """Return whether a class, or the top level of its file, names an output device.
+
+    A driver in another file, or that is not of `pbonet.io`, is not seen.
+    """
+    python = sys.modules.get(cls.__module__)
+    codes = [getattr(value, "__code__", None) for value in vars(cls).values()]
+    return any(map(_is_device, vars(python).values() if python else ())) or any(
+        not OUTPUT_DEVICES.isdisjoint(code.co_names) for code in codes if code
+    )
+
+
+def _is_device(value: object) -> bool:
+    return (
+        isinstance(value, type)
+        and value.__name__ in OUTPUT_DEVICES
+        and value.__module__.startswith("pbonet.io.")
     )
 
 

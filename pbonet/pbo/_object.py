@@ -100,7 +100,7 @@ class PortBasedObject(Generic[P]):
     needs no `cycle`. ``module_class="controller"`` gives the module's class in the
     library, one of `MODULE_CLASSES` (Stewart 1994, Figure 3.14). A "robot interface"
     turns what it reads into motion: such a task should be CRITICAL, and `pbonet check`
-    says so.
+    says so, also of a module of no class that uses an output device of `pbonet.io`.
 
     Attributes:
         params: The module's parameters, as `Params` of its own.

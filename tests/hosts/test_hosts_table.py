@@ -15,6 +15,9 @@ from pbonet.errors import PbonetError, SvarOwnerError
 from pbonet.node.ring._ring import Ring
 from pbonet.xm.net import messages as m
 
+AGE_ERROR = 0.3
+"""Seconds by which an age may be wrong where a round trip takes long."""
+
 
 @pytest.fixture(scope="module")
 def clocks():
@@ -62,6 +65,28 @@ def test_a_reader_elsewhere_takes_part(cell):
     cell.on("arm0", "src")
     cell.on("arm2", "sink")
     wait_for(lambda: cell.value("arm1", "Y1").cycle > 20, "sink's values on b")
+
+
+def test_the_age_two_machines_down_the_chain_is_that_of_the_source(cell):
+    """One on b goes on to copy what one on a wrote last; c sees how old that is."""
+    cell.spawn("arm0", "src", "counts", out="Z0")
+    cell.spawn("arm1", "relay", "holds", out="Y1", invar="Z0", local={"level": 1.0})
+    cell.on("arm0", "src")
+    cell.on("arm1", "relay")
+
+    def fresh():
+        now = cell.value("arm2", "Y1")
+        return now.cycle and now.age < AGE_ERROR
+
+    wait_for(fresh, "values as they come")
+    cell.off("arm0", "src")
+    wait_for(lambda: cell.value("arm0", "Z0").age > 4 * AGE_ERROR, "old values")
+    first = cell.value("arm2", "Y1")
+    wait_for(lambda: cell.value("arm2", "Y1").cycle > first.cycle, "another copy")
+    before = cell.value("arm0", "Z0").age
+    copy = cell.value("arm2", "Y1")
+    after = cell.value("arm0", "Z0").age
+    assert before - AGE_ERROR < copy.age < after + AGE_ERROR
 
 
 def test_what_the_operator_sets_is_everywhere(cell):

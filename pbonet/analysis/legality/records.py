@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Profile
-from pbonet.config import Place, Rmod, RtpuEntry, SvarFile, Variable
+from pbonet.config import Place, Restart, Rmod, RtpuEntry, SvarFile, Variable
 
 if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
@@ -69,6 +69,8 @@ class Code(StrEnum):
     """An input that comes from elsewhere may have any age."""
     UNSAFE_ROBOT = "unsafe-robot"
     """A robot interface goes on while the configuration is illegal."""
+    RESTART = "restart"
+    """A task that never comes ON unasked is to come ON."""
     FALLBACK_RTPU = "fallback-rtpu"
     """A standby's RTPU does not go with TAKEOVER."""
     STAMP_LOOP = "stamp-loop"
@@ -123,6 +125,8 @@ class Task(Struct, frozen=True, kw_only=True):
     """The task that it stands by for, OFF until that one fails."""
     takeover: float = 0.0
     """Seconds after which it takes over from another RTPU by itself; 0: never."""
+    restart: Restart = "off"
+    """As the job says (``RESTART``)."""
     job_places: Mapping[str, Place] = {}
     """Where a job says something in place of the RMOD, such as its RTPU."""
 

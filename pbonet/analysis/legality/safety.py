@@ -2,7 +2,8 @@
 
 An input that comes from another machine or over a link stands still when its writer is
 lost, and looks as it did. A robot interface turns what it reads into motion. Both are
-warnings, and with ``STRICT yes`` in the ``.sbs`` file they are refused.
+warnings, and with ``STRICT yes`` in the ``.sbs`` file they are refused. An input that
+no task writes is refused in any case (equation 2).
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ def check_safety(configuration: Configuration) -> Iterator[Problem]:
     for task in configuration.running:
         yield from _old_inputs(configuration, task, severity)
         yield from _robot(task, severity)
+        yield from _restart(task)
 
 
 def _old_inputs(
@@ -81,16 +83,14 @@ def _without_limit(
 def _robot(task: Task, severity: Severity) -> Iterator[Problem]:
     if task.info is None or not task.info.robot_interface:
         return
-    name = task.rmod.name
+    name, module = task.rmod.name, task.rmod.module
     if not task.info.critical_ok:
         what = (
-            f", and its module {task.rmod.module} does not say what to do when the "
+            f", and its module {module} does not say what to do when the "
             "configuration is illegal"
         )
         expected = "stable(), or a safe value of each out-var"
-        remedy = (
-            f"write stable(self, dt) in {task.rmod.module}, and CRITICAL in {name}.rmod"
-        )
+        remedy = f"write stable(self, dt) in {module}, and CRITICAL in {name}.rmod"
     elif not task.rmod.critical:
         what = " and not CRITICAL, so it acts while the configuration is illegal"
         expected, remedy = "CRITICAL", f"write CRITICAL in {name}.rmod"
@@ -99,9 +99,36 @@ def _robot(task: Task, severity: Severity) -> Iterator[Problem]:
     yield Problem(
         code=Code.UNSAFE_ROBOT,
         severity=severity,
-        what=f"{task.name} is a robot interface{what}",
+        what=f"{task.name} is a robot interface{_guess(task)}{what}",
         where=task.place("MODULE"),
         expected=expected,
-        remedy=remedy,
+        remedy=f"{remedy}{_or_class(task)}",
+        tasks=(task.name,),
+    )
+
+
+def _guess(task: Task) -> str:
+    """Return why a task counts as a robot interface that does not say so itself."""
+    if task.info is None or task.info.module_class or task.info.parts:
+        return ""
+    return " (it reads variables, uses an output device of pbonet.io, and has no class)"
+
+
+def _or_class(task: Task) -> str:
+    if not _guess(task):
+        return ""
+    return f', or module_class="..." in {task.rmod.module} if it moves nothing'
+
+
+def _restart(task: Task) -> Iterator[Problem]:
+    if task.restart != "on" or task.info is None or not task.info.robot_interface:
+        return
+    yield Problem(
+        code=Code.RESTART,
+        severity=Severity.WARN,
+        what=f"{task.name} has RESTART on and is a robot interface{_guess(task)}, "
+        "which never comes ON unasked: it is spawned again and stays OFF",
+        where=task.place("RESTART"),
+        remedy=f"write RESTART off, and turn it on by hand{_or_class(task)}",
         tasks=(task.name,),
     )

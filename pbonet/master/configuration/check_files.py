@@ -215,6 +215,7 @@ def planned(
             job_places=wanted.job_places,
             fallback_of=original,
             takeover=wanted.takeover,
+            restart=wanted.restart,
         )
         tasks.append(with_times(task, saved))
     found.warnings += unused(files.profiles, tasks, host)
@@ -243,7 +244,12 @@ def _lines(task: JobTask) -> list[tuple[JobTask, str]]:
     """Return what a TASK line makes: its task, and perhaps a standby for that."""
     made = [(structs.replace(task, takeover=0.0), "")]
     if task.fallback is not None:
-        standby = JobTask(rmod=task.fallback, takeover=task.takeover, place=task.place)
+        standby = JobTask(
+            rmod=task.fallback,
+            takeover=task.takeover,
+            restart=task.restart,
+            place=task.place,
+        )
         made.append((standby, task.rmod))
     return made
 

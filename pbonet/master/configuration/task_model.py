@@ -73,6 +73,7 @@ class Member(Struct, kw_only=True):
             job_places=self.job_places,
             fallback_of=self.fallback_of,
             takeover=self.takeover,
+            restart=self.restart,
         )
         return with_times(task, self.saved)
 

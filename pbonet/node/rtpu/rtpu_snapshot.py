@@ -14,7 +14,6 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import UnknownTaskError, did_you_mean
-from pbonet.pbo import ROBOT_INTERFACE
 from pbonet.xm.net import Restart, TaskStatus
 
 from . import ranking
@@ -153,9 +152,7 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
         stands_by=bool(task.stands_by) or rtpu.fallbacks.stands_away(task),
         waits=task.waits,
         restart=facts.restart,
-        robot_interface=bool(
-            ready and ready.info.get("module_class") == ROBOT_INTERFACE
-        ),
+        robot_interface=bool(ready and ready.info.get("robot_interface")),
     )
 
 

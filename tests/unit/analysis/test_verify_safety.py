@@ -7,7 +7,7 @@ from verify_parts import configuration, module, port, task
 from pbonet.analysis import legality
 from pbonet.config.model import SvarFile, Variable
 
-CODES = (legality.Code.NO_LIMIT, legality.Code.UNSAFE_ROBOT)
+CODES = (legality.Code.NO_LIMIT, legality.Code.UNSAFE_ROBOT, legality.Code.RESTART)
 APART = {"arm0": "one", "arm1": "other"}
 
 
@@ -39,10 +39,18 @@ def reader(**more) -> legality.Task:
 
 def robot(*, critical: bool, ok: bool) -> legality.Task:
     info = structs.replace(
-        module(port("invar", "U")), module_class="robot interface", critical_ok=ok
+        module(port("invar", "U")),
+        module_class="robot interface",
+        robot_interface=True,
+        critical_ok=ok,
     )
     made = task("arm", invar="U", info=info, rtpu="arm1")
     return structs.replace(made, rmod=structs.replace(made.rmod, critical=critical))
+
+
+def guessed(one: legality.Task) -> legality.Task:
+    """Return a robot interface whose module does not say that it is one."""
+    return structs.replace(one, info=structs.replace(one.info, module_class=""))
 
 
 def test_an_input_from_another_machine_needs_a_limit() -> None:
@@ -90,3 +98,41 @@ def test_an_input_over_a_link_needs_a_limit() -> None:
 def test_a_robot_interface_is_critical_and_safe(critical, ok, said) -> None:
     problems = found(writer(), robot(critical=critical, ok=ok), age=0.1)
     assert [said in one.what for one in problems] == [True] * bool(said)
+
+
+def test_a_robot_interface_need_not_say_that_it_is_one() -> None:
+    (one,) = found(writer(), guessed(robot(critical=False, ok=True)), age=0.1)
+    assert one.what == (
+        "arm is a robot interface (it reads variables, uses an output device of "
+        "pbonet.io, and has no class) and not CRITICAL, so it acts while the "
+        "configuration is illegal"
+    )
+    assert one.remedy.endswith(', or module_class="..." in mod if it moves nothing')
+
+
+@pytest.mark.parametrize("restart", ["never", "off", "on"])
+@pytest.mark.parametrize("says", [True, False])
+def test_a_robot_interface_never_comes_on_unasked(restart, says) -> None:
+    arm = structs.replace(robot(critical=True, ok=True), restart=restart)
+    problems = found(writer(), arm if says else guessed(arm), age=0.1, strict=True)
+    assert len(problems) == (restart == "on")
+    for one in problems:
+        assert one.severity is legality.Severity.WARN
+        assert one.what.startswith("arm has RESTART on and is a robot interface")
+        assert ("module_class" in one.remedy) is not says
+
+
+def test_any_other_task_may_come_on_again() -> None:
+    again = structs.replace(reader(max_age=0.1), restart="on")
+    assert found(writer(), again) == []
+
+
+@pytest.mark.parametrize("age", [None, 0.1])
+def test_an_input_that_only_programs_write_is_refused(age) -> None:
+    """Equation 2 is stricter than a warning, whether or not there is a limit."""
+    now = structs.replace(configuration(reader()), svar=limits(U=age, Q=None))
+    (one,) = [one for one in legality.check(now) if "no task" in one.what]
+    assert (one.code, one.severity) == (
+        legality.Code.NO_WRITER,
+        legality.Severity.REFUSE,
+    )

@@ -5,10 +5,12 @@ import sys
 
 import pytest
 
+import pbonet.io
 import pbonet.modules.signals.diff
 from pbonet.config import library
 from pbonet.config.library import Library
 from pbonet.errors import ConfigFileError, DeclarationError, ModuleLoadError
+from pbonet.pbo import OUTPUT_DEVICES
 
 GOOD = '''
 from typing import Annotated as A
@@ -328,3 +330,79 @@ def test_an_installed_package_that_does_not_import_is_told(monkeypatch):
         "(got ModuleNotFoundError: No module named 'gone_package'); install it again, "
         "or remove it"
     )
+
+
+ARM = """
+from typing import Annotated as A
+from pbonet import {port}Var, PortBasedObject
+{top}
+
+class Arm(PortBasedObject{said}):
+    u: A[float, {port}Var("U", "1", "N*m", "torque")]
+
+    def init(self) -> None:
+        {inside}
+
+    def cycle(self, dt: float) -> None:
+        pass
+"""
+USES = {
+    "at the top": ("from pbonet.io import SimulatedArm", "pass"),
+    "renamed": ("from pbonet.io import SerialLine as Line", "pass"),
+    "of the package": ("import pbonet.io", "self.line = pbonet.io.SerialLine('x')"),
+    "inside": ("", "from pbonet.io.serial_line import SerialLine"),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_module_that_reads_and_uses_an_output_device_moves_something(folder, use):
+    top, inside = USES[use]
+
+    def moves(top=top, inside=inside, port="In", said=""):
+        text = ARM.format(top=top, inside=inside, port=port, said=said)
+        (folder / "arm.py").write_text(text)
+        return Library([folder]).load("arm").info.robot_interface
+
+    assert moves()
+    assert not moves(port="Out"), "it reads nothing that it could turn into motion"
+    assert not moves(said=', module_class="teleoperation"')
+    assert moves("", "pass", said=', module_class="robot interface"')
+    assert not moves("from pbonet.io import Chain", "self.task.warn('SerialLine')")
+
+
+def test_a_module_inherits_the_use_of_a_device(folder):
+    text = ARM.format(top=USES["at the top"][0], inside="pass", port="In", said="")
+    (folder / "_base.py").write_text(text)
+    (folder / "arm.py").write_text(
+        "from ._base import Arm as Base\n\nclass Arm(Base):\n    pass\n"
+    )
+    assert Library([folder]).load("arm").info.robot_interface
+
+
+def test_a_combination_with_a_robot_interface_is_one(folder):
+    text = ARM.format(top=USES["at the top"][0], inside="pass", port="In", said="")
+    (folder / "arm.py").write_text(text)
+    for name, first, invar, outvar in (
+        ("arm", "MODULE arm", "U", "none"),
+        ("ramp", "MODULE ramp", "none", "Y"),
+        ("both", "COMBINE ramp arm", "none", "none"),
+    ):
+        alias = "SVARALIAS Y=U\n" * (name == "ramp")
+        (folder / f"{name}.rmod").write_text(
+            f"{first}\nDESC one\n{alias}INCONST none\nOUTCONST none\nINVAR {invar}\n"
+            f"OUTVAR {outvar}\nTASKTYPE periodic\nFREQ 9\nEOF\n"
+        )
+    shelf = Library([folder])
+    info = shelf.load_rmod(shelf.read_rmod(folder / "both.rmod")).info
+    assert (info.module_class, info.robot_interface) == ("", True)
+
+
+def test_all_output_devices_are_known():
+    """Those of pbonet.io to which bytes or commands can be given."""
+    kinds = [getattr(pbonet.io, name) for name in pbonet.io.__all__]
+    found = {
+        kind.__name__
+        for kind in kinds
+        if isinstance(kind, type) and {"write_nowait", "command"} & {*vars(kind)}
+    }
+    assert found == OUTPUT_DEVICES
