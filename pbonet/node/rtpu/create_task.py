@@ -71,11 +71,20 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
     freq = check_freq(rmod, request.freq)
     check_rank(request.crit, request.priority, request.task)
     slot = rtpu.core.alloc(rtpu.slot_owner, "/".join(key))
+    stops = rtpu.times_stopped[request.subsystem]
     try:
         task = await _fork(rtpu, request, Plan(rmod, freq, slot, opened))
     except BaseException:
         rtpu.core.free(slot)
         raise
+    if rtpu.times_stopped[request.subsystem] != stops:
+        await task.end(0.0)
+        raise StateError(
+            f"subsystem {request.subsystem} was stopped while {request.task} was "
+            "being created",
+            where=f"{rtpu.name}/{request.task}",
+            remedy="spawn it again",
+        )
     rtpu.tombs.pop(key, None)
     await _wait_until_off(rtpu, task, request.timeout)
     if not request.missed:

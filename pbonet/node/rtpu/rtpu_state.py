@@ -7,7 +7,7 @@ import contextlib
 import os
 import signal
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 import pbonet
@@ -99,6 +99,8 @@ class Rtpu:
         self.recordings: dict[str, rtpu_messages.Recording] = {}
         """Recordings that the agent is to make, by subsystem."""
         self.stopping: set[str] = set()
+        self.times_stopped: Counter[str] = Counter()
+        """How often each subsystem was stopped: a spawn under way must know."""
         self.stops: deque[str] = deque(maxlen=MOST_STOPS)
         """Stop orders that were carried out."""
         self._started_ns = time.monotonic_ns()

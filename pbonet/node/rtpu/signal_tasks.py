@@ -183,6 +183,7 @@ async def stop(
     """
     deadline = time.monotonic() + limit
     rtpu.stopping |= set(subsystems)
+    rtpu.times_stopped.update(subsystems)
     for subsystem in subsystems:
         rtpu.fallbacks.dismiss_all(subsystem)
         rtpu.successors.dismiss_all(subsystem)
