@@ -95,7 +95,7 @@ if [ ! -x /opt/pbonet/bin/python ]; then run python3 -m venv /opt/pbonet; fi
 source=$(mktemp -d) # built in a copy: nothing of root's stays in the checkout
 trap 'rm -rf "$source"' EXIT
 run cp -r "$top/pyproject.toml" "$top/README.md" "$top/pbonet" "$source"
-run /opt/pbonet/bin/python -m pip install --quiet --upgrade "${source}[robot,devices,files]"
+run /opt/pbonet/bin/python -m pip install --quiet --upgrade "${source}[robot,trajectory,devices,files]"
 
 step "real time for people: members of the group pbonet who log in may start agents by hand"
 run install -D -m 0644 "$here/limits.conf" /etc/security/limits.d/pbonet.conf

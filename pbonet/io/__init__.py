@@ -2,7 +2,8 @@
 
 Everything here may be called inside `cycle`. Nothing in this package waits for a
 device, starts a thread, or keeps a clock of its own: a module passes the time to a
-device, so that the same code runs in real time, in simulation and in replay.
+device, so that the same code runs in real time, in simulation and in replay. Only
+`read_samples` is for `init`: it reads a file.
 
 ``serial_line``
     A serial line of the machine, opened and configured by pyserial.
@@ -14,6 +15,8 @@ device, so that the same code runs in real time, in simulation and in replay.
     An arm that is simulated behind the interface a real one would have.
 ``puma560``
     The published numbers of the Unimation PUMA 560.
+``sample_file``
+    Samples of a signal over time, from a file.
 ``policy``
     Whether devices may be opened at all; the simulator says no.
 """

@@ -6,4 +6,5 @@ from .magellan import AXES as AXES, Ball as Ball
 from .policy import devices_allowed as devices_allowed, no_devices as no_devices
 from .puma560 import PUMA560 as PUMA560
 from .recorded import RecordedBall as RecordedBall
+from .sample_file import Samples as Samples, read_samples as read_samples
 from .serial_line import SerialLine as SerialLine

@@ -41,6 +41,7 @@ _LEAST_SHM: Final = 64 << 20
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "msgspec", "mcap")
 _EXTRAS: Final = {
     "pinocchio": "robot dynamics: pip install 'pbonet[robot]'",
+    "ruckig": "online trajectories: pip install 'pbonet[trajectory]'",
     "serial": "serial devices: pip install 'pbonet[devices]'",
 }
 _WAYS_TIME: Final = 10.0
