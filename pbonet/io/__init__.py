@@ -9,6 +9,8 @@ device, so that the same code runs in real time, in simulation and in replay. On
     A serial line of the machine, opened and configured by pyserial.
 ``magellan``
     The six-axis ball on such a line: its protocol, and the ball as a device.
+``joystick``
+    A joystick or game pad, as an input device of Linux.
 ``chain``
     Rigid-body mathematics of a serial arm, from its Denavit-Hartenberg table.
 ``arm``

@@ -2,6 +2,7 @@ from pbonet.outside import Outside as Outside
 
 from .arm import SimulatedArm as SimulatedArm
 from .chain import Chain as Chain
+from .joystick import Joystick as Joystick, Stick as Stick
 from .magellan import AXES as AXES, Ball as Ball
 from .policy import devices_allowed as devices_allowed, no_devices as no_devices
 from .puma560 import PUMA560 as PUMA560

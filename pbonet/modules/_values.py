@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbonet import Vector
+from pbonet import Matrix, Vector
 from pbonet.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -36,3 +36,37 @@ def spread(values: Sequence[float], n: int, name: str) -> Vector:
             remedy="give one for each, or one for all" if n > 1 else "give one",
         )
     return np.broadcast_to(np.asarray(values, dtype=np.float64), (n,)).copy()
+
+
+def grid(values: Sequence[float], rows: int, columns: int, name: str) -> Matrix:
+    """Return the values of a parameter as a matrix, row by row.
+
+    Raises:
+        ParameterError: There are more values, or fewer.
+    """
+    if len(values) != rows * columns:
+        raise ParameterError(
+            f"parameter {name} has the wrong number of values",
+            expected=f"{rows * columns}: {rows} rows of {columns}",
+            got=f"{len(values)} values",
+            remedy="give the matrix row by row",
+        )
+    return np.array(values, dtype=np.float64).reshape(rows, columns)
+
+
+def square(values: Sequence[float], n: int, name: str) -> Matrix:
+    """Return a matrix of n rows: from n^2 values, its diagonal, or one for all of that.
+
+    Raises:
+        ParameterError: There is another number of values.
+    """
+    if len(values) == n * n:
+        return grid(values, n, n, name)
+    if len(values) in {1, n}:
+        return np.diag(spread(values, n, name))
+    raise ParameterError(
+        f"parameter {name} has the wrong number of values",
+        expected=f"{n * n} row by row, {n} of the diagonal, or one for all of it",
+        got=f"{len(values)} values",
+        remedy="give as many as one of these",
+    )
