@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, isfinite, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +32,7 @@ class Command:
         """Return m/s forward, m/s to the left, and rad/s; a fault is reported once."""
         x, y, turn = v.tolist()
         fault = ""
-        if not np.isfinite(v).all():
+        if not isfinite(x + y + turn):
             fault, x, y, turn = "V_DES is not finite: the base stops", 0.0, 0.0, 0.0
         elif y and not self._sideways:
             fault, y = "V_DES asks for a motion to the side, which is left out", 0.0

@@ -30,19 +30,18 @@ class Turning:
     Attributes:
         matrix: The present orientation.
         velocity: Its angular velocity, rad/s.
-        acceleration: Its angular acceleration, rad/s^2.
         r: The rotation vector from R0, rad; `rate` and `push` are its derivatives.
     """
 
     def __init__(self, matrix: Matrix, velocity: Vector) -> None:
         self.matrix, self.velocity = matrix.copy(), velocity.copy()
-        self.acceleration = np.zeros(3)
-        self.rebase()
+        self._base = self.matrix
+        self.r, self.rate, self.push = np.zeros(3), self.velocity, np.zeros(3)
 
     def rebase(self) -> None:
         """Count r from the present orientation: r is 0 and r' the angular velocity."""
-        self._base = self.matrix
-        self.r, self.rate, self.push = np.zeros(3), self.velocity, self.acceleration
+        self.push = self.acceleration()
+        self._base, self.r, self.rate = self.matrix, np.zeros(3), self.velocity
 
     def to(self, matrix: Matrix) -> Vector:
         """Return the rotation vector from R0 to another orientation."""
@@ -51,20 +50,24 @@ class Turning:
     def move(self, r: Vector, rate: Vector, push: Vector) -> None:
         """Go to this rotation vector, with its first and second derivative."""
         self.r, self.rate, self.push = r, rate, push
+        b, c, _, _ = _series(sqrt(float(r @ r)))
+        once = _cross(r, rate)
+        self.velocity = rate + b * once + c * _cross(r, once)
+        self.matrix = rotation(r) @ self._base
+
+    def acceleration(self) -> Vector:
+        """Return the angular acceleration, rad/s^2."""
+        r, rate, push = self.r, self.rate, self.push
         b, c, db, dc = _series(sqrt(float(r @ r)))
         grows = float(r @ rate)
-        db, dc = db * grows, dc * grows
         once, twice = _cross(r, rate), _cross(r, push)
-        again = _cross(r, once)
-        self.velocity = rate + b * once + c * again
-        self.acceleration = (
+        return (
             push
-            + db * once
+            + (db * grows) * once
             + b * twice
-            + dc * again
+            + (dc * grows) * _cross(r, once)
             + c * (_cross(rate, once) + _cross(r, twice))
         )
-        self.matrix = rotation(r) @ self._base
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

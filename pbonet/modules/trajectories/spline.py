@@ -23,7 +23,10 @@ class Points(Params):
     """The points and their times."""
 
     time: A[PerElement, param("s", "when each point is reached, since `on`", gt=0)]
-    points: A[PerElement, param("none", "NDOF values of each, in the unit of Y")]
+    points: A[
+        PerElement,
+        param("none", "NDOF values of each, or one for all, in the unit of Y"),
+    ]
     order: A[
         Literal["cubic", "quintic"],
         param("none", "cubic: acceleration is continuous; quintic: jerk and snap too"),
@@ -92,15 +95,17 @@ class Spline(PortBasedObject[Points], module_class="trajectory"):
                 got=" ".join(f"{t:g}" for t in k.time),
                 remedy="sort the points by time",
             )
-        if len(k.points) != n * len(k.time):
+        count = len(k.time)
+        if len(k.points) not in {count, n * count}:
             raise ParameterError(
                 "parameter points has the wrong number of values",
-                expected=f"{n * len(k.time)}: {n} for each of the {len(k.time)} values "
-                "of TIME",
+                expected=f"{n * count}: {n} for each of the {count} values of TIME; or "
+                "one for each",
                 got=f"{len(k.points)} values",
                 remedy=f"give each point {n}",
             )
-        self._points = np.reshape(k.points, (-1, n))
+        rows = np.reshape(k.points, (count, -1))
+        self._points = np.array(np.broadcast_to(rows, (count, n)), dtype=np.float64)
         self._degree = degree = 3 if k.order == "cubic" else 5
         self._exponents = np.arange(degree + 1)
         self._once, self._twice = derived(degree, 1), derived(degree, 2)

@@ -280,7 +280,7 @@ def test_the_turn_has_the_velocity_and_acceleration_of_its_rotation_vector() -> 
         ahead, behind = (
             (at(t + h) * at(t - h).inv()).as_rotvec() / (2 * h) for t in (h, -h)
         )
-        assert turning.acceleration == pytest.approx(
+        assert turning.acceleration() == pytest.approx(
             (ahead - behind) / (2 * h), abs=1e-5
         )
         assert turning.matrix == pytest.approx(at(0).as_matrix(), abs=1e-12)
@@ -398,6 +398,14 @@ def test_spline_says_rest_when_it_is_turned_off_but_not_to_a_successor() -> None
 def test_spline_refuses_points_that_are_no_path(time, points, text) -> None:
     with pytest.raises(MethodError, match=text):
         Bench(Spline, params={"time": time, "points": points}, ndof=1)
+
+
+def test_spline_takes_one_value_for_all_elements() -> None:
+    params = {"time": (1.0, 2.0), "points": (3.0, 4.0)}
+    bench = Bench(Spline, params=params, ndof=3, freq=100)
+    bench.on()
+    bench.step(1.0)
+    assert bench.outputs.y == pytest.approx([3.0] * 3)
 
 
 def test_spline_takes_no_other_points_while_it_exists() -> None:

@@ -1,0 +1,169 @@
+"""Modules of the library in jobs, in virtual time, each with its own .rmod."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import pbonet.modules
+from pbonet import Subsystem
+from pbonet.config import Library
+from pbonet.pbo import describe
+
+if TYPE_CHECKING:
+    from pbonet.pbo import ModuleInfo
+
+FOLDER = Path(pbonet.modules.__file__).parent
+POSE = "1 0 0 0.1  0 1 0 0.2  0 0 1 0.3"
+INIT = {"X_DES": POSE, "X_REF": POSE, "X_MEZ": POSE, "ACC": "0 0 9.80665"}
+"""First values of variables, by the port's name; 0 otherwise."""
+SIZES = {"ndof": 3, "nraw": 4, "nz": 4, "naxes": 3, "nx": 2, "nu": 1}
+KALMAN = {"nz": 1}
+CSV = "0 1 2 3\n1 2 3 4\n2 0 0 0\n"
+RMODS = [
+    "otg", "otg_cart", "spline", "traj_play", "biquad", "median", "limits",
+    "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
+    "wrench_comp", "diff_drive", "mecanum", "ackermann", "deadman", "joystick",
+]  # fmt: skip
+
+
+class Variables:
+    """The variables that tasks need, and a task that writes those of nobody else."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.text, self.ports = folder, [], []
+        self.seen: dict[str, int] = {}  # the line of its unit
+
+    def add(self, rmod, info: ModuleInfo, sizes: dict[str, int], written=()) -> None:
+        for port in info.ports:
+            name = rmod.svar_name(port.name)
+            if name in self.seen:
+                if port.unit != "any":
+                    self.text[self.seen[name]] = f"UNITS {port.unit}"
+                continue
+            self.seen[name] = len(self.text) + 3
+            shape = tuple(sizes.get(d, d) for d in port.shape)
+            count = int(np.prod(shape, initial=1))
+            kind = "int" if port.type == "int" else "double"
+            unit = "none" if port.unit == "any" else port.unit
+            value = INIT.get(port.name, f"{SIZES['ndof'] if name == 'NDOF' else 0}")
+            lines = [f"NAME {name}", f"TYPE {kind}", "DESC of a test", f"UNITS {unit}"]
+            lines += [f"NELEM {count}"]
+            if not port.kind.is_const:
+                lines += [f"INIT {value}"]
+            self.text += [*lines, ""]
+            if port.kind.is_input and name not in written:
+                self.ports.append((name, port, shape, unit, value))
+
+    def write(self) -> None:
+        """Write the table, and the module `source` with its RMOD."""
+        (self.folder / "t.svar").write_text("\n".join([*self.text, "EOF\n"]))
+        body, start, names = [], [], {"const": [], "var": []}
+        for k, (name, port, shape, unit, value) in enumerate(self.ports):
+            kind = "OutConst" if port.kind.is_const else "OutVar"
+            names["const" if port.kind.is_const else "var"].append(name)
+            size = ",".join(map(str, shape)) or "1"
+            size = f"n{k}" if shape == (1,) else size
+            hint = {(): port.type}.get(shape, f"NDArray[np.{port.type.strip('[]')}]")
+            body.append(
+                f'    p{k}: A[{hint}, {kind}("{name}", "{size}", "{unit}", "x")]'
+            )
+            if port.kind.is_const:
+                start.append(f"        self.p{k} = {value}")
+        text = [
+            "from typing import Annotated as A",
+            "import numpy as np",
+            "from numpy.typing import NDArray",
+            "from pbonet import OutConst, OutVar, PortBasedObject",
+            "class Source(PortBasedObject):",
+            '    """Writes what others read."""',
+            *body,
+            "    def init(self) -> None:",
+            *(start or ["        pass"]),
+            "    def cycle(self, dt: float) -> None:",
+            "        pass\n",
+        ]
+        (self.folder / "source.py").write_text("\n".join(text))
+        lists = {key: " ".join(found) or "none" for key, found in names.items()}
+        rmod = (
+            f"MODULE source\nDESC x\nINCONST none\nOUTCONST {lists['const']}\n"
+            f"INVAR none\nOUTVAR {lists['var']}\nTASKTYPE periodic\nFREQ 100\nEOF\n"
+        )
+        (self.folder / "source.rmod").write_text(rmod)
+
+
+def job(folder: Path, tasks: list[str], spares=(), sizes=None) -> Subsystem:
+    """Open a job of these RMODs; `spares` are written for, and not in the job."""
+    library, variables = Library([folder]), Variables(folder)
+    found = []
+    for name in [*tasks, *spares]:
+        places = [folder / f"{name}.rmod", *FOLDER.glob(f"*/{name}.rmod")]
+        rmod = library.read_rmod(next(place for place in places if place.is_file()))
+        found.append((rmod, describe(library.load_rmod(rmod).cls)))
+    written = {rmod.svar_name(one) for rmod, _ in found for one in rmod.outvar}
+    for rmod, info in found:
+        variables.add(rmod, info, {**SIZES, **(sizes or {})}, written)
+    variables.write()
+    (folder / "t.sbs").write_text("SUBSYSTEM t\nSVARFILE t.svar\nRTPU a\nEOF\n")
+    all_tasks = ["source", *tasks] if variables.ports else tasks
+    lines = "".join(f"TASK {name} a\n" for name in all_tasks)
+    (folder / "t.job").write_text(f"JOB t\nDESC t\nSBS t.sbs\n{lines}EOF\n")
+    return Subsystem(folder / "t.job", libraries=[folder], virtual=True)
+
+
+@pytest.mark.parametrize("name", RMODS)
+def test_a_module_runs_with_its_rmod(tmp_path, monkeypatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("trajectory.csv").write_text(CSV, encoding="ascii")
+    with job(tmp_path, [name], sizes=KALMAN if name == "kalman" else None) as system:
+        system.start()
+        system.wait(0.2)
+        assert {one.state for one in system.status_all()} == {"ON"}
+        outputs = list(system.simulation.recording.arrays(name).values())
+        assert len(outputs[0]) > 5
+        assert all(np.isfinite(rows).all() for rows in outputs)
+
+
+SPLINE = """MODULE spline
+DESC the same joints, by points
+SVARALIAS Y=Q_REF
+SVARALIAS Y^=Q^_REF
+SVARALIAS Y^^=Q^^_REF
+INCONST NDOF
+OUTCONST none
+INVAR none
+OUTVAR Y Y^ Y^^
+TASKTYPE periodic
+FREQ 500
+LOCAL
+TIME 1.0 2.0
+POINTS 0.2 0.1 0.0  0.0 0.0 0.0
+EOF
+"""
+
+
+def test_a_swap_of_trajectories_in_motion_does_not_jump(tmp_path) -> None:
+    """From `otg` to a spline and back, with position and velocity continuous."""
+    (tmp_path / "goal.rmod").write_text(
+        "MODULE constant\nDESC goal\nSVARALIAS Y=Q_DES\nINCONST NDOF\nOUTCONST none\n"
+        "INVAR none\nOUTVAR Y\nTASKTYPE periodic\nFREQ 50\nLOCAL\nVALUE 2.0\nEOF\n"
+    )
+    (tmp_path / "points.rmod").write_text(SPLINE)
+    with job(tmp_path, ["goal", "otg"], spares=["points"]) as system:
+        system.start()
+        system.wait(0.8)
+        system.spawn("points", "a")
+        system.swap("otg", "points")
+        system.wait(0.5)
+        system.swap("points", "otg")
+        system.wait(4.0)
+        recording = system.simulation.recording
+        q, v = (recording.series(name)[1] for name in ("Q_REF", "Q^_REF"))
+        assert not [one for one in system.events() if one.code == "ERROR"]
+    assert np.abs(v[350:450]).max() > 0.8, "in motion"
+    assert np.abs(np.diff(q, axis=0)).max() < 0.0021 * np.abs(v).max()
+    assert np.abs(np.diff(v, axis=0)).max() < 0.002 * 20.0
+    assert q[-1] == pytest.approx([2.0] * 3, abs=1e-9)
