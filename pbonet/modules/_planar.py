@@ -61,17 +61,32 @@ class Odometry:
 
     def move(self, x: float, y: float, turn: float, dt: float) -> Matrix:
         """Go on for dt seconds with m/s forward, m/s to the left, and rad/s."""
-        a = turn * dt
-        if abs(a) < _SMALL:
-            along, across = dt * (1.0 - a * a / 6.0), dt * (a / 2.0 - a**3 / 24.0)
-        else:
-            along, across = sin(a) / turn, (1.0 - cos(a)) / turn
-        step = along * x - across * y, across * x + along * y, 0.0
-        self.pose[:, 3] += self.pose[:, :3] @ step
-        c, s = cos(a), sin(a)
-        ahead, left = self.pose[:, 0].copy(), self.pose[:, 1].copy()
-        self.pose[:, 0], self.pose[:, 1] = c * ahead + s * left, c * left - s * ahead
+        step = motion(x, y, turn, dt)
+        self.pose[:, 3] += self.pose[:, :3] @ step[:, 3]
+        self.pose[:, :3] = self.pose[:, :3] @ step[:, :3]
         return self.pose
+
+
+def motion(x: float, y: float, turn: float, dt: float) -> Matrix:
+    """Return the pose, [R p], after dt seconds of a constant velocity in its own axes.
+
+    Args:
+        x: m/s forward.
+        y: m/s to the left.
+        turn: rad/s.
+        dt: s.
+    """
+    a = turn * dt
+    c, s = cos(a), sin(a)
+    if abs(a) < _SMALL:
+        along, across = dt * (1.0 - a * a / 6.0), dt * (a / 2.0 - a**3 / 24.0)
+    else:
+        along, across = s / turn, (1.0 - c) / turn
+    return np.array((
+        (c, -s, 0.0, along * x - across * y),
+        (s, c, 0.0, across * x + along * y),
+        (0.0, 0.0, 1.0, 0.0),
+    ))
 
 
 def within(rates: Vector, limit: float) -> Vector:

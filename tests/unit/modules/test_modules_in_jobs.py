@@ -20,11 +20,11 @@ FOLDER = Path(pbonet.modules.__file__).parent
 POSE = "1 0 0 0.1  0 1 0 0.2  0 0 1 0.3"
 INIT = {"X_DES": POSE, "X_REF": POSE, "X_MEZ": POSE, "ACC": "0 0 9.80665"}
 """First values of variables, by the port's name; 0 otherwise."""
-SIZES = {"ndof": 3, "nraw": 4, "nz": 4, "naxes": 3, "nx": 2, "nu": 1}
+SIZES = {"ndof": 3, "nraw": 4, "nz": 4, "naxes": 3, "nx": 2, "nu": 1, "nfeet": 4}
 KALMAN = {"nz": 1}
 CSV = "0 1 2 3\n1 2 3 4\n2 0 0 0\n"
 RMODS = [
-    "otg", "otg_cart", "spline", "traj_play", "biquad", "median", "limits",
+    "otg", "otg_cart", "gait", "spline", "traj_play", "biquad", "median", "limits",
     "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
     "wrench_comp", "diff_drive", "mecanum", "ackermann", "deadman", "joystick",
 ]  # fmt: skip
