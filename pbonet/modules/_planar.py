@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 _SMALL = 1e-4
 """Turn, rad, below which series are more exact than quotients."""
 
+_FLAT = 1e-2
+"""The same for derivatives."""
+
 
 class Command:
     """The commanded velocity of a base, or rest while there is none.
@@ -87,6 +90,19 @@ def motion(x: float, y: float, turn: float, dt: float) -> Matrix:
         (s, c, 0.0, across * x + along * y),
         (0.0, 0.0, 1.0, 0.0),
     ))
+
+
+def turn_slope(x: float, y: float, turn: float, dt: float) -> tuple[float, float]:
+    """Return the derivative of the way, x and y of `motion`, by its turn."""
+    a = turn * dt
+    if abs(a) < _FLAT:
+        along = dt * dt * (-a / 3.0 + a**3 / 30.0 - a**5 / 840.0)
+        across = dt * dt * (0.5 - a * a / 8.0 + a**4 / 144.0 - a**6 / 5760.0)
+    else:
+        c, s = cos(a), sin(a)
+        along = (a * c - s) / (turn * turn)
+        across = (a * s - (1.0 - c)) / (turn * turn)
+    return along * x - across * y, across * x + along * y
 
 
 def within(rates: Vector, limit: float) -> Vector:

@@ -26,7 +26,8 @@ CSV = "0 1 2 3\n1 2 3 4\n2 0 0 0\n"
 RMODS = [
     "otg", "otg_cart", "gait", "spline", "traj_play", "biquad", "median", "limits",
     "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
-    "wrench_comp", "diff_drive", "mecanum", "ackermann", "deadman", "joystick",
+    "wrench_comp", "ekf_odom", "diff_drive", "mecanum", "ackermann", "deadman",
+    "joystick",
 ]  # fmt: skip
 
 
