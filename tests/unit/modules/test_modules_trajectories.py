@@ -238,6 +238,7 @@ def test_otg_cart_moves_and_turns_the_fastest_way(axis) -> None:
     assert said(bench) == ["REACHED"]
 
 
+@pytest.mark.slow
 def test_otg_cart_bends_to_new_goals_without_a_jump() -> None:
     rng = np.random.default_rng(15)
     bench = otg_cart()
@@ -296,6 +297,7 @@ def test_otg_cart_takes_over_a_motion_without_a_jump() -> None:
     assert bench.outputs.x[:, 3] == pytest.approx(start[:, 3] + v[:3] * STEP, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", ["nan", "no rotation"])
 def test_otg_cart_brakes_without_a_goal_and_goes_on_with_one(bad) -> None:
     goal = pose([3, 0, 0], [0, 0, 2])
@@ -323,6 +325,7 @@ def test_otg_cart_needs_a_pose_to_start_from() -> None:
     assert bench.state is State.ERROR
 
 
+@pytest.mark.slow
 def test_otg_cart_turns_half_a_turn() -> None:
     goal = pose([0.1, 0.2, 0.3], [math.pi, 0, 0])
     bench = otg_cart(x_des=goal)
