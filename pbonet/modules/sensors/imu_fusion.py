@@ -31,14 +31,14 @@ class Fusion(Params):
 
 
 class ImuFusion(PortBasedObject[Fusion], module_class="sensor"):
-    """R' = R [w]x with w = gyr - bias + kp e, bias' = -ki e, e = a / |a| x R^T z.
+    """R' = R [w]x with w = gyr - bias + kp e, bias' = -ki e, e = unit(acc) x R^T z.
 
     The explicit complementary filter of Mahony, Hamel and Pflimlin (2008): the
     gyroscope turns the orientation, exactly for a constant rate; where the
     accelerometer points up slowly corrects its tilt. The turn about the vertical has no
-    such reference and drifts with the bias. While |ACC| differs from gravity by more
-    than BAND the sensor accelerates, and only the gyroscope counts. It begins with the
-    orientation in the table, or, if there is none, level with the accelerometer. A
+    such reference and drifts with the bias. While ACC differs from gravity in size by
+    more than BAND the sensor accelerates, and only the gyroscope counts. It begins with
+    the orientation in the table, or, if there is none, level with the accelerometer. A
     value that is not finite ends in ERROR; the learned bias remains.
     """
 

@@ -27,7 +27,7 @@ class Layout(Params):
 
 
 class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
-    """y = gain * sign(a) * max(|a| - dead, 0) / (1 - dead), a the share of full push.
+    """y = gain * sign(a) * max(abs(a) - dead, 0) / (1 - dead), a of full push 1.
 
     Each axis goes from -1 to 1 over the range that the device names. The buttons that
     are held are the bits of BUTTONS, the first of the parameter the lowest. When the
