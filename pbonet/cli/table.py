@@ -96,7 +96,7 @@ def show(
 
 def _parameter(arg: Arg) -> Parameter:
     """Return one argument of the table; the command converts its words."""
-    kind = arg.name if arg.kind is Kind.WORD else arg.kind
+    kind = arg.word if arg.kind is Kind.WORD else arg.kind
     return Parameter(
         arg.name,
         f"{arg.doc[:1].upper()}{arg.doc[1:]}.",
@@ -112,4 +112,4 @@ def _parameter(arg: Arg) -> Parameter:
 
 
 def _option(arg: Arg) -> str:
-    return f"--{arg.name.replace('_', '-')}"
+    return f"--{arg.word.replace('_', '-')}"

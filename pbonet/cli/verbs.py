@@ -17,14 +17,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 GROUPS: Final = {
-    "Write and check files (no agent needed)": ("new", "check", "simulate", "adopt"),
+    "Write and check files (no agent needed)": (
+        *("library", "new", "check", "simulate", "adopt"),
+    ),
     "Run a subsystem": ("run", "prompt", "start", "switch", "stop"),
     "Change its tasks": (
         *("spawn", "on", "off", "kill", "clear"),
         *("reinit", "reconfig", "swap"),
     ),
     "Watch and tune it": (
-        *("status", "profile", "freq", "get", "set", "display", "write", "module"),
+        *("status", "profile", "freq", "get", "set", "display", "write"),
         *("events", "sigwait", "sigmask", "view"),
     ),
     "Recordings": ("log", "replay"),
@@ -34,7 +36,7 @@ GROUPS: Final = {
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
 _OWN: Final = {
     *("new", "check", "simulate", "adopt", "run", "prompt", "stop", "profile"),
-    *("display", "module", "events", "view", "log", "replay"),
+    *("display", "library", "events", "view", "log", "replay"),
     *("agent", "doctor", "keys", "completion"),
 }
 """Verbs with a file of their own."""

@@ -17,6 +17,13 @@ from .job import (
     write_job as write_job,
 )
 from .library import Library as Library, absent as absent, no_module as no_module
+from .library_search import (
+    Found as Found,
+    Search as Search,
+    described as described,
+    producers as producers,
+    search as search,
+)
 from .model import (
     AgentConfig as AgentConfig,
     Condition as Condition,

@@ -83,6 +83,8 @@ class Library:
         self.beside: tuple[Path, ...] = ()
         """Folders of an application's files, which are searched before all others."""
         self._loaded: dict[tuple[str, str], LoadedModule] = {}
+        self._records: dict[str, Rmod] = {}
+        self._stamps: dict[Path, int] = {}
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -203,20 +205,42 @@ class Library:
 
     def modules(self) -> tuple[str, ...]:
         """Return the names of all modules, sorted; no code is run."""
-        names = {
-            path.stem
-            for shelf in self.shelves
-            for path in shelf.folder.glob("*.py")
-            if not path.stem.startswith(("_", "test_")) and _is_name(path.stem)
-        }
-        return tuple(sorted(names))
+        return tuple(self.files())
 
     def rmods(self) -> tuple[str, ...]:
         """Return the names of all RMODs, sorted."""
-        names = {
-            path.stem for shelf in self.shelves for path in shelf.folder.glob("*.rmod")
+        return tuple(self._files(".rmod"))
+
+    def files(self) -> dict[str, Path]:
+        """Return the file of each module by its name, sorted; no code is run."""
+        return {
+            name: path
+            for name, path in self._files(".py").items()
+            if not name.startswith(("_", "test_")) and _is_name(name)
         }
-        return tuple(sorted(names))
+
+    def records(self) -> dict[str, Rmod]:
+        """Return all RMODs by name, read again if one has changed.
+
+        One that is wrong is left out; that is reported when it is used.
+        """
+        files = self._files(".rmod")
+        stamps = {path: _written(path) for path in files.values()}
+        if stamps != self._stamps:
+            self._records = {}
+            for name, path in files.items():
+                with contextlib.suppress(ConfigError):
+                    self._records[name] = self.read_rmod(path)
+            self._stamps = stamps
+        return self._records
+
+    def _files(self, ending: str) -> dict[str, Path]:
+        """Return the files of an ending by their names, of several the first."""
+        found: dict[str, Path] = {}
+        for shelf in self.shelves:
+            for path in shelf.folder.glob(f"*{ending}"):
+                found.setdefault(path.stem, path)
+        return dict(sorted(found.items()))
 
     def _first_with(self, file: str) -> tuple[Shelf, Path] | None:
         """Return the first folder that has a file of that name, and its path."""
@@ -304,6 +328,14 @@ def _checked(module: str) -> str:
             "without .py",
         )
     return module
+
+
+def _written(path: Path) -> int:
+    """Return when a file was written; 0 where it has just been removed."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _read(path: Path) -> bytes:

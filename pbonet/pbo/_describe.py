@@ -253,7 +253,7 @@ def local_text(value: Any) -> str:  # noqa: ANN401 - whatever a parameter holds
 
 def render(info: ModuleInfo) -> str:
     """Return `info` as text for people, without colours."""
-    lines = [f"{info.name}: {info.doc}", ""]
+    lines = [f"{info.name}: {info.doc}", f"class     {info.module_class or 'none'}", ""]
     ports: list[tuple[str, ...]] = [
         (port.kind, port.name, port.attr, _type(port), port.unit, _about(port))
         for port in info.ports
@@ -288,7 +288,7 @@ def render(info: ModuleInfo) -> str:
         ]
         lines += [*_table(inner or [("none",)]), ""]
     else:
-        lines.append(f"class     {info.cls} in {info.file or 'unknown file'}")
+        lines.append(f"code      {info.cls} in {info.file or 'unknown file'}")
     lines.append(f"version   {info.version or 'unknown'}")
     return "\n".join(lines) + "\n"
 

@@ -307,10 +307,10 @@ def test_script_that_is_missing_is_said_before_anything_is_done(pbonet, agents):
 
 
 def test_modules_and_events_are_listed(pbonet):
-    out = pbonet("module").stdout
-    assert "puma_pidg" in out
-    assert "RMODs: " in out
-    assert "parameters" in pbonet("module", "diff").stdout
+    assert "puma_pidg" in pbonet("library").stdout
+    out = pbonet("library", "diff").stdout
+    assert "parameters" in out
+    assert "RMODs     diff qmdiff qrdiff" in out
     assert pbonet("events").stdout == "no events\n"
     done = pbonet("events", "--code", "WARNIGN")
     assert (done.returncode, done.stdout) == (0, "no events\n")

@@ -555,9 +555,11 @@ def test_status_of_a_task_and_of_none(robot):
 
 
 def test_modules_of_all_rtpus_are_told_once(arm):
-    names = [info.name for info in arm.module()]
+    names = [one.name for one in arm.library()]
     assert "puma_pidg" in names
     assert len(names) == len(set(names))
-    assert arm.module("diff")[0].ports
+    (diff,) = arm.library("diff")
+    assert diff.info.ports
+    assert diff.rmods == ("diff", "qmdiff", "qrdiff")
     with pytest.raises(ModuleLoadError):
-        arm.module("no_such")
+        arm.library("no_such")

@@ -126,7 +126,7 @@ def _surplus(
         remedy=f"list it under {' and '.join(other)}"
         if other
         else did_you_mean(port, near)
-        or f"take it out; 'pbonet module {about}' shows the ports",
+        or f"take it out; 'pbonet library {about}' shows the ports",
         tasks=(task.name,),
         ports=(port,),
     )

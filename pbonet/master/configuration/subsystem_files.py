@@ -8,7 +8,6 @@ then in the library.
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -75,8 +74,6 @@ class Files:
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self._folders: list[Path] = []
-        self._stamps: dict[str, int] | None = None
-        self._writers: dict[str, tuple[str, ...]] = {}
         self._search_first_in(path.parent)
         if self.job is not None:
             self._search_first_in(Path(self.job.file).parent)
@@ -159,29 +156,11 @@ class Files:
 
     def rmods(self) -> list[str]:
         """Return the names of the RMODs that can be spawned, sorted."""
-        beside = {
-            path.stem for folder in self._folders for path in folder.glob("*.rmod")
-        }
-        found = beside | set(self.library.rmods())
-        return sorted(name for name in found if NAME.fullmatch(name))
+        return [name for name in self.library.rmods() if NAME.fullmatch(name)]
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        return Producers(self)
-
-    def writers(self) -> dict[str, tuple[str, ...]]:
-        """Return, by variable, the RMODs that write it; reads what has changed."""
-        stamps = _stamps([*self._folders, *(s.folder for s in self.library.shelves)])
-        if stamps != self._stamps:
-            found: dict[str, list[str]] = {}
-            for name in self.rmods():
-                with contextlib.suppress(ConfigError):  # reported when it is spawned
-                    record = self.rmod(name).record
-                    for port in (*record.outvar, *record.outconst):
-                        found.setdefault(record.svar_name(port), []).append(name)
-            self._stamps = stamps
-            self._writers = {name: tuple(rmods) for name, rmods in found.items()}
-        return self._writers
+        return Producers(self.library)
 
     def jobs(self) -> list[str]:
         """Return the jobs that are beside the ``.sbs``, sorted."""
@@ -245,7 +224,7 @@ class Files:
         return ConfigFileError(
             f"there is no RMOD {name}",
             expected=f"{name}.rmod in {' or '.join(places)}, or in the library",
-            remedy=did_you_mean(name, known) or "see 'module' for what there is",
+            remedy=did_you_mean(name, known) or "see 'library' for what there is",
         )
 
 
@@ -295,28 +274,16 @@ def _is_there(path: Path) -> bool:
         return False
 
 
-def _stamps(folders: Iterable[Path]) -> dict[str, int]:
-    """Return when each RMOD of these folders was written, by its path."""
-    found: dict[str, int] = {}
-    for folder in folders:
-        with contextlib.suppress(OSError), os.scandir(folder) as entries:
-            found |= {
-                one.path: one.stat().st_mtime_ns
-                for one in entries
-                if one.name.endswith(".rmod")
-            }
-    return found
-
-
 class Producers(Mapping[str, tuple[str, ...]]):
     """The RMODs that write each variable, read from all files when one is asked for."""
 
-    def __init__(self, files: Files) -> None:
-        self._files = files
+    def __init__(self, library: Library) -> None:
+        self._library = library
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
-        return self._files.writers()
+        records = self._library.records()
+        return config.producers({n: r for n, r in records.items() if NAME.fullmatch(n)})
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:
         return self._found[variable]

@@ -160,19 +160,9 @@ def write(session: SessionState, given: Given) -> Data:
     return {"variables": [msgspec.to_builtins(value)]}
 
 
-def module(session: SessionState, given: Given) -> Data:
-    """List modules and RMODs, or show one module."""
-    name: str | None = given.get("module")
-    infos = session.subsystem.module(name)
-    if name is not None:
-        return {"module": msgspec.to_builtins(infos[0])}
-    return {
-        "modules": [
-            {"name": info.name, "version": info.version, "doc": info.doc}
-            for info in infos
-        ],
-        "rmods": session.subsystem.files.rmods(),
-    }
+def library(session: SessionState, given: Given) -> Data:
+    """Find modules; one is shown in full."""
+    return {"modules": [one.data for one in session.subsystem.library(**given)]}
 
 
 def events(session: SessionState, given: Given) -> Data:

@@ -219,7 +219,8 @@ def bind(
     for word in words:
         name, equals, value = word.partition("=")
         if equals and name in named:
-            given[name] = _value(command, named[name], value)
+            arg = named[name]
+            given[arg.name] = _value(command, arg, value)
         else:
             plain.append(word)
     places = [a for a in command.args if not a.option and a.name not in given]
@@ -252,7 +253,8 @@ def convert(command: Command, args: Mapping[str, object]) -> dict[str, Any]:
     Raises:
         StateError: An argument is unknown, missing, or of the wrong type.
     """
-    known = {arg.name: arg for arg in command.args}
+    known = {arg.word: arg for arg in command.args}
+    known |= {arg.name: arg for arg in command.args}
     given: dict[str, Any] = {}
     for name, value in args.items():
         arg = known.get(name)
@@ -267,7 +269,7 @@ def convert(command: Command, args: Mapping[str, object]) -> dict[str, Any]:
         found = [_value(command, arg, _word(one)) for one in sequence(value)]
         if not arg.many and len(found) != 1:
             raise _usage(command, f"{name} is one value")
-        given[name] = found if arg.many else found[0]
+        given[arg.name] = found if arg.many else found[0]
     _must_be_complete(command, given)
     return given
 
@@ -295,7 +297,7 @@ def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by i
         return _number(command, arg, word)
     if arg.kind is Kind.FLAG:
         if word not in {"yes", "no"}:
-            raise _usage(command, f"{arg.name} is yes or no, not {word}")
+            raise _usage(command, f"{arg.word} is yes or no, not {word}")
         return word == "yes"
     if arg.kind is Kind.ITEM:
         task, colon, signal = word.partition(":")

@@ -30,6 +30,7 @@ class Kind(StrEnum):
     RTPU = "rtpu"
     VARIABLE = "variable"
     MODULE = "module"
+    CLASS = "class"
     JOB = "job"
     FIELD = "field"
     COMMAND = "command"
@@ -70,6 +71,11 @@ class Arg(Struct, frozen=True):
     """The task used last is the default if the interface has one."""
     commas: bool = False
     """It is several names in one word, with commas between them."""
+
+    @property
+    def word(self) -> str:
+        """Its name for a user; a program writes `name`, as ``class_``."""
+        return self.name.rstrip("_")
 
     @property
     def need(self) -> bool:
@@ -125,7 +131,7 @@ class Command(Struct, frozen=True):
         """The arguments that may be given as ``name=value``."""
         greedy = any(arg.many for arg in self.args)
         return {
-            arg.name: arg
+            arg.word: arg
             for arg in self.args
             if arg.option or (arg.use is Use.MAYBE and not greedy)
         }
@@ -135,7 +141,7 @@ class Command(Struct, frozen=True):
         """The command line in short, such as ``spawn RMOD [RTPU] [HZ]``."""
         words = [self.name]
         for arg in self.args:
-            word = f"{arg.name}={arg.kind}" if arg.option else arg.name.upper()
+            word = f"{arg.word}={arg.kind}" if arg.option else arg.name.upper()
             word += " ..." if arg.many else ""
             words.append(word if arg.need else f"[{word}]")
         return " ".join(words)
@@ -167,7 +173,7 @@ def _help(_: SessionState, given: Given) -> Given:
                 "examples": [list(example) for example in command.examples],
                 "args": [
                     {
-                        "name": arg.name,
+                        "name": arg.word,
                         "kind": str(arg.kind),
                         "doc": arg.doc,
                         "use": str(arg.use),
@@ -285,10 +291,20 @@ COMMANDS: Final = (
         shows="states",
     ),
     Command(
-        "module",
-        "List the modules of the RTPUs, or show ports and parameters of one.",
-        (Arg("module", Kind.MODULE, "which", Use.MAYBE),),
-        run=command_handlers.module,
+        "library",
+        "Find modules by class, port, unit and text; show one in full.",
+        (
+            Arg("text", Kind.MODULE, "a module's name, or words about it", Use.ANY),
+            Arg("class_", Kind.CLASS, "its class, or the beginning of it", Use.NAMED),
+            Arg("in_", Kind.VARIABLE, "a variable that it reads, or Q_*", Use.NAMED),
+            Arg("out", Kind.VARIABLE, "a variable that it writes", Use.NAMED),
+            Arg("unit", Kind.WORD, "the unit of that port, or of any", Use.NAMED),
+        ),
+        run=command_handlers.library,
+        examples=(
+            ("library joint_pid", "Show ports and parameters of one module."),
+            ("library class=kin out=Q_REF unit=rad", "Find those for a purpose."),
+        ),
     ),
     Command(
         "network",

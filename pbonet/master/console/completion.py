@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import PbonetError
 from pbonet.master.subsystem import SIGNALS, status_fields
-from pbonet.pbo import PREDEFINED, State
+from pbonet.pbo import MODULE_CLASSES, PREDEFINED, State
 
 from .commands import BY_NAME, Arg, Command, Kind
 
@@ -75,7 +75,7 @@ def _arguments(
             if arg.last and word not in session.subsystem.model and places:
                 arg = places.pop(0)  # the task was left out
             task = word if arg.kind is Kind.TASK else task
-    found = [f"{arg.name}=" for arg in command.args if arg.option]
+    found = [f"{arg.word}=" for arg in command.args if arg.option]
     if places and not places[0].need:
         found += [f"{arg.name}=" for arg in places[1:] if arg.name in named]
     for arg in places[:1] if places and not places[0].last else places[:2]:
@@ -130,6 +130,7 @@ _KINDS: Final[dict[Kind, Callable[[CommandSession], Iterable[str]]]] = {
     Kind.RMOD: lambda session: session.subsystem.files.rmods(),
     Kind.RTPU: lambda session: session.subsystem.clients.names,
     Kind.VARIABLE: _variables,
+    Kind.CLASS: lambda _: [one.split()[0] for one in MODULE_CLASSES],
     Kind.MODULE: lambda session: session.subsystem.files.library.modules(),
     Kind.JOB: lambda session: session.subsystem.files.jobs(),
     Kind.FIELD: lambda _: [*status_fields.NAMES, "all", "default"],

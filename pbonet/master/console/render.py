@@ -355,14 +355,37 @@ def _params(data: Data) -> str:
     return table(("parameter", "value", "unit", "bounds", "what it is"), rows)
 
 
-def _module(data: Data) -> str:
-    if "module" in data:
+def _library(data: Data) -> str:
+    """Return the modules that were found; the only one in full."""
+    if len(data["modules"]) == 1:
         from pbonet.pbo import ModuleInfo, render as render_module
 
-        return render_module(convert(data["module"], ModuleInfo)).rstrip()
-    rows = [[one["name"], one["version"], one["doc"]] for one in data["modules"]]
-    modules = table(("module", "version", "what it does"), rows)
-    return f"{modules}\n\nRMODs: {' '.join(data['rmods'])}"
+        (one,) = data["modules"]
+        rmods = " ".join(one["rmods"])
+        text = render_module(convert(one, ModuleInfo))
+        return f"{text}RMODs     {rmods}" if rmods else text.rstrip()
+    rows = [
+        (
+            one["name"],
+            one["module_class"] or "-",
+            *(_port_names(one, kinds) for kinds in _SIDES),
+            one["doc"],
+        )
+        for one in data["modules"]
+    ]
+    return table(("module", "class", "reads", "writes", "what it does"), rows)
+
+
+_SIDES: Final = (("in-const", "in-var"), ("out-const", "out-var"))
+
+
+def _port_names(module: Data, kinds: tuple[str, str]) -> str:
+    """Return the names of a module's ports of two kinds, with their units."""
+    return " ".join(
+        port["name"] if port["unit"] == "none" else f"{port['name']}[{port['unit']}]"
+        for port in module["ports"]
+        if port["kind"] in kinds
+    )
 
 
 def _check(data: Data) -> str:
@@ -484,7 +507,7 @@ _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "write": _display,
     "get": _params,
     "set": _params,
-    "module": _module,
+    "library": _library,
     "check": _check,
     "freq": _freq,
     "stop": _stop,

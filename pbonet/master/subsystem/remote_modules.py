@@ -49,28 +49,21 @@ def on(clients: RtpuClients, library: Library, rtpu: str, module: str) -> Module
             no_module(module),
             where=rtpu,
             remedy=library.for_agent(module, rtpu)
-            or "see 'module', or name its folder in agent.toml",
+            or "see 'library', or name its folder in agent.toml",
         )
     return found[0]
 
 
-def of(clients: RtpuClients, name: str | None = None) -> list[ModuleInfo]:
+def of(clients: RtpuClients) -> list[ModuleInfo]:
     """Return the modules of all libraries of a subsystem, each version once.
 
     Raises:
-        ModuleLoadError: No library has a module `name`, or it does not load.
         SeveralError: Several agents do not answer; of one, its own error.
     """
     results, errors = clients.each(
-        lambda _: m.Modules(name=name), _answer(), timeout=_LOAD_TIME
+        lambda _: m.Modules(name=None), _answer(), timeout=_LOAD_TIME
     )
-    if not results and len({error.what for error in errors}) == 1:
-        raise errors[0]  # the same everywhere
-    if not results or (errors and name is None):
+    if errors:
         rpc.raise_all(f"{len(errors)} RTPUs do not describe their modules", errors)
     found = {(i.name, i.version): i for infos in results.values() for i in infos}
-    if name is not None and not found:
-        raise ModuleLoadError(
-            f"no library has a module {name}", remedy="see 'module' for what there is"
-        )
     return [found[key] for key in sorted(found)]

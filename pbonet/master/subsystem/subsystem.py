@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self, overload
 from msgspec import structs
 
 from pbonet.analysis import legality
-from pbonet.config import Library
+from pbonet.config import Library, Search, search
 from pbonet.errors import NoAnswerError, NodeError, PbonetError, StateError
 from pbonet.master import configuration
 from pbonet.master.configuration import Files, RealClock, environment
@@ -58,10 +58,9 @@ if TYPE_CHECKING:
 
     import zenoh
 
-    from pbonet.config import SbsFile
+    from pbonet.config import Found, SbsFile
     from pbonet.master.configuration import Clock, Saved, TaskModel
     from pbonet.master.sim import VirtualRtpus
-    from pbonet.pbo import ModuleInfo
 
     from .embedded_agents import Embedded
     from .status_fields import Profile
@@ -1043,16 +1042,37 @@ class Subsystem:
         values.sort(key=lambda one: names.index(one.name))
         return [one for one in values if writer in {None, task_of(one.writer)}]
 
-    def module(self, module: str | None = None) -> list[ModuleInfo]:
-        """Return descriptions of the modules in the agents' libraries.
+    def library(
+        self,
+        text: str | Sequence[str] = (),
+        *,
+        class_: str | None = None,
+        in_: str | None = None,
+        out: str | None = None,
+        unit: str | None = None,
+    ) -> list[Found]:
+        """Return modules in the agents' libraries, by class and name.
 
         Args:
-            module: Only this module; None: all.
+            text: The name of one module, or words that its description has.
+            class_: Its class, or the beginning of it (Stewart 1994, Figure 3.14).
+            in_: A variable that it reads; * and ? match any text.
+            out: A variable that it writes.
+            unit: The unit of such a port, or of any.
 
         Raises:
-            ModuleLoadError: No library has this module, or it does not load.
+            ModuleLoadError: There is no such module.
+            ConfigError: There is no such class.
         """
-        return remote_modules.of(self.clients, module)
+        wanted = Search(
+            text=tuple(names_of(text)),
+            class_=class_ or "",
+            in_=in_ or "",
+            out=out or "",
+            unit=unit or "",
+        )
+        infos = remote_modules.of(self.clients)
+        return search(infos, self.files.library.records(), wanted)
 
     # -- signals and events of tasks ---------------------------------------------------
 

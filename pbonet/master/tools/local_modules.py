@@ -1,65 +1,48 @@
-"""The modules of this machine's library, as the command `module` shows them."""
+"""The modules of this machine's library, as the command `library` shows them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
-from pbonet.config import Library
-from pbonet.errors import PbonetError, StateError
+from pbonet.config import Found, Library, Search, described, search
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 Data = dict[str, Any]
 
 
-def is_subsystem(word: str | None) -> bool:
+def is_subsystem(word: str) -> bool:
     """Return whether a word is the file of a subsystem, not a module."""
-    return word is not None and Path(word).suffix in {".sbs", ".job"}
+    return Path(word).suffix in {".sbs", ".job"}
 
 
-def describe(
-    what: str | None, more: str | None, folders: Sequence[str]
+def find(
+    text: Sequence[str], wanted: Mapping[str, str | None], folders: Sequence[str]
 ) -> tuple[Data, list[str]]:
-    """Return the descriptions of one module or of all, and warnings.
+    """Return the modules that are searched for as data, and warnings.
 
     Args:
-        what: A module's name or an ``.rmod`` file; None for all modules.
-        more: A further word, which only a subsystem's file takes.
-        folders: Folders beside pbonet's own modules.
+        text: A module's name, an ``.rmod`` file, or words.
+        wanted: The other fields of `Search`.
+        folders: Folders beside pbonet's own modules and the current folder.
 
     Raises:
-        StateError: There is a word too many.
-        ConfigError: The ``.rmod`` file is wrong.
+        ConfigError: The ``.rmod`` file is wrong, or there is no such class.
         ModuleLoadError: There is no such module, or it does not load.
     """
-    if more is not None:
-        raise StateError(
-            f"{what} is no subsystem's file, so {more} is one word too many",
-            expected="MODULE, FILE.rmod, or FILE.sbs MODULE",
-            remedy="name the .sbs file of the subsystem first",
-        )
-    library = Library(folders)
-    if what is None:
-        return _all(library)
-    if what.endswith(".rmod"):
-        info = library.load_rmod(library.read_rmod(what)).info
+    library = Library([*folders, Path()])
+    if len(text) == 1 and text[0].endswith(".rmod"):
+        rmod = library.read_rmod(text[0])
+        info = library.load_rmod(rmod).info
+        return {"modules": [Found(info=info, rmods=(rmod.name,)).data]}, []
+    asked = Search(
+        text=tuple(text), **{name: word or "" for name, word in wanted.items()}
+    )
+    if len(text) == 1 and text[0] in library.files():
+        infos, faults = [library.load(text[0]).info], list[str]()
     else:
-        info = library.load(what).info
-    return {"module": msgspec.to_builtins(info)}, []
-
-
-def _all(library: Library) -> tuple[Data, list[str]]:
-    found: list[Data] = []
-    warnings: list[str] = []
-    for name in library.modules():
-        try:
-            info = library.load(name).info
-        except PbonetError as error:
-            warnings.append(str(error))
-            continue
-        found.append({"name": name, "version": info.version, "doc": info.doc})
-    return {"modules": found, "rmods": list(library.rmods())}, warnings
+        infos, faults = described(library)
+    found = search(infos, library.records(), asked)
+    return {"modules": [one.data for one in found]}, faults

@@ -70,11 +70,11 @@ def test_the_lists_are_those_of_the_parts_without_what_is_inner(folder):
         "one+two (expected NDOF, got none); add NDOF to INCONST",
         "ERROR> both.rmod:5:1: INVAR lists Y, which is not a port of that kind in "
         "module "
-        "one+two (expected X, got X Y); take it out; 'pbonet module both.rmod' shows "
+        "one+two (expected X, got X Y); take it out; 'pbonet library both.rmod' shows "
         "the ports",
         "ERROR> both.rmod:6:1: OUTVAR lists W, which is not a port of that kind in "
         "module "
-        "one+two (expected Z, got Z W); take it out; 'pbonet module both.rmod' shows "
+        "one+two (expected Z, got Z W); take it out; 'pbonet library both.rmod' shows "
         "the ports",
         "both.rmod: RMOD both of module one+two: 3 faults",
     ]

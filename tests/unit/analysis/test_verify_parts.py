@@ -31,7 +31,7 @@ def test_ports_of_file_and_class_are_compared_both_ways() -> None:
         "W, got Z); add W to INVAR",
         "diff.rmod:7:1: OUTVAR lists Z^, which is not a port of that kind in module "
         "mod "
-        "(expected Y, got Z^); take it out; 'pbonet module mod' shows the ports",
+        "(expected Y, got Z^); take it out; 'pbonet library mod' shows the ports",
         "diff.rmod:7:1: OUTVAR does not list Y, an out-var of the module mod (expected "
         "Y, got Z^); add Y to OUTVAR",
     ]

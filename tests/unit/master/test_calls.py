@@ -39,7 +39,7 @@ REFUSED = {
     "get": [{"task": "nobody"}, {"task": "puma_pidg", "param": "no_such"}],
     "help": [{"command": "no_such"}],
     "kill": [{"task": ["nobody"]}, {"task": ["target", "qrdiff"], "text": "now"}],
-    "module": [{"module": "no_such"}],
+    "library": [{"text": ["no_such"]}, {"class_": "no_such"}, {"out": "NO_SUCH"}],
     "network": [{"portname": "no name"}],
     "off": [{"task": ["nobody"]}, {"task": ["damped_ls"]}],
     "on": [{"task": ["target"]}, {"task": ["damped_ls", "qrint"]}],
@@ -200,7 +200,7 @@ def test_calls_do_what_the_commands_do(arm):
     assert [one.name for one in arm.display("Q_*")] == ["Q_REF", "Q_MEZ"]
     assert {one.name for one in arm.display(writer="target")} == {"X_DES", "X^_DES"}
     assert arm.write("Q^_CMD", [0.5] * 6).values == [0.5] * 6
-    assert arm.module("gain")[0].name == "gain"
+    assert [one.name for one in arm.library("gain")] == ["gain"]
     assert arm.events(1, task="target", code="STATE")[0].text == "on: ON"
     counts = arm.events_count("target")
     told = {"rtpu": "arm1", "task": "target"}

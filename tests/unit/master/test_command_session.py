@@ -19,7 +19,7 @@ from pbonet.pbo import State
 from pbonet.xm.net.messages import Stopped
 
 THESIS = [
-    *("clear", "display", "kill", "module", "network", "off", "on"),
+    *("clear", "display", "kill", "library", "network", "off", "on"),
     *("quit", "set", "spawn", "status"),
 ]
 
@@ -375,7 +375,8 @@ def test_scopes_are_used():
         ("set pid ", ["kd", "kp"]),
         ("display Q", ["Q_MEZ", "Q_REF"]),
         ("display task=", ["task=pid", "task=traj"]),
-        ("module g", ["gain"]),
+        ("library g", ["gain"]),
+        ("library class=k", ["class=kinematics"]),
         ("start ", ["home", "teleop", "wait="]),
         ("status s", ["set"]),
         ("status set maxC mi", ["minC", "minU", "miss"]),

@@ -219,7 +219,7 @@ def test_a_change_of_configuration_shows_its_steps_and_its_end():
 
 
 def test_commands_without_a_form_of_their_own_show_states():
-    shown = {"display", "write", "get", "set", "module", "check", "freq", "stop"}
+    shown = {"display", "write", "get", "set", "library", "check", "freq", "stop"}
     shown |= {
         "profile",
         "profile save",

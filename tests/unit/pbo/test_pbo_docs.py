@@ -108,7 +108,7 @@ def test_the_commands_of_the_page_write_modules(tmp_path):
     text = SVAR + "".join(VECTOR.format(*item) for item in vectors.items())
     (tmp_path / "arm.svar").write_text(text + "EOF\n")
     (shown,) = re.findall(r"<!-- commands -->\n```\n(.*?)```", PAGE, re.DOTALL)
-    (said,) = re.findall(r"`(pbonet module .*?)`", PAGE)
+    (said,) = re.findall(r"`(pbonet library hold_it)`", PAGE)
     for command in [*shown.splitlines(), said]:
         done = subprocess.run(
             [sys.executable, "-m", "pbonet.cli", *shlex.split(command)[1:]],

@@ -220,6 +220,7 @@ def test_a_module_made_without_a_file_is_described_all_the_same():
 def test_the_description_as_text():
     assert render(describe(Law, name="law", version="abc", file="law.py")) == (
         """law: Hold q where it is.
+class     none
 
 ports
   in-const  NDOF   ndof  int            none  degrees of freedom
@@ -233,7 +234,7 @@ parameters
 
 methods   on cycle stable
 CRITICAL  possible
-class     Law in law.py
+code      Law in law.py
 version   abc
 """
     )

@@ -1,0 +1,186 @@
+"""Search in a library: by class, port, unit and text (Stewart 1994, section 3.9)."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import Struct
+
+from pbonet import pbo
+from pbonet.errors import ConfigError, ModuleLoadError, PbonetError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from .library import Library
+    from .model import Rmod
+
+_DERIVES = re.compile(rb"^class \w+\(.*PortBasedObject", re.MULTILINE)
+
+
+class Search(Struct, frozen=True, kw_only=True):
+    """Conditions of a search; one that is left out does not matter."""
+
+    text: tuple[str, ...] = ()
+    """Words, all of which a module's description has; or the name of one module."""
+    class_: str = ""
+    """Its class in the library, or the beginning of it."""
+    in_: str = ""
+    """A variable, in which * and ? match any text, that an input is, or is connected to
+    by an RMOD."""
+    out: str = ""
+    """The same of an output."""
+    unit: str = ""
+    """The unit of such a port; of any port where none is named."""
+
+
+class Found(Struct, frozen=True, kw_only=True):
+    """A module of a library, and the RMODs that configure it."""
+
+    info: pbo.ModuleInfo
+    rmods: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The module's name."""
+        return self.info.name
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The fields of the description, and ``rmods``."""
+        return {**msgspec.to_builtins(self.info), "rmods": list(self.rmods)}
+
+
+def search(
+    infos: Iterable[pbo.ModuleInfo], rmods: Mapping[str, Rmod], wanted: Search
+) -> list[Found]:
+    """Return the modules that fit, sorted by class and name.
+
+    Args:
+        infos: Descriptions of all modules.
+        rmods: RMODs by name.
+        wanted: What is searched for.
+
+    Raises:
+        ModuleLoadError: None fits.
+        ConfigError: There is no such class.
+    """
+    kind = _class(wanted.class_)
+    known = list(infos)
+    exact = [i for i in known if wanted.text == (i.name,)]
+    found: list[Found] = []
+    for info in exact or known:
+        configured = {n: r for n, r in rmods.items() if r.module == info.name}
+        if (
+            kind in {"", info.module_class}
+            and (exact or _has_words(info, configured, wanted.text))
+            and _has_ports(info, configured, wanted)
+        ):
+            found.append(Found(info=info, rmods=tuple(sorted(configured))))
+    if not found and wanted != Search():
+        raise _nothing(wanted, [info.name for info in known])
+    return sorted(found, key=lambda one: (_rank(one.info), one.name))
+
+
+def _rank(info: pbo.ModuleInfo) -> int:
+    classes = pbo.MODULE_CLASSES
+    known = info.module_class in classes
+    return classes.index(info.module_class) if known else len(classes)
+
+
+def _class(text: str) -> str:
+    """Return the class that begins with a text.
+
+    Raises:
+        ConfigError: None, or more than one, does.
+    """
+    begun = [one for one in pbo.MODULE_CLASSES if one.startswith(text.lower())]
+    if not text or len(begun) == 1:
+        return begun[0] if text else ""
+    raise ConfigError(
+        f"several classes of modules begin with {text}"
+        if begun
+        else f"there is no class of modules {text}",
+        expected=" or ".join(begun or pbo.MODULE_CLASSES),
+        remedy=did_you_mean(text, pbo.MODULE_CLASSES) or "write more of its name",
+    )
+
+
+def _has_words(
+    info: pbo.ModuleInfo, rmods: Mapping[str, Rmod], words: Sequence[str]
+) -> bool:
+    texts = [info.name, info.doc, info.module_class, *rmods]
+    texts += [rmod.desc for rmod in rmods.values()]
+    texts += [text for port in info.ports for text in (port.name, port.doc)]
+    texts += [text for param in info.params for text in (param.name, param.doc)]
+    whole = "\n".join(texts).lower()
+    return all(word.lower() in whole for word in words)
+
+
+def _has_ports(info: pbo.ModuleInfo, rmods: Mapping[str, Rmod], wanted: Search) -> bool:
+    sides = [(wanted.in_, True), (wanted.out, False)]
+    asked = [side for side in sides if side[0]]
+    if not asked:
+        return wanted.unit in {"", *(port.unit for port in info.ports)}
+    return all(
+        any(
+            wanted.unit in {"", port.unit}
+            for port in info.ports
+            if port.kind.is_input is reads
+            and any(fnmatch.fnmatchcase(n, name) for n in _names(port.name, rmods))
+        )
+        for name, reads in asked
+    )
+
+
+def _names(port: str, rmods: Mapping[str, Rmod]) -> Iterator[str]:
+    """Yield the name of a port, and the variables that RMODs connect it to."""
+    yield port
+    yield from (rmod.svar_name(port) for rmod in rmods.values())
+
+
+def _nothing(wanted: Search, known: Sequence[str]) -> ModuleLoadError:
+    told = [
+        ("", " ".join(wanted.text)),
+        ("class ", wanted.class_),
+        ("input ", wanted.in_),
+        ("output ", wanted.out),
+        ("unit ", wanted.unit),
+    ]
+    return ModuleLoadError(
+        "the library has no such module",
+        got=", ".join(label + text for label, text in told if text),
+        remedy=did_you_mean(wanted.text[0], known)
+        if len(wanted.text) == 1 and did_you_mean(wanted.text[0], known)
+        else "ask for less; 'library' alone shows them all",
+    )
+
+
+def described(library: Library) -> tuple[list[pbo.ModuleInfo], list[str]]:
+    """Return the descriptions of a library's modules, and what does not load.
+
+    A file that no RMOD names and that has no class of a module is none, such as a
+    program in a project's folder; it is not run.
+    """
+    rmods = {rmod.module for rmod in library.records().values()}
+    infos: list[pbo.ModuleInfo] = []
+    faults: list[str] = []
+    for name, path in library.files().items():
+        try:
+            if name in rmods or _DERIVES.search(path.read_bytes()):
+                infos.append(library.load(name).info)
+        except (PbonetError, OSError) as error:
+            faults.append(str(error))
+    return infos, faults
+
+
+def producers(rmods: Mapping[str, Rmod]) -> dict[str, tuple[str, ...]]:
+    """Return, by variable, the RMODs that write it, or give it as a constant."""
+    found: dict[str, list[str]] = {}
+    for name, rmod in sorted(rmods.items()):
+        for port in (*rmod.outvar, *rmod.outconst):
+            found.setdefault(rmod.svar_name(port), []).append(name)
+    return {variable: tuple(names) for variable, names in found.items()}
