@@ -20,6 +20,7 @@ from pathlib import Path
 RUNS = {
     "svar": "svar",
     "ports": "ports",
+    "library": "library",
     "jitter": "jitter",
     "jitter-checks": "jitter --checks --tasks 1 4 16 --blocks 5 --seconds 2",
     "overhead": "overhead",
@@ -53,6 +54,7 @@ RUNS = {
 QUICK = {
     "svar": "--rounds 2",
     "ports": "--rounds 1",
+    "library": "--cycles 100",
     "jitter": "--blocks 1 --seconds 0.5",
     "jitter-checks": "--tasks 1 4 --blocks 1 --seconds 0.3",
     "overhead": "--counts 1 4 --seconds 0.3",

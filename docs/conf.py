@@ -7,16 +7,19 @@ from pathlib import Path as _Path
 
 _sys.path.insert(0, str(_Path(__file__).parent))
 from figures import draw as _draw
+from library_responses import draw as _draw_responses
 from sphinx.application import Sphinx as _Sphinx
 from sphinx.environment import BuildEnvironment as _Environment
 
 _draw(_Path(__file__).parent / "_generated")
+_draw_responses(_Path(__file__).parent / "_generated")
 
 project = "pbonet"
 author = "the pbonet founders"
 release = _version("pbonet")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions += ["sphinx.ext.viewcode"]
 myst_enable_extensions = ["colon_fence", "dollarmath", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]

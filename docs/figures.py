@@ -66,7 +66,7 @@ def figure_6_1(folder: Path) -> None:
 
 def figure_6_4(folder: Path) -> None:
     """Draw the output of the two-task chain against its ideal."""
-    figure, axes = _figure(2, 1, height=4.6)
+    figure, axes = new_figure(2, 1, height=4.6)
     for axis, first, title in zip(
         axes, (True, False), ("priority of τa greater", "priority of τb greater"),
         strict=True,
@@ -78,13 +78,13 @@ def figure_6_4(folder: Path) -> None:
         axis.set_title(f"{title}: mean error {signals.error:.1f}", fontsize=9)
         axis.legend(loc="upper right", fontsize=8)
     axes[1].set_xlabel("time (s)")
-    _save(figure, folder / "figure-6-4.svg")
+    save(figure, folder / "figure-6-4.svg")
 
 
 def figure_6_5(folder: Path) -> None:
     """Draw the mean error over the period of the second task."""
     periods = np.arange(10, 201, 2)
-    figure, axis = _figure(1, 1)
+    figure, axis = new_figure(1, 1)
     for first, style, name in (
         (False, "#c2702d", "εb: priority of τb greater"),
         (True, "#2f6f9f", "εa: priority of τa greater"),
@@ -95,7 +95,7 @@ def figure_6_5(folder: Path) -> None:
     axis.set_ylabel("mean error of y, amplitude 50")
     axis.set_ylim(bottom=0)
     axis.legend()
-    _save(figure, folder / "figure-6-5.svg")
+    save(figure, folder / "figure-6-5.svg")
 
 
 def _curves(
@@ -108,7 +108,7 @@ def _curves(
 ) -> None:
     """Draw one quantity of all four servers over 0 to 1."""
     shares = np.linspace(0, 1, 201)
-    figure, axis = _figure(1, 1)
+    figure, axis = new_figure(1, 1)
     for label, (kind, tasks, colour, style) in KINDS.items():
         values = [value(kind, float(share), tasks=tasks) for share in shares]
         axis.plot(shares, values, color=colour, linestyle=style, label=label)
@@ -123,7 +123,7 @@ def _curves(
     axis.set_ylim(0, 1.02)
     axis.grid(visible=True, alpha=0.3)
     axis.legend(fontsize=8)
-    _save(figure, folder / f"{name}.svg")
+    save(figure, folder / f"{name}.svg")
 
 
 PERIODIC = "utilization of the periodic tasks, Up"
@@ -160,7 +160,8 @@ def figure_6_9(folder: Path) -> None:
     _curves(folder, "figure-6-9", servers.bound_for_size, (SIZE, BOUND), safe=safe)
 
 
-def _figure(rows: int, columns: int, *, height: float = 3.6) -> tuple[Any, Any]:
+def new_figure(rows: int, columns: int, *, height: float = 3.6) -> tuple[Any, Any]:
+    """Return a figure with axes, to be saved as SVG."""
     import matplotlib as mpl
 
     mpl.use("svg")
@@ -170,7 +171,8 @@ def _figure(rows: int, columns: int, *, height: float = 3.6) -> tuple[Any, Any]:
     return pyplot.subplots(rows, columns, figsize=(7.0, height), layout="constrained")
 
 
-def _save(figure: Any, path: Path) -> None:  # noqa: ANN401 - matplotlib has no types
+def save(figure: Any, path: Path) -> None:  # noqa: ANN401 - matplotlib has no types
+    """Write a figure, and forget it."""
     from matplotlib import pyplot
 
     figure.savefig(path, metadata={"Date": None})

@@ -102,8 +102,8 @@ def test_status_names_each_task_of_the_job_that_is_not_there(standing, agents, p
 
 def test_start_refuses_what_is_unsafe_with_strict_and_else_warns(pbonet, agents, puma):
     rmod = puma.with_name("puma_pidg.rmod")
-    theirs = Path(modules.__file__).with_name(rmod.name).read_text()
-    rmod.write_text(theirs.replace("CRITICAL", ""))
+    theirs = Path(modules.__file__).parent / "robot_interfaces" / rmod.name
+    rmod.write_text(theirs.read_text().replace("CRITICAL", ""))
     said = "puma_pidg is a robot interface and not CRITICAL"
     job, text = puma.with_name("puma.job"), puma.read_text()
     puma.write_text(text.replace("\n\nRTPU", "\nSTRICT yes\n\nRTPU", 1))

@@ -1,0 +1,172 @@
+"""The library's modules: how long a cycle takes, beside the bare call of its library.
+
+Each module runs on a bench as its ``.rmod`` configures it, with six joints or elements,
+and inputs that move in every cycle. Shown is the CPU time of its `cycle`, as MAXC is
+one; copying to and from the table is not in it (`benchmarks/svar.py`). Where a module's
+law is one call of a library, such as pinocchio's, that call is timed in the same cycle,
+after it. A module that cannot run here is shown with the reason, such as a package that
+is not installed. The goals: p99 is at most a fifth of the period, so 200 us at 1 kHz;
+p50 is at most 5 us above that of the library's call.
+
+    python -m benchmarks.library [--cycles N] [NAME ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from time import thread_time_ns
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pbonet.config import Library
+from pbonet.errors import PbonetError
+from pbonet.modules import __file__ as built_in
+from pbonet.ports import Kind
+from pbonet.testing import Bench
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from pbonet.config.library import LoadedModule
+
+SHARE = 0.2
+"""Of its period, what p99 of a module's cycle may take."""
+OVER = 5.0
+"""Microseconds of p50 that a module may take beside its library's call."""
+MISSED = 3
+SIZE = 6
+
+
+def puma() -> Mapping[str, Any]:
+    """Return the geometry of the PUMA, in a posture that is not singular."""
+    from pbonet.io import PUMA560
+
+    return {"ndof": SIZE, "dh": PUMA560.dh}
+
+
+USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
+    "grav_comp": puma,
+    "forward_kin": puma,
+    "puma_inv_kin": lambda: {**puma(), "x": pose(0.45, -0.15, 0.3)},
+    "tbuf_send": lambda: {"params": {"link": "x"}},
+    "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
+    "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
+}
+"""Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
+BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
+    "grav_comp": lambda module: lambda: module._chain.gravity(module.q),
+}
+"""The bare call of a module's library, made from its instance."""
+
+
+def pose(*place: float) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return a pose that looks down at a place."""
+    return np.column_stack((np.diag([1.0, -1.0, -1.0]), place))
+
+
+def bench(module: LoadedModule) -> Bench[Any]:
+    """Return a module on a bench, ON.
+
+    Raises:
+        PbonetError: It cannot run here.
+    """
+    values = dict(USUAL.get(module.info.name, dict)())
+    params = values.pop("params", None)
+    ports = module.info.ports
+    known = {port.attr: port for port in ports}
+    for dim in {dim for port in ports for dim in port.shape if isinstance(dim, str)}:
+        if dim not in values and not _follows(dim, values, known):
+            values[dim] = SIZE
+    if params is None:
+        made: Bench[Any] = Bench.of(module.path.with_suffix(".rmod"), values)
+    else:
+        made = Bench(module.cls, values, params=params)
+    made.on()
+    return made
+
+
+def _follows(dim: str, values: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
+    """Return whether a size follows from a value that is given."""
+    return any(name in known and dim in known[name].shape for name in values)
+
+
+def measure(
+    made: Bench[Any], bare: Callable[[], object] | None, cycles: int
+) -> tuple[list[int], list[int]]:
+    """Return nanoseconds of CPU time of each cycle, and of each bare call."""
+    moving = [
+        (port.name, np.array(made[port.name], dtype=float))
+        for port in made.module.__interface__.ports
+        if port.kind is Kind.INVAR and port.unit != "mixed"
+    ]
+    dt = 1.0 / made.task.freq
+    whole: list[int] = []
+    alone: list[int] = []
+    for n in range(cycles):
+        for name, rest in moving:
+            made[name] = rest + 1e-3 * np.sin(0.1 * n)
+        made.step()
+        begun = thread_time_ns()
+        made.module.cycle(dt)
+        ended = thread_time_ns()
+        whole.append(ended - begun)
+        if bare is not None:
+            begun = thread_time_ns()
+            bare()
+            alone.append(thread_time_ns() - begun)
+    return whole, alone
+
+
+def row(module: LoadedModule, cycles: int) -> tuple[list[str], bool]:
+    """Return the row of a module, and whether it is as fast as it must be."""
+    name = module.info.name
+    try:
+        made = bench(module)
+        bare = BARE[name](made.module) if name in BARE else None
+        whole, alone = measure(made, bare, cycles)
+    except (PbonetError, ImportError) as error:
+        return [name, f"not here: {str(error).splitlines()[0][:70]}", *4 * ["-"]], True
+    cells, met = [name, module.info.module_class], True
+    p50, p99 = np.percentile(whole, [50, 99]) / 1e3
+    met = p99 <= SHARE * 1e6 / made.task.freq
+    cells += [f"{p50:.1f}", f"{p99:.1f}"]
+    if not alone:
+        return [*cells, "-", "-"], met
+    least, most = np.percentile(alone, [50, 99]) / 1e3
+    return [*cells, f"{least:.1f}", f"{most:.1f}"], met and p50 - least <= OVER
+
+
+def own(path: Path) -> bool:
+    """Return whether a file is one of pbonet's own modules."""
+    return str(path).startswith(built_in.removesuffix("__init__.py"))
+
+
+def main() -> int:
+    """Measure and print a Markdown table; 3 when a module is too slow."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cycles", type=int, default=5000)
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    given = parser.parse_args()
+    library = Library()
+    names = [name for name, path in library.files().items() if own(path)]
+    if unknown := sorted(set(given.names) - set(names)):
+        parser.error(f"the library has no module {', '.join(unknown)}")
+    print(f"{platform.processor() or platform.machine()}, {platform.python_version()}")
+    print(f"{given.cycles} cycles; microseconds; {SIZE} joints or elements\n")
+    print("| module | class | p50 | p99 | library's call, p50 | p99 |")
+    print("|---|---|---|---|---|---|")
+    slow: list[str] = []
+    for name in given.names or names:
+        cells, met = row(library.load(name), given.cycles)
+        print(f"| {' | '.join(cells)} |", flush=True)
+        slow += [] if met else [name]
+    if slow:
+        print(f"\ngoal missed by {', '.join(slow)}")
+    return MISSED if slow else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,143 @@
+"""Draw the responses of the library's modules with one input and one output.
+
+``docs/conf.py`` calls `draw` when the documentation is built; by hand it is
+``python docs/library_responses.py FOLDER``. Each module runs on a bench as its
+``.rmod`` configures it, so the pictures are of the code.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from figures import new_figure, save
+
+from pbonet.config import Library
+from pbonet.ports import Kind
+from pbonet.testing import Bench
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pbonet.config.library import LoadedModule
+    from pbonet.ports import Port
+
+HERE = Path(__file__).resolve().parent
+CYCLES = 400
+_BEFORE = 5
+"""Cycles before the step."""
+_SETTLED = 1e-3
+"""An impulse response that has ended is below this part of its maximum."""
+
+
+class Response(NamedTuple):
+    """How a module answers a unit step, and what follows from that."""
+
+    time: NDArray[np.float64]
+    """Seconds since the step."""
+    output: NDArray[np.float64]
+    """One element of the output, without that at no input."""
+    freq: NDArray[np.float64]
+    """Hz; empty where the law is not linear, or its impulse response does not end."""
+    gain: NDArray[np.float64]
+
+
+def responds(module: LoadedModule) -> bool:
+    """Return whether a module has one input and one output, of one shape.
+
+    A module that needs a constant beside the sizes, such as a robot's geometry, has no
+    response of its own.
+    """
+    inputs, outputs = _ports(module)
+    sizes = {dim for port in module.info.ports for dim in port.shape}
+    consts = [port for port in module.info.ports if port.kind is Kind.INCONST]
+    return (
+        len(inputs) == len(outputs) == 1
+        and sizes.issuperset(port.attr for port in consts)
+        and inputs[0].shape == outputs[0].shape
+        and {inputs[0].type, outputs[0].type} <= {"float", "float64", "float64[]"}
+    )
+
+
+def _ports(module: LoadedModule) -> tuple[list[Port], list[Port]]:
+    ports = module.info.ports
+    return (
+        [port for port in ports if port.kind is Kind.INVAR],
+        [port for port in ports if port.kind is Kind.OUTVAR],
+    )
+
+
+def response(module: LoadedModule) -> Response:
+    """Return how a module answers a step of its input.
+
+    Raises:
+        PbonetError: Its RMOD does not run with three elements.
+    """
+    rest, one, two = (_run(module, height) for height in (0.0, 1.0, 2.0))
+    hz = _bench(module).task.freq
+    output = one - rest
+    impulse = np.diff(output[_BEFORE - 1 :])
+    linear = np.allclose(two - rest, 2 * output, rtol=1e-9, atol=1e-9)
+    peak = np.max(np.abs(impulse))
+    ended = np.max(np.abs(impulse[-CYCLES // 4 :])) < _SETTLED * peak
+    time = (np.arange(len(output)) - _BEFORE) / hz
+    if not (linear and ended):
+        none = np.zeros(0)
+        return Response(time, output, none, none)
+    gain = np.abs(np.fft.rfft(impulse))[1:].astype(np.float64)
+    freq = np.fft.rfftfreq(len(impulse), 1 / hz)[1:]
+    return Response(time, output, freq.astype(np.float64), gain)
+
+
+def _run(module: LoadedModule, height: float) -> NDArray[np.float64]:
+    """Return the output while the input steps from 0 to a height."""
+    (given,), (taken,) = _ports(module)
+    bench = _bench(module)
+    bench.on()
+    seen: list[float] = []
+    for cycle in range(_BEFORE + CYCLES):
+        if cycle == _BEFORE:
+            bench[given.name] = np.full(np.shape(bench[given.name]), height)
+        bench.step()
+        seen.append(float(np.ravel(bench[taken.name])[0]))
+    return np.array(seen)
+
+
+def _bench(module: LoadedModule) -> Bench[Any]:
+    sizes = {dim for port in module.info.ports for dim in port.shape}
+    return Bench.of(
+        module.path.with_suffix(".rmod"),
+        {dim: 3 for dim in sizes if isinstance(dim, str)},
+    )
+
+
+def draw(folder: Path) -> None:
+    """Write a picture of every module that responds into `folder`, as SVG."""
+    folder.mkdir(parents=True, exist_ok=True)
+    library = Library()
+    for name, path in library.files().items():
+        if path.is_relative_to(HERE.parent) and responds(module := library.load(name)):
+            _picture(response(module), folder / f"response-{name}.svg")
+
+
+def _picture(found: Response, path: Path) -> None:
+    columns = 2 if len(found.freq) else 1
+    figure, axes = new_figure(1, columns, height=2.4)
+    step, *rest = np.ravel(axes)
+    step.step(1e3 * found.time, found.output, where="post", color="#2f6f9f")
+    step.set_xlabel("time since a step of 1 at the input (ms)")
+    step.set_ylabel("output")
+    step.grid(visible=True, alpha=0.3)
+    for axis in rest:
+        level = 20 * np.log10(np.maximum(found.gain, 1e-6))
+        axis.semilogx(found.freq, level, color="#2f6f9f")
+        axis.set_xlabel("frequency (Hz)")
+        axis.set_ylabel("gain (dB)")
+        axis.grid(visible=True, alpha=0.3)
+    save(figure, path)
+
+
+if __name__ == "__main__":
+    draw(Path(sys.argv[1]))
