@@ -12,7 +12,8 @@ HELP = "Write the first files of a module, a variable table, or a job."
 
 Name = A[str, Argument("Its name: letters, digits, underscores.")]
 Rmods = A[
-    list[str], Argument("The tasks: .rmod files of this folder or a library.", "RMOD")
+    list[str],
+    Argument("The tasks: .rmod files of this folder or a library, or modules.", "RMOD"),
 ]
 Sizes = A[
     list[str] | None,

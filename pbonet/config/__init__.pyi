@@ -6,6 +6,7 @@ from .agent import (
 )
 from .any_file import read_any as read_any
 from .bundle import Section as Section, bundled as bundled
+from .class_rmod import own_rmod as own_rmod
 from .combining import info_of as info_of
 from .conditions import Parsed as Parsed, parse as parse
 from .job import (

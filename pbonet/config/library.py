@@ -149,10 +149,43 @@ class Library:
 
         def part(name: str) -> Section:
             beside = Path(path).parent / f"{name}.rmod"
-            found = beside if beside.is_file() else self.find_rmod(name)
-            return Section(load(found), str(found))
+            if beside.is_file():
+                return Section(load(beside), str(beside))
+            return self.source(name)
 
         return parse_rmod(bundled(load(path), part), str(path))
+
+    def source(self, name: str, freq: float | None = None) -> Section:
+        """Return the text of an RMOD and its file; else that which the class makes.
+
+        Args:
+            name: The RMOD, or a module that has no ``.rmod`` file.
+            freq: Hz, for a module whose class has none.
+
+        Raises:
+            ConfigFileError: There is none of that name.
+            ConfigError: The class does not say all.
+            ModuleLoadError: The module's code does not load.
+        """
+        from . import Section, own_rmod
+
+        if self._first_with(f"{name}.rmod") is None and name in self.files():
+            loaded = self.load(name)
+            return Section(own_rmod(loaded.info, freq), str(loaded.path))
+        found = self.find_rmod(name)
+        return Section(load(found), str(found))
+
+    def record(self, name: str, freq: float | None = None) -> Rmod:
+        """Return an RMOD by its name, or that of a module without a file.
+
+        Raises:
+            ConfigError: As `source`, or it says something that cannot be.
+            ModuleLoadError: The module's code does not load.
+        """
+        from . import bundled, parse_rmod
+
+        text, file = self.source(name, freq)
+        return parse_rmod(bundled(text, self.source), file)
 
     def _load_of(self, rmod: Rmod) -> LoadedModule:
         """Return the module of an RMOD; a missing one is reported with its line."""

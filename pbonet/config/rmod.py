@@ -69,7 +69,9 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
         ConfigError: It says something that cannot be.
     """
     main, parts = split(decode(text, file) if isinstance(text, bytes) else text)
-    return _parse(main, file, parts)
+    record = _parse(main, file, parts)
+    # that which a class makes has no lines in a file
+    return structs.replace(record, places={}) if file.endswith(".py") else record
 
 
 def _parse(
@@ -166,8 +168,11 @@ def _code(
 
 
 def rmod_name(file: str) -> str:
-    """Return the RMOD's name that belongs to a file name."""
-    return Path(file).name.removesuffix(".rmod")
+    """Return the RMOD's name that belongs to a file name.
+
+    That of a module stands for the RMOD that its class makes.
+    """
+    return Path(file).name.removesuffix(".rmod").removesuffix(".py")
 
 
 def _name(file: str) -> str:

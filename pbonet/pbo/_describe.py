@@ -60,6 +60,8 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     robot_interface: bool = False
     """Whether it turns what it reads into motion: it says so by its class, or it has
     none, reads variables, and its code names one of `OUTPUT_DEVICES`."""
+    freq: float | None = None
+    """Hz of a task without an RMOD; None: the class has none."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
     parts: tuple[PartInfo, ...] = ()
@@ -182,6 +184,7 @@ def describe(
         critical_ok="stable" in declared.methods or is_safe(declared.ports),
         module_class=cls.module_class,
         robot_interface=_is_robot_interface(cls),
+        freq=cls.__freq__,
         signals=declared.signals,
     )
 

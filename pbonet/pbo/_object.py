@@ -77,6 +77,8 @@ ModuleClass = Literal[
 MODULE_CLASSES: tuple[str, ...] = get_args(ModuleClass)[1:]
 """The classes of modules in the library (Stewart 1994, Figure 3.14)."""
 ROBOT_INTERFACE: ModuleClass = "robot interface"
+LEAST_HZ, MOST_HZ = 1e-6, 1e6
+"""Lowest and highest frequency of a task."""
 
 
 class Interface(Struct, frozen=True):
@@ -101,6 +103,8 @@ class PortBasedObject(Generic[P]):
     library, one of `MODULE_CLASSES` (Stewart 1994, Figure 3.14). A "robot interface"
     turns what it reads into motion: such a task should be CRITICAL, and `pbonet check`
     says so, also of a module of no class that uses an output device of `pbonet.io`.
+    ``freq=500`` gives the frequency in Hz of a task that has no ``.rmod`` file, because
+    the class says all that it needs.
 
     Attributes:
         params: The module's parameters, as `Params` of its own.
@@ -112,6 +116,7 @@ class PortBasedObject(Generic[P]):
     __abstract__: ClassVar[bool] = True
     module_class: ClassVar[ModuleClass] = ""
     """The module's class in the library, one of `MODULE_CLASSES`; see above."""
+    __freq__: ClassVar[float | None] = None
     __within__: ClassVar[tuple[Port, ...]] = ()
     """Ports of a combination's parts that are none of it; see `combination`."""
 
@@ -139,6 +144,7 @@ class PortBasedObject(Generic[P]):
         *,
         abstract: bool = False,
         module_class: ModuleClass = "",
+        freq: float | None = None,
         **settings: Any,  # noqa: ANN401
     ) -> None:
         """Read and check the declarations of one module."""
@@ -147,6 +153,7 @@ class PortBasedObject(Generic[P]):
         cls.__abstract__ = abstract
         cls.module_class = module_class or cls.module_class
         _check_class(module_class, body)
+        cls.__freq__ = cls.__freq__ if freq is None else _checked_freq(freq, body)
         cls.__params__ = _params(cls, body)
         _refuse_constructor(cls, body)
         ports = _ports(cls, body)
@@ -338,6 +345,19 @@ def _params(cls: type[PortBasedObject[Any]], body: Declaring) -> type[Params]:
 
 def _is_params(chosen: object) -> TypeGuard[type[Params]]:
     return isinstance(chosen, type) and issubclass(chosen, Params)
+
+
+def _checked_freq(freq: object, body: Declaring) -> float:
+    """Return a frequency as a class declares it."""
+    if isinstance(freq, int | float) and LEAST_HZ <= freq <= MOST_HZ:
+        return float(freq)
+    raise body.error(
+        "",
+        "freq is no frequency",
+        expected=f"freq=, in Hz from {LEAST_HZ:g} to {MOST_HZ:g}",
+        got=repr(freq),
+        remedy="write such as freq=500",
+    )
 
 
 def _check_class(got: str, body: Declaring) -> None:

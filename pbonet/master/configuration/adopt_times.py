@@ -27,7 +27,7 @@ from pbonet.errors import (
 )
 
 from .saved_profiles import here, with_times
-from .subsystem_files import Files
+from .subsystem_files import Files, RmodSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 DIGITS = 3
 """Significant digits of what is written."""
+_ANY_HZ = 1.0
+"""Stands for the frequency of a class without one, until the measured one is known."""
 _BEHIND = ("MAXC", "MINC", "EFFC", "PERIOD", "FREQ", "TASKTYPE")
 """Below which line a new one goes: the first of these that is there."""
 _VALUE = re.compile(r"^(\s*\w+)(\s+)([^\s#]+)(.*)$", re.DOTALL)
@@ -91,7 +93,7 @@ def adopt(
     found: list[Adopted] = []
     warnings: list[str] = []
     for name in wanted:
-        source = files.rmod(name)
+        source = files.rmod(name, _ANY_HZ)
         if source.record.capacity is not None:
             if names:
                 warnings.append(_no_cycle(source.record))
@@ -103,11 +105,12 @@ def adopt(
         if saved is None:
             warnings.append(note)
             continue
+        source = _with_file(files, source, saved.hz)
         times = measured_times(source.record, saved, margin)
         if problem := _too_long(source.record, saved, times):
             warnings.append(problem)
             continue
-        found.append(_write(files, source.record, saved, times, dry_run=dry_run))
+        found.append(_write(files, source, saved, times, dry_run=dry_run))
     return found, warnings
 
 
@@ -158,13 +161,31 @@ def _too_long(rmod: Rmod, saved: Saved, times: dict[str, float]) -> str:
     )
 
 
+def _with_file(files: Files, source: RmodSource, hz: float | None) -> RmodSource:
+    """Return an RMOD with the file that it gets, where its class stands for it.
+
+    Where the class has no frequency, that of the measurement is written.
+    """
+    if not source.record.file.endswith(".py"):
+        return source
+    file = files.path.parent / f"{source.record.name}.rmod"
+    text = files.rmod(source.record.name, hz).text
+    return RmodSource(parse_rmod(text, str(file)), text)
+
+
 def _write(
-    files: Files, rmod: Rmod, saved: Saved, times: dict[str, float], *, dry_run: bool
+    files: Files,
+    source: RmodSource,
+    saved: Saved,
+    times: dict[str, float],
+    *,
+    dry_run: bool,
 ) -> Adopted:
+    rmod = source.record
     before = Path(rmod.file)
     target = before if files.is_own(before) else files.path.parent / before.name
-    old = load(before)
-    new = with_lines(old, rmod, times)
+    old = load(before) if before.exists() else ""
+    new = with_lines(old or source.text, rmod, times)
     _must_mean(rmod, bundled(new, files.part), times)
     diff = "".join(
         difflib.unified_diff(
@@ -175,7 +196,7 @@ def _write(
         )
     )
     if diff and not dry_run:
-        marked = before.read_bytes().startswith(codecs.BOM_UTF8)
+        marked = bool(old) and before.read_bytes().startswith(codecs.BOM_UTF8)
         _replace(target, codecs.BOM_UTF8 * marked + new.encode())
     return Adopted(
         rmod=rmod.name,

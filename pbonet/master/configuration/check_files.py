@@ -121,7 +121,7 @@ def check_file(
             Files(path, library, outside=outside)  # reads the .svar file, too
         elif isinstance(record, JobFile):
             found.about = f"job {record.name} of {len(record.tasks)} tasks"
-            files = Files(path, library, outside=outside)
+            files = Files(path, library, outside=outside, code=code)
             _check_job(found, files, host or here(), code=code)
         elif isinstance(record, AgentConfig):
             found.about = f"agent {record.name or 'without a name'}"
@@ -195,7 +195,7 @@ def planned(
     lines = [line for task in job.tasks for line in _lines(task)]
     for wanted, original in lines:
         try:
-            rmod = files.rmod(wanted.rmod).record
+            rmod = files.rmod(wanted.rmod, wanted.freq).record
             info = _described(rmod, files.library) if code else None
         except PbonetError as error:
             error.where = error.where or str(wanted.place or job.file)

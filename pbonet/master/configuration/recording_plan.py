@@ -142,9 +142,11 @@ class RecordingPlan:
         Of one that cannot be read its task says so when it is spawned.
         """
         tasks = self._job.tasks if self._job is not None else ()
-        names = {name for one in tasks for name in (one.rmod, one.fallback) if name}
+        names: dict[str, float | None]
+        names = {one.fallback: None for one in tasks if one.fallback}
+        names |= {one.rmod: one.freq for one in tasks}
         found: dict[str, str] = {}
-        for name in sorted(names):
+        for name, freq in sorted(names.items()):
             with contextlib.suppress(PbonetError):
-                found[f"{name}.rmod"] = files.rmod(name).text
+                found[f"{name}.rmod"] = files.rmod(name, freq).text
         return found

@@ -50,13 +50,19 @@ class Files:
             files become its first ones.
         outside: Whether SBS and SVARFILE lines may name files outside the folder of
             the first file.
+        code: Whether a module without an ``.rmod`` file may be imported.
 
     Raises:
         ConfigError: One of the files is missing, wrong, or not where it may be.
     """
 
     def __init__(
-        self, path: str | Path, library: Library, *, outside: bool = True
+        self,
+        path: str | Path,
+        library: Library,
+        *,
+        outside: bool = True,
+        code: bool = True,
     ) -> None:
         path = Path(path)
         folder = None if outside else path.parent
@@ -67,6 +73,7 @@ class Files:
             _within(folder, path, self.job.file, "SBS")
         self.path = path
         self.library = library
+        self._code = code
         text = _named(path, self.job.file, "SBS") if self.job else load(path)
         self.sbs: SbsFile = parse_sbs(text, str(path))
         svar = path.parent / self.sbs.svarfile
@@ -114,27 +121,52 @@ class Files:
         self._search_first_in(folder)
         return job
 
-    def rmod(self, name: str) -> RmodSource:
-        """Return the RMOD `name` from its present file.
+    def rmod(self, name: str, freq: float | None = None) -> RmodSource:
+        """Return the RMOD `name` from its present file, or from its module's class.
+
+        Args:
+            name: The RMOD, or a module that has no ``.rmod`` file.
+            freq: Hz, for a module whose class has none.
 
         Raises:
             NodeError: No task can have that name.
             ConfigFileError: There is none of that name.
-            ConfigError: Its file is wrong.
+            ConfigError: Its file is wrong, or its class does not say all.
+            ModuleLoadError: The module's code does not load.
         """
         name = check_name("a task", name.removesuffix(".rmod"))
-        path = self._find(name)
-        text = config.bundled(load(path), self.part)
-        return RmodSource(config.parse_rmod(text, str(path)), text)
+        main, file = self.part(name, freq)
+        text = config.bundled(main, self.part)
+        return RmodSource(config.parse_rmod(text, file), text)
 
-    def part(self, name: str) -> config.Section:
-        """Return the file of a part of a combination.
+    def part(self, name: str, freq: float | None = None) -> config.Section:
+        """Return the text of an RMOD, such as a part of a combination, and its file.
 
         Raises:
             ConfigFileError: There is none of that name.
+            ConfigError: It is a module whose class does not say all.
+            ModuleLoadError: The module's code does not load.
         """
         path = self._find(name)
-        return config.Section(load(path), str(path))
+        if path is not None:
+            return config.Section(load(path), str(path))
+        if name not in self.library.files():
+            raise self._unknown(name, self.rmods())
+        if not self._code:
+            raise ConfigError(
+                f"{name} has no .rmod file, and its module is not imported",
+                expected=f"{name}.rmod",
+                remedy="leave out --no-code, or write the file",
+            )
+        return self.library.source(name, freq)
+
+    def rtpu_of(self, name: str) -> str | None:
+        """Return the RTPU that an RMOD's file names; None: none, or it has no file.
+
+        Raises:
+            ConfigError: Its file is wrong.
+        """
+        return self.rmod(name).record.rtpu if self._find(name) else None
 
     def is_own(self, path: Path) -> bool:
         """Return whether a file is beside the subsystem's own, not in a library."""
@@ -155,12 +187,13 @@ class Files:
             )
 
     def rmods(self) -> list[str]:
-        """Return the names of the RMODs that can be spawned, sorted."""
-        return [name for name in self.library.rmods() if NAME.fullmatch(name)]
+        """Return the names of RMODs, and of modules without one, sorted."""
+        names = {*self.library.rmods(), *self.library.files()}
+        return sorted(name for name in names if NAME.fullmatch(name))
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        return Producers(self.library)
+        return Producers(self.library, code=self._code)
 
     def jobs(self) -> list[str]:
         """Return the jobs that are beside the ``.sbs``, sorted."""
@@ -182,7 +215,7 @@ class Files:
         originals = [one for job in jobs for one in job.tasks if one.fallback == task]
         for rmod in (task, *(one.rmod for one in originals if not one.rtpu)):
             with contextlib.suppress(NodeError, ConfigError):
-                named.append(self.rmod(rmod).record.rtpu)
+                named.append(self.rtpu_of(rmod))
         named += [one.rtpu for one in originals]  # unless it has an RTPU of its own
         rtpus = [entry.name for entry in self.sbs.rtpus]
         return next((rtpu for rtpu in named if rtpu in rtpus), rtpus[0])
@@ -210,20 +243,21 @@ class Files:
             return wanted
         return beside
 
-    def _find(self, name: str) -> Path:
+    def _find(self, name: str) -> Path | None:
         for folder in self._folders:
             path = folder / f"{name}.rmod"
             if path.exists():
                 return path
         with contextlib.suppress(ConfigFileError):
             return self.library.find_rmod(name)
-        raise self._unknown(name, self.rmods())
+        return None
 
     def _unknown(self, name: str, known: Iterable[str]) -> ConfigFileError:
         places = [str(folder) for folder in self._folders]
         return ConfigFileError(
             f"there is no RMOD {name}",
-            expected=f"{name}.rmod in {' or '.join(places)}, or in the library",
+            expected=f"{name}.rmod, or a module {name}.py, in {' or '.join(places)}, "
+            "or in the library",
             remedy=did_you_mean(name, known) or "see 'library' for what there is",
         )
 
@@ -275,15 +309,22 @@ def _is_there(path: Path) -> bool:
 
 
 class Producers(Mapping[str, tuple[str, ...]]):
-    """The RMODs that write each variable, read from all files when one is asked for."""
+    """The RMODs that write each variable, read from all files when one is asked for.
 
-    def __init__(self, library: Library) -> None:
+    A module without an RMOD stands for its own; `code` says whether it may be imported.
+    """
+
+    def __init__(self, library: Library, *, code: bool) -> None:
         self._library = library
+        self._code = code
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
         records = self._library.records()
-        return config.producers({n: r for n, r in records.items() if NAME.fullmatch(n)})
+        infos = config.described(self._library, alone=True)[0] if self._code else []
+        return config.producers(
+            {n: r for n, r in records.items() if NAME.fullmatch(n)}, infos
+        )
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:
         return self._found[variable]

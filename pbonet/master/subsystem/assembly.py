@@ -40,7 +40,8 @@ def plan(task_set: SubsystemTasks, job: JobFile) -> list[Member]:
     errors: list[PbonetError] = []
     for task in job.tasks:
         try:
-            member = task_set.plan(task_set.files.rmod(task.rmod), task.rtpu, task.freq)
+            source = task_set.files.rmod(task.rmod, task.freq)
+            member = task_set.plan(source, task.rtpu, task.freq)
         except PbonetError as error:
             if not error.where or task.rtpu not in {None, *task_set.clients.names}:
                 error.where = str(task.place or job.file)

@@ -60,7 +60,7 @@ def _home(files: Files, one: JobTask, name: str) -> str:
     own = None
     if name != one.rmod:
         with contextlib.suppress(PbonetError):
-            own = files.rmod(name).record.rtpu
+            own = files.rtpu_of(name)
     return own or files.likely_rtpu(one.rmod)
 
 

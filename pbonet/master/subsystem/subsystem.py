@@ -350,7 +350,7 @@ class Subsystem:
         if hz is not None:
             check_rate(rmod, hz)
         with self._changing() as task_set:
-            member = task_set.plan(self.files.rmod(rmod), rtpu, hz)
+            member = task_set.plan(self.files.rmod(rmod, hz), rtpu, hz)
             task_set.must_be_new(member)
             task_set.judge(legality.spawn(member.task))
             try:

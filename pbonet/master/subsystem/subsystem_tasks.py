@@ -540,7 +540,7 @@ class SubsystemTasks:
         request = m.Spawn(
             task=member.name,
             rmod=member.source.text,
-            rmod_name=_place(member.rmod.file),
+            rmod_name=_place(member.rmod),
             freq=member.freq or None,
             crit=member.rmod.crit,
             priority=priorities[member.name],
@@ -813,7 +813,8 @@ class SubsystemTasks:
         return stopped, errors, unsure
 
 
-def _place(file: str) -> str:
-    """Return the path of an RMOD, or its name if it is known only from a task."""
-    path = Path(file)
-    return str(path.absolute()) if path.is_file() else path.name
+def _place(rmod: Rmod) -> str:
+    """Return the path of an RMOD, or its name if it has no file of its own."""
+    path = Path(rmod.file)
+    own = path.suffix == ".rmod" and path.is_file()
+    return str(path.absolute()) if own else f"{rmod.name}.rmod"

@@ -44,6 +44,12 @@ class Use(Struct, frozen=True):
     rmod: Rmod
     info: ModuleInfo
 
+    @property
+    def freq(self) -> float | None:
+        """Hz that the job must say, because neither an RMOD nor the class does."""
+        unsaid = self.rmod.file.endswith(".py") and self.info.freq is None
+        return self.rmod.freq if unsaid else None
+
     def ports(self) -> dict[str, Port]:
         """Return its ports by their variables."""
         return {self.rmod.svar_name(port.name): port for port in self.info.ports}
@@ -205,7 +211,7 @@ def new_sbs(file: str, name: str, svar: str) -> SbsFile:
 
 
 def new_job(
-    file: str, name: str, sbs: str, rmods: Sequence[str], desc: str = ""
+    file: str, name: str, sbs: str, uses: Sequence[Use], desc: str = ""
 ) -> JobFile:
     """Return a job of these tasks, in this order."""
     return JobFile(
@@ -213,7 +219,7 @@ def new_job(
         name=name,
         desc=desc or f"job {name}",
         sbs=sbs,
-        tasks=tuple(JobTask(rmod=rmod) for rmod in rmods),
+        tasks=tuple(JobTask(rmod=use.rmod.name, freq=use.freq) for use in uses),
     )
 
 

@@ -24,6 +24,9 @@ _KINDS = {
     "out": Kind.OUTVAR,
 }
 
+_HZ = 100.0
+"""Frequency that a new job gives a task of which neither file nor class has one."""
+
 
 def new_module(
     name: str,
@@ -86,7 +89,7 @@ def new_svar(
 
     Args:
         name: The file's name, without its ending.
-        rmods: The tasks, by their RMODs in the folder or in the libraries.
+        rmods: The tasks, by RMODs or modules in the folder or in the libraries.
         sizes: What no port says, as ``NAME=NUMBER``.
         libraries: Folders of modules.
         folder: Where to write.
@@ -122,7 +125,7 @@ def new_job(
 
     Args:
         name: The job's name.
-        rmods: Its tasks, by their RMODs in the folder or in the libraries.
+        rmods: Its tasks, by RMODs or modules in the folder or in the libraries.
         sbs: The subsystem's file.
         sizes: As for `new_svar`.
         desc: What the job does.
@@ -150,8 +153,7 @@ def new_job(
         system = scaffold_system.new_sbs(f"{name}.sbs", name, table.file)
         texts = {table.file: write_svar(table), system.file: write_sbs(system)}
         place = system.file
-    tasks = [use.rmod.name for use in uses]
-    job = scaffold_system.new_job(f"{name}.job", name, place, tasks, desc)
+    job = scaffold_system.new_job(f"{name}.job", name, place, uses, desc)
     texts[job.file] = write_job(job)
     return _write(
         {folder / file: text for file, text in texts.items()}, force=force
@@ -179,7 +181,7 @@ def _uses(
     rmods: Sequence[str], folders: Sequence[str | Path]
 ) -> list[scaffold_system.Use]:
     library = Library(folders)
-    records = [library.read_rmod(library.find_rmod(name)) for name in rmods]
+    records = [library.record(name, _HZ) for name in rmods]
     return [scaffold_system.Use(one, library.load_rmod(one).info) for one in records]
 
 

@@ -55,12 +55,12 @@ def save(folder, name="vel", *, hz=100.0, most=801e-6, host=None, least=51.2e-6)
     from pbonet.master.configuration.subsystem_files import Files
 
     files = Files(folder / "puma.sbs", Library())
-    rmod = files.rmod(name).record
+    rmod = files.rmod(name, hz).record
     host = host or saved_profiles.here()
     saved = saved_profiles.Saved(
         rmod=name,
         module=rmod.module,
-        version=Library().load(rmod.module).info.version,
+        version=files.library.load(rmod.module).info.version,
         setup=saved_profiles.setup_of(rmod, files.table),
         host=host,
         rtpu="arm0",
@@ -284,3 +284,28 @@ def test_an_overload_that_was_only_measured_is_told_and_not_refused(folder, caps
         main(["check", str(folder / "puma.job")])
     assert caught.value.code == 1
     assert f"ERROR> arm1: {words}" in capsys.readouterr().out
+
+
+LAG = '''
+from typing import Annotated as A
+from pbonet import OutVar, PortBasedObject, Vector
+
+class Lag(PortBasedObject):
+    """Write zero velocity."""
+
+    v: A[Vector, OutVar("Q^_MEZ", "6", "rad/s", "velocity")]
+
+    def cycle(self, dt):
+        self.v[:] = 0.0
+'''
+
+
+def test_a_module_without_a_file_gets_one(folder, call):
+    (folder / "lag.py").write_text(LAG)
+    save(folder, "lag", hz=40.0)
+    status, out, _ = call("adopt", folder / "puma.sbs", "lag")
+    assert status == 0
+    assert "+OUTVAR    Q^_MEZ" in out
+    rmod = read_rmod(folder / "lag.rmod")
+    assert (rmod.module, rmod.freq, rmod.outvar) == ("lag", 40.0, ("Q^_MEZ",))
+    assert rmod.maxc == pytest.approx(801e-6 * 1.2, rel=0.01)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 
 from pbonet.config import Library, parse_job
@@ -59,8 +57,8 @@ def test_a_standby_is_named_too_where_its_original_is(files):
 def test_a_standby_on_an_rtpu_of_its_own_is_named_there(files, monkeypatch):
     text = "JOB j\nDESC\nSBS puma.sbs\nTASK qrdiff arm0 FALLBACK spare\nEOF\n"
     files.job = parse_job(text, "j.job")
-    own = SimpleNamespace(record=SimpleNamespace(rtpu="arm1"))
-    monkeypatch.setattr(files, "rmod", lambda _name: own)
+    own = {"spare": "arm1"}
+    monkeypatch.setattr(files, "rtpu_of", own.get)
     found = {one.task: one.rtpu for one in find_missing(files, [])}
     assert found == {"qrdiff": "arm0", "spare": "arm1"}
 
