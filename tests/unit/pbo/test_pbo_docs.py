@@ -28,6 +28,7 @@ def folder(tmp_path):
         *("hold.py", "test_hold.py", "hold.rmod"),
         *("reach.py", "test_reach.py"),
         *("gripper.py", "gripper.rmod", "test_gripper.py"),
+        *("pendulum.py", "test_pendulum.py"),
     ]
     for name, text in shown:
         (tmp_path / name).write_text(text)
@@ -45,10 +46,10 @@ def test_the_examples_pass_their_own_tests(folder):
         check=False,
     )
     assert done.returncode == 0, done.stdout
-    assert "8 passed" in done.stdout
+    assert "9 passed" in done.stdout
 
 
-@pytest.mark.parametrize("name", ["hold.py", "reach.py", "gripper.py"])
+@pytest.mark.parametrize("name", ["hold.py", "reach.py", "gripper.py", "pendulum.py"])
 def test_the_examples_pass_ruff(folder, name):
     own = 'lint.isort.known-first-party=["pbonet"]'
     own_form = ("--ignore", "ARG002")  # `cycle` has `dt` whether it is used or not
