@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pbonet.master.console import Subsystem
-    from pbonet.master.tools.write_new_files import new_job
+    from pbonet.master.tools import new_job
 
 __all__ = ["Subsystem", "new_job"]
 
@@ -21,9 +21,9 @@ __all__ = ["Subsystem", "new_job"]
 def __getattr__(name: str) -> object:
     """Load `Subsystem` or `new_job` when it is asked for."""
     if name == "new_job":
-        from pbonet.master.tools import write_new_files
+        from pbonet.master.tools import new_job
 
-        return write_new_files.new_job
+        return new_job
     if name != "Subsystem":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from pbonet.master.console import Subsystem

@@ -7,3 +7,4 @@ from . import (
     schedule_job as schedule_job,
     write_new_files as write_new_files,
 )
+from .write_new_files import new_job as new_job
