@@ -51,6 +51,8 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "grav_comp": puma,
     "forward_kin": puma,
     "puma_inv_kin": lambda: {**puma(), "x": pose(0.45, -0.15, 0.3)},
+    "imu_fusion": lambda: {"acc": [0.0, 0.0, 9.81]},
+    "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3)},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
@@ -100,7 +102,9 @@ def measure(
     moving = [
         (port.name, np.array(made[port.name], dtype=float))
         for port in made.module.__interface__.ports
-        if port.kind is Kind.INVAR and port.unit != "mixed"
+        if port.kind is Kind.INVAR
+        and port.unit != "mixed"
+        and port.type.startswith("float")
     ]
     dt = 1.0 / made.task.freq
     whole: list[int] = []
