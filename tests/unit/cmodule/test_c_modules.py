@@ -133,7 +133,8 @@ static int timing_failure(void *state, pbo_task *task, int kind)
 }
 
 PBO_MODULE(struct talks, "Says what it does.\\n\\nAt length.", PBO_PORTS(ports),
-           PBO_PARAMS(params), PBO_CLASS("robot interface"), .init = init, .on = on, .cycle = cycle, .stable = stable,
+           PBO_PARAMS(params), PBO_CLASS("robot interface"), .init = init, .on = on,
+           .cycle = cycle, .stable = stable,
            .error = error, .clear = clear, .set = set,
            .timing_failure = timing_failure);
 """
