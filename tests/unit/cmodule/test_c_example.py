@@ -1,4 +1,4 @@
-"""The example in C: in virtual time, swapped with its twin, and run again from a log."""
+"""The example in C: in virtual time, swapped with its twin, run again from a log."""
 
 import shutil
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from c_modules import EXAMPLE, compile_c, write_c
+from c_modules import EXAMPLE, write_c
 from virtual_job import VirtualJob
 
 from pbonet.config import Library
