@@ -72,12 +72,15 @@ def _machine(data: bytes) -> str:
 
 def _size(data: bytes) -> int:
     """Return the bytes that the file must have: to the end of what is loaded."""
+    at: int
+    size: int
+    count: int
     _, at, _, _, _, size, count = _HEADER.unpack_from(data)
     end = at + size * count
     if end > len(data) or size < _SEGMENT.size:
         return end
-    segments = [_SEGMENT.unpack_from(data, at + k * size) for k in range(count)]
-    return max([
-        end,
-        *(place + more for kind, place, more in segments if kind == _LOAD),
-    ])
+    for k in range(count):
+        kind, place, more = _SEGMENT.unpack_from(data, at + k * size)
+        if kind == _LOAD:
+            end = max(end, int(place + more))
+    return end

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import sysconfig
 
 import numpy as np
 import pytest
@@ -11,8 +12,29 @@ from virtual_job import VirtualJob
 
 from pbonet.config import Library
 from pbonet.master.tools.scaffold_c import MAKEFILE
-from pbonet.testing import verify
+from pbonet.testing import Bench, verify
 
+LAW = """
+def law(const double[::1] q, double[::1] tau, double k):
+    cdef int i
+    for i in range(q.shape[0]):
+        tau[i] = -k * q[i]
+"""
+SPRING = """
+from typing import Annotated as A
+
+from pbonet import InVar, OutVar, PortBasedObject, Vector
+
+from ._law import law
+
+
+class Spring(PortBasedObject):
+    q: A[Vector, InVar("Q", "3", "rad", "position")]
+    tau: A[Vector, OutVar("T", "3", "N*m", "torque")]
+
+    def cycle(self, dt: float) -> None:
+        law(self.q, self.tau, 2.0)
+"""
 TELLS = """
 #include <pbonet.h>
 struct tells { double *y; };
@@ -149,6 +171,25 @@ def test_a_replay_tells_a_module_the_same(tells, tmp_path, call):
     (verdict,) = verify(log)
     assert verdict.good, str(verdict)
     assert verdict.cycles == 200
+
+
+def test_a_law_in_cython_stands_beside_a_module_in_python(tmp_path):
+    (tmp_path / "_law.pyx").write_text(LAW)
+    (tmp_path / "spring.py").write_text(SPRING)
+    cython = [sys.executable, "-m", "cython", "-3", tmp_path / "_law.pyx"]
+    subprocess.run(cython, check=True)
+    include = sysconfig.get_paths()["include"]
+    target = tmp_path / f"_law{sysconfig.get_config_var('EXT_SUFFIX')}"
+    cc = ["cc", "-O0", "-shared", "-fPIC", f"-I{include}", tmp_path / "_law.c"]
+    subprocess.run([*cc, "-o", target], check=True)
+    library = Library([tmp_path])
+    assert {path.stem for path in tmp_path.glob("*.so")} & set(
+        library.modules()
+    ) == set()
+    bench = Bench(library.load("spring").cls, {"q": [1.0, 2.0, 3.0]})
+    bench.on()
+    bench.step()
+    assert bench.outputs.tau.tolist() == [-2.0, -4.0, -6.0]
 
 
 @pytest.mark.parametrize(
