@@ -72,7 +72,8 @@ class Tables:
     def local(self, task: int) -> LocalTable:
         """Return the local table of a task, in the task's own process."""
         ins, outs = self.names[task]
-        local = self.table.local(f"t{task}", os.getpid(), invar=ins, outvar=outs)
+        table = Table.attach(self.table.name)  # a fork does not inherit the memory
+        local = table.local(f"t{task}", os.getpid(), invar=ins, outvar=outs)
         local.claim()
         return local
 
@@ -97,7 +98,7 @@ def start_task(core: rt.CoreTable, slot: int, body: Callable[[rt.Slot], None]) -
         rt.prefault_stack()
         rt.set_timer_slack()
         rt.pin(core.core)
-        end = rt.Slot(core, slot)
+        end = rt.Slot(rt.CoreTable(core.core, member=False), slot)
         gc.collect()
         gc.freeze()
         gc.disable()

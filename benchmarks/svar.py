@@ -75,21 +75,22 @@ class Result(NamedTuple):
     """Half the distance between the quartiles of `to_memcpy`."""
 
 
-def build_memcpy(folder: Path) -> ModuleType:
-    """Compile the rival of the same kind, with the table's own flags."""
-    source = Path(__file__).with_name("svar_memcpy.pyx")
-    code = folder / "svar_memcpy.c"
-    target = folder / f"svar_memcpy{sysconfig.get_config_var('EXT_SUFFIX')}"
-    subprocess.run(
-        [sys.executable, "-m", "cython", "-3", str(source), "-o", str(code)], check=True
-    )
+def build_cython(name: str, folder: Path) -> ModuleType:
+    """Compile a file of this folder, with the flags of pbonet's own."""
+    source = Path(__file__).with_name(f"{name}.pyx")
+    root = source.parents[1]
+    code = folder / f"{name}.c"
+    target = folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
+    cython = [sys.executable, "-m", "cython", "-3", "-I", str(root)]
+    subprocess.run([*cython, str(source), "-o", str(code)], check=True)
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         sys.exit("the benchmark needs a C compiler")
     include = sysconfig.get_paths()["include"]
     flags = ["-shared", "-fPIC", "-O3", "-std=c11", "-DNDEBUG", f"-I{include}"]
-    subprocess.run([compiler, *flags, str(code), "-o", str(target)], check=True)
-    spec = importlib.util.spec_from_file_location("svar_memcpy", target)
+    built = [compiler, *flags, f"-I{root}", str(code), "-o", str(target)]
+    subprocess.run(built, check=True)
+    spec = importlib.util.spec_from_file_location(name, target)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -248,7 +249,7 @@ def run(rounds: int) -> dict[tuple[Case, str], Result]:
     """Measure every case in both directions."""
     results: dict[tuple[Case, str], Result] = {}
     with tempfile.TemporaryDirectory() as folder:
-        port = build_memcpy(Path(folder)).Port
+        port = build_cython("svar_memcpy", Path(folder)).Port
         for case in map(Case._make, product(COUNTS, LENGTHS)):
             rivals = Rivals(case, port, finite=False)
             guarded = Rivals(case, port, finite=True)

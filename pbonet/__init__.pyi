@@ -1,3 +1,4 @@
+from .cmodule import get_include as get_include
 from .errors import PbonetError as PbonetError
 from .master import Subsystem as Subsystem
 from .pbo import (

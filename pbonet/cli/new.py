@@ -42,6 +42,7 @@ def module(
     desc: A[str, Option("What it does, in one line.")] = "",
     freq: A[float, Option("Its frequency, Hz.", "HZ", least=1e-3)] = 100.0,
     timing_failure: A[bool, Option("Write a handler of timing failures too.")] = False,
+    c: A[bool, Option("Write it in C, with a Makefile.")] = False,
     folder: Folder = Path(),
     force: Force = False,
     json_: options.Json = False,
@@ -53,6 +54,8 @@ def module(
         pbonet new module spring --in Q_MEZ:6:rad --out T_CMD:6:N*m
         Take shapes and units from a table of variables:
         pbonet new module spring --in Q_MEZ --out T_CMD --svar puma.svar
+        Write it in C:
+        pbonet new module spring --c --in Q_MEZ:6:rad --out T_CMD:6:N*m
     """
     from pbonet.master.tools import write_new_files
 
@@ -69,6 +72,7 @@ def module(
         desc=desc,
         freq=freq,
         timing_failure=timing_failure,
+        in_c=c,
         folder=folder,
         force=force,
     )

@@ -1,11 +1,11 @@
 """The library: where modules and RMODs are found by name (Stewart 1994, section 3.9).
 
-A library is a list of folders with ``module.py`` files and ``.rmod`` files. The folders
-that a machine's ``agent.toml`` or a command names come first, then the modules that
-pbonet brings, then the packages that register under the entry point group
-``pbonet.modules``. A package's modules may stand in folders of it, one per class. A
-module is loaded by its name only, never from a path or from text that came over the
-network.
+A library is a list of folders with modules, ``NAME.py`` in Python or ``NAME.so`` in C,
+and ``.rmod`` files. The folders that a machine's ``agent.toml`` or a command names come
+first, then the modules that pbonet brings, then the packages that register under the
+entry point group ``pbonet.modules``. A package's modules may stand in folders of it,
+one per class. A module is loaded by its name only, never from a path or from text that
+came over the network.
 """
 
 from __future__ import annotations
@@ -131,8 +131,7 @@ class Library:
         if known is not None:
             return known
         with _RUNNING:
-            python = _run(shelf, path, source, version)
-            cls = _only_class(python, module, path)
+            cls = _class_of(shelf, path, source, version)
         info = pbo.describe(cls, name=module, file=str(path), version=version)
         loaded = LoadedModule(cls, info, path)
         self._loaded[str(path), version] = loaded
@@ -246,9 +245,13 @@ class Library:
 
     def files(self) -> dict[str, Path]:
         """Return the file of each module by its name, sorted; no code is run."""
+        found = self._files(".py")
+        for name, path in self._files(".so").items():
+            if name not in found and _is_c_module(path):
+                found[name] = path
         return {
             name: path
-            for name, path in self._files(".py").items()
+            for name, path in sorted(found.items())
             if not name.startswith(("_", "test_")) and _is_name(name)
         }
 
@@ -275,20 +278,32 @@ class Library:
                 found.setdefault(path.stem, path)
         return dict(sorted(found.items()))
 
-    def _first_with(self, file: str) -> tuple[Shelf, Path] | None:
-        """Return the first folder that has a file of that name, and its path."""
+    def _first_with(self, *files: str) -> tuple[Shelf, Path] | None:
+        """Return the first folder that has one of these files, and its path.
+
+        Raises:
+            ModuleLoadError: It has several of them.
+        """
         for shelf in self._search():
-            path = shelf.folder / file
-            if path.is_file():
-                return shelf, path
+            paths = [shelf.folder / file for file in files]
+            found = [path for path in paths if path.is_file()]
+            if len(found) > 1:
+                raise ModuleLoadError(
+                    f"the folder has two modules {found[0].stem}",
+                    where=str(shelf.folder),
+                    got=" and ".join(path.name for path in found),
+                    remedy="rename one of them, with its .rmod file",
+                )
+            if found:
+                return shelf, found[0]
         return None
 
     def _find(self, name: str) -> tuple[Shelf, Path]:
-        if found := self._first_with(f"{name}.py"):
+        if found := self._first_with(*_files(name)):
             return found
         raise ModuleLoadError(
             no_module(name),
-            expected=f"{name}.py in {self._places()}",
+            expected=f"{name}.py or {name}.so in {self._places()}",
             remedy=self._of_rmod(name)
             or did_you_mean(name, self.modules())
             or self._missing(),
@@ -308,12 +323,12 @@ class Library:
         Returns:
             Nothing where this library does not have it either.
         """
-        found = self._first_with(f"{name}.py")
+        found = self._first_with(*_files(name))
         if found is None or found[0].folder not in self.folders:
             return ""
         place = found[0].folder.absolute()
         return (
-            f"{name}.py is in {place}; the agent {rtpu} needs it, too: "
+            f"{found[1].name} is in {place}; the agent {rtpu} needs it, too: "
             f"pbonet agent --name {rtpu} --library {place}"
         )
 
@@ -346,6 +361,19 @@ def no_module(name: str) -> str:
     return f"the library has no module {name}"
 
 
+def _is_c_module(path: Path) -> bool:
+    """Return whether a shared object is a module, by its text; it is not loaded."""
+    try:
+        return b"pbonet_module" in path.read_bytes()
+    except OSError:
+        return False
+
+
+def _files(module: str) -> tuple[str, str]:
+    """Return the files that may hold a module: in Python, and in C."""
+    return f"{module}.py", f"{module}.so"
+
+
 def _is_name(name: str) -> bool:
     return name.isidentifier() and name.isascii() and not keyword.iskeyword(name)
 
@@ -358,7 +386,7 @@ def _checked(module: str) -> str:
             expected="letters, digits and underscores, no leading underscore",
             got=f'"{module}"',
             remedy="name the folder in agent.toml and the module by its file's name "
-            "without .py",
+            "without .py or .so",
         )
     return module
 
@@ -415,6 +443,17 @@ def _registered() -> list[Shelf]:
 def _package_name(folder: Path) -> str:
     """Return the name of the package that a plain folder becomes."""
     return f"_pbonet_library_{pbo.source_version(str(folder.absolute()).encode())}"
+
+
+def _class_of(
+    shelf: Shelf, path: Path, source: bytes, version: str
+) -> type[pbo.PortBasedObject[Any]]:
+    """Return the class of a module in Python or in C."""
+    if path.suffix == ".so":
+        from pbonet.cmodule import c_class  # brings numpy
+
+        return c_class(path, source, version)
+    return _only_class(_run(shelf, path, source, version), path.stem, path)
 
 
 def _run(shelf: Shelf, path: Path, source: bytes, version: str) -> types.ModuleType:

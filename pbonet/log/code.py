@@ -21,7 +21,8 @@ def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
     """Return the files with modules' code, their own first, with their hashes.
 
     Included are files of the module's folder and of pbonet's library and devices that
-    any ``import`` statement names; installed packages are not.
+    any ``import`` statement names; installed packages are not. A module in C is its
+    shared object.
     """
     found: dict[Path, CodeFile] = {}
     waiting = [Path(path) for path in paths]
@@ -39,6 +40,8 @@ def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
 
 
 def _imported(file: Path, source: bytes) -> Iterator[Path]:
+    if file.suffix != ".py":
+        return
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):

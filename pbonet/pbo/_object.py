@@ -467,7 +467,7 @@ def _check_symbols(body: Declaring, port: Port, ports: dict[str, Port]) -> None:
         if not isinstance(word, str):
             continue
         other = ports.get(word)
-        if other and not (other.kind.is_const and other.type == "int"):
+        if other and not other.is_size:
             raise body.error(
                 port.attr,
                 f"the shape names port {word}, which is not an integer constant",

@@ -446,7 +446,7 @@ class TaskContext:
         """
         self._kept.append(Kept(code, handler, self.at()))
 
-    def fail(self, text: str, code: int = UNNUMBERED) -> None:
+    def fail(self, text: str, code: int = UNNUMBERED, *, place: str = "") -> None:
         """Report an error; handlers and `error` decide whether this call returns.
 
         It returns if a handler or `error` returns CONTINUE; the method then continues
@@ -456,9 +456,10 @@ class TaskContext:
         Args:
             text: The error, and what to do about it.
             code: A number that handlers and programs may look for, not 0.
+            place: Where it happened; by default the line of this call.
         """
         error = MethodError(text, where=self.name)
-        error.number, error.place = code, line_of(here(1))
+        error.number, error.place = code, place or line_of(here(1))
         self.errmsg = text
         self.errnum = code
         for scope in reversed(self.scopes):

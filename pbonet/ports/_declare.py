@@ -263,7 +263,7 @@ def _four_words(
 
 
 def _type(body: Declaring, attr: str, kind: object, shape: tuple[Any, ...]) -> str:
-    scalar = _SCALARS.get(kind)
+    scalar = _SCALARS.get(kind) or _numpy_scalar(kind)
     if scalar and not shape:
         return scalar
     if scalar:
@@ -290,6 +290,14 @@ def _type(body: Declaring, attr: str, kind: object, shape: tuple[Any, ...]) -> s
             remedy='name the size ("n") if it is an array that may have one element',
         )
     return f"{element}[]"
+
+
+def _numpy_scalar(kind: object) -> str:
+    """Return the name of a numpy type of one number, such as ``int32``, else empty."""
+    numbers: type[Any] = np.number
+    if not isinstance(kind, type) or not issubclass(kind, numbers):
+        return ""
+    return str(np.dtype(kind.__name__).name)
 
 
 def _element(kind: object) -> str | None:

@@ -56,7 +56,7 @@ class Port(Struct, frozen=True):
     unit: str
     doc: str
     type: str
-    """``float``, ``int`` or ``bool`` for scalars, else such as ``float64[]``."""
+    """``float``, ``int``, ``bool`` or a numpy type for scalars, else ``float64[]``."""
     max_age: float | None = None
     """Of an in-var: seconds, above which the value is too old."""
     stale: str = ""
@@ -69,6 +69,11 @@ class Port(Struct, frozen=True):
     """Of an out-var: what `Stale.SAFE` writes; one number counts for each element."""
 
     @property
+    def is_size(self) -> bool:
+        """True for a constant that may be the size of other ports: one integer."""
+        return self.kind.is_const and self.is_scalar and "int" in self.type
+
+    @property
     def is_scalar(self) -> bool:
         """True when the port is a plain Python number in the module."""
         return not self.shape
@@ -77,11 +82,11 @@ class Port(Struct, frozen=True):
 def accepts(port: Port, dtype: str) -> bool:
     """Return whether a variable of numpy type `dtype` fits `port`.
 
-    A Python float holds any floating type and an int any integer type; an array port is
-    the very type that its annotation says.
+    A Python float holds any floating type and an int any integer type; an array port,
+    and a scalar whose annotation is a numpy type, is that very type.
     """
     kind = np.dtype(dtype)
-    if port.is_scalar:
+    if port.type in _KINDS:
         return kind.kind in _KINDS[port.type]
     element = np.dtype(port.type.removesuffix("[]"))
     return kind.kind == "V" if element.kind == "V" else kind == element
@@ -89,7 +94,7 @@ def accepts(port: Port, dtype: str) -> bool:
 
 def wanted(port: Port) -> str:
     """Return which types of variable `port` accepts, in words."""
-    if port.is_scalar:
+    if port.type in _KINDS:
         return {"float": "a floating type", "int": "an integer type"}.get(
             port.type, "bool"
         )

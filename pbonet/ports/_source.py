@@ -39,7 +39,12 @@ class Declaring:
         self._locals = dict(frame.f_locals) if frame else {}
 
     def place(self, attr: str = "") -> str:
-        """Return ``module.Class.attr (line N)``, or ``(source unknown)`` for N."""
+        """Return ``module.Class.attr (line N)``, or ``(source unknown)`` for N.
+
+        A class without a source of its own brings the places as ``__places__``.
+        """
+        if places := vars(self.cls).get("__places__"):
+            return str(places.get(attr) or places[""])
         outer, _, module = self.cls.__module__.partition(".")
         if not outer.startswith("_") or not module:  # a library's folder has no name
             module = self.cls.__module__

@@ -143,7 +143,12 @@ def _common_end(a: str, b: str) -> int:
 
 
 def _lines(log: Log, then: CodeFile, now: CodeFile) -> list[int]:
-    """Return which lines are new or other; none where the log lacks the file."""
+    """Return which lines are new or other; none where the log lacks the file.
+
+    A module in C has no lines: what is recorded is the shared object.
+    """
+    if not now.path.endswith(".py"):
+        return []
     for one in log.attached.values():
         if hashlib.sha256(one.data).hexdigest() == then.sha256:
             return _other_lines(one.data, Path(now.path).read_bytes())

@@ -123,6 +123,20 @@ def test_what_is_installed_works_by_itself(installed, tmp_path, words, said):
     assert said in done.stdout
 
 
+def test_a_module_in_c_is_built_with_what_is_installed(installed, tmp_path):
+    example = tmp_path / "c_pid"
+    ours = shutil.ignore_patterns("*.so")
+    shutil.copytree(ROOT / "examples" / "c_pid", example, ignore=ours)
+    make = ["make", "--silent", f"PYTHON={installed / 'bin' / 'python'}"]
+    subprocess.run(make, cwd=example, check=True)
+    check = [installed / "bin" / "pbonet", "check", "c_pid.job"]
+    done = subprocess.run(
+        check, cwd=example, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "legal" in done.stdout
+
+
 def test_without_a_compiler_one_sentence_says_what_to_install(sdist, tmp_path):
     source = unpacked(sdist, tmp_path)
     for what in ("wheel", "editable"):

@@ -38,12 +38,17 @@ int main(void)
 {
     static struct rt_table table;
     struct rt_task task = {.table = &table, .slot = &table.slots[0], .seq = 7};
-    require(rt_guard_failures(&task, 500000000, interrupt) == 0, "the guard");
+    volatile uint32_t ends = 0, *volatile must_end = &ends;
+    require(rt_guard_failures(&task, 500000000, interrupt, &must_end) == 0, "the guard");
 
     require(!rt_enter(RT_IN_CYCLE), "nothing came, and something is to be delivered");
     tell(&task, 7, RT_MAXEXEC);
     require(interrupts == 1, "a failure amid the cycle interrupts it");
+    require(ends == 1u << RT_MAXEXEC, "a method in C sees the failure");
+    must_end = NULL;
+    require(rt_has_failed(&task), "and it is not handled yet");
     require(rt_take_failures(&task) == 1u << RT_MAXEXEC, "it is that kind");
+    require(!rt_has_failed(&task), "now it is");
     rt_exit();
 
     tell(&task, 7, RT_DEADLINE);        /* while inputs are copied */

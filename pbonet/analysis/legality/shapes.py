@@ -127,7 +127,7 @@ def _initial(
     for port in info.ports:
         name = task.rmod.svar_name(port.name)
         init = table[name].init
-        if port.kind.is_const and port.type == "int" and init and name not in produced:
+        if port.is_size and init and name not in produced:
             known[port.name] = int(init[0])
     return known
 

@@ -16,6 +16,8 @@ from pbonet.config import Rmod, TaskType, element_type, write_rmod
 from pbonet.errors import ConfigError
 from pbonet.ports import Kind, parse_shape, shape_text
 
+from .scaffold_c import MAKEFILE, c_text
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
@@ -43,6 +45,7 @@ def scaffold(
     svar: SvarFile | None = None,
     timing_failure: bool = False,
     own_tree: bool = False,
+    in_c: bool = False,
 ) -> dict[str, str]:
     """Return the files of a new module, by their names in the library's folder.
 
@@ -57,6 +60,7 @@ def scaffold(
             one that gives up a cycle which misses its deadline.
         own_tree: Whether the files go into a project that has pbonet's own source,
             where a blank line separates its imports from numpy's; see `in_own_tree`.
+        in_c: Whether the module is written in C, with a Makefile.
 
     Returns:
         The module, its RMOD, and its test.
@@ -68,13 +72,19 @@ def scaffold(
     _check_ports(ports)
     ports = _named_sizes(ports, svar)
     desc = desc.strip().rstrip(".") or f"Module {name}"
+    if in_c:
+        code = {
+            f"{name}.c": c_text(name, ports, desc, handler=timing_failure),
+            "Makefile": MAKEFILE,
+        }
+    else:
+        text = _module_text(name, ports, desc, handler=timing_failure, apart=own_tree)
+        code = {f"{name}.py": text}
     return {
-        f"{name}.py": _module_text(
-            name, ports, desc, handler=timing_failure, apart=own_tree
-        ),
+        **code,
         f"{name}.rmod": _rmod_text(name, ports, desc, freq),
         f"tests/test_{name}.py": _test_text(
-            name, ports, handler=timing_failure, apart=own_tree
+            name, ports, handler=timing_failure, apart=own_tree, in_c=in_c
         ),
     }
 
@@ -335,7 +345,7 @@ def _rmod_text(name: str, ports: Sequence[NewPort], desc: str, freq: float) -> s
 
 _TEST = '''"""The module {name} on a bench: inputs in, outputs out, in virtual time."""
 
-from pathlib import Path
+{modules}from pathlib import Path
 
 {numpy}from pbonet.config import read_rmod
 from pbonet.config.library import Library
@@ -344,7 +354,7 @@ from pbonet.testing import Bench
 
 FOLDER = Path(__file__).parents[1]
 RMOD = FOLDER / "{name}.rmod"
-PORTS = Library([FOLDER]).load("{name}").info.ports
+{build}PORTS = Library([FOLDER]).load("{name}").info.ports
 {values}
 
 def test_the_rmod_lists_the_ports_of_the_class() -> None:
@@ -360,6 +370,11 @@ def test_it_lives_a_whole_life() -> None:
     assert bench.off() is State.OFF
     assert bench.kill() is State.NOT_CREATED
 {bumpless}{late}'''
+
+_BUILD = """\
+MAKE = ["make", "--silent", "-C", str(FOLDER), f"PYTHON={{sys.executable}}"]
+subprocess.run([*MAKE, "{name}.so"], check=True)  # the source as it is now
+"""
 
 _BUMPLESS = """
 
@@ -382,7 +397,7 @@ def test_a_late_cycle_is_given_up() -> None:
 
 
 def _test_text(
-    name: str, ports: Sequence[NewPort], *, handler: bool, apart: bool
+    name: str, ports: Sequence[NewPort], *, handler: bool, apart: bool, in_c: bool
 ) -> str:
     values = _bench_values(ports)
     text = "".join(f"    {_quoted(word)}: {value},\n" for word, value in values.items())
@@ -391,6 +406,8 @@ def _test_text(
     numpy = "import numpy as np\n" + ("\n" if apart else "")
     return _TEST.format(
         name=name,
+        modules="import subprocess\nimport sys\n" if in_c else "",
+        build=_BUILD.format(name=name) if in_c else "",
         numpy=numpy if "np." in text else "",
         values=f"VALUES = {{\n{text}}}\n" if values else "",
         given=given,

@@ -36,6 +36,7 @@ def new_module(
     desc: str = "",
     freq: float = 100.0,
     timing_failure: bool = False,
+    in_c: bool = False,
     folder: Path,
     force: bool = False,
 ) -> list[Path]:
@@ -49,6 +50,8 @@ def new_module(
         desc: What the module does.
         freq: Its default frequency in Hz.
         timing_failure: Whether it has a handler of timing failures.
+        in_c: Whether it is written in C, with a Makefile; one of the same text that
+            stands there stays.
         folder: Where to write.
         force: Write over files that stand there.
 
@@ -72,7 +75,11 @@ def new_module(
         svar=table,
         timing_failure=timing_failure,
         own_tree=in_own_tree(folder),
+        in_c=in_c,
     )
+    makefile = folder / "Makefile"
+    if in_c and makefile.is_file() and makefile.read_text() == texts["Makefile"]:
+        del texts["Makefile"]
     return _write({folder / file: text for file, text in texts.items()}, force=force)
 
 

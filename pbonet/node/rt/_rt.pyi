@@ -302,6 +302,9 @@ class Failures:
     deadline: float
     """Seconds from the release; setting it moves the deadline of this cycle."""
     @property
+    def returned(self) -> str:
+        """The method in C that has just returned, while its failures are handled."""
+    @property
     def own_criticality(self) -> int:
         """The task's configured criticality, whatever this cycle has changed."""
     @property

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = ../../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h restrict.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+# distutils: depends = ../../outside/tape.h ../../cmodule/pbonet.h ../../cmodule/instance.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h restrict.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin wrapper of the C headers in this folder; documented in `_rt.pyi`."""
 
 import os
@@ -15,6 +15,7 @@ from pbonet import shm
 from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node.ring import _ring
 from pbonet.node.rt import rt_capabilities as rights
+from pbonet.cmodule._cmodule cimport NativeMethod, c_running, pbo_run
 from pbonet.node.ring._ring cimport (
     RING_HELD, RING_SAFE, RING_STABLE, RING_SYNC, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record,
     ring_stage, ring_wanted, ring_wants,
@@ -64,7 +65,7 @@ cdef class Slot:
     cdef rt_cost cost
     cdef readonly CoreTable table
     cdef readonly int index, flags
-    cdef int64_t dt_ns
+    cdef int64_t dt_ns, told_ns     # of the last cycle; of `dt`
     cdef object dt
     cdef uint64_t cpu_mark, fault_mark
     cdef public int64_t stamp_ns
@@ -75,13 +76,14 @@ cdef class Slot:
     cdef readonly int action    # what ran last in place of `cycle`; 0: that itself
     cdef int critical           # what runs while the flag is up; 0: `cycle`
     cdef object aged, stable_method, safe_method
+    cdef NativeMethod native, native_stable     # methods in C, called by pointer
 
     def __init__(self, CoreTable table not None, int i):
         self.task.table = table.open()
         self.task.slot = table.slot(i)
         self.table = table
         self.index = i
-        self.dt_ns = -1
+        self.dt_ns = self.told_ns = -1
         self.failures = Failures()
         self.failures.of(&self.task, table)
         if not rt_is_virtual(self.task.table):
@@ -97,6 +99,8 @@ cdef class Slot:
         self.failures.handler = failing
         self.aged, self.critical = aged, critical
         self.stable_method, self.safe_method = stable, safe
+        self.native = self.in_c(cycle)
+        self.native_stable = self.in_c(stable)
         if rt_mode_of(self.task.slot) == RT_OFF:
             self.is_aged = False
         self.failures.error = None
@@ -127,6 +131,15 @@ cdef class Slot:
             self.count_faults()
             if not last and why != RT_WAIT_IDLE:
                 rt_leave(&self.task, RT_COMMAND)
+
+    cdef NativeMethod in_c(self, method):
+        """Return a method if it is in C, made ready for the cycles of this run."""
+        cdef NativeMethod native
+        if type(method) is not NativeMethod:
+            return None
+        native = method
+        native.begin(rt_cycles(self.task.slot))
+        return native
 
     cdef bint wait_outside(self, sync, Ring ring) except -1:
         """Wait as the module's `sync` does; return whether its event came."""
@@ -225,9 +238,17 @@ cdef class Slot:
             if not cost.failed:
                 if rt_enter(RT_IN_CYCLE):
                     self.failures.handle()
-                if self.action != HOLD:
-                    self.call(self.stable_method if self.action == STABLE else
-                              self.safe_method if self.action == SAFE else cycle)
+                if self.action == GO_ON:
+                    if self.native is not None:
+                        self.call_c(self.native)
+                    else:
+                        self.call(cycle)
+                elif self.action != HOLD:
+                    if self.action == STABLE and self.native_stable is not None:
+                        self.call_c(self.native_stable)
+                    else:
+                        self.call(self.stable_method if self.action == STABLE
+                                  else self.safe_method)
                 rt_exit()
         except Aborted:
             rt_exit()
@@ -258,10 +279,27 @@ cdef class Slot:
 
     cdef int call(self, method) except -1:
         cdef int64_t dt = rt_step(&self.task)
-        if dt != self.dt_ns:
-            self.dt_ns = dt
+        self.dt_ns = dt
+        if dt != self.told_ns:
+            self.told_ns = dt
             self.dt = dt * 1e-9
         method(self.dt)
+        return 0
+
+    cdef int call_c(self, NativeMethod method) except -1:
+        """Call a method in C; a timing failure is handled when it has returned."""
+        self.dt_ns = rt_step(&self.task)
+        method.one.task.dt = self.dt_ns * 1e-9
+        method.one.task.now_ns = self.task.rel_ns
+        method.one.task.cyclecount = rt_cycles(self.task.slot) - method.before
+        if pbo_run(method.function, method.one):
+            method.of.pass_on(method.name)
+        if rt_has_failed(&self.task):
+            self.failures.returned = method.name
+            try:
+                self.failures.handle()
+            finally:
+                self.failures.returned = ""
         return 0
 
     cdef void close(self, LocalTable local, Ring ring) noexcept:

@@ -50,6 +50,7 @@ cdef class Failures:
     cdef CoreTable table        # keeps the memory
     cdef object handler
     cdef public object error
+    cdef readonly str returned      # the method in C that has just returned
     cdef bint skip
     cdef readonly Critical section
 
@@ -58,12 +59,13 @@ cdef class Failures:
         self.table = table
         self.section = Critical()
         self.section.failures = self
+        self.returned = ""
         return 0
 
     cdef int guard(self) except -1:
         _signals.signal(RT_FAIL_SIGNAL, self.deliver)
         cdef int error = rt_guard_failures(self.task, HANDLER_BOUND_NS,
-                                           PyErr_SetInterruptEx)
+                                           PyErr_SetInterruptEx, c_running())
         if error:
             raise RealTimeError("timing failures cannot be delivered",
                                 got=os.strerror(error))

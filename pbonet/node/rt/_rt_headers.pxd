@@ -150,9 +150,11 @@ cdef extern from "failure.h" nogil:
     enum:
         RT_IN_CYCLE, RT_IN_SYNC
     int RT_FAIL_SIGNAL
-    int rt_guard_failures(rt_task *task, int64_t bound_ns, int (*interrupt)(int) noexcept)
+    int rt_guard_failures(rt_task *task, int64_t bound_ns, int (*interrupt)(int) noexcept,
+                          void *must_end)
     void rt_unguard_failures(const rt_task *task)
     int rt_enter(int where)
+    int rt_has_failed(const rt_task *task)
     void rt_exit()
     unsigned rt_take_failures(rt_task *task)
     uint32_t rt_begin_handler(rt_task *task)

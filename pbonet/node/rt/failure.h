@@ -17,6 +17,7 @@ enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
 
 struct rt_failing {
     struct rt_task *task;
+    volatile uint32_t *volatile *must_end;      /* of the method in C that runs, else NULL */
     int (*interrupt)(int);      /* makes the interpreter call the signal's Python code */
     timer_t timer;
     int has_timer;
@@ -66,6 +67,9 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
             f->interrupt(signal);
     } else if (f->where != RT_OUTSIDE) {
         struct rt_grant *g = &f->task->slot->grant;
+        volatile uint32_t *must_end = *f->must_end;
+        if (must_end)
+            *must_end |= atomic_load(&g->failed) & 7;
         int forced = atomic_load(&g->forced) == rt_number_of(f->task);
         if (f->handling || (f->locked && !forced))
             f->pending = 1;
@@ -77,7 +81,8 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
 
 /* Install the signal handler for `task`; an errno value when the kernel refuses. */
 static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
-                                    int (*interrupt)(int))
+                                    int (*interrupt)(int),
+                                    volatile uint32_t *volatile *must_end)
 {
     struct sigaction action = {.sa_sigaction = rt_on_failure, .sa_flags = SA_SIGINFO};
     struct sigevent event = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = RT_FAIL_SIGNAL};
@@ -85,6 +90,7 @@ static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
     rt_failing.task = task;
     rt_failing.bound_ns = bound_ns;
     rt_failing.interrupt = interrupt;
+    rt_failing.must_end = must_end;
     if (!rt_failing.has_timer) {
         if (timer_create(CLOCK_MONOTONIC, &event, &rt_failing.timer))
             return errno;
@@ -111,6 +117,12 @@ static inline int rt_enter(int where)
     atomic_signal_fence(memory_order_seq_cst);  /* a signal from here on is delivered */
     struct rt_task *task = rt_failing.task;
     return task && (atomic_load(&task->slot->grant.failed) & 7);
+}
+
+/* Whether a failure of the current grant is not handled yet. */
+static inline int rt_has_failed(const struct rt_task *task)
+{
+    return (atomic_load(&task->slot->grant.failed) & 7) != 0;
 }
 
 /* The cycle has returned or was unwound: nothing is delivered from here on. */

@@ -29,8 +29,8 @@ class TimingFailureDelivery:
     Args:
         executor: Calls the module's handler.
         told: Records the kind, the interrupted line (empty: not in the module, whose
-            method had not begun), the release, the requests of the handler, and its
-            answer.
+            method had not begun) or the method in C that has returned, the release, the
+            requests of the handler, and its answer.
         time: The task's time.
         ours: Code of the runtime that calls the module.
     """
@@ -52,6 +52,8 @@ class TimingFailureDelivery:
         told, frame = self._told, here(1)
         amid = frame is not None and frame.f_code not in self._ours
         place = line_of(frame) if amid else ""
+        if self._time.returned:
+            place = f"the end of {self._time.returned}"
         came = kind, place, self._time.now
         told.timing.ask(lambda: came)
         told.handling = True

@@ -332,6 +332,11 @@ class SlotTime:
         return self._slot.cycles - self._base
 
     @property
+    def returned(self) -> str:
+        """The method in C that has just returned, while its failures are handled."""
+        return self._slot.failures.returned
+
+    @property
     def crit(self) -> int:
         """The criticality by which the dispatcher ranks the task."""
         failures = self._slot.failures

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from c_modules import put_misbehaving
 from log_of_real_tasks import finish, record
 from nodekit import rmod
 from watching import wait_for
@@ -141,6 +142,17 @@ def test_a_handler_is_told_again_what_it_asked(line, nodes, answer):
 def test_a_handler_of_another_module(line, nodes, answer):
     log = run(line, nodes, module="overruns", answer=answer, every=3, busy=0.01)
     assert verdict_of(log).good, str(verdict_of(log))
+
+
+@pytest.mark.parametrize("answer", [0, 3, -1], ids=["ok", "skip", "error"])
+def test_a_handler_in_c_is_called_when_the_cycle_has_returned(line, nodes, answer):
+    """And the cycle itself sees at once that it must end."""
+    put_misbehaving(nodes.library)
+    log = run(line, nodes, module="c_overruns", answer=answer, every=3)
+    (warned,) = [one for one in line.events("WARNING", "asks") if "early" in one.text]
+    assert warned
+    assert verdict_of(log).good, str(verdict_of(log))
+    assert log.arrays("asks")["Y2"][:, 1].max() >= 2
 
 
 def test_other_code_of_a_handler_is_found_out(line, nodes):

@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from c_modules import put_misbehaving
 from nodekit import CORE, alive, level, rmod, wait_gone, wait_hung
 from reference import Reference
 from watching import wait_for
@@ -141,8 +142,10 @@ class TestRaising:
         assert "SystemExit: 3" in arm.wait_event("METHOD", "bad").text
         assert arm.status("bad").state == "ERROR"
 
-    def test_value_that_is_not_finite(self, arm):
-        arm.spawn("bad", "not_finite")
+    @pytest.mark.parametrize("module", ["not_finite", "c_not_finite"])
+    def test_value_that_is_not_finite(self, arm, nodes, module):
+        put_misbehaving(nodes.library)
+        arm.spawn("bad", module)
         arm.on("bad")
         event = arm.wait_event("METHOD", "bad")
         assert "not a finite number: Y0[1] (got nan)" in event.text
@@ -165,9 +168,12 @@ class TestDying:
         [
             ("dies_by_sigkill", "signal SIGKILL (killed)"),
             ("segfaults", "signal SIGSEGV (segmentation fault)"),
+            ("c_segfaults", "signal SIGSEGV (segmentation fault)"),
+            ("c_exits", "exit code 3"),
         ],
     )
     def test_in_cycle(self, arm, nodes, shared_memory, module, how):
+        put_misbehaving(nodes.library)
         before = names(shared_memory)
         slots = slots_in_use(arm, nodes)
         arm.spawn("bad", module)
@@ -401,8 +407,9 @@ class TestHanging:
         assert "hangs_in_init.py" in error.debug  # where it stands
         assert "bad" not in arm.status()
 
-    @pytest.mark.parametrize("module", ["hangs_in_cycle", "hangs_in_c"])
-    def test_in_cycle(self, arm, sibling, module):
+    @pytest.mark.parametrize("module", ["hangs_in_cycle", "hangs_in_c", "c_hangs"])
+    def test_in_cycle(self, arm, nodes, sibling, module):
+        put_misbehaving(nodes.library)
         tid = arm.spawn("bad", module).tid
         arm.rank_low("bad")
         arm.on("bad")

@@ -208,8 +208,8 @@ def test_a_module_that_is_not_there(folder):
         Library([folder]).load("rmap")
     built_in = importlib.import_module("pbonet.modules").__path__[0]
     assert str(caught.value) == (
-        f"the library has no module rmap (expected rmap.py in {folder} or {built_in}); "
-        "did you mean ramp?"
+        f"the library has no module rmap (expected rmap.py or rmap.so in {folder} or "
+        f"{built_in}); did you mean ramp?"
     )
 
 

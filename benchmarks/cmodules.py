@@ -1,0 +1,273 @@
+"""Modules in C beside the same in Python: the call, a whole cycle, and swaps.
+
+First the call of an empty ``cycle``: by pointer, as the native loop does it, and
+through the interpreter, both over the bare call of the function in C. Then the PID
+controller of ``examples/c_pid`` and its twin, over six joints. Then whole cycles of
+empty tasks, in C and in Python in turns, on a core of their own with a dispatcher, a
+table and a ring: CPU time from the end of one cycle to the end of the next. Last, swaps
+of the controller and its twin over a real agent, while the axes and their reference go
+on; every cycle is recorded, and no release between the last cycle of one controller and
+the first of the other may be without a cycle.
+
+    python -m benchmarks.cmodules [--blocks 7] [--seconds 2] [--swaps 200] [--core 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+import pbonet
+from benchmarks import rtbench
+from benchmarks.svar import build_cython
+from pbonet.cmodule import NativeMethod, NativeState, SharedObject
+from pbonet.config import Library
+from pbonet.errors import StateError
+from pbonet.master import Subsystem
+from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.node import rt
+from pbonet.pbo import TaskContext
+from pbonet.testing import Bench
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from types import ModuleType
+
+    from numpy.typing import NDArray
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "c_pid"
+CALL_GOAL = 10.0
+"""Nanoseconds over the bare call of an empty function in C."""
+CYCLE_GOAL = 0.9
+"""Of a whole cycle of an empty task in Python."""
+CALLS = 200_000
+RATE = 2000.0
+PERIOD = 2_000_000
+"""Nanoseconds, of the controllers."""
+EMPTY = """
+#include <pbonet.h>
+struct empty { double unused; };
+static int cycle(void *state, pbo_task *task)
+{
+    (void)state;
+    (void)task;
+    return PBO_OK;
+}
+PBO_MODULE(struct empty, "Nothing.", .cycle = cycle);
+"""
+
+
+class Empty:
+    """An empty module, as far as the loop sees it."""
+
+    def cycle(self, dt: float) -> None:
+        """Do nothing."""
+
+
+def built(source: Path, target: Path) -> SharedObject:
+    """Compile a module in C and load it."""
+    flags = ["-std=gnu11", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
+    include = f"-I{pbonet.get_include()}"
+    command = ["cc", *flags, include, str(source), "-o", str(target)]
+    subprocess.run(command, check=True)
+    return SharedObject(str(target))
+
+
+def in_c(
+    shared: SharedObject,
+    arrays: Mapping[str, NDArray[Any]] | None = None,
+    values: Mapping[str, object] | None = None,
+) -> NativeMethod:
+    """Return ``cycle`` of a new instance of a module in C."""
+    state = NativeState(shared, TaskContext(), arrays or {}, values or {})
+    return NativeMethod(state, "cycle")
+
+
+def timed(call: Callable[[], None]) -> float:
+    """Return nanoseconds of one of the calls that are made at once."""
+    begun = time.perf_counter_ns()
+    call()
+    return (time.perf_counter_ns() - begun) / CALLS
+
+
+def calls(native: ModuleType, folder: Path, blocks: int) -> dict[str, list[float]]:
+    """Return nanoseconds per call of each kind, a value for each block."""
+    (folder / "empty.c").write_text(EMPTY, encoding="utf-8")
+    empty = in_c(built(folder / "empty.c", folder / "empty.so"))
+    gains = {"kp": 100.0, "limit": 20.0, "ki": 50.0, "kd": 10.0}
+    values: dict[str, Any] = {"ndof": 6, "q_ref": [0.1] * 6}
+    pid_file = folder / "pid.so"
+    built(EXAMPLE / "pid.c", pid_file)
+    law = Library([folder]).load("pid").cls
+    twin = Library().load("joint_pid").cls
+    in_python = Bench(twin, values, params=gains)
+    in_python.on()
+    as_c = Bench(law, values, params=gains)
+    as_c.on()
+    arrays = {name: np.zeros(6) for name in ("q_ref", "q", "qd", "tau")}
+    pid = in_c(
+        SharedObject(str(pid_file)), {"ndof": np.array([6], "i4"), **arrays}, gains
+    )
+    cycle = type(in_python.module).cycle.__get__(in_python.module)
+    kinds: dict[str, Callable[[], None]] = {
+        "empty, function in C alone": lambda: native.bare(empty, CALLS),
+        "empty, by pointer": lambda: native.by_pointer(empty, CALLS),
+        "empty, method in Python": lambda: native.by_object(Empty().cycle, CALLS),
+        "PID of 6 joints, by pointer": lambda: native.by_pointer(pid, CALLS),
+        "PID of 6 joints, method in Python": lambda: native.by_object(cycle, CALLS),
+    }
+    found: dict[str, list[float]] = {kind: [] for kind in kinds}
+    for _ in range(blocks):
+        for kind, call in kinds.items():
+            found[kind].append(timed(call))
+    return found
+
+
+class Running(NamedTuple):
+    """A task that runs."""
+
+    slot: int
+    pid: int
+    ring: rt.Ring
+
+
+def started(
+    core: rt.CoreTable, tables: rtbench.Tables, number: int, cycle: Callable[[], Any]
+) -> Running:
+    """Start an empty task; `cycle` makes its method, in its process."""
+    slot = core.alloc("bench", f"empty{number}")
+    core.configure(slot, period_ns=round(1e9 / RATE), crit=5, priority=number)
+    name = f"empty{os.getpid()}"
+
+    def body(end: rt.Slot) -> None:
+        ring = rt.Ring.create(name, 1 << 22)
+        method = cycle()
+        end.run(
+            method, tables.local(number), ring=ring, failing=lambda _kind: rt.CONTINUE
+        )
+
+    pid = rtbench.start_task(core, slot, body)
+    rtbench.wait_for(lambda: core.snapshot(slot).cycles >= 100, "cycles", 30.0)
+    return Running(slot, pid, rt.Ring.attach(name))
+
+
+def whole_cycles(
+    core: rt.CoreTable, folder: Path, blocks: int, seconds: float
+) -> dict[str, list[float]]:
+    """Return CPU time in ns of whole cycles, the median of each block."""
+    tables = rtbench.Tables(2)
+    shared = SharedObject(str(folder / "empty.so"))
+    makers: dict[str, Callable[[], Any]] = {
+        "empty task in Python": lambda: Empty().cycle,
+        "empty task in C": lambda: in_c(shared),
+    }
+    found: dict[str, list[float]] = {name: [] for name in makers}
+    for block in range(blocks):
+        order = list(makers.items())
+        for name, maker in order if block % 2 else reversed(order):
+            task = started(core, tables, 0, maker)
+            task.ring.drain()
+            time.sleep(seconds)
+            records = [one for one in task.ring.drain() if not one.kind]
+            rtbench.end_task(core, task.slot, task.pid)
+            task.ring.destroy()
+            found[name].append(statistics.median(one.cpu_ns for one in records))
+    tables.table.destroy()
+    return found
+
+
+class Releases(NamedTuple):
+    """Releases of two controllers of which one is ON at any time."""
+
+    all: int
+    lost_at_swaps: int
+    """Without a cycle, between a cycle of one and a cycle of the other."""
+    lost_elsewhere: int
+
+
+def swaps(folder: Path, count: int) -> Releases:
+    """Swap the controller and its twin; return what became of their releases."""
+    copy = folder / "c_pid"
+    shutil.copytree(EXAMPLE, copy, ignore=shutil.ignore_patterns("*.so"))
+    make = ["make", "--silent", "-C", str(copy), f"PYTHON={sys.executable}"]
+    subprocess.run(make, check=True)
+    os.environ["PBONET_RUN_DIR"] = f"{folder}/run"
+    with Embedded("default", libraries=[str(copy)]) as agents:
+        agents.start(["arm0"])
+        with Subsystem(copy / "c_pid.job", warned=lambda _text: None) as axes:
+            axes.start()
+            axes.spawn("joint_pid")
+            for number in range(count):
+                axes.wait(0.05)
+                pair = ("pid", "joint_pid")
+                axes.swap(*(pair if number % 2 == 0 else pair[::-1]))
+            axes.wait(0.05)
+            recording = axes.recordings.finish(axes.clients)
+    if recording is None:
+        raise StateError("nothing was recorded", where="swaps")
+    both = [recording.arrays(name)["release_ns"] for name in ("pid", "joint_pid")]
+    whose = np.concatenate([np.full(len(one), k) for k, one in enumerate(both)])
+    releases = np.concatenate(both)
+    order = np.argsort(releases)
+    lost = np.round(np.diff(releases[order]) / PERIOD).astype(int) - 1
+    at_swap = np.diff(whose[order]) != 0
+    return Releases(
+        len(releases) + int(lost.sum()),
+        int(lost[at_swap].sum()),
+        int(lost[~at_swap].sum()),
+    )
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description="Modules in C beside Python's.")
+    parser.add_argument("--blocks", type=int, default=7)
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--swaps", type=int, default=200)
+    parser.add_argument("--core", type=int, default=max(os.sched_getaffinity(0)))
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        print(rtbench.machine())
+        called = calls(build_cython("cmodules_calls", folder), folder, args.blocks)
+        for kind, ns in called.items():
+            print(f"{kind:35} {rtbench.spread(ns, 1)} ns")
+        core = rt.CoreTable(args.core)
+        leader = rt.Dispatcher(core)
+        leader.start()
+        try:
+            cycled = whole_cycles(core, folder, args.blocks, args.seconds)
+        finally:
+            leader.stop()
+            core.close()
+        for kind, ns in cycled.items():
+            print(f"{kind:35} {rtbench.spread(ns, 0)} ns of CPU time a cycle")
+        done = swaps(folder, args.swaps)
+        print(
+            f"{args.swaps} swaps: {done.all} releases; without a cycle at swaps "
+            f"{done.lost_at_swaps}, elsewhere {done.lost_elsewhere}"
+        )
+    low = {kind: min(ns) for kind, ns in called.items()}
+    over = low["empty, by pointer"] - low["empty, function in C alone"]
+    python, c = (statistics.median(ns) for ns in cycled.values())
+    rtbench.judge([
+        rtbench.verdict("call over the bare function, ns,", over, CALL_GOAL),
+        rtbench.verdict(
+            "cycle of an empty task in C over Python's", c / python, CYCLE_GOAL
+        ),
+        rtbench.verdict("releases lost at swaps", done.lost_at_swaps, 0),
+    ])
+
+
+if __name__ == "__main__":
+    main()
