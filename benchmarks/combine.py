@@ -129,7 +129,10 @@ def rows(found: dict[str, dict[str, Any]]) -> list[tuple[str, list[str]]]:
         for name, share in (("p50", 0.5), ("p99", 0.99)):
             texts: list[str] = []
             for job in CHAINS:
-                each = [float(np.quantile(one, share)) for one in found[job][what]]
+                each = [
+                    float(np.quantile(np.asarray(one, np.float64), share))
+                    for one in found[job][what]
+                ]
                 texts.append(
                     f"{np.median(each):.1f} [{min(each):.1f}, {max(each):.1f}]"
                 )

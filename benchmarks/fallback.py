@@ -239,8 +239,8 @@ def main() -> None:
     print(f"{args.deaths} deaths by SIGKILL, tasks of {RATE:.0f} Hz")
     print(f"periods of {PERIOD / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
     for key, values in zip(NAMES, found.T, strict=True):
-        seen = values[~np.isnan(values)]
-        p50, p90 = np.quantile(seen, [0.5, 0.9])
+        seen = np.asarray(values[~np.isnan(values)], np.float64)
+        p50, p90 = (float(np.quantile(seen, share)) for share in (0.5, 0.9))
         missing = f"  ({len(values) - len(seen)} without)" * (len(seen) < len(values))
         print(f"  {key:32} {p50:8.2f} {p90:8.2f} {seen.max():8.2f}{missing}")
     lines = goals(found)

@@ -184,7 +184,10 @@ def report(found: dict[str, list[Found]]) -> dict[str, object]:
             if not len(values[0]):
                 continue
             row = {
-                quantile: [float(np.quantile(v, q)) / 1e3 for v in values]
+                quantile: [
+                    float(np.quantile(np.asarray(v, np.float64), q)) / 1e3
+                    for v in values
+                ]
                 for quantile, q in QUANTILES.items()
             }
             result[f"{what} {name}"] = row

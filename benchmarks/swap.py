@@ -351,7 +351,7 @@ def lists(subsystem: Subsystem, rounds: int) -> dict[int, list[float]]:
 
 def judge(found: dict[str, Any]) -> list[str]:
     """Return a line for each goal."""
-    gap = float(np.median(found[GAP]))
+    gap = float(np.median(np.asarray(found[GAP], np.float64)))
     goals = {
         "cycles that staying tasks lose, but for stalls, at most 0": (found[LOST], 0),
         f"periods from {GAP}, median, below 2": (gap, 2 - 1e-9),
@@ -370,7 +370,8 @@ def report(
     lines += [f"  {key:28} {found[key]:12} {quiet[key]:12}" for key in quiet]
     lines.append(f"periods of {period / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
     for key in [key for key in found if key not in quiet]:
-        p50, p90 = np.quantile(found[key], [0.5, 0.9])
+        values = np.asarray(found[key], np.float64)
+        p50, p90 = (float(np.quantile(values, share)) for share in (0.5, 0.9))
         lines.append(f"  {key:28} {p50:8.2f} {p90:8.2f} {max(found[key]):8.2f}")
     return lines
 

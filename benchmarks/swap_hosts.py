@@ -359,7 +359,7 @@ def goals(found: dict[str, Any], cable: dict[str, float], hz: float) -> Iterator
         yield rtbench.verdict(f"{what},", count, 0)
     most = 2 + cable["p50"] / 2 / (1e3 / hz)
     for name in (GAP, *(SEEN.format(READERS[name]) for name in READERS)):
-        gap = float(np.median(found[name]))
+        gap = float(np.median(np.asarray(found[name], np.float64)))
         yield rtbench.verdict(f"periods from {name}, median,", gap, most)
 
 

@@ -178,7 +178,7 @@ def described(
         try:
             if name in rmods:
                 infos += [] if alone else [library.load(name).info]
-            elif _DERIVES.search(path.read_bytes()):
+            elif path.suffix == ".so" or _DERIVES.search(path.read_bytes()):
                 infos.append(library.load(name).info)
         except (PbonetError, OSError) as error:
             faults.append(str(error))

@@ -13,12 +13,18 @@ device, so that the same code runs in real time, in simulation and in replay. On
     A joystick or game pad, as an input device of Linux.
 ``chain``
     Rigid-body mathematics of a serial arm, from its Denavit-Hartenberg table.
+``robot_model``
+    The same of a robot that a URDF file describes.
 ``arm``
     An arm that is simulated behind the interface a real one would have.
 ``puma560``
     The published numbers of the Unimation PUMA 560.
 ``sample_file``
     Samples of a signal over time, from a file.
+``mujoco_robot``
+    A robot that MuJoCo simulates, behind the interface a real one would have.
+``extras``
+    Packages that only some modules need.
 ``policy``
     Whether devices may be opened at all; the simulator says no.
 """

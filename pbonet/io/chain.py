@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from pbonet.errors import DeviceError
+from .extras import from_extra
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -37,15 +37,14 @@ GRAVITY = 9.81
 """m/s^2, as in the publications whose numbers are used."""
 
 
-def _pinocchio() -> ModuleType:
-    try:
+def pinocchio() -> ModuleType:
+    """Return pinocchio.
+
+    Raises:
+        DeviceError: It is not installed.
+    """
+    with from_extra("robot", "rigid-body dynamics"):
         return import_module("pinocchio")
-    except ImportError:
-        raise DeviceError(
-            "rigid-body dynamics needs pinocchio, which is not installed",
-            where="pbonet.io.chain",
-            remedy="pip install 'pbonet[robot]'",
-        ) from None
 
 
 class Chain:
@@ -71,7 +70,7 @@ class Chain:
         inertia: ArrayLike | None = None,
         rotor: ArrayLike | None = None,
     ) -> None:
-        self._pin = _pinocchio()
+        self._pin = pinocchio()
         rows = np.asarray(dh, dtype=np.float64).reshape(-1, 4)
         self.n = len(rows)
         masses = np.asarray(mass, dtype=np.float64).reshape(self.n)

@@ -8,7 +8,7 @@ Velocities and small displacements are (m/s, rad/s) and (m, rad) in the base's a
 
 from __future__ import annotations
 
-from math import acos, pi, sqrt
+from math import acos, atan2, isfinite, pi, sin, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,26 +75,38 @@ class Geometry:
 
 def rotation(turn: Vector) -> Matrix:
     """Return the rotation matrix of a turn: axis times angle, rad (Rodrigues)."""
-    angle = sqrt(float(turn @ turn))
-    if angle < _SMALL:
-        return np.eye(3) + _cross(turn)
-    k = _cross(turn / angle)
-    turned: Matrix = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
-    return turned
+    # nine numbers: plain Python is faster here than numpy's calls would be
+    x, y, z = turn.tolist()
+    square = x * x + y * y + z * z
+    if square < _SMALL * _SMALL:
+        return np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+    angle = sqrt(square)
+    s, c = sin(angle) / angle, 2.0 * (sin(0.5 * angle) / angle) ** 2
+    xy, xz, yz = c * x * y, c * x * z, c * y * z
+    return np.array([
+        [1.0 - c * (y * y + z * z), xy - s * z, xz + s * y],
+        [xy + s * z, 1.0 - c * (x * x + z * z), yz - s * x],
+        [xz - s * y, yz + s * x, 1.0 - c * (x * x + y * y)],
+    ])
 
 
 def turn_of(matrix: Matrix) -> Vector:
     """Return the turn, axis times angle (rad, at most pi), of a rotation matrix."""
-    m = matrix
-    axis = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    size = sqrt(float(axis @ axis))  # twice the sine
-    cosine = 0.5 * (float(np.trace(m)) - 1.0)
-    angle = float(np.arctan2(0.5 * size, cosine))
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix.tolist()
+    x, y, z = zy - yz, xz - zx, yx - xy
+    size = sqrt(x * x + y * y + z * z)  # twice the sine
+    cosine = 0.5 * (xx + yy + zz - 1.0)
     if size > _SMALL:
-        return axis * (angle / size)
-    if cosine > 0.0:
-        return 0.5 * axis
-    # half a turn: the axis is the eigenvector of 1, up to its sign
+        scale_by = atan2(0.5 * size, cosine) / size
+    elif cosine > 0.0:
+        scale_by = 0.5
+    else:
+        return _half_turn(matrix)
+    return np.array([x * scale_by, y * scale_by, z * scale_by])
+
+
+def _half_turn(m: Matrix) -> Vector:
+    """Return half a turn: its axis is the eigenvector of 1, up to its sign."""
     column = int(np.argmax(np.diag(m)))
     axis = m[:, column] + np.eye(3)[column]
     half: Vector = axis * (pi / sqrt(float(axis @ axis)))
@@ -116,15 +128,51 @@ def gap(wanted: Matrix, pose: Matrix) -> tuple[float, float]:
 
 def is_rotation(matrix: Matrix) -> bool:
     """Return whether a matrix is a rotation, to 1e-6."""
-    close = np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6  # noqa: PLR2004
-    return bool(close and np.linalg.det(matrix) > 0.0)
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    off = (
+        abs(a * a + b * b + c * c - 1.0),
+        abs(d * d + e * e + f * f - 1.0),
+        abs(g * g + h * h + i * i - 1.0),
+        abs(a * d + b * e + c * f),
+        abs(a * g + b * h + c * i),
+        abs(d * g + e * h + f * i),
+    )
+    close = max(off) < 1e-6 and isfinite(sum(off))  # noqa: PLR2004
+    return close and a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0
+
+
+def fault_of(pose: Matrix) -> str:
+    """Return why a matrix is no pose, as the end of a sentence; empty if it is one."""
+    if not isfinite(float(pose.sum())):
+        return "it has elements that are not finite"
+    if not is_rotation(pose[:, :3]):
+        return "its orientation is not a rotation"
+    return ""
+
+
+AXES = "x", "y", "z", "the turn about x", "the turn about y", "the turn about z"
+"""Names of the six directions of a wrench or a velocity."""
+
+
+def fault_of_wrench(name: str, wrench: Vector) -> str:
+    """Return which element of a wrench is no number; empty if all are.
+
+    Args:
+        name: The variable.
+        wrench: Its value, [6].
+    """
+    if isfinite(float(wrench.sum())):
+        return ""
+    return f"{name} along {AXES[int(np.argmin(np.isfinite(wrench)))]} is not finite"
+
+
+def shorten(v: Vector, limit: float) -> None:
+    """Shorten a vector to `limit` if it is longer, in place."""
+    size = sqrt(float(v @ v))
+    if size > limit:
+        v *= limit / size
 
 
 def scale(length: float) -> Vector:
     """Return factors that make six rows (m, rad) comparable: `length` (m) is 1 rad."""
     return np.array([1.0 / length] * 3 + [1.0] * 3)
-
-
-def _cross(v: Vector) -> Matrix:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

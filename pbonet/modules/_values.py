@@ -10,7 +10,7 @@ from pbonet import Matrix, Vector
 from pbonet.errors import ParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
 
 PerElement = tuple[float, ...]
@@ -70,3 +70,20 @@ def square(values: Sequence[float], n: int, name: str) -> Matrix:
         got=f"{len(values)} values",
         remedy="give as many as one of these",
     )
+
+
+def keep(name: str, fixed: Collection[str]) -> None:
+    """Refuse to change a parameter that is read when the task is created.
+
+    Args:
+        name: The parameter that is to be changed.
+        fixed: Those that cannot be.
+
+    Raises:
+        ParameterError: It is one of them.
+    """
+    if name in fixed:
+        raise ParameterError(
+            f"parameter {name} is read when the task is created",
+            remedy="kill the task and spawn it again",
+        )

@@ -192,6 +192,8 @@ class TaskContext:
         """Returns the age of an in-var in seconds; None if values do not age."""
         self.stamp_of: Callable[[str], int] | None = None
         """Returns the time stamp that outputs made of this in-var alone would have."""
+        self.libraries: tuple[str, ...] = ()
+        """Folders of modules, in which a file that a parameter names is looked for."""
         self.on_illegal: IllegalHook | None = None
         """How the runtime raises or withdraws the task's entries in the flag."""
 

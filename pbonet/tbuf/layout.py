@@ -11,7 +11,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.lib import format as npy
+from numpy.lib import format as numpy_format
 
 from pbonet.errors import XmLayoutError
 
@@ -20,6 +20,7 @@ from ._tbuf import LONGEST_TEXT
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
+npy: Any = numpy_format  # its functions have types only from numpy 2.4 on
 _NO_LAYOUT = (
     *(ValueError, TypeError, SyntaxError, OverflowError),
     *(MemoryError, RecursionError),  # raised by malicious texts

@@ -63,6 +63,7 @@ class Bench(Generic[M]):
         clock: Shared with other benches, if need be.
         name: What the task is called.
         seed: Where ``self.task.rng`` begins.
+        library: Folders of modules, where files that parameters name are looked for.
         more: Sizes by the name in the ports' shapes, and first values of ports by
             attribute: constants, inputs, and what the last writer left in the outputs.
             Every in-const needs a value; sizes follow from values where they can.
@@ -103,6 +104,7 @@ class Bench(Generic[M]):
         clock: FakeClock | None = None,
         name: str = "bench",
         seed: int = 0,
+        library: Iterable[str | Path] = (),
         **more: Any,  # noqa: ANN401 - numbers and arrays
     ) -> None:
         __tracebackhide__ = True  # of pytest
@@ -138,6 +140,7 @@ class Bench(Generic[M]):
             handler=handler,
             seed=seed,
         )
+        self.task.libraries = tuple(map(str, library))
         self._watch = self.task.watch = PythonWatch(self.task)
         self._cycling = self._skips = False
         self._passed = 0.0
@@ -184,7 +187,8 @@ class Bench(Generic[M]):
             PbonetError: The file is wrong, its module does not load, or as for the
                 constructor.
         """
-        found = Library(library)
+        folders = tuple(library)
+        found = Library(folders)
         record = found.read_rmod(rmod)
         module = found.load_rmod(record).cls
         told: dict[str, Any] = {
@@ -195,6 +199,7 @@ class Bench(Generic[M]):
             "on_stale": record.stale or "",
             "settle": record.settle,
             "name": record.name,
+            "library": folders,
         }
         return Bench(module, values, **{**told, **more})
 

@@ -242,6 +242,7 @@ class Run:
             handler=rmod.handler,
             seed=about.seed,
         )
+        self._context.libraries = tuple(map(str, library.folders))
         self._watch = PythonWatch(self._context)
         if about.timing:
             self._watch = _outside.Watch(told, self._context)

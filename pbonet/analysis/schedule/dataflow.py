@@ -99,7 +99,7 @@ def run(
     ends_a, ends_b = a.ends(outcome), b.ends(outcome)
     sampled = signal(np.array(a.begins[: len(ends_a)]) * 1e-9)
     handed = _held(ends_a, sampled, np.array(b.begins[: len(ends_b)]))
-    at_ns = np.arange(settle, seconds + settle, 1.0 / STEPS) * 1e9
+    at_ns = np.arange(settle, seconds + settle, 1.0 / STEPS, dtype=np.float64) * 1e9
     time_s = at_ns * 1e-9
     return Signals(time_s, signal(time_s), _held(ends_b, handed, at_ns))
 

@@ -1,6 +1,5 @@
 """Cartesian velocity control by damped least squares, for any arm."""
 
-from math import sqrt
 from typing import Annotated as A
 
 import numpy as np
@@ -15,7 +14,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.modules._dh import difference, is_rotation, scale
+from pbonet.modules._dh import difference, fault_of, scale, shorten
 
 
 class Damping(Params):
@@ -64,9 +63,9 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         self.cycle(0.0)  # who integrates Q^_CMD is turned on next
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - a velocity
-        if not is_rotation(self.x_des[:, :3]):
+        if why := fault_of(self.x_des):
             if not self._lost:
-                self.task.warn("X_DES is not a pose: its orientation is not a rotation")
+                self.task.warn(f"X_DES is not a pose: {why}")
             self._lost = True
             self.qd[:] = 0.0
             return
@@ -93,10 +92,3 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
 
     def _take_scale(self) -> None:
         self._scale = scale(self.params.length)
-
-
-def shorten(v: Vector, limit: float) -> None:
-    """Shorten a vector to `limit` if it is longer, in place."""
-    size = sqrt(float(v @ v))
-    if size > limit:
-        v *= limit / size

@@ -115,4 +115,5 @@ class Limits(PortBasedObject[Bounds], module_class="signal"):
 
 def clipped(values: Vector, low: Vector, high: Vector) -> Vector:
     """Return values within limits; np.clip takes several times as long."""
-    return np.minimum(np.maximum(values, low), high)
+    within: Vector = np.minimum(np.maximum(values, low), high)
+    return within

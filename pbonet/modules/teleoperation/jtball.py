@@ -7,7 +7,7 @@ import numpy as np
 from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
 from pbonet.io import AXES, Ball, RecordedBall, SerialLine
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import PerElement, keep, spread
 
 
 class Steering(Params):
@@ -53,11 +53,7 @@ class JtBall(PortBasedObject[Steering], module_class="teleoperation"):
         self._poll()  # a missing ball is reported at once
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - nearly all at once
-        if name in {"device", "trace", "repeat"}:
-            raise ParameterError(
-                f"parameter {name} is read when the task is created",
-                remedy="kill the task and spawn it again",
-            )
+        keep(name, {"device", "trace", "repeat"})
         self._take_parameters()
 
     def on(self) -> None:
