@@ -263,7 +263,10 @@ class Agent:
         self._subscriptions = KeySubscriptions(
             self._session, self.config.events, self._arrived
         )
-        self._links = Links(*where, self.name, self._ways.clock, self._note)
+        self._links = Links(
+            *(*where, self.name, self._ways.clock, self._note),
+            refuses=self._stops.holds_agent,
+        )
         unlinked = partial(self._ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
@@ -405,7 +408,6 @@ class Agent:
             self._again = None
         self._desired.close(keep=keep)
         network = (
-            self._heartbeat,
             self._mail,
             self._links,
             self._subscriptions,
@@ -417,6 +419,7 @@ class Agent:
         for part in (*network, self._duplicates, self._term, self._stopped):
             if part is not None:
                 part.stop()
+        ways, beats = self._ways, self._heartbeat
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
         self._stops = self._takeovers = None
@@ -427,6 +430,10 @@ class Agent:
         if self._server is not None:
             self._server.stop()
             self._server = None
+        if ways is not None and not keep:
+            ways.announce_end()  # after the last answer, and before silence
+        if beats is not None:
+            beats.stop()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
             self._session = None
@@ -505,6 +512,7 @@ class Agent:
             rtpu_age=(time.monotonic_ns() - info.started_ns) * 1e-9,
             stops=list(dict.fromkeys([*self._desired.stops, *info.stops])),
             due=self._stops.due() if self._stops is not None else {},
+            here=run_folder.live_rtpus(self.config.domain),
             now_ns=time.monotonic_ns(),
             keys_left=term.left if term is not None else None,
             lost=ways.lost() if ways is not None else [],
@@ -589,6 +597,10 @@ class Agent:
     def done(self, request: messages.AnyRequest, data: bytes) -> None:
         """Keep what a command makes the RTPU do."""
         self._desired.done(request, data)
+
+    def warned(self, data: bytes) -> bytes:
+        """Return the packed answer to a stop with a warning if that is not kept."""
+        return self._desired.warned(data)
 
     # -- for giving lost tasks again ---------------------------------------------------
 

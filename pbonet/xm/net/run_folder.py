@@ -240,6 +240,13 @@ def agent_processes(domain: str) -> dict[str, int]:
     return {path.stem: _holder(path) for path in here.glob("*.agent") if is_held(path)}
 
 
+def live_rtpus(domain: str) -> list[str]:
+    """Return the RTPUs of `domain` whose agent or process lives here, sorted."""
+    here = folder() / check_name("a domain", domain)
+    locks = (path for kind in ("agent", "rtpu") for path in here.glob(f"*.{kind}"))
+    return sorted({path.stem for path in locks if is_held(path)})
+
+
 def is_stopped(pid: int) -> bool:
     """Return whether a process is stopped, by SIGSTOP, a terminal or a debugger."""
     try:
