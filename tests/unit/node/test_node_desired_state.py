@@ -272,12 +272,35 @@ def waiting(notes):
     return state
 
 
+class Infos(dict):
+    """The greetings, which are read once more before each task is turned on."""
+
+    def __init__(self, infos, read):
+        super().__init__(infos)
+        self.read = read
+
+    def items(self):
+        self.read()
+        return super().items()
+
+
+@pytest.mark.parametrize("when", ["while the first one comes on", "just before its on"])
 def test_a_task_that_is_replaced_while_another_comes_on_stays_off(
-    waiting, notes, monkeypatch
+    waiting, notes, monkeypatch, when
 ):
+    def replace():
+        if node.on:
+            waiting.replaced("arm", ["b"])
+
+    def call_all(*given):
+        return Infos(Keeper.call_all(keeper, *given)[0], replace), []
+
+    node, keeper = Node(replace), Keeper()
+    if when == "just before its on":
+        node.meanwhile = lambda: None
+        monkeypatch.setattr(keeper, "call_all", call_all)
     monkeypatch.setattr("pbonet.node.restart.task_restarts.TURN", 0.01)
-    node = Node(lambda: waiting.replaced("arm", ["b"]))
-    on, why = come_back(waiting, notes, node, Keeper())
+    on, why = come_back(waiting, notes, node, keeper)
     assert on == ["a"]
     assert why["b"].endswith(f"spawned again, OFF: {CALLED_OFF}")
 
