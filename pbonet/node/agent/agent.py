@@ -145,12 +145,14 @@ class Agent:
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
         self._stopped = StoppedProcesses(
-            self.name, self._processes, self._note, self._send_alive
+            self.name, self._processes, self._note, self._check_alive
         )
         self._link: RtpuLink | None = None
         self._apart: dict[str, float] = {}
         """Subsystems whose keeper is on another machine, and its silence, as sent."""
         self._about: AgentInfo | None = None
+        self._here: list[str] = []
+        """RTPUs that live on this machine; see `AgentInfo.here`."""
         self._over = Ending()
         self._stopping = False
         self._started = False
@@ -201,6 +203,7 @@ class Agent:
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
         self._desired.begin(taken_over=self._link.taken_over)
+        self._here = self.places.neighbours()
         self._stopped.start()
         self._about = self._describe()
         self._mail = Mail(self._session, self.places, self.config.files, self._note)
@@ -299,6 +302,12 @@ class Agent:
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
+
+    def _check_alive(self) -> None:
+        """See which RTPUs live here; send this one's process a sign of life."""
+        with contextlib.suppress(OSError):  # the folder was removed
+            self._here = self.places.neighbours()
+        self._send_alive()
 
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""
@@ -512,7 +521,7 @@ class Agent:
             rtpu_age=(time.monotonic_ns() - info.started_ns) * 1e-9,
             stops=list(dict.fromkeys([*self._desired.stops, *info.stops])),
             due=self._stops.due() if self._stops is not None else {},
-            here=run_folder.live_rtpus(self.config.domain),
+            here=self._here,
             now_ns=time.monotonic_ns(),
             keys_left=term.left if term is not None else None,
             lost=ways.lost() if ways is not None else [],
@@ -538,6 +547,7 @@ class Agent:
             zid=str(self._session.info.zid()) if self._session is not None else "",
             dials=self._dials,
             listens=list(self.config.listen),
+            here=self._here,
             now_ns=time.monotonic_ns(),
         )
 

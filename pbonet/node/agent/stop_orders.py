@@ -256,6 +256,8 @@ class StopOrders:
         before = self._peers.get(info.name)
         here = set(info.here)
         known = before.here | before.ended if before is not None else here
+        if info.name not in here:  # an agent of an earlier version does not tell it
+            here = known
         self._peers[info.name] = _Peer(
             list(info.claims), machine, here=here, ended=known - here
         )

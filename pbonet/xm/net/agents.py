@@ -76,7 +76,7 @@ class AgentInfo(Struct, kw_only=True):
     """RTPUs that have not carried out stop orders that this agent was given, and the
     identity and the subsystem of each; an empty name: every one."""
     here: list[str] = []
-    """RTPUs whose agent or process lives on its machine."""
+    """RTPUs whose agent or process lives on its machine, with its own."""
 
     def understands(self, layer: str) -> Range:
         """Return the versions of a layer that it understands."""

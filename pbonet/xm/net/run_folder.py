@@ -129,6 +129,15 @@ class Places:
         """The agent's sockets, and the lock file that zenoh makes for one."""
         return self.sock, self.sock.with_suffix(".sock.lock"), self.post
 
+    def neighbours(self) -> list[str]:
+        """Return the RTPUs of the domain whose agent or process lives here, sorted."""
+        locks = [Path(one) for one in os.scandir(self.folder)]
+        return sorted({
+            path.stem
+            for path in locks
+            if path.suffix in {".agent", ".rtpu"} and is_held(path)
+        })
+
     def remove(self, *paths: Path) -> None:
         """Remove some of the files; missing ones are ignored."""
         for path in paths:
@@ -238,13 +247,6 @@ def agent_processes(domain: str) -> dict[str, int]:
     """
     here = folder() / check_name("a domain", domain)
     return {path.stem: _holder(path) for path in here.glob("*.agent") if is_held(path)}
-
-
-def live_rtpus(domain: str) -> list[str]:
-    """Return the RTPUs of `domain` whose agent or process lives here, sorted."""
-    here = folder() / check_name("a domain", domain)
-    locks = (path for kind in ("agent", "rtpu") for path in here.glob(f"*.{kind}"))
-    return sorted({path.stem for path in locks if is_held(path)})
 
 
 def is_stopped(pid: int) -> bool:
