@@ -68,6 +68,26 @@ def test_hello_says_who_and_where(nodes):
     assert info.backend in {"fifo", "park"}
     assert info.python == sys.version.split()[0]
     assert info.claims == {}
+    assert info.here == ["arm0"]
+
+
+def test_an_agent_says_which_rtpus_live_beside_it(nodes):
+    """One whose agent alone was killed lives on for its grace."""
+    nodes.agent("arm0")
+    victim = nodes.agent_process("arm1")
+    client = nodes.client()
+
+    def here():
+        return client.call("arm0", m.Hello(), m.AgentInfo).here
+
+    wait_for(lambda: here() == ["arm0", "arm1"], "both")
+    pid = nodes.state("arm1").pid
+    victim.kill()
+    victim.wait()
+    assert here() == ["arm0", "arm1"]
+    os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: here() == ["arm0"], "the end of arm1")
+    nodes.agent_process("arm1")  # it cleans up
 
 
 def test_no_zenoh_in_the_processes_that_control(nodes):

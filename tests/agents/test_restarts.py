@@ -414,7 +414,7 @@ def test_a_machine_turns_nothing_on_before_the_keeper_answers(nodes):
     kill_both(nodes, "arm0")
     nodes.forget_session()
     nodes.agent_process("arm1")
-    other = nodes.master("arm1", "arm", table=False)
+    other = Watcher(nodes, "arm1")
     wait_states(other, t1="OFF")
     wait_for(
         lambda: (
@@ -429,6 +429,38 @@ def test_a_machine_turns_nothing_on_before_the_keeper_answers(nodes):
     assert reasons(other) == ({}, {})
 
 
+@pytest.mark.parametrize("how", ["the machine is shut down", "hangup"])
+def test_a_stop_while_an_agent_restarts_in_order_reaches_it(nodes, how):
+    """It announces no end: its tasks come back, or are ON all the time."""
+    nodes.agent("arm0")
+    first = nodes.agent("arm1")
+    keeper = nodes.master("arm0", "arm")
+    other = nodes.master("arm1", "arm", table=False)
+    other.ask(m.Claim(svar=svar(), svar_name="t.svar", keeper="arm0"), m.Claimed)
+    other.spawn("t1", "counts", out="Y1", restart="on")
+    other.on("t1")
+    wait_written(nodes, "arm1", ["t1"])
+    stops = nodes.agents["arm0"]._stops
+    wait_for(lambda: stops.others("arm") == ["arm1"], "that arm0 knows of arm1")
+    process = first._link._process  # of the RTPU process, which goes on after a hangup
+    if how == "hangup":
+        first.abandon()
+    else:
+        first.stop(keep=True)
+    (lost,) = wait_for(lambda: nodes.agents["arm0"].info().lost, "the loss of arm1")
+    assert lost.rtpu == "arm1"
+    stop = m.Stop(subsystem="arm", stop_id=secrets.token_hex(8))
+    keeper.ask(stop, m.Stopped)
+    again = nodes.agent("arm1")
+    wait_for(lambda: stop.stop_id in again.info().stops, "that it is carried out")
+    assert states(Watcher(nodes, "arm1")) == {}
+    for run in again._again._runs:
+        run.thread.join()
+    assert states(Watcher(nodes, "arm1")) == {}
+    again.stop()
+    process.wait(60)
+
+
 @pytest.mark.usefixtures("two")
 def test_a_task_that_is_on_elsewhere_now_stays_off(nodes):
     """A master has moved it while its machine was away."""
@@ -437,8 +469,10 @@ def test_a_task_that_is_on_elsewhere_now_stays_off(nodes):
     keeper = Master(nodes, "arm0", "arm")
     keeper.spawn("t1", "counts", out="Y1")
     keeper.on("t1")
+    keeper.token.undeclare()
+    wait_no_token(nodes)
     nodes.agent_process("arm1")
-    other = nodes.master("arm1", "arm", table=False)
+    other = Watcher(nodes, "arm1")
     wait_for(
         lambda: (
             reasons(other)[1]
@@ -449,6 +483,26 @@ def test_a_task_that_is_on_elsewhere_now_stays_off(nodes):
     )
     assert states(other) == {"t1": "OFF"}
     assert keeper.status("t1").state == "ON"
+
+
+@pytest.mark.usefixtures("two")
+def test_a_master_that_starts_something_else_keeps_waiting_tasks_off(nodes):
+    """Its claim of the keeper is not what the task waited for."""
+    kill_both(nodes, "arm1")
+    kill_both(nodes, "arm0")
+    desired_state.path_of(nodes.domain, "arm0").unlink()  # it has ended in order
+    nodes.forget_session()
+    nodes.agent_process("arm1")
+    other = Watcher(nodes, "arm1")
+    wait_for(lambda: "the keeper" in reasons(other)[1].get("t1", ""), "that it waits")
+    nodes.agent_process("arm0")
+    master = nodes.master("arm0", "arm")
+    wait_for(
+        lambda: reasons(other)[1].get("t1", "").endswith(task_restarts.CALLED_OFF),
+        "the reason",
+    )
+    assert states(other) == {"t1": "OFF"}
+    assert states(master) == {}
 
 
 def test_another_subsystem_that_has_the_rtpu_keeps_it(nodes):

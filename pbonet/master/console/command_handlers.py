@@ -10,6 +10,7 @@ from pbonet.analysis import legality
 from pbonet.errors import ConfigError, SeveralError, StateError, VerificationError
 from pbonet.master.subsystem import find_missing, status_fields
 from pbonet.versions import LAYERS
+from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:
     from pbonet.xm.net import RtpuStatus
@@ -75,12 +76,14 @@ def status(session: SessionState, given: Given) -> Data:
         tasks = session.subsystem.task_set.restart_extremes(tasks)
     profiles = session.baselines.since(tasks)
     silent = session.subsystem.task_set.silent
+    infos = _asked(session, rtpus)
     missing = [] if wanted else find_missing(session.subsystem.files, rtpus, silent)
     return {
         "fields": list(fields),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "missing": [msgspec.to_builtins(one) for one in missing],
-        "versions": _mismatches(session, rtpus),
+        "versions": m.mismatched(infos),
+        "held": m.held(infos),
         "rtpus": [
             {
                 "rtpu": rtpu.rtpu,
@@ -98,11 +101,11 @@ def status(session: SessionState, given: Given) -> Data:
     }
 
 
-def _mismatches(session: SessionState, rtpus: list[RtpuStatus]) -> list[str]:
-    """Ask the agents for versions if one may have others; say what does not match."""
+def _asked(session: SessionState, rtpus: list[RtpuStatus]) -> list[m.AgentInfo]:
+    """Ask the agents for more if one does not answer, or has other versions."""
     subsystem = session.subsystem
     if subsystem.task_set.silent or any(one.versions != LAYERS for one in rtpus):
-        return subsystem.clients.mismatches()
+        return subsystem.clients.infos()
     return []
 
 

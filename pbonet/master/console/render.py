@@ -10,7 +10,7 @@ from pbonet.analysis import legality
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.subsystem import is_sequence, status_fields
 from pbonet.versions import REMEDY
-from pbonet.xm.net import Event, convert
+from pbonet.xm.net import Event, convert, messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -139,6 +139,7 @@ def _status(data: Data) -> str:
         for one in data["missing"]
     ]
     lines += [f"VERSIONS> {text}: {REMEDY}" for text in data.get("versions", ())]
+    lines += [f"HELD> {text}: {m.HELD_REMEDY}" for text in data.get("held", ())]
     raised: dict[str, list[str]] = {}  # RTPUs of one machine share one flag
     for rtpu in data["rtpus"]:
         for cause in rtpu["illegal"]:

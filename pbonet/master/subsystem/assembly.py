@@ -111,7 +111,9 @@ def start(
     problems = task_set.legal(legality.job(tasks))
     gate.must_hold()
     task_set.say(problems)
-    task_set.warn(f"{text} ({REMEDY})" for text in task_set.clients.mismatches())
+    infos = task_set.clients.infos()
+    task_set.warn(f"{text} ({REMEDY})" for text in m.mismatched(infos))
+    task_set.warn(f"{text} ({m.HELD_REMEDY})" for text in m.held(infos))
     by_name = {member.name: member for member in wanted}
     done = Done(task_set)
     with done.undone_on_error(f"the job {job.name} did not start"):

@@ -261,13 +261,10 @@ class RtpuClients:
         requests = {rtpu: self._signed(rtpu, make(rtpu)) for rtpu in wanted}
         return self.client.call_all(requests, result, timeout=timeout)
 
-    def mismatches(self) -> list[str]:
-        """Say what the agents cannot tell each other, as their versions differ.
-
-        They are asked now: an agent may have been replaced since the claim.
-        """
+    def infos(self) -> list[m.AgentInfo]:
+        """Return the agents that answer now: one may be another since the claim."""
         infos, _ = self.each(lambda _: m.Hello(), m.AgentInfo)
-        return m.mismatched(infos.values())
+        return list(infos.values())
 
     def pass_to_gateways(self, stop: m.Stop) -> None:
         """Give a stop also to agents without RTPUs of the subsystem, if they have keys.

@@ -264,6 +264,8 @@ def agents(
         yield from losses(infos)
         for text in m.mismatched(infos):
             yield Finding(Level.FAIL, text, REMEDY)
+        for text in m.held(infos):
+            yield Finding(Level.FAIL, text, m.HELD_REMEDY)
     finally:
         client.close()
 

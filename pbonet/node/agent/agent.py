@@ -145,12 +145,14 @@ class Agent:
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
         self._stopped = StoppedProcesses(
-            self.name, self._processes, self._note, self._send_alive
+            self.name, self._processes, self._note, self._check_alive
         )
         self._link: RtpuLink | None = None
         self._apart: dict[str, float] = {}
         """Subsystems whose keeper is on another machine, and its silence, as sent."""
         self._about: AgentInfo | None = None
+        self._here: list[str] = []
+        """RTPUs that live on this machine; see `AgentInfo.here`."""
         self._over = Ending()
         self._stopping = False
         self._started = False
@@ -201,6 +203,7 @@ class Agent:
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
         self._desired.begin(taken_over=self._link.taken_over)
+        self._here = self.places.neighbours()
         self._stopped.start()
         self._about = self._describe()
         self._mail = Mail(self._session, self.places, self.config.files, self._note)
@@ -263,7 +266,10 @@ class Agent:
         self._subscriptions = KeySubscriptions(
             self._session, self.config.events, self._arrived
         )
-        self._links = Links(*where, self.name, self._ways.clock, self._note)
+        self._links = Links(
+            *(*where, self.name, self._ways.clock, self._note),
+            refuses=self._stops.holds_agent,
+        )
         unlinked = partial(self._ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
@@ -296,6 +302,12 @@ class Agent:
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
+
+    def _check_alive(self) -> None:
+        """See which RTPUs live here; send this one's process a sign of life."""
+        with contextlib.suppress(OSError):  # the folder was removed
+            self._here = self.places.neighbours()
+        self._send_alive()
 
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""
@@ -405,7 +417,6 @@ class Agent:
             self._again = None
         self._desired.close(keep=keep)
         network = (
-            self._heartbeat,
             self._mail,
             self._links,
             self._subscriptions,
@@ -417,6 +428,7 @@ class Agent:
         for part in (*network, self._duplicates, self._term, self._stopped):
             if part is not None:
                 part.stop()
+        ways, beats = self._ways, self._heartbeat
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
         self._stops = self._takeovers = None
@@ -427,6 +439,10 @@ class Agent:
         if self._server is not None:
             self._server.stop()
             self._server = None
+        if ways is not None and not keep:
+            ways.announce_end()  # after the last answer, and before silence
+        if beats is not None:
+            beats.stop()
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
             self._session = None
@@ -505,6 +521,7 @@ class Agent:
             rtpu_age=(time.monotonic_ns() - info.started_ns) * 1e-9,
             stops=list(dict.fromkeys([*self._desired.stops, *info.stops])),
             due=self._stops.due() if self._stops is not None else {},
+            here=self._here,
             now_ns=time.monotonic_ns(),
             keys_left=term.left if term is not None else None,
             lost=ways.lost() if ways is not None else [],
@@ -530,6 +547,7 @@ class Agent:
             zid=str(self._session.info.zid()) if self._session is not None else "",
             dials=self._dials,
             listens=list(self.config.listen),
+            here=self._here,
             now_ns=time.monotonic_ns(),
         )
 
@@ -589,6 +607,10 @@ class Agent:
     def done(self, request: messages.AnyRequest, data: bytes) -> None:
         """Keep what a command makes the RTPU do."""
         self._desired.done(request, data)
+
+    def warned(self, data: bytes) -> bytes:
+        """Return the packed answer to a stop with a warning if that is not kept."""
+        return self._desired.warned(data)
 
     # -- for giving lost tasks again ---------------------------------------------------
 

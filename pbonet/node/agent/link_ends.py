@@ -97,6 +97,7 @@ class Receiver:
         key: The key on which records arrive.
         who: Description of this user in the buffer, for error messages.
         clock: Returns the other machine's clock; None if unknown: records are old then.
+        refuses: Returns whether records of the other machine are not used.
         misfit: Called once with an error if the records do not fit the reader.
 
     Raises:
@@ -111,6 +112,7 @@ class Receiver:
         *,
         who: str,
         clock: Callable[[], Clock | None],
+        refuses: Callable[[], bool],
         misfit: Callable[[Exception], None],
     ) -> None:
         self._end = Out()
@@ -119,7 +121,7 @@ class Receiver:
         self._end.enter(WRITER, who)
         self._raw = layout.room(self._dtype)
         self._end.hold(self._raw, self._raw, self._raw)
-        self._clock = clock
+        self._clock, self._refuses = clock, refuses
         self._misfit = misfit
         self._told = False
         self._text = b""
@@ -140,7 +142,7 @@ class Receiver:
     def _take(self, sample: zenoh.Sample) -> None:
         """Write a record; runs in zenoh's own thread, for a few microseconds."""
         now = time.monotonic_ns()
-        if self._over:
+        if self._over or self._refuses():
             return
         if now > self._again:
             self._update_clocks(now)

@@ -124,8 +124,8 @@ class PeerLatencies:
         """The machine of each agent that has answered, in the form used in keys."""
         self._back: set[str] = set()
         """Agents that came in sight again since the last check of links."""
-        self._ended: set[str] = set()
-        """Agents that have announced their end."""
+        self._ended: dict[str, int] = {}
+        """Agents that have announced their end, and when (monotonic ns)."""
         self._watchdog = link_watchdog.LinkWatchdog(link)
         self._guard = threading.Lock()
         self._over = threading.Event()
@@ -152,11 +152,17 @@ class PeerLatencies:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop asking, and announce the orderly end to the others."""
+        """Stop asking."""
         self._over.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def announce_end(self) -> None:
+        """Tell the others that this agent's tasks are OFF and will not come back.
+
+        To be called when it answers no greeting any more; see `_on_end`.
+        """
         with contextlib.suppress(zenoh.ZError):
             me = self._me()
             key = key_expressions.rtpu(me.domain, me.name, _END)
@@ -213,12 +219,15 @@ class PeerLatencies:
         self._table_version = LAYERS["table"].oldest
 
     def _on_end(self, sample: zenoh.Sample) -> None:
-        """Record the orderly end of an agent; runs in zenoh's own thread."""
+        """Record the orderly end of an agent; runs in zenoh's own thread.
+
+        One that is not seen cannot announce it, and one that answers has not ended.
+        """
         name = key_expressions.rtpu_name(str(sample.key_expr))
         with self._guard:
-            if name in self._peers:
-                self._ended.add(name)
-            self._lost.pop(name, None)
+            if name not in self._peers:
+                return
+            self._ended[name] = time.monotonic_ns()
         for one in self._listeners:
             one.ended(name)
 
@@ -348,8 +357,8 @@ class PeerLatencies:
             end = time.monotonic_ns()
             with self._guard:
                 if isinstance(found, m.AgentInfo):
-                    if peer.info is None or peer.info.zid != found.zid:
-                        self._ended.discard(name)  # it has restarted
+                    if self._ended.get(name, begin) < begin:
+                        del self._ended[name]  # it has restarted
                     trip = round_trip(begin, end, found.now_ns)
                     peer.add(found, trip)
                     self._machines[name] = key_expressions.machine(found.machine)
@@ -369,9 +378,9 @@ class PeerLatencies:
 
     def _lose(self, name: str, peer: Peer) -> None:
         """Remember agents that are no longer seen, unless they announced their end."""
-        if name in self._ended:
-            self._ended.discard(name)
-        elif peer.info is not None:
+        if self._ended.pop(name, 0):
+            return
+        if peer.info is not None:
             host, on = peer.info.host, peer.info.on
             lost = m.Lost(rtpu=name, host=host, near=peer.near, ago=0.0, on=on)
             self._lost[name] = lost, time.monotonic()

@@ -4,7 +4,8 @@ A stop is in force for every RTPU that had the subsystem when it was given. An a
 knows these from the greetings of the other agents. If one of them was out of reach, it
 gets the order as soon as it is seen again; until it has carried it out, nothing that
 its machine sends for the subsystem's table is used. Every agent that has received the
-stop does this, so it needs neither the master nor the command that gave it. An RTPU
+stop does this, so it needs neither the master nor the command that gave it. Of links
+with that machine no record is used. An RTPU
 carries an order out once, so it does not matter how often it arrives. With keys, other
 machines take the repetition from a gateway only (see `pbonet.xm.net.access_control`).
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 MOST: Final = 64
-"""Orders that are kept; the oldest are forgotten first."""
+"""Orders that are remembered after they were carried out; the oldest are forgotten."""
 TIME: Final = 2.0
 """Seconds that an RTPU gets for turning its tasks off."""
 PATIENCE: Final = 4.0
@@ -82,6 +83,10 @@ class _Peer(Struct):
     subsystems: list[str]
     machine: str
     """In the form used in keys."""
+    here: set[str]
+    """RTPUs of its machine that have a process."""
+    ended: set[str]
+    """RTPUs of its machine that had one, and have none any more."""
 
 
 class _Order(Struct):
@@ -93,7 +98,7 @@ class _Order(Struct):
     due: dict[str, float]
     """RTPUs that have not carried it out, and from when on it is repeated there."""
     machines: dict[str, str]
-    """Their machines."""
+    """Their machines, of which nothing is used; see `StopOrders.met`."""
     sent: set[str]
     """RTPUs to which it is being sent."""
     tasks: dict[str, list[str]]
@@ -176,8 +181,18 @@ class StopOrders:
                 sent=set(),
                 tasks=tasks,
             )
-            self._orders = [*self._orders[1 - MOST :], order]
+            self._orders = [*self._remembered(order), order]
         self._changed()
+
+    def _remembered(self, new: _Order) -> list[_Order]:
+        """Return the orders to remember beside a new one, which may contain others."""
+        for one in self._orders:
+            if not new.tasks and new.subsystem in {"", one.subsystem}:
+                for name in one.due.keys() & new.due.keys():
+                    new.due[name] = min(new.due[name], one.due.pop(name))
+        done = [one for one in self._orders if not one.due]
+        forgotten = done[: max(0, len(done) - MOST)]
+        return [one for one in self._orders if one not in forgotten]
 
     def left(self) -> list[StopLeft]:
         """Return the orders that RTPUs which were out of reach have not carried out."""
@@ -212,13 +227,20 @@ class StopOrders:
             return [n for n, one in self._peers.items() if subsystem in one.subsystems]
 
     def met(self, info: m.AgentInfo) -> None:
-        """Compare another agent's greeting with the orders, and repeat what is due."""
+        """Compare another agent's greeting with the orders, and repeat what is due.
+
+        Of an RTPU that has no process any more nothing is ON: its machine is used
+        again. The order stays due, for an agent of that name that starts later.
+        """
         now = time.monotonic()
         with self._guard:
             machine = key_expressions.machine(info.machine)
-            self._peers[info.name] = _Peer(list(info.claims), machine)
+            ended = self._take_greeting(info, machine)
             self._gone.discard(info.name)
             for order in self._orders:
+                for name in ended:
+                    if order.machines.get(name) == machine:
+                        del order.machines[name]
                 if info.name not in order.due:
                     continue
                 order.machines[info.name] = machine  # it is new after a reboot
@@ -228,6 +250,18 @@ class StopOrders:
                 elif order.due[info.name] <= now and info.name not in order.sent:
                     order.sent.add(info.name)
                     self._pool.submit(self._repeat, order, info.name)
+
+    def _take_greeting(self, info: m.AgentInfo, machine: str) -> set[str]:
+        """Keep an agent's greeting; return RTPUs of its machine that have ended."""
+        before = self._peers.get(info.name)
+        here = set(info.here)
+        known = before.here | before.ended if before is not None else here
+        if info.name not in here:  # an agent of an earlier version does not tell it
+            here = known
+        self._peers[info.name] = _Peer(
+            list(info.claims), machine, here=here, ended=known - here
+        )
+        return known - here
 
     def lost(self, name: str) -> None:
         """Repeat the orders of an RTPU when it is seen again, without delay."""
@@ -239,12 +273,15 @@ class StopOrders:
         self._changed()
 
     def ended(self, name: str) -> None:
-        """Forget an RTPU that has ended in order: its tasks are OFF."""
+        """Forget an RTPU that has ended in order: its tasks are OFF.
+
+        What it has missed stays due: a stolen key can announce anybody's end.
+        """
         with self._guard:
             self._peers.pop(name, None)
-            self._gone.discard(name)
             for order in self._orders:
-                order.due.pop(name, None)
+                if order.due.get(name):
+                    del order.due[name]
         self._changed()
 
     def in_reach(self) -> list[str]:
@@ -264,6 +301,12 @@ class StopOrders:
                 for order in self._orders
                 for name, due in order.due.items()
             )
+
+    def holds_agent(self, name: str) -> bool:
+        """Return the same of the machine of an agent, as that said last."""
+        with self._guard:
+            peer = self._peers.get(name)
+        return peer is not None and self.holds(peer.machine)
 
     def refuses(self, subsystem: str, machine: str) -> bool:
         """Return whether a machine has not carried out a stop of a subsystem.

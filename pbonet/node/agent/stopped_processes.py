@@ -30,7 +30,7 @@ class StoppedProcesses:
         name: The agent's name.
         processes: Returns the identifiers of its processes, with what each one is.
         note: Called with reports for masters.
-        alive: Called at each check: sends the RTPU process a sign of life.
+        alive: Called at each check: the RTPU process gets a sign of life.
     """
 
     def __init__(

@@ -73,6 +73,7 @@ class Links:
         name: Its name.
         clock: Returns the clock of an agent's machine; None if unknown.
         tell: Called with reports for masters.
+        refuses: Returns whether records from an agent's machine are not used.
     """
 
     def __init__(
@@ -82,11 +83,13 @@ class Links:
         name: str,
         clock: Callable[[str], Clock | None],
         tell: Callable[[rtpu_messages.Note], None],
+        *,
+        refuses: Callable[[str], bool],
     ) -> None:
         self._session = session
         self._domain = domain
         self._name = name
-        self._clock = clock
+        self._clock, self._refuses = clock, refuses
         self._tell = tell
         self._standing = places.StandingLinks(domain)
         self._cares: dict[str, ServedLink] = {}
@@ -229,6 +232,7 @@ class Links:
                 key,
                 who=f"agent {me} from {far}",
                 clock=lambda: self._clock(far),
+                refuses=lambda: self._refuses(far),
                 misfit=lambda error: self._misfit(name, error),
             )
 

@@ -90,6 +90,10 @@ class Node(Protocol):
     def done(self, request: m.AnyRequest, data: bytes) -> None:
         """Take in a command that was carried out, with its packed answer."""
 
+    def warned(self, data: bytes) -> bytes:
+        """Return the packed answer to a stop with a warning if that is not kept."""
+        ...
+
     def info(self) -> AgentInfo:
         """Return this agent's identity."""
         ...
@@ -215,6 +219,8 @@ class Server:
         if one is None:
             return
         self._record(one.request, data, one.begun_ns)
+        if isinstance(one.request, m.Stop):
+            data = self._node.warned(data)
         if isinstance(one.request, m.Claim):
             self._looks.submit(self._claimed, one.reply, one.request, data)
         else:

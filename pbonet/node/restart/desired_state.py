@@ -91,6 +91,10 @@ class Subsystem(Struct, kw_only=True):
         self.stages.pop(task, None)
         self.notes.pop(task, None)
 
+    def stay_off(self, tasks: Collection[str]) -> None:
+        """Note that tasks which are lost, or wait, are not to be turned on."""
+        self.on = [one for one in self.on if one not in tasks]
+
     def drop(self, task: str) -> None:
         """Forget a task; why it is not there stays known."""
         self.requests = [one for one in self.requests if _task_of(one) != task]
@@ -119,7 +123,8 @@ class _File(Struct, kw_only=True):
 
     machine: str
     """Identity of the machine, new after each boot."""
-    subsystems: dict[str, Subsystem]
+    subsystems: msgspec.Raw
+    """A dict of `Subsystem` by name, which depends on the version of the requests."""
     stops: list[str]
     orders: list[StopLeft]
 
@@ -157,7 +162,8 @@ class DesiredState:
         self._claims: set[str] | None = None
         self._codec = codec.Codec()
         self._writing = threading.Lock()
-        self._failed = False
+        self._failed = ""
+        """Why the file could not be written last time."""
         self._dirty = threading.Event()
         self._over = False
         self._thread = threading.Thread(
@@ -175,19 +181,23 @@ class DesiredState:
             return ""
         try:
             found = msgspec.json.decode(self._path.read_bytes(), type=_File)
+            self.stops, self.orders = found.stops, found.orders
+            self.rebooted = found.machine != run_folder.machine()
+            self.subsystems = msgspec.json.decode(
+                found.subsystems, type=dict[str, Subsystem]
+            )
         except (FileNotFoundError, NotADirectoryError):
             return ""
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
             aside = self._path.with_suffix(".bad")
             with contextlib.suppress(OSError):
                 self._path.replace(aside)
+            kept = " (the stops of other RTPUs were read)" if self.orders else ""
+            self._dirty.set()
             return (
                 f"what this RTPU was to do cannot be read: {self._path}: {error}; no "
-                f"task is spawned again; the file is now {aside}"
+                f"task is spawned again{kept}; the file is now {aside}"
             )
-        self.subsystems, self.stops = found.subsystems, found.stops
-        self.orders = found.orders
-        self.rebooted = found.machine != run_folder.machine()
         return ""
 
     def begin(self, *, taken_over: bool) -> None:
@@ -243,7 +253,7 @@ class DesiredState:
         if not isinstance(request, (m.Claim, m.Release, m.CloseTable, m.Stop, *_KEPT)):
             return
         try:
-            answer = self._codec.answer(data)
+            answer = self._codec.answer(data, request)
         except PbonetError:
             return
         if not answer.ok:
@@ -290,6 +300,8 @@ class DesiredState:
         if not claim.svar:
             for name in ("svar", "svar_name", "keep", "keeper", "alone"):
                 setattr(claim, name, getattr(kept.claim, name))
+        if epoch != kept.epoch:  # what another master starts is not disturbed
+            kept.stay_off(kept.stages)
         kept.claim, kept.epoch = claim, epoch
 
     def ended(self, subsystem: str) -> None:
@@ -304,7 +316,7 @@ class DesiredState:
         with self.guard:
             kept = self.subsystems.get(subsystem)
             if kept is not None:
-                kept.on = [one for one in kept.on if one not in tasks]
+                kept.stay_off(tasks)
 
     def carried_out(self, stop_id: str) -> None:
         """Remember a stop order that was carried out."""
@@ -381,21 +393,52 @@ class DesiredState:
                 self.write()
 
     def write(self) -> None:
-        """Write the file, whole or not at all; with nothing to say there is none."""
+        """Write the file, whole or not at all; with nothing to say there is none.
+
+        Where it cannot be written the one from before goes, too: it may say that a task
+        is to be ON which was stopped since.
+        """
         if self._path is None:
             return
         with self._writing:
+            before = self._failed
+            self._failed = self._try_to_write(self._path, self._content())
+            if self._failed and not before:
+                log.error("%s", self._failed)
+                error = int(Severity.ERROR)
+                note = rtpu_messages.Note(error, "STATE_NOT_KEPT", self._failed)
+                self._note(note)
+
+    def _try_to_write(self, path: Path, data: bytes) -> str:
+        """Write or remove the file; return why what it says is not true then."""
+        try:
             try:
-                self._write(self._path, self._content())
-                self._failed = False
-            except OSError as error:
-                if not self._failed:
-                    self._failed = True
-                    self._say(
-                        f"what this RTPU is to do cannot be kept for a restart of the "
-                        f"machine: {self._path}: {error.strerror or error}; set "
-                        "PBONET_STATE_DIR to a folder of your own, or make room there"
-                    )
+                _write(path, data)
+            except OSError:
+                _remove(path)  # this may make the room that was missing
+                _write(path, data)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                _remove(path)
+            text = (
+                "what this RTPU is to do cannot be kept for a restart of the machine: "
+                f"{path}: {error.strerror or error}; set PBONET_STATE_DIR to a folder "
+                "of your own, or make room there"
+            )
+            if path.exists():
+                text += f"; remove {path}, else what it says comes back"
+            return text
+        return ""
+
+    def warned(self, data: bytes) -> bytes:
+        """Return the packed answer to a stop with a warning if that is not kept."""
+        with self._writing:
+            failed = self._failed
+        if not failed:
+            return data
+        answer = msgspec.msgpack.decode(data, type=m.Answer)
+        answer.warnings.append(failed)
+        return self._codec.pack(answer)
 
     def _content(self) -> bytes:
         with self.guard:
@@ -408,35 +451,51 @@ class DesiredState:
             return msgspec.json.encode(
                 _File(
                     machine=run_folder.machine(),
-                    subsystems=subsystems,
+                    subsystems=msgspec.Raw(msgspec.json.encode(subsystems)),
                     stops=self.stops,
                     orders=self.orders,
                 )
             )
 
-    @staticmethod
-    def _write(path: Path, data: bytes) -> None:
-        if not data:
-            path.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):  # others' files are there
-                path.parent.rmdir()
-            return
-        fresh = path.with_suffix(".new")
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
-        try:
-            fd = os.open(fresh, flags, 0o600)
-        except FileNotFoundError:  # no folder, or another agent has removed it
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            fd = os.open(fresh, flags, 0o600)
-        with os.fdopen(fd, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(fd)
-        fresh.replace(path)
 
-    def _say(self, text: str) -> None:
-        log.error("%s", text)
-        self._note(rtpu_messages.Note(int(Severity.ERROR), "STATE_NOT_KEPT", text))
+def _write(path: Path, data: bytes) -> None:
+    """Write a file and wait until it is on the disk; without data there is none."""
+    if not data:
+        _remove(path)
+        with contextlib.suppress(OSError):  # others' files are there
+            path.parent.rmdir()
+        return
+    fresh = path.with_suffix(".new")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+    try:
+        fd = os.open(fresh, flags, 0o600)
+    except FileNotFoundError:  # no folder, or another agent has removed it
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _synchronize(path.parent.parent)
+        fd = os.open(fresh, flags, 0o600)
+    with os.fdopen(fd, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(fd)
+    fresh.replace(path)
+    _synchronize(path.parent)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, and what is left of writing it, for good."""
+    for one in (path.with_suffix(".new"), path):
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            one.unlink()
+            _synchronize(path.parent)
+
+
+def _synchronize(folder: Path) -> None:
+    """Wait until the names of a folder are on the disk."""
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
 
 
 def _note_states(kept: Subsystem, tasks: dict[str, TaskSnapshot]) -> None:

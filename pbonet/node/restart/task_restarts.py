@@ -42,6 +42,8 @@ TIME: Final = 5.0
 MARGIN: Final = 2.0
 """Seconds by which an answer may exceed the time limit of its request."""
 _LOOK: Final = 0.05
+CALLED_OFF: Final = "another task or master is in its place since"
+"""Why a task that waited stays OFF."""
 
 T = TypeVar("T")
 
@@ -51,6 +53,10 @@ class Peers(Protocol):
 
     def rtpus(self) -> list[str]:
         """Return the names of the RTPUs whose agents are alive."""
+        ...
+
+    def masters(self, subsystem: str) -> list[str]:
+        """Return the names of the masters of a subsystem that are alive."""
         ...
 
     def call_all(
@@ -135,6 +141,10 @@ class TaskRestarts:
         """Return the other agents that answer."""
         names = [name for name in self._peers.rtpus() if name != self.name]
         return self._peers.call_all({name: m.Hello() for name in names}, m.AgentInfo)[0]
+
+    def masters(self, subsystem: str) -> list[str]:
+        """Return the masters of a subsystem that are alive."""
+        return self._peers.masters(subsystem)
 
     def next_id(self) -> str:
         """Return the id of a request."""
@@ -367,9 +377,16 @@ class _Run:
         self, name: str, kept: Subsystem, infos: Mapping[str, m.AgentInfo]
     ) -> None:
         """Turn on what waits for that, if the keeper has answered."""
-        waiting = [task for task in kept.on if kept.stages.get(task) == "waits"]
+        waiting = [task for task, stage in kept.stages.items() if stage == "waits"]
+        waiting.sort(key=lambda task: kept.on.index(task) if task in kept.on else -1)
         later = waiting and self._not_yet(name, kept, infos)
+        if waiting and {*self._all.masters(name)} - {kept.claim.client}:
+            with self._state.guard:  # it may be starting a job, and has not come to us
+                kept.stay_off(waiting)
         for task in waiting:
+            if task not in kept.on:
+                self._stays_off(name, kept, task, CALLED_OFF)
+                continue
             if later:
                 self._wait(kept, task, f"spawned again, comes ON when {later}")
                 continue
@@ -483,6 +500,8 @@ class _Run:
         with self._state.guard:
             kept = self._state.subsystems.get(name)
             gone = kept is None or (task and task not in kept.stages)
+            if kept and isinstance(request, m.Control) and request.signal == "on":
+                gone = gone or task not in kept.on
             if self.over.is_set() or kept is None or (gone and unless_stopped):
                 raise _OverError
             request.id, request.subsystem = self._all.next_id(), name

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 from collections import OrderedDict
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet.errors import PbonetError, ProtocolError, Severity, StateError
@@ -68,6 +69,8 @@ class RequestHandlers:
         self._pack = Answers(rtpu.name, self._report)
         self._answers: OrderedDict[tuple[str, str], _Known] = OrderedDict()
         self._masters: Masters = None
+        self._orders: dict[str, asyncio.Event] = {}
+        """Orders that are being carried out, by `Stop.stop_id`."""
         self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
             m.Claim: self._claim,
             m.Release: self._release,
@@ -366,27 +369,45 @@ class RequestHandlers:
         return None, []
 
     async def _stop(self, request: m.Stop) -> Result:
+        return await self._once(request.stop_id, partial(self._end_all, request)), []
+
+    async def _replaced(self, request: m.Replaced) -> Result:
+        return await self._once(request.stop_id, partial(self._turn_off, request)), []
+
+    async def _once(
+        self, order: str, do: Callable[[], Awaitable[m.Stopped]]
+    ) -> m.Stopped:
+        """Carry out an order once; a repetition is answered when that is done."""
+        while (running := self._orders.get(order)) is not None:
+            await running.wait()
+        if order in self._rtpu.stops:
+            return m.Stopped(off=[], killed=[])
+        done = asyncio.Event()
+        if order:
+            self._orders[order] = done
+        try:
+            stopped = await do()
+            if order:
+                self._rtpu.stops.append(order)
+        finally:
+            self._orders.pop(order, None)
+            done.set()
+        self._rtpu.publish_claims()
+        return stopped
+
+    async def _end_all(self, request: m.Stop) -> m.Stopped:
         names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())
         limit = request.timeout if 0 <= request.timeout <= LONGEST else LONGEST
-        if request.stop_id in self._rtpu.stops:
-            return m.Stopped(off=[], killed=[]), []
-        if request.stop_id:
-            self._rtpu.stops.append(request.stop_id)
         stopped = await signal_tasks.stop(self._rtpu, names, limit, request.order)
         for name in names:
             self._rtpu.claims.stand(name, None)
-        self._rtpu.publish_claims()
-        return stopped, []
+        return stopped
 
-    async def _replaced(self, request: m.Replaced) -> Result:
-        rtpu, stopped = self._rtpu, m.Stopped(off=[], killed=[])
-        if request.stop_id not in rtpu.stops:
-            rtpu.stops.append(request.stop_id)
-            names = request.tasks.get(rtpu.name, [])
-            tasks = [one for one in rtpu.of(request.subsystem) if one.name in names]
-            stopped = await signal_tasks.replaced(rtpu, tasks, request.timeout)
-            rtpu.publish_claims()
-        return stopped, []
+    async def _turn_off(self, request: m.Replaced) -> m.Stopped:
+        rtpu = self._rtpu
+        names = request.tasks.get(rtpu.name, [])
+        tasks = [one for one in rtpu.of(request.subsystem) if one.name in names]
+        return await signal_tasks.replaced(rtpu, tasks, request.timeout)
 
     # -- the rest ----------------------------------------------------------------------
 

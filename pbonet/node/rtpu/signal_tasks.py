@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from .rtpu_state import Rtpu
-    from .task_handle import Task
+    from .task_handle import Make, Task
 
 OFF_SHARE = 0.6
 """Of the time for a stop, what turning OFF may take; the rest is for ending."""
@@ -77,6 +77,28 @@ async def control(
         rtpu.fallbacks.dismiss(task)  # nothing is asked of it: it may hang in `on`
         rtpu.successors.dismiss(task)
         return await kill(rtpu, task, limit, arg=arg)
+
+    def make(n: int) -> rtpu_messages.Signal:
+        return rtpu_messages.Signal(
+            n, signal, arg=arg, handover=handover, replaces=list(replaces)
+        )
+
+    done = asyncio.Event()
+    if event is lifecycle.Event.ON:
+        task.coming.append(done)
+    try:
+        await _send(rtpu, task, event, make, limit)
+    finally:
+        done.set()
+        if event is lifecycle.Event.ON:
+            task.coming.remove(done)
+    return []
+
+
+async def _send(
+    rtpu: Rtpu, task: Task, event: lifecycle.Event, make: Make, limit: float
+) -> None:
+    """Send a signal other than `kill`, and wait for the state it leads to."""
     await rtpu.successors.withdraw(task)
     if event is lifecycle.Event.ON:
         await rtpu.fallbacks.withdraw(task)
@@ -86,20 +108,13 @@ async def control(
         rtpu.fallbacks.overtaken(task)
         await rtpu.fallbacks.ready(task)
     try:
-        await task.command(
-            signal,
-            lambda n: rtpu_messages.Signal(
-                n, signal, arg=arg, handover=handover, replaces=list(replaces)
-            ),
-            limit,
-        )
+        await task.command(event.value, make, limit)
     except PbonetError as error:
         note(rtpu, task, event, error)
         if event is lifecycle.Event.ON:
             await rtpu.fallbacks.spare(task)
         raise
     note(rtpu, task, event)
-    return []
 
 
 async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[str]:
@@ -215,18 +230,21 @@ async def replaced(rtpu: Rtpu, tasks: Sequence[Task], limit: float) -> Stopped:
 
     Args:
         rtpu: The RTPU of the tasks.
-        tasks: Those of them that are ON are turned off.
+        tasks: Those of them that are ON, or are being turned on, are turned off.
         limit: Seconds for each.
     """
     done = Stopped(off=[], killed=[])
     for task in tasks:
-        if task.state is not State.ON:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(limit):
+                await asyncio.gather(*(done.wait() for done in task.coming))
+        if task.state is not State.ON and not task.coming:
             continue
         try:
             await control(rtpu, task, "off", limit)
             done.off.append(task.name)
         except PbonetError:
-            if task.state is State.ON:
+            if task.state is State.ON or task.coming:
                 with contextlib.suppress(PbonetError):
                     await control(rtpu, task, "kill", limit)
                 done.killed.append(task.name)

@@ -134,6 +134,8 @@ class Task:
         """True once its end is wanted, so that the end is no event."""
         self.budget = LineBudget(rate=50.0, burst=200.0)
         """How many notices of the module become events."""
+        self.coming: list[asyncio.Event] = []
+        """Set when requests to turn it on that are being carried out are done."""
         self.gone = asyncio.Event()
         self._lock = asyncio.Lock()
         self._wake = wake

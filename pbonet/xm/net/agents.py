@@ -12,6 +12,9 @@ from pbonet.versions import LAYERS, UNTOLD, Range
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+HELD_REMEDY = "end that agent and its RTPU process, or start it again"
+"""Remedy for a machine in `held`."""
+
 
 class Lost(Struct, kw_only=True):
     """An agent that another agent has seen and no longer sees."""
@@ -72,6 +75,8 @@ class AgentInfo(Struct, kw_only=True):
     due: dict[str, list[tuple[str, str]]] = {}
     """RTPUs that have not carried out stop orders that this agent was given, and the
     identity and the subsystem of each; an empty name: every one."""
+    here: list[str] = []
+    """RTPUs whose agent or process lives on its machine, with its own."""
 
     def understands(self, layer: str) -> Range:
         """Return the versions of a layer that it understands."""
@@ -86,6 +91,27 @@ def mismatched(infos: Iterable[AgentInfo]) -> list[str]:
         told = {layer: info.understands(layer) for layer in LAYERS}
         programs[f"{info.name} of {info.host}"] = told
     return versions.mismatches(programs)
+
+
+def held(infos: Iterable[AgentInfo]) -> list[str]:
+    """Say of which machines nothing is used, as an RTPU there has missed a stop.
+
+    One that has no process any more holds nothing, and one that answers gets the stop.
+    """
+    infos = list(infos)
+    hosts = {name: info.host for info in infos for name in info.here}
+    silent = hosts.keys() - {info.name for info in infos}
+    found = {
+        (rtpu, subsystem or "all subsystems")
+        for info in infos
+        for rtpu in silent & info.due.keys()
+        for _, subsystem in info.due[rtpu]
+    }
+    return [
+        f"{rtpu} of {hosts[rtpu]} does not answer, and has not carried out the stop of "
+        f"{subsystem}: until then nothing of {hosts[rtpu]} is used"
+        for rtpu, subsystem in sorted(found)
+    ]
 
 
 class Way(Struct, kw_only=True):

@@ -75,13 +75,20 @@ class Codec:
                 remedy="see docs/protocol.md for the fields of each operation",
             ) from None
 
-    def answer(self, data: bytes) -> Answer:
+    def answer(self, data: bytes, to: Request | None = None) -> Answer:
         """Return the answer in `data`.
+
+        Args:
+            data: The answer.
+            to: The request that it answers, which may be one of `FROZEN`.
 
         Raises:
             ProtocolError: It is too long, malformed, or of another version.
         """
-        self._check(data)
+        if to is not None and to.__struct_config__.tag in FROZEN:
+            self._head(data)
+        else:
+            self._check(data)
         try:
             return self._answer.decode(data)
         except MALFORMED as error:

@@ -18,11 +18,13 @@ from pbonet.versions import LAYERS
 
 from . import message_parts as values
 from .agents import (
+    HELD_REMEDY as HELD_REMEDY,  # noqa: PLC0414 - taken from here
     AgentInfo as AgentInfo,  # noqa: PLC0414 - taken from here
     LinkReport as LinkReport,  # noqa: PLC0414 - taken from here
     Lost as Lost,  # noqa: PLC0414 - taken from here
     TableNews as TableNews,  # noqa: PLC0414 - taken from here
     Way as Way,  # noqa: PLC0414 - taken from here
+    held as held,  # noqa: PLC0414 - taken from here
     mismatched as mismatched,  # noqa: PLC0414 - taken from here
 )
 from .statuses import (

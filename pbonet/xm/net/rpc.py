@@ -159,6 +159,11 @@ class Client:
         """Return the names of the RTPUs whose agents are alive, sorted."""
         return sorted(map(key_expressions.rtpu_name, self.tokens(self._alive("*"))))
 
+    def masters(self, subsystem: str) -> list[str]:
+        """Return the names of the masters of a subsystem that are alive, sorted."""
+        tokens = self.tokens(key_expressions.masters(self.domain, subsystem))
+        return sorted(key_expressions.master_of(token)[1] for token in tokens)
+
     def call(
         self,
         rtpu: str,

@@ -129,6 +129,15 @@ class Places:
         """The agent's sockets, and the lock file that zenoh makes for one."""
         return self.sock, self.sock.with_suffix(".sock.lock"), self.post
 
+    def neighbours(self) -> list[str]:
+        """Return the RTPUs of the domain whose agent or process lives here, sorted."""
+        locks = [Path(one) for one in os.scandir(self.folder)]
+        return sorted({
+            path.stem
+            for path in locks
+            if path.suffix in {".agent", ".rtpu"} and is_held(path)
+        })
+
     def remove(self, *paths: Path) -> None:
         """Remove some of the files; missing ones are ignored."""
         for path in paths:

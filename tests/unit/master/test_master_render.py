@@ -67,6 +67,7 @@ def test_status_has_warning_and_error_below_their_task():
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "missing": [],
         "versions": ["no common version of table: a; b"],
+        "held": ["arm1 of b does not answer"],
         "rtpus": [
             {
                 "rtpu": "arm0",
@@ -95,6 +96,8 @@ def test_status_has_warning_and_error_below_their_task():
     assert lines[5].startswith("traj ")
     assert lines[6].startswith("VERSIONS> no common version of table: a; b: run the ")
     assert lines[7:] == [
+        "HELD> arm1 of b does not answer: end that agent and its RTPU process, or "
+        "start it again",
         "ILLEGAL> arm0, arm1: equation 2",
         "ILLEGAL> arm1: arm1/pid died",
         "STALLED> arm1: its core stood still 2 times, 100 ms in all",

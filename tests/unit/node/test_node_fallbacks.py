@@ -48,6 +48,7 @@ class FakeTask:
         self.state = state
         self.stands_by, self.waiting = "", None
         self.stopping = False
+        self.coming = []
         self.gone = asyncio.Event()
         self.heard = []
         self.fails_off = None
@@ -335,3 +336,52 @@ def test_a_task_that_was_replaced_is_turned_off_or_killed(home, monkeypatch):
     assert (done.off, done.killed) == ([STANDBY], [ORIGINAL])
     wanted = [(ORIGINAL, "off"), (ORIGINAL, "kill"), (STANDBY, "off")]
     assert signals == wanted
+
+
+@pytest.mark.parametrize("ends", [True, False], ids=["it comes", "its on hangs"])
+def test_a_task_that_is_being_turned_on_when_it_is_replaced_does_not_stay_on(
+    home, monkeypatch, ends
+):
+    """Its state is OFF until its `on` has ended."""
+    task, begun = FakeTask(OTHER, 5, State.OFF), []
+    started, go_on = asyncio.Event(), asyncio.Event()
+    home.tasks["arm", OTHER] = task
+
+    async def withdraw(_task):
+        pass
+
+    home.rank = lambda _task: None
+    home.successors.withdraw = withdraw
+
+    async def command(what, _make, _limit):
+        begun.append(what)
+        started.set()
+        if what == "on":
+            await go_on.wait()
+        task.state = State.ON if what == "on" else State.OFF
+
+    async def killed(*_, **_more):
+        begun.append("kill")
+        go_on.set()
+        return []
+
+    async def run():
+        coming = asyncio.create_task(signal_tasks.control(home, task, "on", 5.0))
+        await started.wait()
+        limit = 60.0 if ends else 0.0
+        order = asyncio.create_task(signal_tasks.replaced(home, [task], limit))
+        if ends:
+            await asyncio.sleep(0)
+            go_on.set()
+        done = await order
+        await coming
+        return done
+
+    task.command = command
+    monkeypatch.setattr(signal_tasks, "kill", killed)
+    monkeypatch.setattr(signal_tasks, "note", lambda *_: None)
+    done = asyncio.run(run())
+    if ends:
+        assert (done.off, begun, task.state) == ([OTHER], ["on", "off"], State.OFF)
+    else:
+        assert (done.killed, begun[-1]) == ([OTHER], "kill")

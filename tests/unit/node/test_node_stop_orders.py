@@ -1,14 +1,24 @@
 """Stop orders that reach RTPUs late: known, repeated, carried out once."""
 
+import struct
 import threading
+import time
 from queue import Queue
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import zenoh
+from watching import wait_for
 
+from pbonet import tbuf, xm
 from pbonet.errors import NoAnswerError
-from pbonet.node.agent.stop_orders import StopOrders
-from pbonet.xm.net import key_expressions, messages as m
+from pbonet.node.agent import link_ends, subsystem_links
+from pbonet.node.agent.peer_latency import Peer, PeerLatencies
+from pbonet.node.agent.stop_orders import MOST, StopOrders
+from pbonet.node.agent.subsystem_links import Links
+from pbonet.tbuf import layout
+from pbonet.xm.net import key_expressions, messages as m, session
 from pbonet.xm.net.agents import AgentInfo
 
 
@@ -47,12 +57,13 @@ def orders(agents, notes):
     made.stop()
 
 
-def info(name, *subsystems, stops=(), age=1000.0):
+def info(name, *subsystems, stops=(), age=1000.0, machine="", here=()):
     return AgentInfo(
         name=name,
         domain="d",
         host=f"host-{name}",
-        machine=f"boot-{name}",
+        machine=machine or f"boot-{name}",
+        here=list(here),
         core=1,
         cores=2,
         pid=1,
@@ -169,6 +180,109 @@ def test_one_that_has_ended_in_order_is_forgotten(orders, agents):
     assert agents.orders.empty()
 
 
+def test_the_end_of_one_that_has_missed_an_order_changes_nothing(orders, agents):
+    """A stolen key can announce anybody's end."""
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    orders.ended("arm1")
+    assert orders.due() == {"arm1": [("s1", "arm")]}
+    assert orders.refuses("arm", key_expressions.machine("boot-arm1"))
+    orders.met(info("arm1", "arm"))
+    assert agents.orders.get(timeout=60)[0] == "arm1"
+
+
+def test_only_one_that_is_seen_and_does_not_answer_has_ended():
+    heard = []
+    listener = SimpleNamespace(ended=heard.append)
+    ways = PeerLatencies(SimpleNamespace(), lambda: None, listeners=(listener,))
+    end = SimpleNamespace(key_expr=key_expressions.rtpu("d", "arm1", "end"))
+    ways._on_end(end)
+    assert heard == [], "a machine that is cut off cannot announce anything"
+    ways._peers["arm1"] = Peer()
+    ways._on_end(end)
+    assert heard == ["arm1"]
+    assert ways._ended.keys() == {"arm1"}
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_one_that_answers_after_its_end_is_lost_when_it_is_not_seen(
+    monkeypatch, answers
+):
+    """With the other's key one could hide the loss of a machine."""
+    link = SimpleNamespace(info=SimpleNamespace(routers_zid=list))
+    ways = PeerLatencies(link, lambda: info("arm0"))
+    found = info("arm1", "arm")
+    monkeypatch.setattr(ways, "_ask", lambda _key: found if answers else "no answer")
+    monkeypatch.setattr(session, "rtpus", lambda *_: ["arm0", "arm1"])
+    ways._peers["arm1"] = Peer()
+    ways._peers["arm1"].info = found
+    ways._on_end(SimpleNamespace(key_expr=key_expressions.rtpu("d", "arm1", "end")))
+    ways._measure("arm0")
+    ways.out_of_sight("arm1")
+    assert [one.rtpu for one in ways.lost()] == ["arm1"] * answers
+
+
+def test_a_machine_is_used_again_when_the_rtpu_that_missed_the_order_has_no_process(
+    orders, agents, notes
+):
+    """Else nothing of its other RTPUs would ever be used again."""
+    both, machine = ["arm1", "eye1"], key_expressions.machine("boot")
+    orders.met(info("arm1", "arm", machine="boot", here=both))
+    orders.met(info("eye1", machine="boot", here=both))
+    for name in both:
+        orders.lost(name)
+    orders.add(stop())
+    for here in (both, []):
+        orders.met(info("eye1", machine="boot", here=here))
+        assert orders.refuses("arm", machine), "arm1 may still be found"
+    assert orders.holds_agent("eye1")
+    orders.met(info("eye1", machine="boot", here=["eye1"]))
+    assert not orders.refuses("arm", machine)
+    assert not orders.holds(machine)
+    assert not orders.holds_agent("eye1")
+    assert orders.due() == {"arm1": [("s1", "arm")]}, "for one that starts later"
+    orders.met(info("arm1", machine="boot", here=both))
+    assert orders.refuses("arm", machine)
+    assert agents.orders.get(timeout=60)[0] == "arm1"
+    agents.answers.release()
+    assert notes.get(timeout=60).code == "STOPPED"
+    assert not orders.holds(machine)
+
+
+def test_an_rtpu_that_its_neighbour_never_knew_is_not_believed_to_have_ended(orders):
+    """That one may look into another runtime folder."""
+    orders.met(info("arm1", "arm", machine="boot", here=["arm1"]))
+    orders.lost("arm1")
+    orders.add(stop())
+    orders.met(info("eye1", machine="boot", here=["eye1"]))
+    assert orders.holds(key_expressions.machine("boot"))
+
+
+def test_an_order_that_is_due_is_not_forgotten_for_newer_ones(orders):
+    orders.met(info("leg1", "leg"))
+    orders.met(info("arm1", "arm"))
+    orders.lost("leg1")
+    orders.add(stop("leg", "first"))
+    for n in range(3 * MOST):
+        orders.add(stop("arm", f"s{n}"))
+        orders.met(info("arm1", "arm", stops=[f"s{n}"]))
+    assert orders.due() == {"leg1": [("first", "leg")]}
+    assert len(orders._orders) <= MOST + 2
+
+
+def test_a_later_stop_stands_for_those_before_it(orders):
+    """A machine that is away for good does not fill the memory."""
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(replaced())
+    for n in range(3 * MOST):
+        orders.add(stop("arm", f"s{n}"))
+    orders.add(stop("leg", "other"))
+    assert orders.due() == {"arm1": [(f"s{3 * MOST - 1}", "arm")]}
+    assert len(orders._orders) <= MOST + 2
+
+
 def test_what_fails_is_repeated_with_the_next_greeting(orders, agents):
     agents.error = NoAnswerError("nothing", where="arm1")
     orders.met(info("arm1", "arm"))
@@ -241,3 +355,66 @@ def test_packets_of_such_a_machine_are_not_used():
         packet = packets.Packet(packets.VERSIONS.newest, machine, "h", 1, 1, 1, [])
         table._take(packets.pack(packet))
     assert [packet.machine for packet in taken] == ["elsewhere"]
+
+
+class Session:
+    """Stands for zenoh: keeps what is declared, for the test to call."""
+
+    def __init__(self):
+        self.called = {}
+
+    def liveliness(self):
+        return self
+
+    def declare_subscriber(self, key, handler, **_):
+        self.called[str(key)] = handler
+        return SimpleNamespace(undeclare=lambda: None)
+
+    def declare_token(self, _key):
+        return SimpleNamespace(undeclare=lambda: None)
+
+
+def test_records_of_such_a_machine_are_not_used(orders, agents, notes, monkeypatch):
+    """A link comes from a machine that has missed a stop: nothing of it is read."""
+    far, link = "arm1", "arm:x"
+    for module in (link_ends, subsystem_links):
+        monkeypatch.setattr(module, "direct", lambda call: call)
+    orders.met(info(far, "arm"))
+    zenoh_ = Session()
+    xm.live_on("arm0", domain="d", subsystem="leg")
+    nothing = lambda _: None  # noqa: E731
+    links = Links(zenoh_, "d", "arm0", nothing, nothing, refuses=orders.holds_agent)
+    try:
+        with tbuf.Reader(link, "f8") as reader:
+            source = key_expressions.link("d", link, "source", far, "arm0")
+            token = SimpleNamespace(key_expr=source, kind=zenoh.SampleKind.PUT)
+            links._on_token(token)
+            data = key_expressions.link("d", link, "data", far, "arm0")
+            wait_for(lambda: data in zenoh_.called, "the receiver")
+
+            def arrives(number):
+                zenoh_.called[data](sample(number))
+                return reader.read() and float(reader.value)
+
+            assert arrives(1) == 1.0
+            orders.lost(far)
+            orders.add(stop())
+            assert arrives(2) is False
+            orders.met(info(far, "arm"))
+            assert arrives(3) is False, "it has not carried the stop out yet"
+            agents.answers.release()
+            assert notes.get(timeout=60).code == "STOPPED"
+            assert arrives(4) == 4.0
+    finally:
+        links.stop()
+        xm.live_on("local")
+
+
+def sample(number):
+    """Return a record as the other machine's agent sends it."""
+    dtype = np.dtype("f8")
+    text, data = layout.describe(dtype), np.array(number, dtype).tobytes()
+    head = struct.pack(
+        "<4sHHQQqq", b"pbTB", 1, len(text), number, 7, time.monotonic_ns(), 0
+    )
+    return SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: head + text + data))

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.master.tools import doctor
-from pbonet.xm.net import unreachable_reason
+from pbonet.xm.net import messages as m, unreachable_reason
 from pbonet.xm.net.agents import AgentInfo, LinkReport, Lost, Way
 
 
@@ -53,6 +53,21 @@ def test_doctor_tells_which_machines_and_since_when():
     ]
     (same,) = doctor.losses([agent("arm0", "a", lost("arm1", "a", 3.0))])
     assert same.remedy == "see whether arm1 runs on a"
+
+
+def test_a_machine_of_which_nothing_is_used_is_named_with_the_cause():
+    """The flag says only that its variables have no writer."""
+    desk, eye = agent("arm0", "a"), agent("eye1", "b")
+    desk.due = {"arm1": [("s1", "arm"), ("s2", "")], "arm7": [("s1", "arm")]}
+    eye.here = ["arm1", "eye1"]
+    said = (
+        "arm1 of b does not answer, and has not carried out the stop of {}: until then "
+        "nothing of b is used"
+    )
+    assert m.held([desk, eye]) == [said.format("all subsystems"), said.format("arm")]
+    assert m.held([desk, eye, agent("arm1", "b")]) == [], "it is being stopped"
+    eye.here = ["eye1"]
+    assert m.held([desk, eye]) == [], "it has no process any more"
 
 
 @pytest.mark.parametrize(
