@@ -297,7 +297,7 @@ def test_off_and_kill_are_never_refused_and_raise_the_flag(arm, agents):
     assert "writes T_GRAV, which puma_pidg reads" in arm.heard[0]
     arm.control("grav_comp", "kill")
     assert len(arm.heard) == 2  # the remedy is another
-    assert "in the library, grav_comp does" in arm.heard[1]
+    assert "in the library, grav_comp and gravity do" in arm.heard[1]
     assert "grav_comp" not in states(arm)
     arm.reconfig([("jttrace", "off"), ("jttrace", "kill")])
     arm.spawn("jttrace", "arm1")

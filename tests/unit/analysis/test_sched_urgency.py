@@ -37,15 +37,15 @@ def test_values_out_of_range_are_refused(task, text) -> None:
 
 
 def test_levels_that_fit_are_kept() -> None:
-    assert assign_levels([80, 44, 5]) == [80, 44, 5]
+    assert assign_levels([80, 44, 9]) == [80, 44, 9]
 
 
 def test_a_newcomer_takes_the_gap_and_moves_nobody() -> None:
-    assert assign_levels([80, 0, 5]) == [80, 43, 5]
+    assert assign_levels([80, 0, 9]) == [80, 45, 9]
 
 
 def test_one_task_alone_stands_in_the_middle() -> None:
-    assert assign_levels([0]) == [44]
+    assert assign_levels([0]) == [46]
 
 
 def test_without_a_gap_as_few_as_possible_move() -> None:
@@ -64,12 +64,12 @@ def test_a_reversal_moves_all_but_one() -> None:
 
 def test_more_tasks_than_levels_share_the_lowest() -> None:
     levels = assign_levels([0] * 100)
-    assert levels[:80] == list(range(HIGH, LOW, -1))
-    assert levels[80:] == [LOW] * 20
+    assert levels[:77] == list(range(HIGH, LOW, -1))
+    assert levels[77:] == [LOW] * 23
 
 
 def test_as_many_tasks_as_levels_fill_them() -> None:
-    assert assign_levels([0] * 81) == list(range(HIGH, LOW - 1, -1))
+    assert assign_levels([0] * 78) == list(range(HIGH, LOW - 1, -1))
 
 
 def test_none_is_none() -> None:

@@ -122,7 +122,9 @@ def test_a_look_that_waits_holds_up_no_command():
         return b"seen"
 
     node = SimpleNamespace(
-        forward=lambda *told: forwarded.append(told), stop_ordered=lambda _: None
+        forward=lambda *told: forwarded.append(told),
+        stop_ordered=lambda _: None,
+        warned=lambda data: data,
     )
     one = zenoh_server.Server(
         *(None, "d", "arm0"),
@@ -228,6 +230,7 @@ def test_a_command_that_is_repeated_stands_on_record_once():
             spread=lambda _, done, **__: done(),
             stop_ordered=lambda _: None,
             done=lambda request, data: kept.append((request.id, data)),
+            warned=lambda data: data,
         ),
         mail=None,
         overview=None,
