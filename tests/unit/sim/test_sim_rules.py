@@ -125,9 +125,7 @@ def shop(tmp_path: Path) -> Shop:
 
 def test_illegal_job_is_refused_before_anything_runs(shop: Shop) -> None:
     simulation = shop.job("sink a")
-    with pytest.raises(
-        VerificationError, match=r"ON writes Y.* and source and"
-    ):
+    with pytest.raises(VerificationError, match=r"ON writes Y.* and source and"):
         simulation.start()
     assert simulation.states() == {}
 
