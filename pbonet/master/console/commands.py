@@ -148,6 +148,13 @@ class Command(Struct, frozen=True):
 
 
 _TASK: Final = Arg("task", Kind.TASK, "the task", Use.MAYBE, last=True)
+_SEARCH: Final = (
+    Arg("text", Kind.MODULE, "a module's name, or words about it", Use.ANY),
+    Arg("class_", Kind.CLASS, "its class, or the beginning of it", Use.NAMED),
+    Arg("in_", Kind.VARIABLE, "a variable that it reads, or Q_*", Use.NAMED),
+    Arg("out", Kind.VARIABLE, "a variable that it writes", Use.NAMED),
+    Arg("unit", Kind.WORD, "the unit of that port, or of any", Use.NAMED),
+)
 _TASKS: Final = Arg("task", Kind.TASK, "the tasks", Use.ANY, last=True)
 _JOB: Final = Arg("job", Kind.JOB, "its name; that of the .job file", Use.MAYBE)
 _DRY: Final = Arg(
@@ -293,18 +300,19 @@ COMMANDS: Final = (
     Command(
         "library",
         "Find modules by class, port, unit and text; show one in full.",
-        (
-            Arg("text", Kind.MODULE, "a module's name, or words about it", Use.ANY),
-            Arg("class_", Kind.CLASS, "its class, or the beginning of it", Use.NAMED),
-            Arg("in_", Kind.VARIABLE, "a variable that it reads, or Q_*", Use.NAMED),
-            Arg("out", Kind.VARIABLE, "a variable that it writes", Use.NAMED),
-            Arg("unit", Kind.WORD, "the unit of that port, or of any", Use.NAMED),
-        ),
+        _SEARCH,
         run=command_handlers.library,
         examples=(
             ("library joint_pid", "Show ports and parameters of one module."),
             ("library class=kin out=Q_REF unit=rad", "Find those for a purpose."),
         ),
+    ),
+    Command(
+        "module",
+        "List modules, or show one: the thesis's name of library.",
+        _SEARCH,
+        scope=Scope.PROMPT,
+        run=command_handlers.library,
     ),
     Command(
         "network",

@@ -19,7 +19,7 @@ from pbonet.pbo import State
 from pbonet.xm.net.messages import Stopped
 
 THESIS = [
-    *("clear", "display", "kill", "library", "network", "off", "on"),
+    *("clear", "display", "kill", "module", "network", "off", "on"),
     *("quit", "set", "spawn", "status"),
 ]
 
