@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import platform
+from pathlib import Path
 from time import thread_time_ns
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,6 @@ from pbonet.testing import Bench
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     from pbonet.config.library import LoadedModule
 
@@ -38,6 +38,9 @@ OVER = 5.0
 """Microseconds of p50 that a module may take beside its library's call."""
 MISSED = 3
 SIZE = 6
+PANDA = Path(__file__).parents[1] / "examples" / "panda"
+HOME = (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.785)
+"""A posture of its arm that is not singular, rad."""
 
 
 def puma() -> Mapping[str, Any]:
@@ -55,13 +58,51 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3)},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
+    "gait": lambda: {"nfeet": 4},
+    "kalman": lambda: {"nx": 2, "nz": 1, "nu": 1},
+    "lqr": lambda: {"n": 2, "m": 1},
+    "pd_grav": lambda: {"ndof": 7},
+    "impedance": lambda: {
+        "ndof": 7,
+        "x_des": pose(0.4, 0.1, 0.3),
+        "x": pose(0.4, 0.1, 0.3),
+    },
+    "fk_jac": lambda: {"ndof": 7, "q": HOME},
+    "gravity": lambda: {"ndof": 7, "q": HOME, "params": {"urdf": "panda.urdf"}},
+    "computed_torque": lambda: {"ndof": 7, "q": HOME, "q_ref": HOME},
+    "ik_placo": lambda: {"ndof": 7, "q_ref": HOME, "x_des": hand()},
+    "mujoco_arm": lambda: {"ndof": 7, "q": HOME},
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
 }
 """Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
+RMODS = {
+    "fk_jac": "hand",
+    "computed_torque": "torque",
+    "ik_placo": "ik_placo",
+    "mujoco_arm": "arm",
+}
+"""Modules that are measured as ``examples/panda`` configures them."""
 BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     "grav_comp": lambda module: lambda: module._chain.gravity(module.q),
+    "gravity": lambda module: lambda: module._model.gravity(module.q),
+    "computed_torque": lambda module: (
+        lambda: module._model.torque(module.q, module.qd, module.qdd_ref)
+    ),
+    "ik_placo": lambda module: lambda: module._solver.solve(False),  # noqa: FBT003
+    "otg": lambda module: (
+        lambda: module._motion._solver.update(
+            module._motion._state, module._motion._next
+        )
+    ),
 }
 """The bare call of a module's library, made from its instance."""
+
+
+def hand() -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the pose of the arm's hand at `HOME`."""
+    made = Bench.of(PANDA / "hand.rmod", {"ndof": 7, "q": HOME}, library=[PANDA])
+    made.on()
+    return np.array(made["X_MEZ"])
 
 
 def pose(*place: float) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -82,10 +123,14 @@ def bench(module: LoadedModule) -> Bench[Any]:
     for dim in {dim for port in ports for dim in port.shape if isinstance(dim, str)}:
         if dim not in values and not _follows(dim, values, known):
             values[dim] = SIZE
+    rmod = module.path.with_suffix(".rmod")
+    if module.info.name in RMODS:
+        rmod = PANDA / f"{RMODS[module.info.name]}.rmod"
+    made: Bench[Any]
     if params is None:
-        made: Bench[Any] = Bench.of(module.path.with_suffix(".rmod"), values)
+        made = Bench.of(rmod, values, library=[PANDA])
     else:
-        made = Bench(module.cls, values, params=params)
+        made = Bench(module.cls, values, params=params, library=[PANDA])
     made.on()
     return made
 
