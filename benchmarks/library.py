@@ -55,7 +55,12 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "forward_kin": puma,
     "puma_inv_kin": lambda: {**puma(), "x": pose(0.45, -0.15, 0.3)},
     "imu_fusion": lambda: {"acc": [0.0, 0.0, 9.81]},
-    "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3)},
+    "admittance": lambda: {"x_ref": pose(0.4, 0.1, 0.3), "x_cmd": pose(0.4, 0.1, 0.3)},
+    "hybrid_force": lambda: {
+        "x_ref": pose(0.4, 0.1, 0.3),
+        "x_cmd": pose(0.4, 0.1, 0.3),
+    },
+    "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3), "x_des": pose(0.5, 0.1, 0.3)},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
     "gait": lambda: {"nfeet": 4},
