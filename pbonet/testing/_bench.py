@@ -77,10 +77,6 @@ class Bench(Generic[M]):
         executor: What runs it.
         clock: The time.
         illegal: Whether the illegal-configuration flag is up.
-        ages: Ages of in-vars in seconds, by attribute; 0 where none is set. One above
-            the port's ``max_age`` is too old.
-        stale: In-vars, by attribute, that are too old whatever their age.
-        output_age: The age in seconds that the outputs had when they were last written.
 
     Raises:
         PortError: A size or an in-const is missing, or values do not fit together.
@@ -205,7 +201,10 @@ class Bench(Generic[M]):
 
     @property
     def ages(self) -> dict[str, float]:
-        """Ages of in-vars in seconds, by attribute."""
+        """Ages of in-vars in seconds, by attribute; 0 where none is set.
+
+        One above the port's ``max_age`` is too old.
+        """
         return self._ages.given
 
     @property
