@@ -159,46 +159,34 @@ def _nothing(wanted: Search, known: Sequence[str]) -> ModuleLoadError:
     )
 
 
-def described(
-    library: Library, *, alone: bool = False
-) -> tuple[list[pbo.ModuleInfo], list[str]]:
+def described(library: Library) -> tuple[list[pbo.ModuleInfo], list[str]]:
     """Return the descriptions of a library's modules, and what does not load.
+
+    The code of all of them runs, so this is for a process of its own, not for a master.
 
     A file that no RMOD names and that has no class of a module is none, such as a
     program in a project's folder; it is not run.
 
     Args:
         library: The library.
-        alone: Only those that no RMOD names.
     """
     rmods = {rmod.module for rmod in library.records().values()}
     infos: list[pbo.ModuleInfo] = []
     faults: list[str] = []
     for name, path in library.files().items():
         try:
-            if name in rmods:
-                infos += [] if alone else [library.load(name).info]
-            elif path.suffix == ".so" or _DERIVES.search(path.read_bytes()):
+            known = name in rmods or path.suffix == ".so"
+            if known or _DERIVES.search(path.read_bytes()):
                 infos.append(library.load(name).info)
         except (PbonetError, OSError) as error:
             faults.append(str(error))
     return infos, faults
 
 
-def producers(
-    rmods: Mapping[str, Rmod], infos: Iterable[pbo.ModuleInfo] = ()
-) -> dict[str, tuple[str, ...]]:
-    """Return, by variable, what writes it, or gives it as a constant.
-
-    Args:
-        rmods: RMODs by name.
-        infos: Modules without one.
-    """
+def producers(rmods: Mapping[str, Rmod]) -> dict[str, tuple[str, ...]]:
+    """Return, by variable, the RMODs that write it, or give it as a constant."""
     found: dict[str, list[str]] = {}
     for name, rmod in sorted(rmods.items()):
         for port in (*rmod.outvar, *rmod.outconst):
             found.setdefault(rmod.svar_name(port), []).append(name)
-    for info in infos:
-        for name in (one.name for one in info.ports if not one.kind.is_input):
-            found.setdefault(name, []).append(info.name)
     return {variable: tuple(names) for variable, names in found.items()}

@@ -193,7 +193,7 @@ class Files:
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        return Producers(self.library, code=self._code)
+        return Producers(self.library)
 
     def jobs(self) -> list[str]:
         """Return the jobs that are beside the ``.sbs``, sorted."""
@@ -311,20 +311,16 @@ def _is_there(path: Path) -> bool:
 class Producers(Mapping[str, tuple[str, ...]]):
     """The RMODs that write each variable, read from all files when one is asked for.
 
-    A module without an RMOD stands for its own; `code` says whether it may be imported.
+    No module's code runs for this, so that none can harm the master.
     """
 
-    def __init__(self, library: Library, *, code: bool) -> None:
+    def __init__(self, library: Library) -> None:
         self._library = library
-        self._code = code
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
         records = self._library.records()
-        infos = config.described(self._library, alone=True)[0] if self._code else []
-        return config.producers(
-            {n: r for n, r in records.items() if NAME.fullmatch(n)}, infos
-        )
+        return config.producers({n: r for n, r in records.items() if NAME.fullmatch(n)})
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:
         return self._found[variable]

@@ -41,7 +41,7 @@ def test_every_cycle_has_its_own_release_on_the_grid(host) -> None:
     assert releases == sorted(set(releases))
     assert all(start >= release for _, release, start, _, _ in records)
     assert all(end >= start for _, _, start, end, _ in records)
-    assert notes["levels"] == [3 if FIFO else 0]
+    assert notes["levels"] == [_rt.COMMAND_LEVEL if FIFO else 0]
 
 
 def test_dt_is_the_distance_of_releases(host) -> None:
@@ -114,7 +114,7 @@ def test_commands_come_between_cycles(host) -> None:
         task.until("cycles", before + 2)  # it has been obeyed by then
     notes = task.end()
     assert len(notes["levels"]) == 40
-    assert set(notes["levels"]) == {3 if FIFO else 0}
+    assert set(notes["levels"]) == {_rt.COMMAND_LEVEL if FIFO else 0}
     assert task.status()["mode"] == 0
 
 
@@ -272,5 +272,6 @@ def test_a_process_named_after_the_task_was_armed_gets_its_level(host) -> None:
     task = host.spawn("idle", period_ns=2 * MS)
     task.until("cycles", 5)
     assert os.sched_getscheduler(task.pid) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-    assert os.sched_getparam(task.pid).sched_priority == task.status()["level"] >= 4
+    level = task.status()["level"]
+    assert os.sched_getparam(task.pid).sched_priority == level > _rt.COMMAND_LEVEL
     task.end()
