@@ -166,13 +166,17 @@ def test_what_is_stopped_behind_the_end_of_its_parent_ends(run, nodes, ended, st
     process = run()
     until_on(process)
     there = processes_of("PBONET_RUN_DIR", str(nodes.folder))
-    for pid, command in there:
-        if ended in command:
-            os.kill(pid, signal.SIGKILL)
-            wait_gone([pid])
+    dead = [pid for pid, command in there if ended in command]
+    parents = {pid: parent_of(pid) for pid, _ in there}
+    for pid in dead:
+        os.kill(pid, signal.SIGKILL)
+    wait_gone(dead)
     for pid, command in there:
         if any(word in command for word in stopped):
-            with contextlib.suppress(ProcessLookupError):
+            with contextlib.suppress(OSError):  # it has ended
+                if parents[pid] in dead:
+                    timers = Path(f"/proc/{pid}/timers")
+                    wait_for(timers.read_text, "its notice of the end of its parent")
                 os.kill(pid, signal.SIGSTOP)
     process.communicate()
     wait_for(lambda: left_of(nodes) == [], "the end of all processes")
