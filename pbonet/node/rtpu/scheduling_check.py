@@ -49,6 +49,8 @@ class SchedulingCheck:
         before, self._odd = self._odd, set()
         fifo = self._core.status().backend == "fifo"
         for task, slot in tasks:
+            if task.ready is None:
+                continue  # it is still to go to its core
             try:
                 self._check_core(task, slot.pid)
                 got = _scheduling(slot.pid) if fifo else ""
