@@ -164,12 +164,15 @@ def test_it_is_checked_run_recorded_and_replayed(folder, capsys):
     assert not list(folder.glob("*.rmod"))
 
 
-def test_what_writes_a_missing_variable_is_a_module_without_a_file(folder, capsys):
+def test_no_code_runs_to_advise_what_writes_a_missing_variable(folder, capsys):
+    """A module whose import ends the process would end the master, too."""
     assert call("new", "job", "swing", "spring", "mass") == 0
+    deadly = "import os\n\nos._exit(5)\n\n\nclass A(PortBasedObject):\n    pass\n"
+    (folder / "deadly.py").write_text(deadly)
     job = (folder / "swing.job").read_text()
     (folder / "swing.job").write_text(job.replace("TASK      mass FREQ 100.0\n", ""))
     assert call("check", "swing.job") == 1
-    assert "and mass do; add one of them" in capsys.readouterr().out
+    assert "equation 2" in capsys.readouterr().out
 
 
 def test_a_missing_task_is_told_what_it_could_be(folder, capsys):
