@@ -181,6 +181,7 @@ def row(module: LoadedModule, cycles: int) -> tuple[list[str], bool]:
         made = bench(module)
         bare = BARE[name](made.module) if name in BARE else None
         whole, alone = measure(made, bare, cycles)
+        made.kill()  # a link has a file
     except (PbonetError, ImportError) as error:
         return [name, f"not here: {str(error).splitlines()[0][:70]}", *4 * ["-"]], True
     cells, met = [name, module.info.module_class], True

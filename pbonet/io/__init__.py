@@ -23,7 +23,7 @@ device, so that the same code runs in real time, in simulation and in replay. On
     Samples of a signal over time, from a file.
 ``mujoco_robot``
     A robot that MuJoCo simulates, behind the interface a real one would have.
-``extras``
+``optional_packages``
     Packages that only some modules need.
 ``policy``
     Whether devices may be opened at all; the simulator says no.

@@ -2,10 +2,10 @@ from pbonet.outside import Outside as Outside
 
 from .arm import SimulatedArm as SimulatedArm
 from .chain import Chain as Chain
-from .extras import from_extra as from_extra
 from .joystick import Joystick as Joystick, Stick as Stick
 from .magellan import AXES as AXES, Ball as Ball
 from .mujoco_robot import MujocoRobot as MujocoRobot
+from .optional_packages import from_extra as from_extra
 from .policy import devices_allowed as devices_allowed, no_devices as no_devices
 from .puma560 import PUMA560 as PUMA560
 from .recorded import RecordedBall as RecordedBall

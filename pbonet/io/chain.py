@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from .extras import from_extra
+from .optional_packages import from_extra
 
 if TYPE_CHECKING:
     from types import ModuleType

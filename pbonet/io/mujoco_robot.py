@@ -15,7 +15,7 @@ import numpy as np
 
 from pbonet.errors import DeviceError, ParameterError
 
-from .extras import from_extra
+from .optional_packages import from_extra
 from .robot_model import find_file
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
-from pbonet.modules._planar import Command, Odometry, within
+from pbonet.modules._wheeled_base import Command, Odometry, within
 
 SLOW = 1e-6
 """Speed, m/s, below which a car keeps its wheels, because it cannot turn at rest."""

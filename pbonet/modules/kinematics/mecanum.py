@@ -5,7 +5,7 @@ from typing import Annotated as A
 import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.modules._planar import WheeledBase
+from pbonet.modules._wheeled_base import WheeledBase
 
 
 class Wheels(Params):

@@ -7,7 +7,7 @@ import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.modules._dh import is_rotation
-from pbonet.modules._planar import Odometry, motion, turn_slope
+from pbonet.modules._wheeled_base import Odometry, motion, turn_slope
 
 
 class Noise(Params):

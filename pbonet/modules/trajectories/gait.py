@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
-from pbonet.modules._planar import Command, motion
 from pbonet.modules._values import PerElement, grid, spread
+from pbonet.modules._wheeled_base import Command, motion
 
 Flags = NDArray[np.bool_]
 

@@ -14,7 +14,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.modules._online import OnlineTrajectory
+from pbonet.modules._online_trajectory import OnlineTrajectory
 from pbonet.modules._values import PerElement, spread
 
 

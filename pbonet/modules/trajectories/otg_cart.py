@@ -15,8 +15,8 @@ from pbonet import (
     param,
 )
 from pbonet.modules._dh import is_rotation
-from pbonet.modules._online import OnlineTrajectory
-from pbonet.modules._turning import Turning
+from pbonet.modules._moving_orientation import Turning
+from pbonet.modules._online_trajectory import OnlineTrajectory
 
 
 class Limits(Params):

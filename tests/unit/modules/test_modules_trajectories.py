@@ -261,7 +261,7 @@ def test_otg_cart_bends_to_new_goals_without_a_jump() -> None:
 
 def test_the_turn_has_the_velocity_and_acceleration_of_its_rotation_vector() -> None:
     """Against central differences of scipy's rotations."""
-    from pbonet.modules._turning import Turning
+    from pbonet.modules._moving_orientation import Turning
 
     rng = np.random.default_rng(3)
     h = 1e-4
