@@ -25,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ import numpy as np
 
 from benchmarks import rtbench
 from pbonet.config.model import Variable
-from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run
+from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run, scan
 from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.master.tools.playback import Span, play
 from pbonet.node import rt
@@ -52,6 +53,7 @@ PUMA = Path(__file__).parents[1] / "examples" / "puma" / "puma.job"
 SERVO = "puma_pidg"
 WAYS = ("none", "outputs", "all")
 MISSED = 3
+CHUNKS = 200
 MOST_ADDED, MOST_CORE, MOST_OPEN, LEAST_SPEED = 1.0, 0.5, 1.0, 20.0
 """Goals: us a cycle, share of a core, s to open a log, x real time of the servo."""
 
@@ -241,10 +243,31 @@ def opening(megabytes: float) -> dict[str, float]:
         found["s to one task's arrays"] = time.perf_counter() - begun
         found["cycles of it"] = cycles
         found["cycles read a second"] = cycles / found["s to one task's arrays"]
+        found["share of checksums in unpacking"] = _checksums(path)
         begun = time.perf_counter()
         Log(cut)
         found["s to open it cut"] = time.perf_counter() - begun
         return found
+
+
+def _checksums(path: Path) -> float:
+    """Return which share of the time to unpack chunks their checksums take."""
+    whole = sums = 0.0
+    with path.open("rb") as file:
+        chunks = [
+            one for one in scan.scan(file, str(path)).records
+            if one.opcode == scan.CHUNK
+        ]  # fmt: skip
+        for one in chunks[:CHUNKS]:
+            file.seek(one.at)
+            content = file.read(one.size)
+            begun = time.perf_counter()
+            data = scan.unpacked(content)
+            unpacked = time.perf_counter()
+            zlib.crc32(data or b"")
+            sums += time.perf_counter() - unpacked
+            whole += unpacked - begun
+    return sums / whole
 
 
 _RUN = RunAbout(run="bench", job="bench", subsystem="rec", domain="bench", rtpu="r0")

@@ -50,6 +50,7 @@ RUNS = {
     "kills": "kills",
     "soak": "soak",
     "siblings": "siblings",
+    "equal-tasks": "equal_tasks",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -68,6 +69,7 @@ QUICK = {
     "kills": "--rounds 2",
     "soak": "--minutes 0.1",
     "siblings": "--seconds 0.5",
+    "equal-tasks": "--seconds 1",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

@@ -56,7 +56,7 @@ SLOW = 50.0
 """Hz of the tasks of a long list."""
 PAIRS = (1, 5, 20)
 """So many tasks leave, and as many come: lists of 2, 10 and 40 signals."""
-STAY = ("reader", "other")
+STAY: tuple[str, ...] = ("reader", "other")
 """On the first and on the last RTPU."""
 ABOVE = rt.DISPATCHER_LEVEL + 1
 """The level of the C loop."""
@@ -180,16 +180,22 @@ def phase(core: int) -> int:
 class Stalls:
     """The C loop beside the tasks, which waits in the middle between two releases.
 
+    Args:
+        folder: For its program.
+        core: Where it runs.
+        wakes: So often it wakes up in a period, at equal distances.
+
     Raises:
         PermissionError: It could not be had above the dispatcher.
     """
 
-    def __init__(self, folder: Path, core: int) -> None:
+    def __init__(self, folder: Path, core: int, wakes: int = 1) -> None:
         program = folder / f"stalls{core}"
         source = Path(__file__).with_name("stalls.c")
         subprocess.run(["cc", "-O2", "-o", program, source], check=True)  # noqa: S607 - the compiler is where PATH says
-        middle = phase(core) + PERIOD // 2
-        words = [str(program), *map(str, (core, ABOVE, PERIOD, middle, NOTED))]
+        period = PERIOD // wakes
+        middle = phase(core) + period // 2
+        words = [str(program), *map(str, (core, ABOVE, period, middle, NOTED))]
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
@@ -257,10 +263,12 @@ def most_late(late: list[tuple[int, int]], begin: int, end: int) -> int:
     return max((c - due for due, c in late if due <= end and c >= begin), default=0)
 
 
-def unexcused(trace: Trace, late: list[tuple[int, int]]) -> list[tuple[int, int, int]]:
+def unexcused(
+    trace: Trace, late: list[tuple[int, int]], least: int = LATE
+) -> list[tuple[int, int, int]]:
     """Return misses in whose periods the loop was not late: begin, end, releases."""
     about = [(at - (count + 1) * PERIOD, at, count) for at, count in trace.misses]
-    return [one for one in about if most_late(late, *one[:2]) < LATE]
+    return [one for one in about if most_late(late, *one[:2]) < least]
 
 
 def start(subsystem: Subsystem, rtpus: list[str]) -> None:

@@ -55,6 +55,21 @@ def let_ring_go(task: Task, recording: Recording | None) -> None:
         ring.destroy()
 
 
+def ring_damage(task: Task) -> str:
+    """Return how the file of a task's ring was truncated; empty: it was not."""
+    path = shm.path_of(task.facts.ring + _ENDING)
+    try:
+        Ring.attach(task.facts.ring).close()
+    except (NodeError, ValueError):
+        with contextlib.suppress(FileNotFoundError):
+            return (
+                f"{path}: the file, in which its cycles are recorded, was truncated "
+                f"(got {path.stat().st_size} bytes); find out what writes to files in "
+                "shared memory, then kill the task and spawn it again"
+            )
+    return ""
+
+
 def _leave(path: Path, recording: Recording, pid: int) -> bool:
     """Give a ring another name; return False where it need not or cannot wait."""
     if len(_left(recording.domain, recording.rtpu)) >= MOST:

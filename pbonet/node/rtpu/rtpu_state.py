@@ -31,7 +31,7 @@ from .constant_owners import ConstantOwners
 from .fallbacks import Fallbacks
 from .fork_client import LARGEST_CROWD, Server, Spawner
 from .illegal_flag import Flags
-from .orphaned_rings import let_ring_go
+from .orphaned_rings import let_ring_go, ring_damage
 from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
@@ -462,9 +462,11 @@ class Rtpu:
     def _died(self, task: Task, code: int, slot: SlotStatus) -> None:
         """Report a task that ended unasked, and remember its last status."""
         text = f"the task ended by itself: {describe_end(code)}"
-        damage = self.tables.damage(task.facts.subsystem)
-        if damage and code == -signal.SIGBUS:
-            text = f"the task ended with its table: {damage}"
+        if code == -signal.SIGBUS:
+            if damage := self.tables.damage(task.facts.subsystem):
+                text = f"the task ended with its table: {damage}"
+            elif damage := ring_damage(task):
+                text = f"the task ended with its ring: {damage}"
         text = task.blame or text
         if slot.hangs:
             text = (

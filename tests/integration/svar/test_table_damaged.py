@@ -123,6 +123,18 @@ def test_tasks_die_with_a_clear_cause_and_the_rtpu_goes_on(
     arm.wait_cycles("a", 5)
 
 
+def test_a_task_whose_ring_was_truncated_dies_alone_and_says_so(arm, shared_memory):
+    for name, out in (("a", "Y0"), ("b", "Y1")):
+        arm.spawn(name, "counts", out=out)
+        arm.on(name)
+    (path,) = shared_memory.glob("*.arm.a.ring")
+    os.truncate(path, 0)
+    died = arm.wait_event("TASK_DIED")
+    assert died.task == "a"
+    assert died.text.startswith(f"the task ended with its ring: {path}: the file, in ")
+    arm.wait_cycles("b", 20)
+
+
 def test_a_command_that_waits_for_such_a_task_is_told(arm, shared_memory):
     arm.spawn("a", "counts")
     (path,) = shared_memory.glob("*.svar")
