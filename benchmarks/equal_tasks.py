@@ -138,7 +138,7 @@ def main() -> None:
                 found = measure(subsystem, folder, tasks, asked.seconds)
     print(rtbench.machine())
     print(
-        f"{asked.tasks} tasks of {swap.RATE:g} Hz on a core, together {asked.load:.0%} of it"
+        f"{asked.tasks} tasks of {swap.RATE:g} Hz, {asked.load:.0%} of a core together"
     )
     print(f"{'task, as created':20} {'releases':>9} {'missed':>7} {'not excused':>12}")
     for task, counts in found.items():
