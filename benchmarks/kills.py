@@ -55,11 +55,19 @@ def processes(folder: Path) -> dict[int, str]:
             command = (entry / "cmdline").read_bytes().split(b"\0")
             if (entry / "stat").read_text().rpartition(")")[2].split()[0] in "ZX":
                 continue
-            role = ROLES.get(name, "task")
-            if b"pbonet.cli" in command:
-                role = "agent" if b"agent" in command else "master"
-            found[int(entry.name)] = role
+            found[int(entry.name)] = role_of(name, command)
     return found
+
+
+def role_of(name: str, command: list[bytes]) -> str:
+    """Return what a process is, also before it has set its name."""
+    if name in ROLES:
+        return ROLES[name]
+    if b"pbonet.cli" in command:
+        return "agent" if b"agent" in command else "master"
+    if name.startswith("python"):
+        return "process that starts"
+    return "task"
 
 
 class RoundError(Exception):

@@ -195,6 +195,7 @@ def test_stop_needs_no_file_and_no_claim(standing, world, puma, agents):
     assert json.loads(standing("stop", "puma", "--json", file=False).stdout) == {
         "off": [],
         "killed": [],
+        "failed": {},
         "rtpus": ["arm0", "arm1"],
         "warnings": [],
     }

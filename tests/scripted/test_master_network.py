@@ -188,7 +188,8 @@ def test_control_is_one_clients_and_looking_everybodys(caller):
     assert refused.error["code"] == ClaimError.code
     assert refused.error["got"] == "one"
     assert caller("two", "status").ok
-    assert caller("two", "stop").result["data"] == {"off": [], "killed": []}
+    nothing = {"off": [], "killed": [], "failed": {}}
+    assert caller("two", "stop").result["data"] == nothing
     assert caller("two", "quit").error["code"] == "STATE"
     assert caller("one", "quit").ok
     token.undeclare()

@@ -9,7 +9,9 @@ from .conditions import (
 )
 from .environment import Place as Place
 from .failures import (
+    all_stopped as all_stopped,
     already as already,
+    failed_at_end as failed_at_end,
     forced as forced,
     must_be_stopped as must_be_stopped,
     stuck as stuck,

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PbonetError, ReconfigError, SeveralError, StateError
+from pbonet.errors import (
+    PbonetError,
+    ReconfigError,
+    SeveralError,
+    StateError,
+    TaskError,
+)
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pbonet.xm.net import messages as m
 
@@ -22,6 +28,30 @@ _ANEW = {
 """The remedy for a task that exists already."""
 
 
+def all_stopped(results: Iterable[m.Stopped]) -> m.Stopped:
+    """Return the results of several RTPUs as one."""
+    from pbonet.xm.net import Stopped
+
+    whole = Stopped(off=[], killed=[])
+    for one in results:
+        whole.off += one.off
+        whole.killed += one.killed
+        whole.failed |= one.failed
+    return whole
+
+
+def failed_at_end(stopped: m.Stopped) -> list[PbonetError]:
+    """Return an error for each task that failed as it was turned off or killed."""
+    return [
+        TaskError(
+            f"the task {name} failed as it ended: {text}",
+            remedy="it has ended; see that what it controls is safe, and correct its "
+            "off() or kill()",
+        )
+        for name, text in stopped.failed.items()
+    ]
+
+
 def must_be_stopped(
     stopped: m.Stopped, errors: list[PbonetError], unsure: Mapping[str, Sequence[str]]
 ) -> None:
@@ -33,10 +63,19 @@ def must_be_stopped(
         unsure: Tasks that may still be ON, by RTPU.
 
     Raises:
-        SeveralError: An RTPU did not confirm; the parts say which, and why.
+        SeveralError: An RTPU did not confirm, or a task failed as it ended; the parts
+            say which, and why.
     """
-    if not errors:
+    failed = failed_at_end(stopped)
+    if not errors and not failed:
         return
+    if not errors:
+        count = "a task" if len(failed) == 1 else f"{len(failed)} tasks"
+        raise SeveralError(
+            f"all tasks have ended, but {count} failed as they did: "
+            + " ".join(stopped.failed),
+            failed,
+        )
     count = "an RTPU" if len(errors) == 1 else f"{len(errors)} RTPUs"
     done = (
         " ".join([*stopped.off, *stopped.killed]) or "nothing, because nothing was ON"
@@ -47,7 +86,7 @@ def must_be_stopped(
     raise SeveralError(
         f"{count} did not confirm the stop; on the others was turned off: {done}"
         + f"; may still be ON: {on}" * bool(on),
-        errors,
+        [*errors, *failed],
         remedy="stop them by hand if they can do harm; an RTPU that was seen before is "
         "stopped by the other agents as soon as they see it again",
     )

@@ -6,6 +6,7 @@ import math
 import time
 from typing import TYPE_CHECKING, Final
 
+from pbonet.errors import SeveralError
 from pbonet.master.sim import sim_log
 from pbonet.master.subsystem import Subsystem
 
@@ -72,7 +73,7 @@ def simulate(
                 passed = _advance(simulation, wanted, interrupts)
                 statuses = subsystem.rtpu_status()
             finally:
-                subsystem.stop()
+                failures = _stop(subsystem)
     finally:
         if log is not None:
             log.end(simulation.now_ns, passed)
@@ -90,10 +91,19 @@ def simulate(
         reason="interrupted"
         if interrupts.count
         else f"{wanted:g} s of virtual time are over",
-        faults=list(log.faults) if log is not None else [],
+        faults=failures + (log.faults if log is not None else []),
         log=str(log.folder) if log is not None and log.written else "",
         recording=simulation.recording if log is None else log.read(),
     )
+
+
+def _stop(subsystem: Subsystem) -> list[str]:
+    """Stop the tasks; return what failed in it."""
+    try:
+        subsystem.stop()
+    except SeveralError as error:
+        return [str(one) for one in error.errors]
+    return []
 
 
 def _advance(simulation: VirtualRtpus, seconds: float, interrupts: Interrupts) -> float:

@@ -12,7 +12,7 @@ import zenoh
 
 from pbonet.config import Library
 from pbonet.errors import NodeError, UnreachableError, did_you_mean
-from pbonet.master.configuration import Files, must_be_stopped
+from pbonet.master.configuration import Files, all_stopped, must_be_stopped
 from pbonet.master.subsystem import client_name
 from pbonet.xm.net import messages as m, rpc, run_folder, session, unreachable_reason
 
@@ -52,8 +52,9 @@ def stop(
     Raises:
         UnreachableError: No agent can be reached.
         NodeError: No RTPU knows the subsystem.
-        SeveralError: An RTPU did not confirm, or had the subsystem and is not seen
-            now. The others were stopped, and repeat the stop there.
+        SeveralError: A task failed as it ended; or an RTPU did not confirm, or had the
+            subsystem and is not seen now. The others were stopped, and repeat the stop
+            there.
     """
     client = rpc.Client(
         session.client(domain, connect=connect), domain, client_name("stop")
@@ -77,10 +78,7 @@ def stop(
         raise rpc.no_session(error) from None
     finally:
         client.close()
-    stopped = m.Stopped(
-        off=[task for one in results.values() for task in one.off],
-        killed=[task for one in results.values() for task in one.killed],
-    )
+    stopped = all_stopped(results.values())
     errors += [
         _not_seen(by, lost)
         for rtpu, (by, lost) in unseen.items()

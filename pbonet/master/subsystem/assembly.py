@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
-from pbonet.master.configuration import forced
+from pbonet.master.configuration import failed_at_end, forced
 from pbonet.pbo import State
 from pbonet.versions import REMEDY
 from pbonet.xm.net import messages as m, rpc
@@ -145,22 +145,31 @@ def end(task_set: SubsystemTasks, name: str) -> list[PbonetError]:
         name: Its name, for errors.
 
     Returns:
-        An error for each task that hung: it is ended, but by force.
+        An error for each task that hung, and was ended by force, and for each that
+        failed in its `off` or `kill`, or died.
 
     Raises:
         SeveralError: Parts of it could not be done, the rest was; of one part, its own
             error.
     """
-    task_set.off()
+    refused = task_set.off()
     still_on = [member for member in task_set.model if member.is_on]
     stopped, errors, _ = task_set.stop()
+    silent = {error.where for error in errors}
+    for member, error in refused:
+        obeyed = member.name in {*stopped.off, *stopped.killed}
+        if member.rtpu not in silent and not obeyed:
+            cause = error.__cause__
+            what = cause.what if isinstance(cause, PbonetError) else error.what
+            stopped.failed.setdefault(member.name, f"off: {what}")
     told = {str(error) for error in errors}
     errors += [error for error in task_set.leave() if str(error) not in told]
-    hung = [forced(one) for one in still_on if one.name in stopped.killed]
+    ended = [forced(one) for one in still_on if one.name in stopped.killed]
+    ended += failed_at_end(stopped)
     if errors:
         what = f"the end of subsystem {name} is incomplete"
-        rpc.raise_all(what, [*errors, *hung])
-    return hung
+        rpc.raise_all(what, [*errors, *ended])
+    return ended
 
 
 def pair(task_set: SubsystemTasks, wanted: Sequence[Member]) -> None:

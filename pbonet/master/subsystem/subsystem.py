@@ -299,7 +299,8 @@ class Subsystem:
         """Turn tasks OFF in order, end them, and release the RTPUs (`sbsFinish`).
 
         Returns:
-            An error for each task that hung and was terminated by force.
+            An error for each task that hung and was terminated by force, and for each
+            that failed in its `off` or `kill`, or died.
 
         Raises:
             NodeError: The subsystem is not open.
@@ -315,7 +316,7 @@ class Subsystem:
             self.detach()
 
     def quit(self) -> None:
-        """End the subsystem as `finish` does, and warn of tasks that hung.
+        """End the subsystem as `finish` does; warn of tasks that hung or failed.
 
         Raises:
             NodeError: The subsystem is not open.
@@ -841,14 +842,15 @@ class Subsystem:
 
         Raises:
             SeveralError: An RTPU did not confirm; the others were stopped, and their
-                agents stop it as soon as they see it again.
+                agents stop it as soon as they see it again. Or a task failed in its
+                `off` or `kill`; it has ended.
         """
         self.stopped.set()
         stopped, errors, unsure = self.task_set.stop()
         self.inbox.clear()
-        configuration.must_be_stopped(stopped, errors, unsure)
-        if self.clients.claimed:
+        if self.clients.claimed and not errors:
             self.task_set.settle()
+        configuration.must_be_stopped(stopped, errors, unsure)
         return stopped
 
     # -- looking ----------------------------------------------------------------------

@@ -775,8 +775,9 @@ class SubsystemTasks:
         stated = self.files.job.off_order if self.files.job else ()
         return legality.off_order([member.task for member in self.model], stated)
 
-    def off(self) -> None:
-        """Turn OFF task by task in order; what refuses is left to `stop`."""
+    def off(self) -> list[tuple[Member, PbonetError]]:
+        """Turn OFF task by task in order; return those that did not, with why."""
+        failed: list[tuple[Member, PbonetError]] = []
         for name in self.order_of_off():
             member = self.model.get(name)
             if member is None or not member.is_on:
@@ -784,7 +785,8 @@ class SubsystemTasks:
             try:
                 self.send([(name, "off")])
             except PbonetError as error:
-                logger("pbonet.master").debug("off %s: %s", name, error)
+                failed.append((member, error))
+        return failed
 
     def stop(self) -> tuple[m.Stopped, list[PbonetError], dict[str, list[str]]]:
         """Stop every RTPU at once.
@@ -800,10 +802,7 @@ class SubsystemTasks:
         )
         self.clients.pass_to_gateways(request)
         self.recordings.end()
-        stopped = m.Stopped(
-            off=[task for one in results.values() for task in one.off],
-            killed=[task for one in results.values() for task in one.killed],
-        )
+        stopped = configuration.all_stopped(results.values())
         unsure: dict[str, list[str]] = {}
         for member in list(self.model):
             if member.rtpu in results:

@@ -52,6 +52,13 @@ if TYPE_CHECKING:
 Key = tuple[str, str]
 """Subsystem and task."""
 _ON = (Mode.ON, Mode.COMMAND)
+_CRASHES = frozenset(
+    -number
+    for number in (
+        signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGILL, signal.SIGFPE
+    )
+)  # fmt: skip
+"""Exit codes of a process that its own code has ended."""
 """Modes of a task that is ON: between cycles, or at a command."""
 MOST_STOPS = 64
 """Stop orders that an RTPU remembers."""
@@ -437,7 +444,7 @@ class Rtpu:
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop((task.facts.subsystem, task.name), None)
         # The flag is up before the task's own entries go.
-        if not task.stopping:
+        if not task.stopping or _crashed_at_its_end(task, code):
             self._died(task, code, slot)
         elif slot.mode in _ON and task.facts.subsystem not in self.stopping:
             self._leave_tomb(task, "the task was ended by force while it was ON")
@@ -582,6 +589,11 @@ class Rtpu:
                 self.events.add(
                     Severity.FATAL, "DISPATCHER_ENDED", "no tasks are released any more"
                 )
+
+
+def _crashed_at_its_end(task: Task, code: int) -> bool:
+    """Return whether a task was to end, but crashed instead, after its `init`."""
+    return task.ready is not None and code in _CRASHES
 
 
 def _remember(task: Task, notice: rtpu_messages.Notice) -> None:

@@ -135,6 +135,8 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     except (NoAnswerError, StateError):
         pass  # it hangs in a method: force is what is left
     except TaskDiedError:
+        if (task.facts.subsystem, task.name) in rtpu.tombs:
+            raise  # it crashed in its `off` or `kill`
         return []
     except PbonetError as error:
         failed = error
@@ -205,8 +207,10 @@ async def stop(
     try:
         tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
         tasks.sort(key=lambda t: _position(t, order))
-        turned_off = await _all_off(rtpu, tasks, deadline - limit * (1 - OFF_SHARE))
-        ends = await _all_ended(tasks, deadline)
+        failed: dict[str, str] = {}
+        until = deadline - limit * (1 - OFF_SHARE)
+        turned_off = await _all_off(rtpu, tasks, until, failed)
+        ends = await _all_ended(rtpu, tasks, deadline, failed)
         forced = [
             t.name for t, by_itself in zip(tasks, ends, strict=True) if not by_itself
         ]
@@ -216,13 +220,14 @@ async def stop(
         rtpu.stopping -= set(subsystems)
     if tasks:
         rtpu.events.add(
-            Severity.WARNING if forced else Severity.INFO,
+            Severity.WARNING if forced or failed else Severity.INFO,
             "STOPPED",
             f"{len(tasks)} tasks ended"
-            + (f", by force: {' '.join(forced)}" * bool(forced)),
+            + (f", by force: {' '.join(forced)}" * bool(forced))
+            + (f", with an error: {' '.join(failed)}" * bool(failed)),
             subsystem=subsystems[0] if len(subsystems) == 1 else "",
         )
-    return Stopped(off=turned_off, killed=forced)
+    return Stopped(off=turned_off, killed=forced, failed=failed)
 
 
 async def replaced(rtpu: Rtpu, tasks: Sequence[Task], limit: float) -> Stopped:
@@ -275,7 +280,9 @@ def _position(task: Task, order: Sequence[str]) -> tuple[int, int]:
     return len(order), -task.on_rank
 
 
-async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[str]:
+async def _all_off(
+    rtpu: Rtpu, tasks: Sequence[Task], deadline: float, failed: dict[str, str]
+) -> list[str]:
     """Send off to those that are ON, one after the other; return those that obeyed."""
     running = [task for task in tasks if task.state is State.ON]
     obeyed: list[str] = []
@@ -284,10 +291,28 @@ async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[s
         try:
             await control(rtpu, task, "off", max(share, LEAST))
             obeyed.append(task.name)
-        except PbonetError:
+        except PbonetError as error:
+            _note_failure(failed, task, lifecycle.Event.OFF, error)
             if task.busy:  # else it is in ERROR, or has ended
                 _calm(task)
     return obeyed
+
+
+def _note_failure(
+    failed: dict[str, str], task: Task, event: lifecycle.Event, error: PbonetError
+) -> bool:
+    """Note what went wrong at an end, the first thing for each task.
+
+    Returns:
+        Whether it is a failure. It is none if the task hangs, which ends it by force,
+        or is in another state by now.
+    """
+    if isinstance(error, (NoAnswerError, StateError)):
+        return False
+    place = error.place if isinstance(error, MethodError) else ""
+    text = f"{event}: {error.what}" + f" ({place})" * bool(place)
+    failed.setdefault(task.name, text)
+    return True
 
 
 def _calm(task: Task) -> None:
@@ -296,7 +321,9 @@ def _calm(task: Task) -> None:
         os.sched_setscheduler(task.child.pid, os.SCHED_OTHER, os.sched_param(0))
 
 
-async def _all_ended(tasks: Sequence[Task], deadline: float) -> list[bool]:
+async def _all_ended(
+    rtpu: Rtpu, tasks: Sequence[Task], deadline: float, failed: dict[str, str]
+) -> list[bool]:
     """Kill all at once; return which obeyed.
 
     Those that hang go by force after half of the time: one that spins at a real-time
@@ -304,18 +331,22 @@ async def _all_ended(tasks: Sequence[Task], deadline: float) -> list[bool]:
     """
     half = (time.monotonic() + deadline) / 2
     return await asyncio.gather(
-        *(_end(task, half if task.busy else deadline) for task in tasks)
+        *(_end(rtpu, task, half if task.busy else deadline, failed) for task in tasks)
     )
 
 
-async def _end(task: Task, deadline: float) -> bool:
+async def _end(rtpu: Rtpu, task: Task, deadline: float, failed: dict[str, str]) -> bool:
     """Kill one task until `deadline`, then by force; return whether it obeyed."""
     task.stopping = True
     left = deadline - time.monotonic()
-    with contextlib.suppress(PbonetError):
+    kill = lifecycle.Event.KILL
+    try:
         await task.command(
             "kill", lambda n: rtpu_messages.Signal(n, "kill"), max(left, LEAST)
         )
+    except PbonetError as error:
+        if _note_failure(failed, task, kill, error) and not task.gone.is_set():
+            note(rtpu, task, kill, error)
     good_bye = task.state is State.NOT_CREATED and task.spawned.done()
     left = deadline - time.monotonic()
     return await task.end(max(left, END_TIME if good_bye else LEAST))

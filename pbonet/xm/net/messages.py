@@ -504,6 +504,8 @@ class Stopped(Struct, kw_only=True):
     off: list[str]
     killed: list[str]
     """Tasks that did not stop by themselves and were killed."""
+    failed: dict[str, str] = {}
+    """Tasks whose `off` or `kill` failed, or that died, and how; they have ended."""
 
 
 class Event(Struct, kw_only=True):

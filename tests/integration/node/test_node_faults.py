@@ -152,11 +152,36 @@ class TestRaising:
         assert arm.value("Y0").values == [9.0, 0.0]
 
 
-def test_stop_passes_over_an_off_that_raises(arm):
-    arm.spawn("bad", "raises_in_off")
-    arm.on("bad")
-    assert arm.stop().killed == []
-    assert arm.status() == {}
+def test_a_stop_says_which_tasks_failed_as_they_ended(arm):
+    modules = (
+        "raises_in_off", "raises_in_kill", "segfaults_in_off", "segfaults_in_kill"
+    )  # fmt: skip
+    for number, module in enumerate(modules):
+        arm.spawn(module, module, out=f"Y{number}")
+        arm.on(module)
+    done = arm.stop()
+    assert done.killed == []
+    assert done.off == ["segfaults_in_kill", "raises_in_kill"]
+    crash = "the task ended by itself: signal SIGSEGV (segmentation fault)"
+    places = {name: text.rpartition(" (/")[0] or text for name, text in
+              done.failed.items()}  # fmt: skip
+    assert places == {
+        "raises_in_off": "off: KeyError: 'off does not work'",
+        "raises_in_kill": "kill: KeyError: 'kill does not work'",
+        "segfaults_in_off": f"off: {crash}",
+        "segfaults_in_kill": f"kill: {crash}",
+    }
+    assert not any(task.state != "NOT-CREATED" for task in arm.status().values())
+    assert {one.task for one in arm.events("TASK_DIED")} == {*modules[2:]}
+    assert {one.task for one in arm.events("SIGNAL_FAILED")} >= {*modules[:2]}
+    assert "with an error: " in arm.wait_event("STOPPED").text
+
+
+def test_kill_says_that_the_task_crashed_in_it(arm):
+    arm.spawn("bad", "segfaults_in_kill")
+    error = arm.refused(TaskDiedError, arm.kill, "bad")
+    assert "SIGSEGV" in str(error)
+    assert arm.wait_event("TASK_DIED", "bad").place.endswith("in kill")
 
 
 @pytest.mark.usefixtures("sibling")

@@ -26,7 +26,7 @@ def test_a_stop_of_any_version_is_taken_and_answered_in_that_version():
         "v": NEWER,
         "id": "x-1",
         "ok": True,
-        "result": {"off": ["ctl"], "killed": []},
+        "result": {"off": ["ctl"], "killed": [], "failed": {}},
         "error": None,
         "warnings": [],
     }
