@@ -1,6 +1,6 @@
 """``pbonet run``: the whole thing from one command, and nothing left behind.
 
-What it records in real time stands in `integration/test_run_recorded.py`.
+What it records in real time stands in `agents/log/test_run_recorded.py`.
 """
 
 from __future__ import annotations

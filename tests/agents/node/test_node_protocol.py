@@ -122,4 +122,4 @@ def test_the_program_on_the_page(nodes, tmp_path):
         assert lines[0].startswith("backend ")
         assert re.fullmatch(r"state ON after \d+ cycles", lines[1])
         assert re.fullmatch(r"Y \[\d+\.0, \d+\.0\]", lines[2])
-        assert lines[3] == "stopped {'off': ['t'], 'killed': []}"
+        assert lines[3] == "stopped {'off': ['t'], 'killed': [], 'failed': {}}"
