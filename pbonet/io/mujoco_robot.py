@@ -28,62 +28,112 @@ if TYPE_CHECKING:
 
 
 class MujocoRobot:
-    """A robot on a base that does not move, whose joints turn or slide.
+    """A robot whose joints turn or slide, on a base that stands or moves freely.
 
     Torques act at the joints themselves, within the limits that the file gives them;
-    actuators of the file are off.
+    actuators of the file are off. Joints are in the order in which bodies are nested,
+    from the base, and branches by the names of their first joints, as pinocchio has
+    them.
 
     Args:
         file: Its MJCF or URDF file, as for `find_file`.
         libraries: Folders in which it is looked for.
         step: Longest integration step, seconds.
+        floats: Whether its first joint is free, and so its base moves.
 
     Raises:
-        ParameterError: There is no such file, MuJoCo cannot read it, or a joint is a
-            ball or free.
+        ParameterError: There is no such file, MuJoCo cannot read it, it has no joint
+            that turns or slides, or one of another kind.
         DeviceError: MuJoCo is not installed.
     """
 
     def __init__(
-        self, file: str, libraries: Iterable[str | Path] = (), *, step: float = 1e-3
+        self,
+        file: str,
+        libraries: Iterable[str | Path] = (),
+        *,
+        step: float = 1e-3,
+        floats: bool = False,
     ) -> None:
         with from_extra("mujoco", "the simulated robot"):
             self._mujoco: Any = import_module("mujoco")
         self.path = find_file(file, libraries)
-        self._model = self._read()
-        self.n = int(self._model.nv)
-        self.joints = tuple(str(self._model.joint(k).name) for k in range(self.n))
-        self._data = self._mujoco.MjData(self._model)
+        self._model = self._read(floats=floats)
+        model, first = self._model, int(floats)
+        self._order = order = np.array(_nested(model)[first:]) - first
+        self.joints = tuple(str(model.joint(k + first).name) for k in order)
+        self.n = n = len(self.joints)
+        self._base = int(model.jnt_bodyid[0]) if floats else 0
+        self.base = str(model.body(self._base).name)
+        """The name of the body that moves freely, or of the world."""
+        self._data = data = self._mujoco.MjData(model)
         self._step = step
-        limited = np.array(self._model.jnt_actfrclimited, dtype=bool)
-        limits = np.array(self._model.jnt_actfrcrange, dtype=np.float64)
+        limited = np.array(model.jnt_actfrclimited[first:], dtype=bool)[order]
+        limits = np.array(model.jnt_actfrcrange[first:], dtype=np.float64)[order]
         self._low: Floats = np.where(limited, limits[:, 0], -np.inf)
         self._high: Floats = np.where(limited, limits[:, 1], np.inf)
-        self._product = np.zeros(self.n)
-        self.q: Floats = self._data.qpos
+        self._wish, self._product = np.zeros(model.nv), np.zeros(model.nv)
+        self._q, self._qd = data.qpos[-n:], data.qvel[-n:]
+        self._torque = data.qfrc_applied[-n:]
+        self.q: Floats = np.zeros(n)
         """Joint positions, rad or m."""
-        self.qd: Floats = self._data.qvel
+        self.qd: Floats = np.zeros(n)
         """Joint velocities, rad/s or m/s."""
+        self.torque: Floats = np.zeros(n)
+        """Torques that act at the joints, N*m or N."""
+        self.turn: Floats = data.qvel[3:6]
+        """Angular velocity of a base that moves, in its own axes, rad/s."""
 
     def place(self, q: Floats, qd: Floats) -> None:
-        """Put the robot somewhere, at rest but for `qd` and without torques."""
+        """Put the robot where its file does, its joints at `q` and moving with `qd`.
+
+        Nothing else moves, and no torques act.
+        """
         self._mujoco.mj_resetData(self._model, self._data)
-        self.q[:], self.qd[:] = q, qd
+        self._q[self._order], self._qd[self._order] = q, qd
+        self.q[:], self.qd[:], self.torque[:] = q, qd, 0.0
         self._mujoco.mj_forward(self._model, self._data)
+
+    def place_base(self, pose: Floats, velocity: Floats) -> None:
+        """Put a base that moves somewhere, with a velocity; joints are as they were.
+
+        Args:
+            pose: [R p], [3, 4], p in m.
+            velocity: m/s of its origin and rad/s, in the axes of the world.
+        """
+        data = self._data
+        data.qpos[:3], data.qvel[:3] = pose[:, 3], velocity[:3]
+        self._mujoco.mju_mat2Quat(data.qpos[3:7], pose[:, :3].ravel())
+        data.qvel[3:6] = velocity[3:] @ pose[:, :3]
+        self._mujoco.mj_forward(self._model, data)
+
+    def sense_base(self, pose: Floats, velocity: Floats) -> None:
+        """Write pose and velocity of a base that moves, as `place_base` takes them."""
+        data = self._data
+        pose[:, :3] = data.xmat[self._base].reshape(3, 3)
+        pose[:, 3], velocity[:3] = data.qpos[:3], data.qvel[:3]
+        velocity[3:] = pose[:, :3] @ data.qvel[3:6]
+
+    def push(self, force: Floats) -> None:
+        """Let a force (N) act at the centre of mass of a base that moves, till anew."""
+        self._data.xfrc_applied[self._base, :3] = force
 
     def command(self, torque: Floats) -> None:
         """Set the torques at the joints, N*m or N; their limits bound them."""
-        np.clip(torque, self._low, self._high, out=self._data.qfrc_applied)
+        np.clip(torque, self._low, self._high, out=self.torque)
+        self._torque[self._order] = self.torque
 
     def torque_for(self, qdd: Floats) -> Floats:
         """Return the torques that accelerate the joints by `qdd`, as they move now.
 
-        It is memory that the next call writes again.
+        The base is taken not to accelerate.
         """
-        self._mujoco.mj_mulM(self._model, self._data, self._product, qdd)
+        self._wish[-self.n :][self._order] = qdd
+        self._mujoco.mj_mulM(self._model, self._data, self._product, self._wish)
         self._product += self._data.qfrc_bias
         self._product -= self._data.qfrc_passive
-        return self._product
+        torque: Floats = self._product[-self.n :][self._order]
+        return torque
 
     def advance(self, dt: float) -> None:
         """Let `dt` seconds pass.
@@ -95,17 +145,26 @@ class MujocoRobot:
         self._model.opt.timestep = dt / steps
         self._mujoco.mj_step(self._model, self._data, steps)
         self._mujoco.mj_forward(self._model, self._data)  # of now, not of a step ago
-        speed = np.where(np.isfinite(self.q), np.abs(self.qd), np.inf)
+        self._q.take(self._order, out=self.q)
+        self._qd.take(self._order, out=self.qd)
+        speed = np.abs(self._data.qvel)
         bad = int(np.argmax(speed))
         if not speed[bad] < _ABSURD:
             raise DeviceError(
-                f"the simulated robot flies apart at joint {self.joints[bad]}",
+                f"the simulated robot flies apart at {self._dof(bad)}",
                 where=str(self.path),
-                got=f"{self.q[bad]:g} rad, {self.qd[bad]:g} rad/s",
+                got=f"{speed[bad]:g} rad/s or m/s",
                 remedy="shorten STEP, or correct masses and limits of the model",
             )
 
-    def _read(self) -> Any:  # noqa: ANN401 - it has no stubs
+    def _dof(self, index: int) -> str:
+        """Return the name of what moves with an element of the velocity."""
+        joint = index - (int(self._model.nv) - self.n)
+        if joint < 0:
+            return f"base {self.base}"
+        return f"joint {self.joints[int(np.flatnonzero(self._order == joint)[0])]}"
+
+    def _read(self, *, floats: bool) -> Any:  # noqa: ANN401 - it has no stubs
         mujoco = self._mujoco
         try:
             model = mujoco.MjModel.from_xml_path(str(self.path))
@@ -116,25 +175,62 @@ class MujocoRobot:
                 got=" ".join(str(error).split()),
                 remedy="correct it, or name another file",
             ) from None
-        plain = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
-        for k in range(model.njnt):
-            if int(model.jnt_type[k]) not in plain:
+        self._check(model, floats=floats)
+        off = mujoco.mjtDisableBit
+        model.opt.disableflags |= off.mjDSBL_ACTUATION | off.mjDSBL_AUTORESET
+        return model
+
+    def _check(self, model: Any, *, floats: bool) -> None:  # noqa: ANN401 - as above
+        """Refuse joints that are not as they must be."""
+        kinds, types = self._mujoco.mjtJoint, [int(one) for one in model.jnt_type]
+        if floats and types[:1] != [int(kinds.mjJNT_FREE)]:
+            raise ParameterError(
+                "the base of the robot cannot move: its first joint is not free",
+                where=str(self.path),
+                expected="a <freejoint/> in the first body",
+                got=f"joint {model.joint(0).name}" if types else "no joint",
+                remedy="give the base a free joint, and put the robot first in its "
+                "scene",
+            )
+        plain = {int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)}
+        for k in range(int(floats), len(types)):
+            if types[k] not in plain:
                 raise ParameterError(
                     f"joint {model.joint(k).name} is a ball or free",
                     where=str(self.path),
                     expected="hinges and slides only",
-                    remedy="fix the robot's base, and what else lies in the scene",
+                    remedy="take out what else lies in the scene"
+                    if floats
+                    else "fix the robot's base, and what else lies in the scene",
                 )
-        if model.njnt == 0:
+        if len(types) == int(floats):
             raise ParameterError(
                 "the model has no joint",
                 where=str(self.path),
                 expected="at least one hinge or slide",
                 remedy="name the model of a robot that moves",
             )
-        off = mujoco.mjtDisableBit
-        model.opt.disableflags |= off.mjDSBL_ACTUATION | off.mjDSBL_AUTORESET
-        return model
+
+
+def _nested(model: Any) -> list[int]:  # noqa: ANN401 - as above
+    """Return the numbers of the joints: outwards, branches by names."""
+    children: dict[int, list[int]] = {}
+    for body in range(1, int(model.nbody)):
+        children.setdefault(int(model.body_parentid[body]), []).append(body)
+
+    def first(body: int) -> str:
+        has = int(model.body_jntnum[body])
+        joint = int(model.body_jntadr[body])
+        return str(model.joint(joint).name if has else model.body(body).name)
+
+    found: list[int] = []
+    ahead = [0]
+    while ahead:
+        body = ahead.pop()
+        joint = int(model.body_jntadr[body])
+        found += range(joint, joint + int(model.body_jntnum[body]))
+        ahead += sorted(children.get(body, []), key=first, reverse=True)
+    return found
 
 
 _ABSURD = 1e4

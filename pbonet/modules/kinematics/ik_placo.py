@@ -1,7 +1,6 @@
 """Inverse kinematics within the limits of the joints, by placo."""
 
-from importlib import import_module
-from typing import Annotated as A, Any
+from typing import Annotated as A
 
 import numpy as np
 
@@ -15,18 +14,11 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import RobotModel, from_extra
+from pbonet.io import RobotModel
 from pbonet.modules._dh import difference, fault_of, rotation, shorten
+from pbonet.modules._placo_motion import PlacoMotion
+from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
-
-BASE = 7
-"""Elements of placo's position before the joints: those of a base that could float."""
-RATES = 6
-"""The same of its velocity."""
-AT_LIMIT = 1e-6
-"""rad; a joint that is no further from a limit stands at it."""
-NEARLY = 0.999
-"""The share of a joint's largest speed that counts as that speed."""
 
 
 class Pursuit(Params):
@@ -67,23 +59,24 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         keep(name, {"urdf", "frame", "length", "damping"})
 
     def on(self) -> None:
-        self._told = ""
-        self._q[:] = self.q_ref
+        self._told.clear()
+        self._motion.q[:] = self.q_ref
 
     def cycle(self, dt: float) -> None:
         if why := self._fault():
             self._hold("goal", why)
             return
-        self._model.jacobian(self._q, self._frame, self._x, self._jacobian)
+        motion = self._motion
+        self._model.jacobian(motion.q, self._frame, self._x, self._jacobian)
         wish = self.params.gain * difference(self.x_des, self._x) + self.v_des
         shorten(wish[:3], self.params.linear)
         shorten(wish[3:], self.params.angular)
-        step = self._solve(wish, dt)
+        step = self._step(wish, dt)
         if step is None:
-            self._hold("limits", f"no joint motion keeps the limits: {self._stopped()}")
+            why = motion.stopped(self.qd_ref)
+            self._hold("limits", f"no joint motion keeps the limits: {why}")
             return
-        self._q += step
-        self.q_ref[:] = self._q
+        self.q_ref[:] = motion.q
         np.divide(step, dt, out=self.qd_ref)
         self._watch(wish)
 
@@ -99,31 +92,19 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             return f"X^_DES of frame {self.params.frame} is not finite"
         return ""
 
-    def _solve(self, wish: Vector, dt: float) -> Vector | None:
+    def _step(self, wish: Vector, dt: float) -> Vector | None:
         """Return the joints' step for a velocity of the hand; None if there is none."""
-        robot, goal = self._robot, self._goal
-        self._all[BASE:] = self._q
-        robot.state.q = self._all
-        robot.update_kinematics()
+        goal = self._goal
+        self._motion.show()
         goal[:3, :3] = rotation(wish[3:] * dt) @ self._x[:, :3]
         goal[:3, 3] = self._x[:, 3] + wish[:3] * dt
         self._task.T_world_frame = goal
-        self._solver.dt = dt
-        try:
-            step: Vector = self._solver.solve(False)[RATES:]  # noqa: FBT003 - placo's
-        except RuntimeError:
-            return None
-        return step
+        return self._motion.step(dt)
 
     def _hold(self, kind: str, text: str) -> None:
         """Leave Q_REF unchanged, and report the reason once."""
         self.qd_ref[:] = 0.0
-        self._warn_once(kind, f"{text}; Q_REF does not change")
-
-    def _warn_once(self, kind: str, text: str) -> None:
-        if kind != self._told:
-            self._told = kind
-            self.task.warn(text)
+        self._told.warn(kind, f"{text}; Q_REF does not change")
 
     def _watch(self, wish: Vector) -> None:
         """Report once that the hand does not move as it should."""
@@ -132,47 +113,22 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             float(np.abs(missing[:3]).max()),
             float(np.abs(missing[3:]).max()) * self.params.length,
         )
-        if far < self.params.short:
-            self._told = "" if far < 0.5 * self.params.short else self._told
-        elif self._told != "reach":
-            self._warn_once(
-                "reach",
-                f"frame {self.params.frame} cannot follow X_DES: {self._stopped()}",
+        if far < 0.5 * self.params.short:
+            self._told.clear()
+        elif far >= self.params.short:
+            why = self._motion.stopped(self.qd_ref)
+            self._told.warn(
+                "reach", f"frame {self.params.frame} cannot follow X_DES: {why}"
             )
-
-    def _stopped(self) -> str:
-        """Return which joints are at or beyond a limit, as the end of a sentence."""
-        robot = self._model
-        near = np.minimum(self._q - robot.lower, robot.upper - self._q) < AT_LIMIT
-        fast = np.abs(self.qd_ref) > NEARLY * robot.velocity
-        told = [
-            f"{name} is at its limit, {q:.4f} rad of {low:.4f} to {high:.4f}"
-            if stands
-            else f"{name} is at its largest speed"
-            for name, q, low, high, stands, runs in zip(
-                robot.joints, self._q, robot.lower, robot.upper, near, fast, strict=True
-            )
-            if stands or runs
-        ]
-        return ", ".join(told) or "the robot is stretched or singular there"
 
     def _take_robot(self) -> None:
         k = self.params
         self._model = RobotModel(k.urdf, self.task.libraries)
         self._model.must_have(self.ndof)
         self._frame = self._model.frame(k.frame)
-        self._q = self.q_ref.copy()
         self._x, self._jacobian = np.empty((3, 4)), np.empty((6, self.ndof))
         self._goal = np.eye(4)
-        with from_extra("placo", "inverse kinematics within limits"):
-            placo: Any = import_module("placo")
-        robot = placo.RobotWrapper(str(self._model.path), placo.Flags.ignore_collisions)
-        self._all = np.concatenate((np.array(robot.state.q)[:BASE], self._q))
-        solver = placo.KinematicsSolver(robot)
-        solver.mask_fbase(True)  # noqa: FBT003 - placo's
-        solver.enable_joint_limits(True)  # noqa: FBT003
-        solver.enable_velocity_limits(True)  # noqa: FBT003
-        solver.add_regularization_task(k.damping)
-        self._task = solver.add_frame_task(k.frame, self._goal)
+        self._told = ToldOnce(self.task)
+        self._motion = PlacoMotion(self._model, k.damping, floats=False)
+        self._task = self._motion.solver.add_frame_task(k.frame, self._goal)
         self._task.configure("hand", "soft", k.length**-2, 1.0)
-        self._robot, self._solver = robot, solver

@@ -1,0 +1,112 @@
+"""Rigid-body mathematics of a robot whose base moves freely, by pinocchio.
+
+A URDF file describes it, whose root link is the base. Its joints turn or slide between
+limits, and are in the order in which the file nests them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .chain import pinocchio
+from .robot_model import RobotModel
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+BASE = 7
+"""Elements of the position before the joints: the base's place, and x y z w."""
+RATES = 6
+"""The same of the velocity, which is in the base's own axes."""
+
+
+class FloatingModel:
+    """A robot's momenta and the forces at its joints, while its base moves.
+
+    Args:
+        file: The URDF file, as for `find_file`.
+        libraries: Folders in which it is looked for.
+
+    Attributes:
+        joints: The robot without its base's motion: names, limits, friction.
+        q: The position, base first.
+        v: The velocity, base first.
+
+    Raises:
+        ParameterError: As for `RobotModel`.
+        DeviceError: pinocchio is not installed.
+    """
+
+    def __init__(self, file: str, libraries: Iterable[str | Path] = ()) -> None:
+        self._pin: Any = pinocchio()
+        self.joints = RobotModel(file, libraries)
+        path = str(self.joints.path)
+        self._model = self._pin.buildModelFromUrdf(path, self._pin.JointModelFreeFlyer())
+        self._data = self._model.createData()
+        self.q: Floats = np.array(self._pin.neutral(self._model))
+        self.v: Floats = np.zeros(self._model.nv)
+        self._still = np.zeros(self._model.nv)
+
+    def frame(self, name: str) -> int:
+        """Return the number of a frame: of a link or a joint.
+
+        Raises:
+            ParameterError: There is none of that name.
+        """
+        self.joints.frame(name)
+        return int(self._model.getFrameId(name))
+
+    def move(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> None:
+        """Set where the robot is and how it moves.
+
+        Args:
+            pose: Of the base, [R p], p in m.
+            velocity: Of the base's origin, m/s, and rad/s, in the axes of the world.
+            q: Joint positions.
+            qd: Joint velocities.
+        """
+        turned = pose[:, :3]
+        self.q[:3] = pose[:, 3]
+        self.q[3:BASE] = self._pin.Quaternion(turned).coeffs()
+        self.q[BASE:] = q
+        self.v[:3], self.v[3:RATES] = velocity[:3] @ turned, velocity[3:] @ turned
+        self.v[RATES:] = qd
+
+    def momentum(self) -> Floats:
+        """Return the generalized momenta M v of the joints, N*m*s."""
+        pin, model, data = self._pin, self._model, self._data
+        weight = np.array(pin.computeGeneralizedGravity(model, data, self.q))
+        moved = pin.rnea(model, data, self.q, self._still, self.v)
+        momentum: Floats = moved[RATES:] - weight[RATES:]
+        return momentum
+
+    def drift(self) -> Floats:
+        """Return C^T v - g - d qd of the joints, N*m.
+
+        It is what changes their momenta beside the torques and forces from outside: C v
+        are the torques of velocity, g those of gravity, d viscous friction.
+        """
+        pin, model, data = self._pin, self._model, self._data
+        found = pin.computeCoriolisMatrix(model, data, self.q, self.v).T @ self.v
+        found -= pin.computeGeneralizedGravity(model, data, self.q)
+        drift: Floats = found[RATES:] - self.joints.damping * self.v[RATES:]
+        return drift
+
+    def levers(self, frames: Iterable[int], out: Floats) -> None:
+        """Write how forces at the origins of frames act at the joints, [n, 3 frames].
+
+        Forces are in the axes of the world, frame by frame.
+        """
+        pin, model, data = self._pin, self._model, self._data
+        for k, frame in enumerate(frames):
+            found = pin.computeFrameJacobian(
+                model, data, self.q, frame, pin.LOCAL_WORLD_ALIGNED
+            )
+            out[:, 3 * k : 3 * k + 3] = found[:3, RATES:].T

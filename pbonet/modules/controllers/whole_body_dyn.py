@@ -1,0 +1,193 @@
+"""Torques of a whole robot on its feet, by placo's inverse dynamics."""
+
+from typing import Annotated as A
+
+import numpy as np
+
+from pbonet import (
+    InConst,
+    InVar,
+    Matrix,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+    param,
+)
+from pbonet.io import FloatingModel
+from pbonet.modules._dh import fault_of
+from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
+from pbonet.modules._placo_motion import RATES, placo_robot
+from pbonet.modules._takeover import Takeover
+from pbonet.modules._values import keep
+
+STANDS = 0.5
+"""A foot of CONTACT_DES above it is one that stands."""
+
+
+class Gains(Params):
+    """The robot, and how its body and joints are drawn to their references."""
+
+    urdf: A[str, param("none", "file of the robot, in a folder of modules")]
+    body: A[str, param("none", "link whose frame is the body")]
+    feet: A[tuple[str, ...], param("none", "frames of the feet")]
+    kp: A[float, param("1/s^2", "acceleration of the body per m or rad", ge=0)] = 200.0
+    kd: A[float, param("1/s", "the same per m/s or rad/s", ge=0)] = 28.0
+    joint_kp: A[float, param("1/s^2", "of a joint per rad of its error", ge=0)] = 400.0
+    joint_kd: A[float, param("1/s", "the same per rad/s", ge=0)] = 40.0
+    posture: A[float, param("none", "weight of the joints, the body's is 1", gt=0)] = (
+        1e-3
+    )
+    grip: A[float, param("1/s", "how fast a foot that stands is to rest", ge=0)] = 20.0
+    mu: A[float, param("none", "friction under the feet", gt=0)] = 0.5
+    fade: A[float, param("s", "time until T_REF is what the law says", gt=0)] = 0.1
+
+
+class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
+    """min (a_body - a1)^2 + posture (qdd - a2)^2, with M a + h + d qd = tau + J^T f.
+
+    With a1 = kp * (x_des - x) + kd * (xd_des - xd) of the body and a2 the same of the
+    joints, by Q_REF. Solved in each cycle by placo's quadratic program for the
+    accelerations, the torques, and the force f at each foot of which CONTACT_DES says
+    that it stands: it pushes only, within the cone of friction MU, and the foot is not
+    accelerated but to rest. Torques stay within the efforts of the URDF file. The other
+    feet go where Q_REF takes them. M, h and the friction d are those of the file. When
+    the module is turned on it goes on from the T_REF that is there, and the distance
+    fades. A program without a solution, or a value that is not finite, ends in ERROR:
+    T_REF gets old, and the robot interface holds the robot.
+    """
+
+    ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
+    x_des: A[Matrix, InVar("X_BODY_DES", "3,4", "mixed", "desired pose of the body")]
+    v_des: A[Vector, InVar("X^_BODY_DES", "6", "mixed", "its velocity, m/s and rad/s")]
+    contact: A[Vector, InVar("CONTACT_DES", "nfeet", "none", "1 for a standing foot")]
+    q_ref: A[Vector, InVar("Q_REF", "ndof", "rad", "reference position")]
+    qd_ref: A[Vector, InVar("Q^_REF", "ndof", "rad/s", "reference velocity")]
+    x: A[Matrix, InVar("X_MEZ", "3,4", "mixed", "pose of the base, [R p], p in m")]
+    v: A[Vector, InVar("X^_MEZ", "6", "mixed", "its velocity, m/s and rad/s")]
+    q: A[Vector, InVar("Q_MEZ", "ndof", "rad", "measured position")]
+    qd: A[Vector, InVar("Q^_MEZ", "ndof", "rad/s", "measured velocity")]
+    tau: A[Vector, OutVar("T_REF", "ndof", "N*m", "commanded torque")]
+
+    def init(self) -> None:
+        k = self.params
+        self._model = FloatingModel(k.urdf, self.task.libraries)
+        self._model.joints.must_have(self.ndof)
+        self._model.frame(k.body)
+        must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
+        self._takeover = Takeover(self.ndof)
+        self._make_program()
+        self._take_gains()
+
+    def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
+        keep(name, {"urdf", "body", "feet"})
+        self._take_gains()
+
+    def on(self) -> None:
+        self._takeover.begin()
+
+    def cycle(self, dt: float) -> None:
+        if why := self._fault():
+            self.task.fail(why)
+        self._show()
+        self._aim()
+        law = self._solve(dt)
+        self._takeover.apply(law, self.tau, dt, self.params.fade)
+        effort = self._model.joints.effort
+        np.clip(self.tau, -effort, effort, out=self.tau)
+
+    def _show(self) -> None:
+        """Tell placo where the robot is and how it moves."""
+        model, robot = self._model, self._robot
+        model.move(self.x, self.v, self.q, self.qd)
+        robot.state.q, robot.state.qd = model.q, model.v
+        robot.update_kinematics()
+
+    def _aim(self) -> None:
+        """Set goals of body and joints, and which feet stand where they are."""
+        self._pose[:3] = self.x_des
+        self._body.T_world_frame = self._pose
+        self._body.position().dtarget_world = self.v_des[:3]
+        self._body.orientation().omega_world = self.v_des[3:]
+        joints = self._model.joints.joints
+        goals = zip(joints, self.q_ref.tolist(), self.qd_ref.tolist(), strict=True)
+        for name, q, qd in goals:
+            self._posture.set_joint(name, q, qd)
+        for k, foot in enumerate(self.params.feet):
+            stands = bool(self.contact[k] > STANDS)
+            if stands is not self._stands[k]:
+                self._stand(k, stands=stands)
+            if stands:
+                self._feet[k].target_world = self._robot.get_T_world_frame(foot)[:3, 3]
+
+    def _solve(self, dt: float) -> Vector:
+        """Return the torques."""
+        self._solver.dt = dt
+        try:
+            found = self._solver.solve(False)  # noqa: FBT003 - placo's
+        except RuntimeError:
+            found = None
+        if found is None or not found.success:
+            feet = zip(self.params.feet, self._stands, strict=True)
+            names = " ".join(foot for foot, stands in feet if stands) or "no foot"
+            self.task.fail(
+                "no torques within the efforts of the joints and the friction under "
+                f"the feet keep what stands where it is: {names}"
+            )
+        torque: Vector = found.tau[RATES:] + self._model.joints.damping * self.qd
+        return torque
+
+    def _fault(self) -> str:
+        """Return which value is none."""
+        k, names = self.params, self._model.joints.joints
+        if why := fault_of(self.x_des):
+            return f"X_BODY_DES of frame {k.body} is not a pose: {why}"
+        if not np.isfinite(self.v_des).all():
+            return f"X^_BODY_DES of frame {k.body} is not finite"
+        if not np.isfinite(self.contact).all():
+            foot = k.feet[int(np.argmin(np.isfinite(self.contact)))]
+            return f"CONTACT_DES of {foot} is not finite"
+        return (
+            fault_of_base(self.x, self.v)
+            or fault_of_joints("Q_MEZ", self.q, names)
+            or fault_of_joints("Q^_MEZ", self.qd, names)
+            or fault_of_joints("Q_REF", self.q_ref, names)
+            or fault_of_joints("Q^_REF", self.qd_ref, names)
+        )
+
+    def _make_program(self) -> None:
+        """Make placo's program, in which no foot stands yet."""
+        k = self.params
+        placo, self._robot = placo_robot(self._model.joints, "inverse dynamics")
+        self._solver = solver = placo.DynamicsSolver(self._robot)
+        solver.enable_torque_limits(True)  # noqa: FBT003 - placo's
+        self._pose = np.eye(4)
+        self._body = solver.add_frame_task(k.body, self._pose)
+        self._posture = solver.add_joints_task()
+        self._feet = [solver.add_position_task(foot, np.zeros(3)) for foot in k.feet]
+        self._contacts = [
+            solver.add_unilateral_point_contact(task) for task in self._feet
+        ]
+        self._stands = [False] * len(k.feet)
+        for index in range(len(k.feet)):
+            self._stand(index, stands=False)
+
+    def _stand(self, index: int, *, stands: bool) -> None:
+        """Let a foot stand, or go where its joints take it."""
+        self._stands[index] = stands
+        self._contacts[index].active = stands
+        foot = self.params.feet[index]
+        if stands:
+            self._feet[index].configure(foot, "hard")
+        else:
+            self._feet[index].configure(foot, "soft", 0.0)
+
+    def _take_gains(self) -> None:
+        k = self.params
+        self._body.configure("body", "soft", 1.0, 1.0)
+        for task in (self._body.position(), self._body.orientation()):
+            task.kp, task.kd = k.kp, k.kd
+        self._posture.configure("posture", "soft", k.posture)
+        self._posture.kp, self._posture.kd = k.joint_kp, k.joint_kd
+        for task, contact in zip(self._feet, self._contacts, strict=True):
+            task.kp, task.kd, contact.mu = 0.0, k.grip, k.mu

@@ -1,0 +1,179 @@
+"""Inverse kinematics of a whole robot: body and feet at once, by placo."""
+
+from typing import Annotated as A
+
+import numpy as np
+
+from pbonet import (
+    InConst,
+    InVar,
+    Matrix,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+    param,
+)
+from pbonet.io import RobotModel
+from pbonet.modules._dh import difference, fault_of, rotation, shorten
+from pbonet.modules._legs import must_have_feet
+from pbonet.modules._placo_motion import PlacoMotion
+from pbonet.modules._told_once import ToldOnce
+from pbonet.modules._values import keep
+
+
+class Pursuit(Params):
+    """The robot, and how its body and feet are taken to their goals."""
+
+    urdf: A[str, param("none", "file of the robot, in a folder of modules")]
+    body: A[str, param("none", "link whose frame is the body")]
+    feet: A[tuple[str, ...], param("none", "frames of the feet")]
+    gain: A[float, param("1/s", "gain of the errors, at most one per cycle", gt=0)] = (
+        50.0
+    )
+    linear: A[float, param("m/s", "largest speed of body and feet", gt=0)] = 1.0
+    angular: A[float, param("rad/s", "largest angular speed of the body", gt=0)] = 3.0
+    length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
+    grip: A[float, param("none", "weight of a foot, the body's is 1", gt=0)] = 100.0
+    damping: A[float, param("none", "weight of the joints' own motion", gt=0)] = 1e-4
+    short: A[float, param("m/s", "speed that may be missing unreported", gt=0)] = 0.01
+
+
+class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
+    """min e^2 + damping dq^2, with e = J dq - v dt of the body and of each foot.
+
+    For each of them v = gain * (x_des - x). Solved in each cycle by placo's quadratic
+    program over the joints and a base that moves freely, within the limits of position
+    and velocity that the URDF file gives each joint. The poses of body and feet are
+    those at Q_REF itself, in the frame in which their goals are given: with the places
+    of `gait`, the body's own when it is level. Feet weigh GRIP times as much as the
+    body, and rows of positions are counted in LENGTH. Q_REF goes on from where it
+    stands when the module is turned on, with the body in its goal, and goals far away
+    are approached at LINEAR and ANGULAR. Goals that cannot be reached are taken as near
+    as the joints allow; a warning names the frame, and joints that stand at a limit.
+    Goals that are not finite, or a program without a solution, leave Q_REF where it is.
+    """
+
+    ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
+    x_body: A[Matrix, InVar("X_BODY_DES", "3,4", "mixed", "desired pose of the body")]
+    x_feet: A[Matrix, InVar("X_FEET_DES", "nfeet,3", "m", "desired places of the feet")]
+    q_ref: A[Vector, OutVar("Q_REF", "ndof", "rad", "reference joint position")]
+    qd_ref: A[Vector, OutVar("Q^_REF", "ndof", "rad/s", "reference joint velocity")]
+
+    def init(self) -> None:
+        k, n = self.params, len(self.x_feet)
+        model = RobotModel(k.urdf, self.task.libraries)
+        model.must_have(self.ndof)
+        model.frame(k.body)
+        must_have_feet(model, k.feet, n, "X_FEET_DES")
+        self._told = ToldOnce(self.task)
+        self._motion = motion = PlacoMotion(model, k.damping, floats=True)
+        self._body, self._feet = np.eye(4), np.zeros((n, 3))
+        solver, weight = motion.solver, k.length**-2
+        self._body_task = solver.add_frame_task(k.body, self._body)
+        self._body_task.configure("body", "soft", weight, 1.0)
+        self._feet_tasks = [
+            solver.add_position_task(foot, place)
+            for foot, place in zip(k.feet, self._feet, strict=True)
+        ]
+        for foot, task in zip(k.feet, self._feet_tasks, strict=True):
+            task.configure(foot, "soft", weight * k.grip)
+
+    def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
+        keep(name, {"urdf", "body", "feet", "length", "grip", "damping"})
+
+    def on(self) -> None:
+        self._told.clear()
+        self._motion.q[:] = self.q_ref
+        self._begins = True
+
+    def cycle(self, dt: float) -> None:
+        if why := self._fault():
+            self._hold("goal", why)
+            return
+        if self._begins:
+            self._begin()
+        body, feet = self._wish(dt)
+        step = self._motion.step(dt)
+        if step is None:
+            why = self._motion.stopped(self.qd_ref)
+            self._hold("limits", f"no joint motion keeps the limits: {why}")
+            return
+        self.q_ref[:] = self._motion.q
+        np.divide(step, dt, out=self.qd_ref)
+        self._watch(body, feet, dt)
+
+    def off(self) -> None:
+        if not self.task.handover:
+            self.qd_ref[:] = 0.0
+
+    def _begin(self) -> None:
+        """Put the body where it is to be, and the joints where Q_REF is."""
+        robot = self._motion.robot
+        self._motion.show()
+        self._body[:3] = self.x_body
+        robot.set_T_world_frame(self.params.body, self._body)
+        robot.update_kinematics()
+        self._begins = False
+        self._look()
+
+    def _look(self) -> None:
+        """Read the poses of body and feet, as placo has them."""
+        robot, k = self._motion.robot, self.params
+        robot.update_kinematics()
+        self._body[:] = robot.get_T_world_frame(k.body)
+        for place, foot in zip(self._feet, k.feet, strict=True):
+            place[:] = robot.get_T_world_frame(foot)[:3, 3]
+
+    def _wish(self, dt: float) -> tuple[Vector, Matrix]:
+        """Return the velocities of body and feet, and set the tasks to them."""
+        k, pose = self.params, self._body
+        gain = min(k.gain, 1.0 / dt)
+        body = gain * difference(self.x_body, pose[:3])
+        shorten(body[:3], k.linear)
+        shorten(body[3:], k.angular)
+        feet = gain * (self.x_feet - self._feet)
+        goal = pose.copy()
+        goal[:3, :3] = rotation(body[3:] * dt) @ pose[:3, :3]
+        goal[:3, 3] += body[:3] * dt
+        self._body_task.T_world_frame = goal
+        for task, place, velocity in zip(
+            self._feet_tasks, self._feet, feet, strict=True
+        ):
+            shorten(velocity, k.linear)
+            task.target_world = place + velocity * dt
+        return body, feet
+
+    def _watch(self, body: Vector, feet: Matrix, dt: float) -> None:
+        """Report once which frame does not move as it should."""
+        k, before = self.params, self._body.copy()
+        places = self._feet.copy()
+        self._look()
+        missing = body - difference(self._body[:3], before[:3]) / dt
+        missing[3:] *= k.length
+        feet -= (self._feet - places) / dt
+        far = np.concatenate(([np.abs(missing).max()], np.abs(feet).max(axis=1)))
+        worst = int(np.argmax(far))
+        if far[worst] < 0.5 * k.short:
+            self._told.clear()
+        elif far[worst] >= k.short:
+            which = f"{k.body} cannot follow X_BODY_DES"
+            if worst:
+                which = f"{k.feet[worst - 1]} cannot follow X_FEET_DES"
+            why = self._motion.stopped(self.qd_ref)
+            self._told.warn("reach", f"frame {which}: {why}")
+
+    def _hold(self, kind: str, text: str) -> None:
+        """Leave Q_REF unchanged, and report the reason once."""
+        self.qd_ref[:] = 0.0
+        self._told.warn(kind, f"{text}; Q_REF does not change")
+
+    def _fault(self) -> str:
+        """Return why a goal is none."""
+        if why := fault_of(self.x_body):
+            return f"X_BODY_DES of frame {self.params.body} is not a pose: {why}"
+        finite = np.isfinite(self.x_feet).all(axis=1)
+        if not finite.all():
+            foot = self.params.feet[int(np.argmin(finite))]
+            return f"X_FEET_DES of frame {foot} is not finite"
+        return ""
