@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 JOB = Path(__file__).parent / "squat.job"
-PUSH = "0 20 0"
-"""N, to the robot's left."""
-PUSHED, SECONDS = 4.0, 7.0
+PUSH = "0 -20 0"
+"""N, to the robot's right."""
+PUSHED, SECONDS = 3.5, 5.5
 """When the push begins, and how long a run lasts; the squat is over after 3 s."""
 LOW, TILTED = 0.2, 30.0
 """m and degrees: a body that was lower, or more tilted, has fallen."""

@@ -17,7 +17,7 @@ import numpy as np
 HERE = Path(__file__).parent
 SIZE = 480, 480
 """Height and width of each, pixels."""
-TIMES = 0.5, 2.0, 4.19
+TIMES = 0.5, 2.0, 3.69
 """When, in seconds: the third is just before the push ends."""
 
 
@@ -33,7 +33,7 @@ def main(file: str) -> None:
     model = mujoco.MjModel.from_xml_path(str(HERE / "quadruped.xml"))
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = [0.0, 0.0, 0.18]
+    camera.lookat[:] = [0.0, 0.03, 0.15]
     camera.distance, camera.azimuth, camera.elevation = 1.05, 215.0, -14.0
     renderer = mujoco.Renderer(model, *SIZE)
     drawn = []
@@ -62,8 +62,8 @@ def _arrow(mujoco: Any, scene: Any, to: Any) -> None:  # noqa: ANN401 - it has n
         np.array([0.85, 0.2, 0.1, 1.0]),
     )
     kind, width = mujoco.mjtGeom.mjGEOM_ARROW, 0.012
-    start = to - np.array([0.0, 0.32, 0.0])
-    mujoco.mjv_connector(arrow, kind, width, start, to - np.array([0.0, 0.09, 0.0]))
+    start, end = to + np.array([0.0, 0.4, 0.03]), to + np.array([0.0, 0.08, 0.03])
+    mujoco.mjv_connector(arrow, kind, width, start, end)
 
 
 if __name__ == "__main__":
