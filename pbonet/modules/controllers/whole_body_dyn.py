@@ -38,19 +38,20 @@ class Gains(Params):
     posture: A[float, param("none", "weight of the joints, the body's is 1", gt=0)] = (
         1e-3
     )
+    torque: A[float, param("none", "weight of the torques, in N*m", gt=0)] = 1e-3
     grip: A[float, param("1/s", "how fast a foot that stands is to rest", ge=0)] = 20.0
     mu: A[float, param("none", "friction under the feet", gt=0)] = 0.5
     fade: A[float, param("s", "time until T_REF is what the law says", gt=0)] = 0.1
 
 
 class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
-    """min (a_body - a1)^2 + posture (qdd - a2)^2, with M a + h + d qd = tau + J^T f.
+    """min (a_body - a1)^2 + posture (qdd - a2)^2 + torque tau^2.
 
-    With a1 = kp * (x_des - x) + kd * (xd_des - xd) of the body and a2 the same of the
-    joints, by Q_REF. Solved in each cycle by placo's quadratic program for the
-    accelerations, the torques, and the force f at each foot of which CONTACT_DES says
-    that it stands: it pushes only, within the cone of friction MU, and the foot is not
-    accelerated but to rest. Torques stay within the efforts of the URDF file. The other
+    With M a + h + d qd = tau + J^T f, where a1 = kp * (x_des - x) + kd * (xd_des - xd)
+    of the body, and a2 is the same of the joints, by Q_REF. Solved in each cycle by
+    placo's quadratic program for the accelerations, the torques, and the force f at
+    each foot of which CONTACT_DES says that it stands: it pushes only, within the cone
+    of friction MU, and the foot is not accelerated but to rest, by GRIP. Torques stay within the efforts of the URDF file. The other
     feet go where Q_REF takes them. M, h and the friction d are those of the file. When
     the module is turned on it goes on from the T_REF that is there, and the distance
     fades. A program without a solution, or a value that is not finite, ends in ERROR:
@@ -189,5 +190,6 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             task.kp, task.kd = k.kp, k.kd
         self._posture.configure("posture", "soft", k.posture)
         self._posture.kp, self._posture.kd = k.joint_kp, k.joint_kd
+        self._solver.torque_cost = k.torque
         for task, contact in zip(self._feet, self._contacts, strict=True):
             task.kp, task.kd, contact.mu = 0.0, k.grip, k.mu
