@@ -30,7 +30,7 @@ class Robot(Params):
     model: A[str, param("none", "MJCF file of the robot, in a folder of modules")]
     step: A[float, param("s", "longest step of the simulation", gt=0)] = 1e-3
     hold: A[PerElement, param("N*m/rad", "stiffness in `stable`", gt=0)] = (100.0,)
-    damp: A[PerElement, param("N*m*s/rad", "damping in `stable`", ge=0)] = (3.0,)
+    damp: A[PerElement, param("N*m*s/rad", "damping in `stable`", ge=0)] = (2.0,)
     slow: A[PerElement, param("rad/s^2", "deceleration in `stable`", gt=0)] = (20.0,)
     push: A[
         tuple[float, float, float],
