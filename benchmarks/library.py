@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.config import Library
+from pbonet.config import Library, read_svar
 from pbonet.errors import PbonetError
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
@@ -39,6 +39,9 @@ OVER = 5.0
 MISSED = 3
 SIZE = 6
 PANDA = Path(__file__).parents[1] / "examples" / "panda"
+QUADRUPED = PANDA.parent / "quadruped"
+FOLDERS = PANDA, QUADRUPED, Path(__file__).parent
+"""Folders in which files of robots are looked for."""
 HOME = (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.785)
 """A posture of its arm that is not singular, rad."""
 
@@ -77,23 +80,56 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "computed_torque": lambda: {"ndof": 7, "q": HOME, "q_ref": HOME},
     "ik_placo": lambda: {"ndof": 7, "q_ref": HOME, "x_des": hand()},
     "mujoco_arm": lambda: {"ndof": 7, "q": HOME},
+    "mujoco_quad": lambda: standing(x="X_MEZ", q="Q_MEZ", tau="T_MEZ", t_ref="T_REF"),
+    "mujoco_base": lambda: {
+        "w_ref": [1.0, 1.0],
+        "params": {"model": "cart.xml", "wheels": ("left", "right"), "gain": (1.5,)},
+    },
+    "whole_body": lambda: standing(
+        x_body="X_BODY_DES", x_feet="X_FEET_DES", q_ref="Q_REF", ndof="NDOF"
+    ),
+    "whole_body_dyn": lambda: standing(
+        x_des="X_BODY_DES",
+        x="X_MEZ",
+        contact="CONTACT_DES",
+        q_ref="Q_REF",
+        q="Q_MEZ",
+        tau="T_REF",
+        ndof="NDOF",
+    ),
+    "contact": lambda: standing(
+        x="X_MEZ", q="Q_MEZ", tau="T_MEZ", contact="CONTACT", force="F_FEET", ndof="NDOF"
+    ),
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
 }
 """Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
 RMODS = {
-    "fk_jac": "hand",
-    "computed_torque": "torque",
-    "ik_placo": "ik_placo",
-    "mujoco_arm": "arm",
+    "fk_jac": PANDA / "hand.rmod",
+    "computed_torque": PANDA / "torque.rmod",
+    "ik_placo": PANDA / "ik_placo.rmod",
+    "mujoco_arm": PANDA / "arm.rmod",
+    "mujoco_quad": QUADRUPED / "robot.rmod",
+    "whole_body": QUADRUPED / "posture.rmod",
+    "whole_body_dyn": QUADRUPED / "torque.rmod",
+    "contact": QUADRUPED / "touch.rmod",
 }
-"""Modules that are measured as ``examples/panda`` configures them."""
+"""Modules that are measured as an example configures them."""
 BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     "grav_comp": lambda module: lambda: module._chain.gravity(module.q),
     "gravity": lambda module: lambda: module._model.gravity(module.q),
     "computed_torque": lambda module: (
         lambda: module._model.torque(module.q, module.qd, module.qdd_ref)
     ),
-    "ik_placo": lambda module: lambda: module._solver.solve(False),  # noqa: FBT003
+    "ik_placo": lambda module: (
+        lambda: module._motion.solver.solve(False)  # noqa: FBT003
+    ),
+    "whole_body": lambda module: (
+        lambda: module._motion.solver.solve(False)  # noqa: FBT003
+    ),
+    "whole_body_dyn": lambda module: (
+        lambda: module._solver.solve(False)  # noqa: FBT003
+    ),
+    "mujoco_quad": lambda module: lambda: module._robot.advance(0.002),
     "otg": lambda module: (
         lambda: module._motion._solver.update(
             module._motion._state, module._motion._next
@@ -101,6 +137,19 @@ BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     ),
 }
 """The bare call of a module's library, made from its instance."""
+
+
+def standing(**ports: str) -> Mapping[str, Any]:
+    """Return values of ports as the quadruped stands, by their variables."""
+    variables = read_svar(QUADRUPED / "quadruped.svar").variables
+    init = {one.name: np.array(one.init) for one in variables}
+    init["NDOF"] = np.array(12)
+    shapes = {"X_FEET_DES": (4, 3), "F_FEET": (4, 3), "X_MEZ": (3, 4)}
+    shapes["X_BODY_DES"] = (3, 4)
+    return {
+        attr: init[name].reshape(shapes.get(name, init[name].shape))
+        for attr, name in ports.items()
+    }
 
 
 def hand() -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -130,12 +179,12 @@ def bench(module: LoadedModule) -> Bench[Any]:
             values[dim] = SIZE
     rmod = module.path.with_suffix(".rmod")
     if module.info.name in RMODS:
-        rmod = PANDA / f"{RMODS[module.info.name]}.rmod"
+        rmod = RMODS[module.info.name]
     made: Bench[Any]
     if params is None:
-        made = Bench.of(rmod, values, library=[PANDA])
+        made = Bench.of(rmod, values, library=FOLDERS)
     else:
-        made = Bench(module.cls, values, params=params, library=[PANDA])
+        made = Bench(module.cls, values, params=params, library=FOLDERS)
     made.on()
     return made
 

@@ -21,6 +21,7 @@ from pbonet.testing import Bench
 mujoco = pytest.importorskip("mujoco", reason="pip install 'pbonet[mujoco]'")
 
 QUADRUPED = Path(__file__).parents[3] / "examples" / "quadruped"
+CART = Path(__file__).parents[3] / "benchmarks"
 BEND = float(np.arccos(0.75))
 STAND = np.array([0.0, BEND, -2.0 * BEND] * 4)
 BODY = np.column_stack((np.eye(3), [0.0, 0.0, 0.32]))
@@ -264,32 +265,13 @@ def test_a_model_that_is_no_such_robot_is_refused(
 
 # ------------------------------------------------------------------------ mujoco_base
 
-CAR = """<mujoco>
-<option cone="elliptic" impratio="20"/>
-<worldbody>
-  <geom type="plane" size="20 20 1" friction="1"/>
-  <body name="cart" pos="0 0 0.1"><freejoint/>
-    <geom type="box" size="0.2 0.15 0.03" pos="0 0 0.03" mass="8" contype="0"
-          conaffinity="0"/>
-    <geom name="castor" size="0.05" pos="-0.15 0 -0.05" mass="0.2" friction="0"
-          condim="1" priority="1"/>
-    <body name="right_wheel" pos="0.05 -0.2 0"><joint name="right" axis="0 1 0"/>
-      <geom size="0.1" mass="0.5"/></body>
-    <body name="left_wheel" pos="0.05 0.2 0"><joint name="left" axis="0 1 0"/>
-      <geom size="0.1" mass="0.5"/></body>
-  </body>
-</worldbody></mujoco>"""
-
-
 @pytest.fixture
-def cart(tmp_path: Path) -> Any:
-    (tmp_path / "cart.xml").write_text(CAR)
-
+def cart() -> Any:
     def make(**values: Any) -> Bench[MujocoBase]:
         params = {"model": "cart.xml", "wheels": ("left", "right"), "gain": (1.5,)}
         params |= values.pop("params", {})
         told = {"w_ref": [0.0, 0.0], **values}
-        library = [tmp_path]
+        library = [CART]
         bench = Bench(
             MujocoBase, params=params, library=library, freq=500, critical=True, **told
         )
