@@ -98,7 +98,12 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
         ndof="NDOF",
     ),
     "contact": lambda: standing(
-        x="X_MEZ", q="Q_MEZ", tau="T_MEZ", contact="CONTACT", force="F_FEET", ndof="NDOF"
+        x="X_MEZ",
+        q="Q_MEZ",
+        tau="T_MEZ",
+        contact="CONTACT",
+        force="F_FEET",
+        ndof="NDOF",
     ),
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
 }

@@ -120,7 +120,7 @@ def main(argv: list[str] | None = None) -> None:
     sys.stdout.write(
         f"body from its way       {result.rms:.2f} mm RMS, before the push\n"
         f"depth of the squat      {result.depth:.1f} mm\n"
-        f"pushed away by          {result.away:.1f} mm, and in the end {result.left:.1f}\n"
+        f"pushed away by          {result.away:.1f} mm; {result.left:.1f} in the end\n"
         f"largest tilt            {result.tilt:.1f} degrees\n"
         f"feet that touched       at least {result.feet} of 4\n"
         f"cycles missed           {lost}\n"

@@ -36,14 +36,14 @@ def main(file: str) -> None:
     camera.lookat[:] = [0.0, 0.03, 0.15]
     camera.distance, camera.azimuth, camera.elevation = 1.05, 215.0, -14.0
     renderer = mujoco.Renderer(model, *SIZE)
-    drawn = []
+    drawn: list[np.ndarray[Any, Any]] = []
     for when in TIMES:
         k = int(np.searchsorted(time, when))
         data.qpos[:3], data.qpos[7:] = pose[k, :, 3], joints[k]
         mujoco.mju_mat2Quat(data.qpos[3:7], pose[k, :, :3].ravel())
         mujoco.mj_forward(model, data)
         renderer.update_scene(data, camera)
-        if demo.PUSHED <= when:
+        if when >= demo.PUSHED:
             _arrow(mujoco, renderer.scene, data.qpos[:3])
         drawn.append(np.asarray(renderer.render()).copy())
     files.imsave(file, np.concatenate(drawn, axis=1))

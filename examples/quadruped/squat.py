@@ -17,8 +17,8 @@ class Way(Params):
 class Squat(PortBasedObject[Way], module_class="trajectory"):
     """z = z0 - depth (1 - cos a) / 2, with a from 0 to 2 pi in the time LAST.
 
-    The body begins where X_BODY_DES stands when the module is turned on, and stays there
-    otherwise; the feet stand where X_FEET_DES says.
+    The body begins where X_BODY_DES stands when the module is turned on, and stays
+    there otherwise; the feet stand where X_FEET_DES says.
     """
 
     x: A[Matrix, OutVar("X_BODY_DES", "3,4", "mixed", "desired pose of the body")]

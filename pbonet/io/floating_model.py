@@ -48,7 +48,9 @@ class FloatingModel:
         self._pin: Any = pinocchio()
         self.joints = RobotModel(file, libraries)
         path = str(self.joints.path)
-        self._model = self._pin.buildModelFromUrdf(path, self._pin.JointModelFreeFlyer())
+        self._model = self._pin.buildModelFromUrdf(
+            path, self._pin.JointModelFreeFlyer()
+        )
         self._data = self._model.createData()
         self.q: Floats = np.array(self._pin.neutral(self._model))
         self.v: Floats = np.zeros(self._model.nv)

@@ -21,7 +21,7 @@ def write_walker(folder: Path, legs: int, joints: int, *, effort: float = 500.0)
         parent = "body"
         for k in range(joints):
             name = f"leg{leg}_{k + 1}"
-            axis = np.eye(3)[min(k, 1)] if k < 3 else rng.normal(size=3)  # noqa: PLR2004
+            axis = np.eye(3)[min(k, 1)] if k < 3 else rng.normal(size=3)
             axis = axis / np.linalg.norm(axis)
             parts += [
                 f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'

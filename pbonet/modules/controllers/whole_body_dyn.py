@@ -51,11 +51,12 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
     of the body, and a2 is the same of the joints, by Q_REF. Solved in each cycle by
     placo's quadratic program for the accelerations, the torques, and the force f at
     each foot of which CONTACT_DES says that it stands: it pushes only, within the cone
-    of friction MU, and the foot is not accelerated but to rest, by GRIP. Torques stay within the efforts of the URDF file. The other
-    feet go where Q_REF takes them. M, h and the friction d are those of the file. When
-    the module is turned on it goes on from the T_REF that is there, and the distance
-    fades. A program without a solution, or a value that is not finite, ends in ERROR:
-    T_REF gets old, and the robot interface holds the robot.
+    of friction MU, and the foot is not accelerated but to rest, by GRIP. Torques stay
+    within the efforts of the URDF file. The other feet go where Q_REF takes them. M, h
+    and the friction d are those of the file. When the module is turned on it goes on
+    from the T_REF that is there, and the distance fades. A program without a solution,
+    or a value that is not finite, ends in ERROR: T_REF gets old, and the robot
+    interface holds the robot.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -90,9 +91,18 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
     def cycle(self, dt: float) -> None:
         if why := self._fault():
             self.task.fail(why)
+            return
         self._show()
         self._aim()
         law = self._solve(dt)
+        if law is None:
+            feet = zip(self.params.feet, self._stands, strict=True)
+            names = " ".join(foot for foot, stands in feet if stands) or "no foot"
+            self.task.fail(
+                "no torques within the efforts of the joints and the friction under "
+                f"the feet keep what stands where it is: {names}"
+            )
+            return
         self._takeover.apply(law, self.tau, dt, self.params.fade)
         effort = self._model.joints.effort
         np.clip(self.tau, -effort, effort, out=self.tau)
@@ -121,20 +131,15 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             if stands:
                 self._feet[k].target_world = self._robot.get_T_world_frame(foot)[:3, 3]
 
-    def _solve(self, dt: float) -> Vector:
-        """Return the torques."""
+    def _solve(self, dt: float) -> Vector | None:
+        """Return the torques; None if there are none."""
         self._solver.dt = dt
         try:
             found = self._solver.solve(False)  # noqa: FBT003 - placo's
         except RuntimeError:
-            found = None
-        if found is None or not found.success:
-            feet = zip(self.params.feet, self._stands, strict=True)
-            names = " ".join(foot for foot, stands in feet if stands) or "no foot"
-            self.task.fail(
-                "no torques within the efforts of the joints and the friction under "
-                f"the feet keep what stands where it is: {names}"
-            )
+            return None
+        if not found.success:
+            return None
         torque: Vector = found.tau[RATES:] + self._model.joints.damping * self.qd
         return torque
 

@@ -115,10 +115,10 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         robot.set_T_world_frame(self.params.body, self._body)
         robot.update_kinematics()
         self._begins = False
-        self._look()
+        self._read_frames()
 
-    def _look(self) -> None:
-        """Read the poses of body and feet, as placo has them."""
+    def _read_frames(self) -> None:
+        """Read the poses of body and feet from placo."""
         robot, k = self._motion.robot, self.params
         robot.update_kinematics()
         self._body[:] = robot.get_T_world_frame(k.body)
@@ -133,22 +133,21 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         shorten(body[:3], k.linear)
         shorten(body[3:], k.angular)
         feet = gain * (self.x_feet - self._feet)
+        speed = np.sqrt((feet * feet).sum(axis=1))
+        feet *= (k.linear / np.maximum(speed, k.linear))[:, None]
         goal = pose.copy()
         goal[:3, :3] = rotation(body[3:] * dt) @ pose[:3, :3]
         goal[:3, 3] += body[:3] * dt
         self._body_task.T_world_frame = goal
-        for task, place, velocity in zip(
-            self._feet_tasks, self._feet, feet, strict=True
-        ):
-            shorten(velocity, k.linear)
-            task.target_world = place + velocity * dt
+        for task, place in zip(self._feet_tasks, self._feet + feet * dt, strict=True):
+            task.target_world = place
         return body, feet
 
     def _watch(self, body: Vector, feet: Matrix, dt: float) -> None:
         """Report once which frame does not move as it should."""
         k, before = self.params, self._body.copy()
         places = self._feet.copy()
-        self._look()
+        self._read_frames()
         missing = body - difference(self._body[:3], before[:3]) / dt
         missing[3:] *= k.length
         feet -= (self._feet - places) / dt

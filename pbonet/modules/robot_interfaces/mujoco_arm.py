@@ -76,6 +76,7 @@ class MujocoArm(PortBasedObject[Arm], module_class="robot interface"):
         if not np.isfinite(self.t_ref).all():
             joint = self._arm.joints[int(np.argmin(np.isfinite(self.t_ref)))]
             self.task.fail(f"T_REF of joint {joint} is not finite; the brakes are on")
+            return
         self._sense(dt)
         self._follow()
         self._arm.command(self.t_ref)

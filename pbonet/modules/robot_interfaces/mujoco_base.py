@@ -39,20 +39,14 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
 
     w_ref: A[
         Vector,
-        InVar(
-            "W_REF", "nwheels", "rad/s", "wheel rates", max_age=0.1, stale="stable"
-        ),
+        InVar("W_REF", "nwheels", "rad/s", "wheel rates", max_age=0.1, stale="stable"),
     ]
-    w: A[
-        Vector, OutVar("W_MEZ", "nwheels", "rad/s", "measured wheel rates", new=True)
-    ]
+    w: A[Vector, OutVar("W_MEZ", "nwheels", "rad/s", "measured wheel rates", new=True)]
     gyr: A[
         Vector,
         OutVar("GYR", "3", "rad/s", "angular velocity in the base's axes", new=True),
     ]
-    x: A[
-        Matrix, OutVar("X_FIX", "3,4", "mixed", "pose of the base, [R p]", new=True)
-    ]
+    x: A[Matrix, OutVar("X_FIX", "3,4", "mixed", "pose of the base, [R p]", new=True)]
 
     def init(self) -> None:
         k = self.params
@@ -82,6 +76,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         if not np.isfinite(self.w_ref).all():
             wheel = self.params.wheels[int(np.argmin(np.isfinite(self.w_ref)))]
             self.task.fail(f"W_REF of wheel {wheel} is not finite; the brakes are on")
+            return
         self._sense(dt)
         self._wish[:] = self.w_ref
         self._drive()

@@ -57,9 +57,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         Vector,
         InVar("T_REF", "ndof", "N*m", "torque", max_age=0.05, stale="stable"),
     ]
-    x: A[
-        Matrix, OutVar("X_MEZ", "3,4", "mixed", "pose of the base, [R p]", new=True)
-    ]
+    x: A[Matrix, OutVar("X_MEZ", "3,4", "mixed", "pose of the base, [R p]", new=True)]
     v: A[
         Vector,
         OutVar("X^_MEZ", "6", "mixed", "its velocity, m/s and rad/s", new=True),
@@ -112,6 +110,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         if not np.isfinite(self.t_ref).all():
             joint = self._robot.joints[int(np.argmin(np.isfinite(self.t_ref)))]
             self.task.fail(f"T_REF of joint {joint} is not finite; the brakes are on")
+            return
         self._sense(dt)
         self._robot.command(self.t_ref)
         self._follow()

@@ -37,14 +37,14 @@ class Touch(Params):
 class Contact(PortBasedObject[Touch], module_class="sensor"):
     """r' = gain * (p' - tau - C^T v + g + d qd - r), and J^T f = r for the feet.
 
-    The observer of De Luca and Mattone (2003) at the joints of a robot whose base moves:
-    p are their momenta M v, and r follows the torques that come from outside. What
-    pushes the base does not appear there. The forces f act at the origins of the frames
-    FEET, in the axes of the world; J are the joints' columns of their Jacobian. Where a
-    leg is so stretched that the joints feel less than SIGMA metres of a direction, its
-    force fades in that direction, and a warning names the foot. A foot touches from
-    TOUCH upwards, until its force is below LEAVE. The first force is the one in the
-    table. A measurement that is not finite ends in ERROR.
+    The observer of De Luca and Mattone (2003), at the joints of a robot whose base
+    moves: p are their momenta M v, and r follows the torques that come from outside.
+    What pushes the base does not appear there. The forces f act at the origins of the
+    frames FEET, in the axes of the world; J are the joints' columns of their Jacobian.
+    Where a leg is so stretched that the joints feel less than SIGMA metres of a
+    direction, its force fades in that direction, and a warning names the foot. A foot
+    touches from TOUCH upwards, until its force is below LEAVE. The first force is the
+    one in the table. A measurement that is not finite ends in ERROR.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -79,6 +79,7 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
     def cycle(self, dt: float) -> None:
         if why := self._fault():
             self.task.fail(why)
+            return
         model = self._model
         model.move(self.x, self.v, self.q, self.qd)
         model.levers(self._frames, self._levers)

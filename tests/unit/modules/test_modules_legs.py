@@ -11,7 +11,7 @@ from urdf_walkers import feet_of, write_walker
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.modules._dh import difference, rotation
+from pbonet.modules._dh import rotation
 from pbonet.modules.controllers.whole_body_dyn import WholeBodyDyn
 from pbonet.modules.kinematics.whole_body import WholeBody
 from pbonet.modules.sensors.contact import Contact
@@ -107,7 +107,7 @@ def test_forces_are_those_of_the_momenta_by_pinocchio(
         place, speed = ref.state(x, v, q, qd)
         mass = np.array(pin.crba(ref.model, ref.data, place))
         mass = np.triu(mass) + np.triu(mass, 1).T
-        coriolis = np.array(pin.computeCoriolisMatrix(ref.model, ref.data, place, speed))
+        coriolis = pin.computeCoriolisMatrix(ref.model, ref.data, place, speed)
         was_p, was_drift = p, drift
         p = (mass @ speed)[6:]
         drift = (coriolis.T @ speed - ref.gravity(place))[6:] - 0.2 * qd
@@ -274,7 +274,8 @@ def test_body_and_feet_arrive_and_no_joint_jumps() -> None:
     goal = BODY.copy()
     goal[:, :3] = rotation(np.array([0.05, -0.1, 0.1]))
     goal[:, 3] += [0.02, 0.01, -0.05]
-    places = PLACES + [[0.03, 0.0, 0.05], [0, 0, 0], [0, 0.02, 0], [-0.02, 0, 0]]
+    places = PLACES.copy()
+    places += [[0.03, 0.0, 0.05], [0, 0, 0], [0, 0.02, 0], [-0.02, 0, 0]]
     bench.inputs.x_body, bench.inputs.x_feet = goal, places
     assert largest_step(bench, 400) < 0.02
     ref = Reference(QUADRUPED / "quadruped.urdf", FEET)
@@ -398,12 +399,13 @@ def test_torques_are_the_least_squares_of_pinocchio_s_dynamics() -> None:
         1e-3**0.5 * torque,
         1e-8**0.5 * np.eye(30),
     ))
-    right = np.concatenate(
-        (wanted, 1e-3**0.5 * -40.0 * qd, -(1e-3**0.5) * drift[6:], np.zeros(30))
-    )
-    hard = np.vstack((
-        np.hstack((mass[:6], -levers.T[:6])), np.hstack((levers, none))
+    right = np.concatenate((
+        wanted,
+        1e-3**0.5 * -40.0 * qd,
+        -(1e-3**0.5) * drift[6:],
+        np.zeros(30),
     ))
+    hard = np.vstack((np.hstack((mass[:6], -levers.T[:6])), np.hstack((levers, none))))
     whole = np.block([[rows.T @ rows, hard.T], [hard, np.zeros((18, 18))]])
     given = np.concatenate((rows.T @ right, -drift[:6], rest))
     found = np.linalg.solve(whole, given)[:30]
@@ -446,7 +448,7 @@ def test_a_foot_in_the_air_goes_where_its_joints_are_to_be() -> None:
     assert bench.state is State.ON
 
 
-def test_joints_too_weak_to_stop_the_feet_end_in_error_with_the_feet(tmp_path: Path) -> None:
+def test_joints_too_weak_end_in_error_with_the_feet(tmp_path: Path) -> None:
     weak = (QUADRUPED / "quadruped.urdf").read_text().replace('"25"', '"0.5"')
     (tmp_path / "weak.urdf").write_text(weak)
     before = np.full(12, 0.1)

@@ -239,7 +239,10 @@ def test_a_base_that_flies_apart_is_named() -> None:
         bench.step()
 
 
-ONE = "<mujoco><worldbody><body name='trunk'>{}<geom size='0.1'/>{}</body></worldbody></mujoco>"
+ONE = (
+    "<mujoco><worldbody><body name='trunk'>{}<geom size='0.1'/>{}</body>"
+    "</worldbody></mujoco>"
+)
 LEG = "<body><joint name='hip' type='{}'/><geom size='0.1'/></body>"
 
 
@@ -264,6 +267,7 @@ def test_a_model_that_is_no_such_robot_is_refused(
 
 
 # ------------------------------------------------------------------------ mujoco_base
+
 
 @pytest.fixture
 def cart() -> Any:

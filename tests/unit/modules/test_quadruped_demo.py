@@ -25,9 +25,7 @@ pytest.importorskip("placo", reason="pip install 'pbonet[placo]'")
 
 @pytest.fixture(scope="module")
 def demo() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "quadruped_demo", EXAMPLE / "demo.py"
-    )
+    spec = importlib.util.spec_from_file_location("quadruped_demo", EXAMPLE / "demo.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
