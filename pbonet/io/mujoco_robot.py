@@ -115,7 +115,7 @@ class MujocoRobot:
         velocity[3:] = pose[:, :3] @ data.qvel[3:6]
 
     def push(self, force: Floats) -> None:
-        """Let a force (N) act at the centre of mass of a base that moves, till anew."""
+        """Let a force (N) act at the centre of mass of a base that moves, from now."""
         self._data.xfrc_applied[self._base, :3] = force
 
     def command(self, torque: Floats) -> None:

@@ -1,14 +1,15 @@
-"""What modules for robots on legs share: their state, and the names of their feet."""
+"""Checks for robots on legs: of their measured state, and of their feet."""
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pbonet.errors import ParameterError
 
-from ._dh import AXES, fault_of
+from ._dh import fault_of, fault_of_wrench
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,20 +26,16 @@ def fault_of_joints(name: str, value: Vector, joints: Sequence[str]) -> str:
         value: Its value.
         joints: Names of the joints.
     """
-    finite = np.isfinite(value)
-    if finite.all():
+    if isfinite(float(value.sum())):
         return ""
-    return f"{name} of joint {joints[int(np.argmin(finite))]} is not finite"
+    return f"{name} of joint {joints[int(np.argmin(np.isfinite(value)))]} is not finite"
 
 
 def fault_of_base(pose: Matrix, velocity: Vector) -> str:
     """Return what is wrong with the measured motion of the base; empty if nothing."""
     if why := fault_of(pose):
         return f"X_MEZ of the base is not a pose: {why}"
-    if not np.isfinite(velocity).all():
-        axis = AXES[int(np.argmin(np.isfinite(velocity)))]
-        return f"X^_MEZ of the base along {axis} is not finite"
-    return ""
+    return fault_of_wrench("X^_MEZ of the base", velocity)
 
 
 def must_have_feet(model: RobotModel, feet: Sequence[str], n: int, port: str) -> None:

@@ -15,7 +15,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import FloatingModel
-from pbonet.modules._dh import fault_of
+from pbonet.modules._dh import fault_of, fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._placo_motion import RATES, placo_robot
 from pbonet.modules._takeover import Takeover
@@ -148,8 +148,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         k, names = self.params, self._model.joints.joints
         if why := fault_of(self.x_des):
             return f"X_BODY_DES of frame {k.body} is not a pose: {why}"
-        if not np.isfinite(self.v_des).all():
-            return f"X^_BODY_DES of frame {k.body} is not finite"
+        if why := fault_of_wrench(f"X^_BODY_DES of frame {k.body}", self.v_des):
+            return why
         if not np.isfinite(self.contact).all():
             foot = k.feet[int(np.argmin(np.isfinite(self.contact)))]
             return f"CONTACT_DES of {foot} is not finite"

@@ -1,5 +1,6 @@
 """Inverse kinematics of a whole robot: body and feet at once, by placo."""
 
+from math import sqrt
 from typing import Annotated as A
 
 import numpy as np
@@ -69,6 +70,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         self._told = ToldOnce(self.task)
         self._motion = motion = PlacoMotion(model, k.damping, floats=True)
         self._body, self._feet = np.eye(4), np.zeros((n, 3))
+        self._goal, self._places = np.eye(4), np.zeros((n, 3))
         solver, weight = motion.solver, k.length**-2
         self._body_task = solver.add_frame_task(k.body, self._body)
         self._body_task.configure("body", "soft", weight, 1.0)
@@ -93,7 +95,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
             return
         if self._begins:
             self._begin()
-        body, feet = self._wish(dt)
+        self._aim(dt)
         step = self._motion.step(dt)
         if step is None:
             why = self._motion.stopped(self.qd_ref)
@@ -101,7 +103,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
             return
         self.q_ref[:] = self._motion.q
         np.divide(step, dt, out=self.qd_ref)
-        self._watch(body, feet, dt)
+        self._watch(dt)
 
     def off(self) -> None:
         if not self.task.handover:
@@ -125,40 +127,39 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         for place, foot in zip(self._feet, k.feet, strict=True):
             place[:] = robot.get_T_world_frame(foot)[:3, 3]
 
-    def _wish(self, dt: float) -> tuple[Vector, Matrix]:
-        """Return the velocities of body and feet, and set the tasks to them."""
-        k, pose = self.params, self._body
+    def _aim(self, dt: float) -> None:
+        """Set the tasks to what body and feet are to reach in this cycle."""
+        k, pose, goal = self.params, self._body, self._goal
         gain = min(k.gain, 1.0 / dt)
         body = gain * difference(self.x_body, pose[:3])
         shorten(body[:3], k.linear)
         shorten(body[3:], k.angular)
+        goal[:3, :3] = rotation(body[3:] * dt) @ pose[:3, :3]
+        goal[:3, 3] = pose[:3, 3] + body[:3] * dt
+        self._body_task.T_world_frame = goal
         feet = gain * (self.x_feet - self._feet)
         speed = np.sqrt((feet * feet).sum(axis=1))
         feet *= (k.linear / np.maximum(speed, k.linear))[:, None]
-        goal = pose.copy()
-        goal[:3, :3] = rotation(body[3:] * dt) @ pose[:3, :3]
-        goal[:3, 3] += body[:3] * dt
-        self._body_task.T_world_frame = goal
-        for task, place in zip(self._feet_tasks, self._feet + feet * dt, strict=True):
+        np.add(self._feet, feet * dt, out=self._places)
+        for task, place in zip(self._feet_tasks, self._places, strict=True):
             task.target_world = place
-        return body, feet
 
-    def _watch(self, body: Vector, feet: Matrix, dt: float) -> None:
+    def _watch(self, dt: float) -> None:
         """Report once which frame does not move as it should."""
-        k, before = self.params, self._body.copy()
-        places = self._feet.copy()
+        k = self.params
         self._read_frames()
-        missing = body - difference(self._body[:3], before[:3]) / dt
-        missing[3:] *= k.length
-        feet -= (self._feet - places) / dt
-        far = np.concatenate(([np.abs(missing).max()], np.abs(feet).max(axis=1)))
-        worst = int(np.argmax(far))
-        if far[worst] < 0.5 * k.short:
+        missing, gap = self._goal - self._body, self._places - self._feet
+        turn = k.length * sqrt(0.5 * float((missing[:3, :3] ** 2).sum()))
+        away = max(float(np.abs(missing[:3, 3]).max()), turn) / dt
+        feet = np.abs(gap).max(axis=1) / dt
+        foot = int(np.argmax(feet))
+        far = max(away, float(feet[foot]))
+        if far < 0.5 * k.short:
             self._told.clear()
-        elif far[worst] >= k.short:
+        elif far >= k.short:
             which = f"{k.body} cannot follow X_BODY_DES"
-            if worst:
-                which = f"{k.feet[worst - 1]} cannot follow X_FEET_DES"
+            if feet[foot] > away:
+                which = f"{k.feet[foot]} cannot follow X_FEET_DES"
             why = self._motion.stopped(self.qd_ref)
             self._told.warn("reach", f"frame {which}: {why}")
 

@@ -476,7 +476,7 @@ def test_torque_stays_within_what_the_file_allows() -> None:
     [
         *SENSORS[:-1],
         ("x_des", (0, 0), "X_BODY_DES of frame body is not a pose"),
-        ("v_des", (0,), "X^_BODY_DES of frame body is not finite"),
+        ("v_des", (0,), "X^_BODY_DES of frame body along x is not finite"),
         ("contact", (1,), "CONTACT_DES of lh_foot is not finite"),
         ("q_ref", (3,), "Q_REF of joint lh_roll is not finite"),
         ("qd_ref", (11,), "Q^_REF of joint rh_knee is not finite"),
