@@ -168,3 +168,39 @@ def test_a_swap_of_trajectories_in_motion_does_not_jump(tmp_path) -> None:
     assert np.abs(np.diff(q, axis=0)).max() < 0.0021 * np.abs(v).max()
     assert np.abs(np.diff(v, axis=0)).max() < 0.002 * 20.0
     assert q[-1] == pytest.approx([2.0] * 3, abs=1e-9)
+
+CART = Path(__file__).parents[3] / "benchmarks" / "cart.xml"
+
+
+def test_a_simulated_base_drives_and_is_located(tmp_path, monkeypatch) -> None:
+    """`diff_drive`, `mujoco_base` and `ekf_odom` together, as they are connected."""
+    monkeypatch.setitem(INIT, "X_MEZ", "1 0 0 0  0 1 0 0  0 0 1 0.1")
+    pytest.importorskip("mujoco", reason="pip install 'pbonet[mujoco]'")
+    ends = "TASKTYPE periodic\nFREQ 500\n"
+    files = {
+        "go": "MODULE constant\nDESC x\nSVARALIAS Y=V_DES\nINCONST NDOF\n"
+        f"OUTCONST none\nINVAR none\nOUTVAR Y\n{ends}LOCAL\nVALUE 0.4 0.0 0.3\nEOF\n",
+        "wheels": "MODULE diff_drive\nDESC x\nSVARALIAS X_MEZ=X_ODO\nINCONST none\n"
+        f"OUTCONST none\nINVAR V_DES W_MEZ\nOUTVAR W_REF X_MEZ V_MEZ\n{ends}"
+        "LOCAL\nRADIUS 0.1\nTRACK 0.4\nEOF\n",
+        "base": "MODULE mujoco_base\nDESC x\nINCONST none\nOUTCONST none\nINVAR W_REF\n"
+        f"OUTVAR W_MEZ GYR X_FIX\n{ends}CRITICAL\nLOCAL\nMODEL {CART}\n"
+        "WHEELS left right\nGAIN 1.5\nEOF\n",
+        "located": "MODULE ekf_odom\nDESC x\nINCONST none\nOUTCONST none\n"
+        f"INVAR V_MEZ GYR X_FIX\nOUTVAR X_MEZ X_COV\n{ends}EOF\n",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.rmod").write_text(text)
+    sizes = {"nwheels": 2}
+    with job(tmp_path, ["go", "base", "wheels", "located"], sizes=sizes) as system:
+        system.start()
+        system.wait(1.0)
+        recording = system.simulation.recording
+        assert not [one for one in system.events() if one.code == "ERROR"]
+        truth, found = (recording.series(name)[1] for name in ("X_FIX", "X_MEZ"))
+        assert truth[-1][3] > 0.3, "it drives"
+        assert found[-1] == pytest.approx(truth[-1], abs=0.03)
+        system.off("wheels")
+        system.wait(1.0)
+        rates = recording.series("W_MEZ")[1]
+        assert np.abs(rates[-1]).max() < 0.1, "and stands when nothing drives it"
