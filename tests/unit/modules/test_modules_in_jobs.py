@@ -169,6 +169,7 @@ def test_a_swap_of_trajectories_in_motion_does_not_jump(tmp_path) -> None:
     assert np.abs(np.diff(v, axis=0)).max() < 0.002 * 20.0
     assert q[-1] == pytest.approx([2.0] * 3, abs=1e-9)
 
+
 CART = Path(__file__).parents[3] / "benchmarks" / "cart.xml"
 
 
