@@ -7,6 +7,7 @@ same every time, in real time, in simulation and in replay.
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from math import ceil
 from typing import TYPE_CHECKING, Any
@@ -116,6 +117,8 @@ class MujocoRobot:
                 got=" ".join(str(error).split()),
                 remedy="correct it, or name another file",
             ) from None
+        for name in _INCLUDE.findall(self.path.read_text(encoding="utf-8")):
+            find_file(str(self.path.parent.absolute() / name))
         plain = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
         for k in range(model.njnt):
             if int(model.jnt_type[k]) not in plain:
@@ -137,5 +140,6 @@ class MujocoRobot:
         return model
 
 
+_INCLUDE = re.compile(r"""<include\s[^>]*?file\s*=\s*["']([^"']+)""")
 _ABSURD = 1e4
 """rad/s or m/s that no joint of a robot has."""

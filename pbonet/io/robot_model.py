@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pbonet.errors import ParameterError, did_you_mean
+from pbonet.outside import note_file
 
 from .chain import pinocchio
 
@@ -155,6 +156,9 @@ class RobotModel:
 def find_file(file: str, libraries: Iterable[str | Path] = ()) -> Path:
     """Return the path of a file that a parameter names.
 
+    It is for `init`: the file's hash is recorded, so that a replay names a file that
+    has changed since the run.
+
     Args:
         file: An absolute path, or a path in one of the folders.
         libraries: The folders, as `self.task.libraries` has them; earlier ones win.
@@ -167,6 +171,7 @@ def find_file(file: str, libraries: Iterable[str | Path] = ()) -> Path:
         [Path(file)] if Path(file).is_absolute() else [f / file for f in folders]
     ):
         if path.is_file():
+            note_file(file, path)
             return path
     raise ParameterError(
         f'there is no file "{file}"',
