@@ -51,6 +51,7 @@ class RobotModel:
         """Largest torque (N*m) or force (N) of each joint; infinite if not given."""
         self.damping: Floats = np.array(self._model.damping)
         """Viscous friction of each joint, N*m*s/rad or N*s/m."""
+        self._damped = bool(self.damping.any())
 
     def must_have(self, n: int) -> None:
         """Check the number of joints.
@@ -110,7 +111,8 @@ class RobotModel:
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return the torques (N*m) that give the robot the acceleration `qdd`."""
         torque: Floats = self._pin.rnea(self._model, self._data, q, qd, qdd)
-        torque += self.damping * qd
+        if self._damped:
+            torque += self.damping * qd
         return torque
 
     def _copy_pose(self, frame: int, out: Floats) -> None:

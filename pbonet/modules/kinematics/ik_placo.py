@@ -1,6 +1,7 @@
 """Inverse kinematics within the limits of the joints, by placo."""
 
 from importlib import import_module
+from math import isfinite
 from typing import Annotated as A, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import RobotModel, from_extra
-from pbonet.modules._dh import difference, fault_of, rotation, shorten
+from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
 from pbonet.modules._values import keep
 
 BASE = 7
@@ -68,24 +69,28 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def on(self) -> None:
         self._told = ""
+        self._aimed = 0.0
         self._q[:] = self.q_ref
 
     def cycle(self, dt: float) -> None:
         if why := self._fault():
             self._hold("goal", why)
             return
-        self._model.jacobian(self._q, self._frame, self._x, self._jacobian)
-        wish = self.params.gain * difference(self.x_des, self._x) + self.v_des
-        shorten(wish[:3], self.params.linear)
-        shorten(wish[3:], self.params.angular)
-        step = self._solve(wish, dt)
+        robot = self._robot
+        self._joints[:] = self._q
+        robot.state.q = self._all
+        robot.update_kinematics()
+        x = robot.get_T_world_frame(self._frame)
+        if self._aimed:
+            self._watch(x)
+        step = self._solve(x, dt)
         if step is None:
             self._hold("limits", f"no joint motion keeps the limits: {self._stopped()}")
             return
+        self._aimed = dt
         self._q += step
         self.q_ref[:] = self._q
         np.divide(step, dt, out=self.qd_ref)
-        self._watch(wish)
 
     def off(self) -> None:
         if not self.task.handover:
@@ -95,19 +100,22 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         """Return why the goal is none."""
         if why := fault_of(self.x_des):
             return f"X_DES of frame {self.params.frame} is not a pose: {why}"
-        if not np.isfinite(self.v_des).all():
+        if not all(map(isfinite, self.v_des.tolist())):
             return f"X^_DES of frame {self.params.frame} is not finite"
         return ""
 
-    def _solve(self, wish: Vector, dt: float) -> Vector | None:
-        """Return the joints' step for a velocity of the hand; None if there is none."""
-        robot, goal = self._robot, self._goal
-        self._all[BASE:] = self._q
-        robot.state.q = self._all
-        robot.update_kinematics()
-        goal[:3, :3] = rotation(wish[3:] * dt) @ self._x[:, :3]
-        goal[:3, 3] = self._x[:, 3] + wish[:3] * dt
-        self._task.T_world_frame = goal
+    def _solve(self, x: Matrix, dt: float) -> Vector | None:
+        """Return the joints' step from a pose of the hand; None if there is none."""
+        k = self.params
+        u, v, w, a, b, c = map(k.gain.__mul__, displacement(self.x_des, x))
+        du, dv, dw, da, db, dc = self.v_des.tolist()
+        way = shortened(u + du, v + dv, w + dw, k.linear)
+        turn = shortened(a + da, b + db, c + dc, k.angular)
+        turned = rotation_by(dt * turn[0], dt * turn[1], dt * turn[2])
+        np.matmul(turned, x[:3], out=self._goal_pose)
+        self._goal_place[:] = x[:3, 3]
+        self._goal_place += (dt * way[0], dt * way[1], dt * way[2])
+        self._task.T_world_frame = self._goal
         self._solver.dt = dt
         try:
             step: Vector = self._solver.solve(False)[RATES:]  # noqa: FBT003 - placo's
@@ -117,6 +125,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def _hold(self, kind: str, text: str) -> None:
         """Leave Q_REF unchanged, and report the reason once."""
+        self._aimed = 0.0
         self.qd_ref[:] = 0.0
         self._warn_once(kind, f"{text}; Q_REF does not change")
 
@@ -125,15 +134,14 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             self._told = kind
             self.task.warn(text)
 
-    def _watch(self, wish: Vector) -> None:
-        """Report once that the hand does not move as it should."""
-        missing = wish - self._jacobian @ self.qd_ref
-        far = max(
-            float(np.abs(missing[:3]).max()),
-            float(np.abs(missing[3:]).max()) * self.params.length,
-        )
-        if far < self.params.short:
-            self._told = "" if far < 0.5 * self.params.short else self._told
+    def _watch(self, x: Matrix) -> None:
+        """Report once that the hand is not where the last step should have taken it."""
+        u, v, w, a, b, c = displacement(self._goal, x)
+        turn = max(abs(a), abs(b), abs(c)) * self.params.length
+        missing = max(abs(u), abs(v), abs(w), turn)
+        if missing < self.params.short * self._aimed:
+            if missing < 0.5 * self.params.short * self._aimed:
+                self._told = ""
         elif self._told != "reach":
             self._warn_once(
                 "reach",
@@ -160,14 +168,16 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         k = self.params
         self._model = RobotModel(k.urdf, self.task.libraries)
         self._model.must_have(self.ndof)
-        self._frame = self._model.frame(k.frame)
+        self._model.frame(k.frame)  # which must be there
+        self._frame = k.frame
         self._q = self.q_ref.copy()
-        self._x, self._jacobian = np.empty((3, 4)), np.empty((6, self.ndof))
         self._goal = np.eye(4)
+        self._goal_pose, self._goal_place = self._goal[:3], self._goal[:3, 3]
         with from_extra("placo", "inverse kinematics within limits"):
             placo: Any = import_module("placo")
         robot = placo.RobotWrapper(str(self._model.path), placo.Flags.ignore_collisions)
         self._all = np.concatenate((np.array(robot.state.q)[:BASE], self._q))
+        self._joints = self._all[BASE:]
         solver = placo.KinematicsSolver(robot)
         solver.mask_fbase(True)  # noqa: FBT003 - placo's
         solver.enable_joint_limits(True)  # noqa: FBT003
