@@ -27,7 +27,9 @@ import json
 import os
 import platform
 import resource
+import struct
 import sys
+import tempfile
 from pathlib import Path
 from time import thread_time_ns
 from typing import TYPE_CHECKING, Any
@@ -36,6 +38,7 @@ import numpy as np
 
 from pbonet.config import Library
 from pbonet.errors import PbonetError
+from pbonet.io import joystick
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
 from pbonet.testing import Bench
@@ -49,10 +52,14 @@ SHARE = 0.2
 """Of its period, what p99 of a module's cycle may take."""
 OVER = 5.0
 """Microseconds of p50 that a module may take beside its library's call."""
-BLOCKS, KIB = 50, 256
-"""What may be kept after any number of cycles: warnings, and pages of the allocator."""
+BLOCKS, KIB = 300, 256
+"""What may be kept once for all: caches, warnings, and pages of the allocator."""
 MISSED = 3
 SIZE = 6
+FOLDER = tempfile.TemporaryDirectory(prefix="pbonet-")
+"""Where files that modules need are."""
+AXIS = struct.pack("@6i", 0, -100, 100, 0, 0, 0)
+"""What the kernel says of an axis of a joystick."""
 FILE = Path(__file__).parents[1] / "docs" / "benchmarks" / "library.json"
 PANDA = Path(__file__).parents[1] / "examples" / "panda"
 HOME = (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.785)
@@ -66,6 +73,27 @@ def puma() -> Mapping[str, Any]:
     return {"ndof": SIZE, "dh": PUMA560.dh}
 
 
+def device() -> str:
+    """Return a device file on which nothing arrives, as in most cycles of a person."""
+    path = str(Path(FOLDER.name) / "device")
+    if not Path(path).exists():
+        os.mkfifo(path)
+        os.open(path, os.O_RDWR)  # open until this program ends
+    joystick.ioctl = lambda _fd, request, room: (  # type: ignore[assignment]
+        bytes(len(room)) if request == joystick.GET_KEYS else AXIS
+    )
+    return path
+
+
+def samples() -> str:
+    """Return a file of samples of six joints over ten seconds."""
+    path = Path(FOLDER.name) / "samples.csv"
+    times = np.linspace(0.0, 10.0, 1001)
+    rows = np.column_stack([times, *(np.sin(times + k) for k in range(SIZE))])
+    np.savetxt(path, rows)
+    return str(path)
+
+
 USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "grav_comp": puma,
     "forward_kin": puma,
@@ -77,6 +105,12 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
         "x_cmd": pose(0.4, 0.1, 0.3),
     },
     "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3), "x_des": pose(0.5, 0.1, 0.3)},
+    "joystick": lambda: {
+        "naxes": SIZE // 2,
+        "params": {"device": device(), "axes": (0, 1, 2)},
+    },
+    "spacemouse": lambda: {"params": {"device": device()}},
+    "traj_play": lambda: {"params": {"file": samples(), "repeat": True}},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
     "gait": lambda: {"nfeet": 4},

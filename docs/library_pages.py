@@ -178,7 +178,7 @@ def _measured_page(modules: Mapping[str, Mapping[str, Any]]) -> str:
         "<!-- written by docs/library_pages.py; from what is measured -->",
         "# Modules of the library",
         "",
-        "    python -m benchmarks.library --grow 100000 --save",
+        "    python -m benchmarks.library --grow 20000 --save",
         "    python docs/library_pages.py",
         "",
         f"CPU time of `cycle` on a bench, in {US}, with inputs that move in each one. "
