@@ -1,6 +1,8 @@
 """Model predictive control of a linear plant, within limits of command and state."""
 
 from importlib import import_module
+from math import isfinite
+from operator import le
 from typing import Annotated as A, Any, Literal
 
 import numpy as np
@@ -74,7 +76,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
             self._begins = False
             return
         error = self.z - self.z_ref
-        if not np.isfinite(error).all():
+        if not all(map(isfinite, error.tolist())):
             self._without(self._not_finite())
             return
         self._limit(dt)
@@ -87,20 +89,26 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         self.u[:] = plan[: len(self.u)]
 
     def _limit(self, dt: float) -> None:
-        """Set the limits of the program: of the commands, their changes, the states."""
-        k, m, change = self._count, len(self.u), self._rate * dt
-        reach = self._steps * change
-        low, high = self._low, self._high
-        np.minimum(self._lower, self.u + reach, out=low[:k].reshape(-1, m))
-        np.maximum(self._upper, self.u - reach, out=high[:k].reshape(-1, m))
-        low[k : 2 * k].reshape(-1, m)[:] = -change
-        high[k : 2 * k].reshape(-1, m)[:] = change
-        low[k : k + m] += self.u
-        high[k : k + m] += self.u
+        """Set the limits of the program that are others in this cycle."""
+        k, m, u = self._count, len(self.u), self.u
+        if dt != self._dt:
+            self._dt, self._change = dt, self._rate * dt
+            self._high[k : 2 * k].reshape(-1, m)[:] = self._change
+            np.negative(self._high[k : 2 * k], out=self._low[k : 2 * k])
+        np.subtract(u, self._change, out=self._first_low)
+        np.add(u, self._change, out=self._first_high)
+        inside = all(map(le, self._lower_list, values := u.tolist())) and all(
+            map(le, values, self._upper_list)
+        )
+        if not (inside and self._inside):
+            self._inside = inside
+            reach = self._steps * self._change
+            np.minimum(self._lower, u + reach, out=self._low[:k].reshape(-1, m))
+            np.maximum(self._upper, u - reach, out=self._high[:k].reshape(-1, m))
         if self._bounded.size:
             rest = self._free @ self.z
-            np.subtract(self._z_low, rest, out=low[2 * k :])
-            np.subtract(self._z_high, rest, out=high[2 * k :])
+            np.subtract(self._z_low, rest, out=self._low[2 * k :])
+            np.subtract(self._z_high, rest, out=self._high[2 * k :])
 
     def _without(self, why: str) -> None:
         """Do what INFEASIBLE says."""
@@ -169,6 +177,10 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         self._limit_states(free, forced)
         self._low = np.empty(2 * self._count + self._z_low.size)
         self._high = np.empty_like(self._low)
+        self._first_low = self._low[self._count : self._count + m]
+        self._first_high = self._high[self._count : self._count + m]
+        self._lower_list, self._upper_list = self._lower.tolist(), self._upper.tolist()
+        self._dt, self._inside = 0.0, False
         change = np.eye(self._count) - np.eye(self._count, k=-m)
         self._make(square, np.vstack((change, self._forced)))
 
