@@ -111,6 +111,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     },
     "spacemouse": lambda: {"params": {"device": device()}},
     "traj_play": lambda: {"params": {"file": samples(), "repeat": True}},
+    "dmp": lambda: {"params": {"file": samples()}},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
     "gait": lambda: {"nfeet": 4},
