@@ -79,7 +79,7 @@ def device() -> str:
     if not Path(path).exists():
         os.mkfifo(path)
         os.open(path, os.O_RDWR)  # open until this program ends
-    joystick.ioctl = lambda _fd, request, room: (  # type: ignore[assignment]
+    vars(joystick)["ioctl"] = lambda _fd, request, room: (
         bytes(len(room)) if request == joystick.GET_KEYS else AXIS
     )
     return path

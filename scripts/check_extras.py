@@ -75,7 +75,7 @@ def check(extra: str, wanted: list[str], base: list[str]) -> tuple[str, Found] |
     with tempfile.TemporaryDirectory(prefix="pbonet-") as folder:
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
         python = Path(folder) / "bin" / "python"
-        install = [python, "-m", "pip", "install", "--quiet", *base, *wanted]
+        install = [str(python), "-m", "pip", "install", "--quiet", *base, *wanted]
         subprocess.run(install, check=True)
         names = [IMPORTED_AS.get(one, one) for one in map(name_of, wanted)]
         subprocess.run([python, "-c", IMPORT, *names], check=True)

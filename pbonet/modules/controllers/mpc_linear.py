@@ -63,6 +63,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
     u: A[Vector, OutVar("U", "m", "any", "command")]
 
     def init(self) -> None:
+        self._dt, self._inside = 0.0, False
         self._take_plan()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once

@@ -132,9 +132,8 @@ def fit(shown: Samples, stiffness: float, centers: Vector, widths: Vector) -> Ma
     """Return the weights of the bumps, [count, n], that make a motion of samples."""
     time = shown.time - shown.time[0]
     lasts = float(time[-1])
-    edge = 1 if len(time) < 3 else 2  # noqa: PLR2004 - what its formula needs
     rates, start, goal = shown.rates, shown.values[0], shown.values[-1]
-    acceleration = np.gradient(rates, time, axis=0, edge_order=edge)
+    acceleration = np.gradient(rates, time, axis=0)
     x = np.exp(-DECAY * time / lasts)
     force = lasts**2 * acceleration + 2.0 * stiffness**0.5 * lasts * rates
     wanted = force / stiffness - (goal - shown.values) + np.outer(x, goal - start)
