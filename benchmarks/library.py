@@ -33,6 +33,7 @@ import tempfile
 from pathlib import Path
 from time import thread_time_ns
 from typing import TYPE_CHECKING, Any
+from unittest import mock
 
 import numpy as np
 
@@ -73,15 +74,18 @@ def puma() -> Mapping[str, Any]:
     return {"ndof": SIZE, "dh": PUMA560.dh}
 
 
+def answer(_fd: int, request: int, room: bytes) -> bytes:
+    """Answer for the kernel of a joystick: three axes at rest, and no button."""
+    return bytes(len(room)) if request == joystick.GET_KEYS else AXIS
+
+
 def device() -> str:
     """Return a device file on which nothing arrives, as in most cycles of a person."""
     path = str(Path(FOLDER.name) / "device")
     if not Path(path).exists():
         os.mkfifo(path)
         os.open(path, os.O_RDWR)  # open until this program ends
-    vars(joystick)["ioctl"] = lambda _fd, request, room: (
-        bytes(len(room)) if request == joystick.GET_KEYS else AXIS
-    )
+    mock.patch.object(joystick, "ioctl", answer).start()
     return path
 
 
@@ -236,7 +240,8 @@ def measure(
         and port.unit != "mixed"
         and port.type.startswith("float")
     ]
-    dt, cycle = 1.0 / made.task.freq, type(made.module).cycle  # not the bench's
+    module: Any = made.module
+    cycle, dt = type(module).cycle, 1.0 / made.task.freq  # without the bench's notes
     whole: list[int] = []
     alone: list[int] = []
     for n in range(cycles):
@@ -244,7 +249,7 @@ def measure(
             made[name] = rest + 1e-3 * np.sin(0.1 * n)
         made.step()
         begun = thread_time_ns()
-        cycle(made.module, dt)
+        cycle(module, dt)
         ended = thread_time_ns()
         whole.append(ended - begun)
         if bare is not None:
@@ -256,8 +261,8 @@ def measure(
 
 def growth(made: Bench[Any], cycles: int) -> tuple[int, int]:
     """Return blocks of Python and KiB of the process that cycles do not give back."""
-    module, dt = made.module, 1.0 / made.task.freq
-    cycle = type(module).cycle
+    module: Any = made.module
+    cycle, dt = type(module).cycle, 1.0 / made.task.freq
     local = made.table.local
     moving = [
         (local[port.attr], local[port.attr].copy())
