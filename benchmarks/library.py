@@ -221,9 +221,13 @@ def bench(module: LoadedModule) -> Bench[Any]:
     else:
         made = Bench(module.cls, values, params=params, library=[PANDA])
     made.on()
-    own: dict[str, Any] = vars(made.module)
-    own.pop("cycle", None)  # the bench's, which notes each call
+    _leave_notes(made.module)
     return made
+
+
+def _leave_notes(module: Any) -> None:  # noqa: ANN401 - of any class
+    """Take away the bench's `cycle`, which notes each call, from a module's own."""
+    module.__dict__.pop("cycle", None)
 
 
 def _follows(dim: str, values: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
