@@ -3,26 +3,43 @@
 Each module runs on a bench as its ``.rmod`` configures it, with six joints or elements,
 and inputs that move in every cycle. Shown is the CPU time of its `cycle`, as MAXC is
 one; copying to and from the table is not in it (`benchmarks/svar.py`). Where a module's
-law is one call of a library, such as pinocchio's, that call is timed in the same cycle,
-after it. A module that cannot run here is shown with the reason, such as a package that
-is not installed. The goals: p99 is at most a fifth of the period, so 200 us at 1 kHz;
-p50 is at most 5 us above that of the library's call.
+law is computed by a library, such as pinocchio, what it must ask that library for is
+timed in the same cycle, after it. A module that cannot run here is shown with the
+reason, such as a package that is not installed. The goals: p99 is at most a fifth of
+the period, so 200 us at 1 kHz; p50 is at most 5 us above that of the library's call.
 
-    python -m benchmarks.library [--cycles N] [NAME ...]
+``--grow`` runs that many more cycles with the garbage collector off, as in a task, and
+counts the memory blocks of Python and the KiB of the process that are not given back.
+The goal: none that grow with the cycles.
+
+``--save`` writes the figures, with the machine, to ``docs/benchmarks/library.json``,
+from which ``docs/library_pages.py`` makes the table and the line on each module's page.
+Modules that are not named keep theirs.
+
+    python -m benchmarks.library [--cycles N] [--grow N] [--save] [NAME ...]
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
+import json
+import os
 import platform
+import resource
+import struct
+import sys
+import tempfile
 from pathlib import Path
 from time import thread_time_ns
 from typing import TYPE_CHECKING, Any
+from unittest import mock
 
 import numpy as np
 
 from pbonet.config import Library, read_svar
 from pbonet.errors import PbonetError
+from pbonet.io import joystick
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
 from pbonet.testing import Bench
@@ -36,8 +53,15 @@ SHARE = 0.2
 """Of its period, what p99 of a module's cycle may take."""
 OVER = 5.0
 """Microseconds of p50 that a module may take beside its library's call."""
+BLOCKS, KIB = 300, 256
+"""What may be kept once for all: caches, warnings, and pages of the allocator."""
 MISSED = 3
 SIZE = 6
+FOLDER = tempfile.TemporaryDirectory(prefix="pbonet-")
+"""Where files that modules need are."""
+AXIS = struct.pack("@6i", 0, -100, 100, 0, 0, 0)
+"""What the kernel says of an axis of a joystick."""
+FILE = Path(__file__).parents[1] / "docs" / "benchmarks" / "library.json"
 PANDA = Path(__file__).parents[1] / "examples" / "panda"
 QUADRUPED = PANDA.parent / "quadruped"
 FOLDERS = PANDA, QUADRUPED, Path(__file__).parent
@@ -53,6 +77,30 @@ def puma() -> Mapping[str, Any]:
     return {"ndof": SIZE, "dh": PUMA560.dh}
 
 
+def answer(_fd: int, request: int, room: bytes) -> bytes:
+    """Answer for the kernel of a joystick: three axes at rest, and no button."""
+    return bytes(len(room)) if request == joystick.GET_KEYS else AXIS
+
+
+def device() -> str:
+    """Return a device file on which nothing arrives, as in most cycles of a person."""
+    path = str(Path(FOLDER.name) / "device")
+    if not Path(path).exists():
+        os.mkfifo(path)
+        os.open(path, os.O_RDWR)  # open until this program ends
+    mock.patch.object(joystick, "ioctl", answer).start()
+    return path
+
+
+def samples() -> str:
+    """Return a file of samples of six joints over ten seconds."""
+    path = Path(FOLDER.name) / "samples.csv"
+    times = np.linspace(0.0, 10.0, 1001)
+    rows = np.column_stack([times, *(np.sin(times + k) for k in range(SIZE))])
+    np.savetxt(path, rows)
+    return str(path)
+
+
 USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "grav_comp": puma,
     "forward_kin": puma,
@@ -64,11 +112,19 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
         "x_cmd": pose(0.4, 0.1, 0.3),
     },
     "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3), "x_des": pose(0.5, 0.1, 0.3)},
+    "joystick": lambda: {
+        "naxes": SIZE // 2,
+        "params": {"device": device(), "axes": (0, 1, 2)},
+    },
+    "spacemouse": lambda: {"params": {"device": device()}},
+    "traj_play": lambda: {"params": {"file": samples(), "repeat": True}},
+    "dmp": lambda: {"params": {"file": samples()}},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
     "gait": lambda: {"nfeet": 4},
     "kalman": lambda: {"nx": 2, "nz": 1, "nu": 1},
     "lqr": lambda: {"n": 2, "m": 1},
+    "mpc_linear": lambda: {"n": 2, "m": 1},
     "pd_grav": lambda: {"ndof": 7},
     "impedance": lambda: {
         "ndof": 7,
@@ -125,20 +181,15 @@ BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     "computed_torque": lambda module: (
         lambda: module._model.torque(module.q, module.qd, module.qdd_ref)
     ),
-    "ik_placo": lambda module: (
-        lambda: module._motion.solver.solve(False)  # noqa: FBT003
-    ),
+    "ik_placo": lambda module: lambda: placo_step(module),
+    "mpc_linear": lambda module: lambda: daqp_plan(module),
+    "mujoco_quad": lambda module: lambda: module._robot.advance(0.002),
+    "otg": lambda module: new_goal(module._motion),
     "whole_body": lambda module: (
         lambda: module._motion.solver.solve(False)  # noqa: FBT003
     ),
     "whole_body_dyn": lambda module: (
         lambda: module._solver.solve(False)  # noqa: FBT003
-    ),
-    "mujoco_quad": lambda module: lambda: module._robot.advance(0.002),
-    "otg": lambda module: (
-        lambda: module._motion._solver.update(
-            module._motion._state, module._motion._next
-        )
     ),
 }
 """The bare call of a module's library, made from its instance."""
@@ -155,6 +206,36 @@ def standing(**ports: str) -> Mapping[str, Any]:
         attr: init[name].reshape(shapes.get(name, init[name].shape))
         for attr, name in ports.items()
     }
+
+
+def placo_step(module: Any) -> None:  # noqa: ANN401 - its parts are its own
+    """Do what placo must be asked for: of the state, for a goal, the step."""
+    motion = module._motion
+    motion.show()
+    motion.robot.get_T_world_frame(module._frame)
+    module._task.T_world_frame = module._goal
+    motion.solver.dt = 0.002
+    motion.solver.solve(False)  # noqa: FBT003
+
+
+def daqp_plan(module: Any) -> None:  # noqa: ANN401 - its parts are its own
+    """Give daqp new limits and another pull, and have it solved."""
+    program = module._program
+    pull = module._pull @ (module.z - module.z_ref)
+    program.update(f=pull, bupper=module._high, blower=module._low)
+    program.solve()
+
+
+def new_goal(motion: Any) -> Callable[[], object]:  # noqa: ANN401 - of a module
+    """Return ruckig's call for a goal that is another one each time."""
+    state, goals = motion._state, [[0.3] * SIZE, [0.31] * SIZE]
+
+    def call() -> None:
+        goals.reverse()
+        state.target_position = goals[0]
+        motion._solver.update(state, motion._next)
+
+    return call
 
 
 def hand() -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -191,7 +272,13 @@ def bench(module: LoadedModule) -> Bench[Any]:
     else:
         made = Bench(module.cls, values, params=params, library=FOLDERS)
     made.on()
+    _leave_notes(made.module)
     return made
+
+
+def _leave_notes(module: Any) -> None:  # noqa: ANN401 - of any class
+    """Take away the bench's `cycle`, which notes each call, from a module's own."""
+    module.__dict__.pop("cycle", None)
 
 
 def _follows(dim: str, values: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
@@ -228,24 +315,121 @@ def measure(
     return whole, alone
 
 
-def row(module: LoadedModule, cycles: int) -> tuple[list[str], bool]:
-    """Return the row of a module, and whether it is as fast as it must be."""
+def growth(made: Bench[Any], cycles: int) -> tuple[int, int]:
+    """Return blocks of Python and KiB of the process that cycles do not give back."""
+    module, dt = made.module, 1.0 / made.task.freq
+    local = made.table.local
+    moving = [
+        (local[port.attr], local[port.attr].copy())
+        for port in module.__interface__.ports
+        if port.kind is Kind.INVAR
+        and port.unit != "mixed"
+        and port.type.startswith("float")
+    ]
+
+    def run(count: int) -> None:
+        for n in range(count):
+            for values, rest in moving:
+                np.add(rest, 1e-3 * np.sin(0.1 * n), out=values)
+            module.cycle(dt)
+
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        run(cycles)  # what is kept once for all is then there
+        blocks, size = sys.getallocatedblocks(), _resident()
+        run(cycles)
+        return sys.getallocatedblocks() - blocks, _resident() - size
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _resident() -> int:
+    """Return the KiB of memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() // 1024
+
+
+def figures(module: LoadedModule, cycles: int, grow: int) -> dict[str, Any]:
+    """Return the figures of a module, or why there are none."""
     name = module.info.name
     try:
         made = bench(module)
         bare = BARE[name](made.module) if name in BARE else None
         whole, alone = measure(made, bare, cycles)
+        grown = growth(made, grow) if grow else None
         made.kill()  # a link has a file
     except (PbonetError, ImportError) as error:
-        return [name, f"not here: {str(error).splitlines()[0][:70]}", *4 * ["-"]], True
-    cells, met = [name, module.info.module_class], True
+        return {"missing": str(error).splitlines()[0][:70]}
     p50, p99 = np.percentile(whole, [50, 99]) / 1e3
-    met = p99 <= SHARE * 1e6 / made.task.freq
-    cells += [f"{p50:.1f}", f"{p99:.1f}"]
-    if not alone:
-        return [*cells, "-", "-"], met
-    least, most = np.percentile(alone, [50, 99]) / 1e3
-    return [*cells, f"{least:.1f}", f"{most:.1f}"], met and p50 - least <= OVER
+    found: dict[str, Any] = {"size": _size(made), "hz": made.task.freq}
+    found |= {"cycles": cycles, "p50": round(p50, 1), "p99": round(p99, 1)}
+    found["max"] = max(whole) // 1000
+    if alone:
+        found["bare"] = round(float(np.percentile(alone, 50)) / 1e3, 1)
+    if grown:
+        found["growth"] = {"cycles": grow, "blocks": grown[0], "kib": grown[1]}
+    return found
+
+
+def _size(made: Bench[Any]) -> str:
+    """Return the sizes of a module's ports in words."""
+    sizes: dict[str, int] = {}
+    for port in made.module.__interface__.ports:
+        shape = np.shape(getattr(made.module, port.attr))
+        sizes |= {
+            dim: count
+            for dim, count in zip(port.shape, shape, strict=False)
+            if isinstance(dim, str)
+        }
+    return ", ".join(f"{dim} {count}" for dim, count in sorted(sizes.items()))
+
+
+def faults(found: Mapping[str, Any]) -> list[str]:
+    """Return the goals that a module misses."""
+    if "missing" in found:
+        return []
+    missed: list[str] = []
+    if found["p99"] > SHARE * 1e6 / found["hz"]:
+        missed.append("p99")
+    if found["p50"] - found.get("bare", found["p50"]) > OVER:
+        missed.append("overhead")
+    grown = found.get("growth", {"blocks": 0, "kib": 0})
+    if grown["blocks"] > BLOCKS or grown["kib"] > KIB:
+        missed.append("growth")
+    return missed
+
+
+def cells(name: str, found: Mapping[str, Any]) -> list[str]:
+    """Return the row of a module in the table."""
+    if "missing" in found:
+        return [name, f"not here: {found['missing']}", *4 * [""]]
+    told = [f"{found['p50']:.1f}", f"{found['p99']:.1f}", str(found["max"])]
+    told.append(f"{found['bare']:.1f}" if "bare" in found else "")
+    grown = found.get("growth")
+    told.append(f"{grown['blocks']}, {grown['kib']} KiB" if grown else "")
+    return [name, found["size"], *told]
+
+
+def machine() -> str:
+    """Return what this machine is, in words, and how busy it is."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    model = next((one for one in lines if one.startswith("model name")), "")
+    cpu = " ".join(model.partition(":")[2].split()) or platform.machine()
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    version = platform.python_version()
+    return f"{cores} cores of {cpu}, Python {version}, load average {load:.0f}"
+
+
+def save(measured: Mapping[str, Mapping[str, Any]]) -> None:
+    """Keep figures in the file, with the machine that they are of."""
+    kept: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+    told = machine()
+    kept |= {name: {**found, "machine": told} for name, found in measured.items()}
+    text = json.dumps(dict(sorted(kept.items())), indent=1)
+    FILE.write_text(f"{text}\n", encoding="utf-8")
 
 
 def own(path: Path) -> bool:
@@ -257,24 +441,28 @@ def main() -> int:
     """Measure and print a Markdown table; 3 when a module is too slow."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=5000)
+    parser.add_argument("--grow", type=int, default=0)
+    parser.add_argument("--save", action="store_true")
     parser.add_argument("names", nargs="*", metavar="NAME")
     given = parser.parse_args()
     library = Library()
     names = [name for name, path in library.files().items() if own(path)]
     if unknown := sorted(set(given.names) - set(names)):
         parser.error(f"the library has no module {', '.join(unknown)}")
-    print(f"{platform.processor() or platform.machine()}, {platform.python_version()}")
-    print(f"{given.cycles} cycles; microseconds; {SIZE} joints or elements\n")
-    print("| module | class | p50 | p99 | library's call, p50 | p99 |")
-    print("|---|---|---|---|---|---|")
-    slow: list[str] = []
+    print(f"{machine()}\n{given.cycles} cycles; microseconds\n")
+    print("| module | size | p50 | p99 | largest | library's call | growth |")
+    print("|---|---|---|---|---|---|---|")
+    measured: dict[str, dict[str, Any]] = {}
+    missed: list[str] = []
     for name in given.names or names:
-        cells, met = row(library.load(name), given.cycles)
-        print(f"| {' | '.join(cells)} |", flush=True)
-        slow += [] if met else [name]
-    if slow:
-        print(f"\ngoal missed by {', '.join(slow)}")
-    return MISSED if slow else 0
+        found = measured[name] = figures(library.load(name), given.cycles, given.grow)
+        print(f"| {' | '.join(cells(name, found))} |", flush=True)
+        missed += [f"{name} ({goal})" for goal in faults(found)]
+    if given.save:
+        save(measured)
+    if missed:
+        print(f"\ngoals missed: {', '.join(missed)}")
+    return MISSED if missed else 0
 
 
 if __name__ == "__main__":

@@ -7,9 +7,10 @@ reference; a test says when they are no longer what the modules say.
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from library_responses import HERE, responds
 
@@ -18,7 +19,7 @@ from pbonet.pbo import MODULE_CLASSES
 from pbonet.ports import shape_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from pbonet.config.library import LoadedModule
 
@@ -39,6 +40,9 @@ FOLDERS = {
     for kind, title in TITLES.items()
 }
 """The folder of each class in ``pbonet/modules``, and the name of its page."""
+MEASURED = HERE / "benchmarks" / "library.json"
+"""The figures of `benchmarks.library`."""
+US = "\N{MICRO SIGN}s"
 _SECTIONS = re.compile(r"^(Args|Attributes|Raises|Returns):", re.MULTILINE)
 _MARKS = re.compile(r"([*_<>\[\]])")
 
@@ -70,6 +74,13 @@ def pages() -> dict[Path, str]:
         for kind in MODULE_CLASSES
     }
     found[HERE / "reference" / "library.md"] = _reference(modules)
+    found[MEASURED.with_suffix(".md")] = _measured_page(measured())
+    return found
+
+
+def measured() -> dict[str, dict[str, Any]]:
+    """Return what `benchmarks.library` measured, by module."""
+    found: dict[str, dict[str, Any]] = json.loads(MEASURED.read_text(encoding="utf-8"))
     return found
 
 
@@ -128,7 +139,69 @@ def section(module: LoadedModule, rmods: Sequence[str]) -> list[str]:
     files = ", ".join(f"`{name}`" for name in sorted(rmods))
     critical = " May be marked CRITICAL." if info.critical_ok else ""
     source = f"[`{own}/{info.name}.py`](../reference/library.md#{info.name})"
+    lines += [_maxc(measured().get(info.name, {})), ""]
     return [*lines, f"Source: {source}, configured in {files}.{critical}"]
+
+
+def _maxc(found: Mapping[str, Any]) -> str:
+    """Return what the measured execution time of a module is, and of which machine."""
+    if "p99" not in found:
+        why = found.get("missing", "`python -m benchmarks.library --save` measures it")
+        return f"MAXC: not measured ({_plain(why)})."
+    size = f", {found['size']}" if found["size"] else ""
+    return (
+        f"MAXC: of {found['cycles']} cycles 99 in 100 took at most {found['p99']:.0f} "
+        f"{US} of CPU time, half of them {found['p50']:.0f} {US}, the longest "
+        f"{found['max']} {US}{size}; {found['machine']}. That of your machine: "
+        "[`pbonet profile`](../commands.md#execution-times-profile-adopt-check-"
+        "simulate)."
+    )
+
+
+def _measured_page(modules: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the page with the measured times of all modules."""
+    rows = [
+        (
+            f"`{name}`",
+            str(found.get("size", "")),
+            f"{found['p50']:.1f}" if "p50" in found else _plain(found["missing"]),
+            f"{found['p99']:.0f}" if "p99" in found else "",
+            str(found.get("max", "")),
+            f"{found['bare']:.1f}" if "bare" in found else "",
+            _growth(found.get("growth")),
+            found["machine"].rpartition(" ")[2],
+        )
+        for name, found in sorted(modules.items())
+    ]
+    machines = {found["machine"].rpartition(", ")[0] for found in modules.values()}
+    return "\n".join([
+        "<!-- written by docs/library_pages.py; from what is measured -->",
+        "# Modules of the library",
+        "",
+        "    python -m benchmarks.library --grow 20000 --save",
+        "    python docs/library_pages.py",
+        "",
+        f"CPU time of `cycle` on a bench, in {US}, with inputs that move in each one. "
+        f"Machine: {'; '.join(sorted(machines))}.",
+        "Other programs ran beside it, as many as the load average says: that inflates "
+        "p99 and the longest.",
+        f"Goals: p99 at most a fifth of the period (200 {US} at 1 kHz); p50 at most "
+        f"5 {US} above the bare call of the module's library; no memory that "
+        "grows.",
+        "",
+        *_table(
+            "| module | sizes | p50 | p99 | longest | the library's call, p50 | memory "
+            "not given back after the cycles | load |",
+            rows,
+        ),
+    ])
+
+
+def _growth(found: Mapping[str, int] | None) -> str:
+    """Return the memory that a module's cycles did not give back."""
+    if found is None:
+        return ""
+    return f"{found['blocks']} blocks, {found['kib']} KiB ({found['cycles']})"
 
 
 def _table(head: str, rows: Sequence[tuple[str, ...]]) -> list[str]:

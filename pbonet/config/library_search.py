@@ -15,9 +15,13 @@ from pbonet.errors import ConfigError, ModuleLoadError, PbonetError, did_you_mea
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from pbonet.ports import Port
+
     from .library import Library
     from .model import Rmod
 
+ANY = "any"
+"""The unit of a port that takes every variable."""
 _DERIVES = re.compile(rb"^class \w+\(.*PortBasedObject", re.MULTILINE)
 
 
@@ -30,7 +34,8 @@ class Search(Struct, frozen=True, kw_only=True):
     """Its class in the library, or the beginning of it."""
     in_: str = ""
     """A variable, in which * and ? match any text, that an input is, or is connected to
-    by an RMOD."""
+    by an RMOD, or can be: one of the unit `any` takes every variable that is named
+    without * and ?."""
     out: str = ""
     """The same of an output."""
     unit: str = ""
@@ -42,6 +47,8 @@ class Found(Struct, frozen=True, kw_only=True):
 
     info: pbo.ModuleInfo
     rmods: tuple[str, ...] = ()
+    generic: bool = False
+    """Whether it fits because a port of the unit `any` takes every variable."""
 
     @property
     def name(self) -> str:
@@ -50,14 +57,15 @@ class Found(Struct, frozen=True, kw_only=True):
 
     @property
     def data(self) -> dict[str, Any]:
-        """The fields of the description, and ``rmods``."""
-        return {**msgspec.to_builtins(self.info), "rmods": list(self.rmods)}
+        """The fields of the description, ``rmods`` and ``generic``."""
+        told = {"rmods": list(self.rmods), "generic": self.generic}
+        return {**msgspec.to_builtins(self.info), **told}
 
 
 def search(
     infos: Iterable[pbo.ModuleInfo], rmods: Mapping[str, Rmod], wanted: Search
 ) -> list[Found]:
-    """Return the modules that fit, sorted by class and name.
+    """Return the modules that fit, sorted by class and name; generic ones come last.
 
     Args:
         infos: Descriptions of all modules.
@@ -74,15 +82,18 @@ def search(
     found: list[Found] = []
     for info in exact or known:
         configured = {n: r for n, r in rmods.items() if r.module == info.name}
-        if (
-            kind in {"", info.module_class}
-            and (exact or _has_words(info, configured, wanted.text))
-            and _has_ports(info, configured, wanted)
+        if kind not in {"", info.module_class} or not (
+            exact or _has_words(info, configured, wanted.text)
         ):
-            found.append(Found(info=info, rmods=tuple(sorted(configured))))
+            continue
+        named = _has_ports(info, configured, wanted, generic=False)
+        if named or _has_ports(info, configured, wanted, generic=True):
+            found.append(
+                Found(info=info, rmods=tuple(sorted(configured)), generic=not named)
+            )
     if not found and wanted != Search():
         raise _nothing(wanted, [info.name for info in known])
-    return sorted(found, key=lambda one: (_rank(one.info), one.name))
+    return sorted(found, key=lambda one: (one.generic, _rank(one.info), one.name))
 
 
 def _rank(info: pbo.ModuleInfo) -> int:
@@ -92,12 +103,12 @@ def _rank(info: pbo.ModuleInfo) -> int:
 
 
 def _class(text: str) -> str:
-    """Return the class that begins with a text.
+    """Return the class that, or whose plural, begins with a text.
 
     Raises:
         ConfigError: None, or more than one, does.
     """
-    begun = [one for one in pbo.MODULE_CLASSES if one.startswith(text.lower())]
+    begun = _classes_from(text)
     if not text or len(begun) == 1:
         return begun[0] if text else ""
     raise ConfigError(
@@ -105,14 +116,40 @@ def _class(text: str) -> str:
         if begun
         else f"there is no class of modules {text}",
         expected=" or ".join(begun or pbo.MODULE_CLASSES),
-        remedy=did_you_mean(text, pbo.MODULE_CLASSES) or "write more of its name",
+        remedy="write more of its name" if begun else _near_class(text),
     )
+
+
+def _classes_from(text: str) -> list[str]:
+    """Return the classes that begin with a text, as the name of a folder too."""
+    begin = text.lower().replace("_", " ").replace("-", " ")
+    return [
+        one
+        for one in pbo.MODULE_CLASSES
+        if one.startswith(begin) or _plural(one).startswith(begin)
+    ]
+
+
+def _plural(name: str) -> str:
+    return f"{name.removesuffix('y')}ies" if name.endswith("y") else f"{name}s"
+
+
+def _near_class(text: str) -> str:
+    """Return the hint at a class: of like letters, or that one of the words names."""
+    if near := did_you_mean(text.lower(), pbo.MODULE_CLASSES):
+        return near
+    for word in text.lower().split():
+        near = next(iter(_classes_from(word)), "")
+        if near or (near := did_you_mean(word, pbo.MODULE_CLASSES)):
+            return near if "?" in near else f"did you mean {near}?"
+    return "name one of these, or the beginning of it"
 
 
 def _has_words(
     info: pbo.ModuleInfo, rmods: Mapping[str, Rmod], words: Sequence[str]
 ) -> bool:
-    texts = [info.name, info.doc, info.module_class, *rmods]
+    texts = [info.name, info.doc, info.module_class]
+    texts += [f"{name}.rmod" for name in rmods]
     texts += [rmod.desc for rmod in rmods.values()]
     texts += [text for port in info.ports for text in (port.name, port.doc)]
     texts += [text for param in info.params for text in (param.name, param.doc)]
@@ -120,20 +157,41 @@ def _has_words(
     return all(word.lower() in whole for word in words)
 
 
-def _has_ports(info: pbo.ModuleInfo, rmods: Mapping[str, Rmod], wanted: Search) -> bool:
+def _has_ports(
+    info: pbo.ModuleInfo, rmods: Mapping[str, Rmod], wanted: Search, *, generic: bool
+) -> bool:
+    """Return whether a module has the ports.
+
+    Args:
+        info: Its description.
+        rmods: Those that configure it.
+        wanted: The conditions.
+        generic: Whether a port that takes every variable counts for a named one.
+    """
     sides = [(wanted.in_, True), (wanted.out, False)]
     asked = [side for side in sides if side[0]]
     if not asked:
         return wanted.unit in {"", *(port.unit for port in info.ports)}
     return all(
         any(
-            wanted.unit in {"", port.unit}
+            _is_port(port, name, wanted.unit, rmods)
+            or (generic and _takes_every(port, name))
             for port in info.ports
             if port.kind.is_input is reads
-            and any(fnmatch.fnmatchcase(n, name) for n in _names(port.name, rmods))
         )
         for name, reads in asked
     )
+
+
+def _is_port(port: Port, name: str, unit: str, rmods: Mapping[str, Rmod]) -> bool:
+    """Return whether a port has a unit, and a name that fits."""
+    fits = any(fnmatch.fnmatchcase(n, name) for n in _names(port.name, rmods))
+    return fits and unit in {"", port.unit}
+
+
+def _takes_every(port: Port, name: str) -> bool:
+    """Return whether a port can be connected to a variable, which has a whole name."""
+    return port.unit == ANY and not port.kind.is_const and not set("*?") & set(name)
 
 
 def _names(port: str, rmods: Mapping[str, Rmod]) -> Iterator[str]:

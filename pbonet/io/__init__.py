@@ -11,6 +11,8 @@ device, so that the same code runs in real time, in simulation and in replay. On
     The six-axis ball on such a line: its protocol, and the ball as a device.
 ``joystick``
     A joystick or game pad, as an input device of Linux.
+``space_mouse``
+    A cap that is pushed and turned, by its reports from the kernel.
 ``chain``
     Rigid-body mathematics of a serial arm, from its Denavit-Hartenberg table.
 ``robot_model``

@@ -13,3 +13,4 @@ from .recorded import RecordedBall as RecordedBall
 from .robot_model import RobotModel as RobotModel, find_file as find_file
 from .sample_file import Samples as Samples, read_samples as read_samples
 from .serial_line import SerialLine as SerialLine
+from .space_mouse import SpaceMouse as SpaceMouse

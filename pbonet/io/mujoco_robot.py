@@ -7,6 +7,7 @@ same every time, in real time, in simulation and in replay.
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from math import ceil
 from typing import TYPE_CHECKING, Any
@@ -175,6 +176,8 @@ class MujocoRobot:
                 got=" ".join(str(error).split()),
                 remedy="correct it, or name another file",
             ) from None
+        for name in _INCLUDE.findall(self.path.read_text(encoding="utf-8")):
+            find_file(str(self.path.parent.absolute() / name))
         self._check(model, floats=floats)
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= off.mjDSBL_ACTUATION | off.mjDSBL_AUTORESET
@@ -233,5 +236,6 @@ def _nested(model: Any) -> list[int]:  # noqa: ANN401 - as above
     return found
 
 
+_INCLUDE = re.compile(r"""<include\s[^>]*?file\s*=\s*["']([^"']+)""")
 _ABSURD = 1e4
 """rad/s or m/s that no joint of a robot has."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pbonet.errors import ParameterError, did_you_mean
+from pbonet.outside import note_file
 
 from .chain import pinocchio
 
@@ -50,6 +51,7 @@ class RobotModel:
         """Largest torque (N*m) or force (N) of each joint; infinite if not given."""
         self.damping: Floats = np.array(self._model.damping)
         """Viscous friction of each joint, N*m*s/rad or N*s/m."""
+        self._damped = bool(self.damping.any())
 
     def must_have(self, n: int) -> None:
         """Check the number of joints.
@@ -109,7 +111,8 @@ class RobotModel:
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return the torques (N*m) that give the robot the acceleration `qdd`."""
         torque: Floats = self._pin.rnea(self._model, self._data, q, qd, qdd)
-        torque += self.damping * qd
+        if self._damped:
+            torque += self.damping * qd
         return torque
 
     def _copy_pose(self, frame: int, out: Floats) -> None:
@@ -155,6 +158,9 @@ class RobotModel:
 def find_file(file: str, libraries: Iterable[str | Path] = ()) -> Path:
     """Return the path of a file that a parameter names.
 
+    It is for `init`: the file's hash is recorded, so that a replay names a file that
+    has changed since the run.
+
     Args:
         file: An absolute path, or a path in one of the folders.
         libraries: The folders, as `self.task.libraries` has them; earlier ones win.
@@ -167,6 +173,7 @@ def find_file(file: str, libraries: Iterable[str | Path] = ()) -> Path:
         [Path(file)] if Path(file).is_absolute() else [f / file for f in folders]
     ):
         if path.is_file():
+            note_file(file, path)
             return path
     raise ParameterError(
         f'there is no file "{file}"',

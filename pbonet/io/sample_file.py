@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import os
 from pathlib import Path
@@ -11,9 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pbonet.errors import DeviceError
-from pbonet.outside import Outside
+
+from .robot_model import find_file
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -33,7 +35,7 @@ class Samples(NamedTuple):
     """Their derivatives, by second-order differences where the file has none."""
 
 
-def read_samples(path: str, n: int) -> Samples:
+def read_samples(file: str, n: int, libraries: Iterable[str | Path] = ()) -> Samples:
     """Read samples of `n` values from a file.
 
     A ``.csv`` file has a column of seconds and n of values, or n more of their
@@ -41,16 +43,19 @@ def read_samples(path: str, n: int) -> Samples:
     line may be names. A ``.npz`` file has the arrays ``time`` [m], ``values`` [m, n],
     and perhaps ``rates`` [m, n].
 
-    It is for `init`: it waits for the disk. A replay reads the file again and refuses
-    one that has changed since the run.
+    It is for `init`: it waits for the disk. A replay reads the file again, and names it
+    if it has changed since the run.
 
     Args:
-        path: The file; a relative path begins at the working directory of the process.
+        file: The file, as for `find_file`.
         n: Number of values of a sample.
+        libraries: Folders in which it is looked for.
 
     Raises:
-        DeviceError: The file is missing, damaged, or has another number of values.
+        ParameterError: There is no such file.
+        DeviceError: The file is damaged, or has another number of values.
     """
+    path = str(find_file(file, libraries))
     data = _content(path)
     try:
         table = _npz(data) if path.lower().endswith(".npz") else _csv(data)
@@ -71,13 +76,6 @@ def _content(path: str) -> bytes:
             got=os.strerror(error.errno) if error.errno else str(error),
             remedy="correct the path; the file is read on the machine of the task",
         ) from None
-    digest = hashlib.sha256(data).digest()
-    if Outside(f"file {path}").ask(lambda: digest) != digest:
-        raise DeviceError(
-            "the file of samples has changed since the recorded run",
-            where=path,
-            remedy="restore the file of that run",
-        )
     return data
 
 

@@ -75,8 +75,12 @@ class Geometry:
 
 def rotation(turn: Vector) -> Matrix:
     """Return the rotation matrix of a turn: axis times angle, rad (Rodrigues)."""
+    return rotation_by(*turn.tolist())
+
+
+def rotation_by(x: float, y: float, z: float) -> Matrix:
+    """Return the rotation matrix of a turn of these elements (Rodrigues)."""
     # nine numbers: plain Python is faster here than numpy's calls would be
-    x, y, z = turn.tolist()
     square = x * x + y * y + z * z
     if square < _SMALL * _SMALL:
         return np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
@@ -93,16 +97,21 @@ def rotation(turn: Vector) -> Matrix:
 def turn_of(matrix: Matrix) -> Vector:
     """Return the turn, axis times angle (rad, at most pi), of a rotation matrix."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix.tolist()
-    x, y, z = zy - yz, xz - zx, yx - xy
-    size = sqrt(x * x + y * y + z * z)  # twice the sine
-    cosine = 0.5 * (xx + yy + zz - 1.0)
+    axis, cosine = (zy - yz, xz - zx, yx - xy), 0.5 * (xx + yy + zz - 1.0)
+    factor = _of_sine(axis, cosine)
+    return _half_turn(matrix) if factor is None else factor * np.array(axis)
+
+
+def _of_sine(axis: tuple[float, float, float], cosine: float) -> float | None:
+    """Return the factor that makes a turn of its axis times twice its sine.
+
+    None for half a turn, whose axis this does not say.
+    """
+    x, y, z = axis
+    size = sqrt(x * x + y * y + z * z)
     if size > _SMALL:
-        scale_by = atan2(0.5 * size, cosine) / size
-    elif cosine > 0.0:
-        scale_by = 0.5
-    else:
-        return _half_turn(matrix)
-    return np.array([x * scale_by, y * scale_by, z * scale_by])
+        return atan2(0.5 * size, cosine) / size
+    return 0.5 if cosine > 0.0 else None
 
 
 def _half_turn(m: Matrix) -> Vector:
@@ -115,8 +124,32 @@ def _half_turn(m: Matrix) -> Vector:
 
 def difference(wanted: Matrix, pose: Matrix) -> Vector:
     """Return the displacement (m, rad) that takes `pose` to `wanted`, [6]."""
-    turn = turn_of(wanted[:, :3] @ pose[:, :3].T)
-    return np.concatenate((wanted[:, 3] - pose[:, 3], turn))
+    return np.array(displacement(wanted, pose))
+
+
+def displacement(wanted: Matrix, pose: Matrix) -> tuple[float, ...]:
+    """Return the displacement (m, rad) that takes `pose` to `wanted`, as six numbers.
+
+    Args:
+        wanted: A pose; further rows do not count.
+        pose: The same.
+    """
+    # plain Python is faster here than numpy's calls would be
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = wanted[:3].tolist()
+    (p, q, r, u), (s, t, k, v), (l, m, n, w) = pose[:3].tolist()  # noqa: E741
+    axis = (
+        g * s + h * t + i * k - d * l - e * m - f * n,
+        a * l + b * m + c * n - g * p - h * q - i * r,
+        d * p + e * q + f * r - a * s - b * t - c * k,
+    )
+    trace = a * p + b * q + c * r + d * s + e * t + f * k + g * l + h * m + i * n
+    factor = _of_sine(axis, 0.5 * (trace - 1.0))
+    turn = (
+        _half_turn(wanted[:3, :3] @ pose[:3, :3].T).tolist()
+        if factor is None
+        else [factor * one for one in axis]
+    )
+    return x - u, y - v, z - w, *turn
 
 
 def gap(wanted: Matrix, pose: Matrix) -> tuple[float, float]:
@@ -128,7 +161,20 @@ def gap(wanted: Matrix, pose: Matrix) -> tuple[float, float]:
 
 def is_rotation(matrix: Matrix) -> bool:
     """Return whether a matrix is a rotation, to 1e-6."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    return _is_rotation(*matrix.ravel().tolist())
+
+
+def _is_rotation(  # noqa: PLR0917 - nine numbers of a matrix, row by row
+    a: float,
+    b: float,
+    c: float,
+    d: float,
+    e: float,
+    f: float,
+    g: float,
+    h: float,
+    i: float,
+) -> bool:
     off = (
         abs(a * a + b * b + c * c - 1.0),
         abs(d * d + e * e + f * f - 1.0),
@@ -143,9 +189,10 @@ def is_rotation(matrix: Matrix) -> bool:
 
 def fault_of(pose: Matrix) -> str:
     """Return why a matrix is no pose, as the end of a sentence; empty if it is one."""
-    if not isfinite(float(pose.sum())):
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = pose.tolist()
+    if not isfinite(a + b + c + d + e + f + g + h + i + x + y + z):
         return "it has elements that are not finite"
-    if not is_rotation(pose[:, :3]):
+    if not _is_rotation(a, b, c, d, e, f, g, h, i):
         return "its orientation is not a rotation"
     return ""
 
@@ -164,6 +211,15 @@ def fault_of_wrench(name: str, wrench: Vector) -> str:
     if isfinite(float(wrench.sum())):
         return ""
     return f"{name} along {AXES[int(np.argmin(np.isfinite(wrench)))]} is not finite"
+
+
+def shortened(x: float, y: float, z: float, limit: float) -> tuple[float, float, float]:
+    """Return a vector that is shortened to `limit` if it is longer."""
+    size = sqrt(x * x + y * y + z * z)
+    if size <= limit:
+        return x, y, z
+    factor = limit / size
+    return x * factor, y * factor, z * factor
 
 
 def shorten(v: Vector, limit: float) -> None:

@@ -45,6 +45,7 @@ class OnlineTrajectory:
         self._state = self._ruckig.InputParameter(n)
         self._next = self._ruckig.OutputParameter(n)
         self._rest = [0.0] * n
+        self._to_position = self._ruckig.ControlInterface.Position
 
     def limit(self, velocity: Vector, acceleration: Vector, jerk: Vector) -> None:
         """Set the limits of each axis, also during a motion."""
@@ -61,10 +62,10 @@ class OnlineTrajectory:
         state.current_acceleration = self.acceleration = acceleration.tolist()
         self.brake()
 
-    def aim(self, goal: Vector) -> None:
+    def aim(self, goal: list[float]) -> None:
         """Go to this position, and rest there."""
-        self._state.control_interface = self._ruckig.ControlInterface.Position
-        self._state.target_position = goal.tolist()
+        self._state.control_interface = self._to_position
+        self._state.target_position = goal
 
     def brake(self) -> None:
         """Come to rest, wherever that is."""

@@ -24,6 +24,10 @@ class ToldOnce:
             self._task.warn(text)
         self._kind = kind
 
+    def of(self, kind: str) -> bool:
+        """Return whether the last warning was of this kind."""
+        return kind == self._kind
+
     def clear(self, *kinds: str) -> None:
         """Forget the last warning, if it was of one of these kinds; or of any."""
         if not kinds or self._kind in kinds:

@@ -6,6 +6,12 @@ from ._tape import (
     use as use,
 )
 from .answers import NotRecordedError as NotRecordedError
+from .files import (
+    ReadFile as ReadFile,
+    files_read as files_read,
+    note_file as note_file,
+    sha256_of as sha256_of,
+)
 from .playing import (
     BrokenOffError as BrokenOffError,
     Player as Player,

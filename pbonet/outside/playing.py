@@ -57,6 +57,19 @@ class Player:
         then = "nothing more" if found is None else found[1].decode()
         raise NotRecordedError(f"it opens {source.name}, but the log has {then}")
 
+    def answers_of(self, name: str) -> list[Any]:
+        """Return the first recorded answer of each source of a name, in their order.
+
+        Exceptions are left out.
+        """
+        sources = [
+            number
+            for (number, call), (_, data) in self._heard.items()
+            if not call and data.decode() == name
+        ]
+        first = [self._heard.get((number, 1)) for number in sources]
+        return [unpack(*one) for one in first if one and one[0] != RAISED]
+
     def waits(self, source: Outside) -> bool:
         """Return whether the next call to a source is on record."""
         return (source.number, source.calls + 1) in self._heard

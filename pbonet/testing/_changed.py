@@ -1,7 +1,8 @@
-"""Files that are other ones than those of the recording: code, and parameters."""
+"""Files that are other ones than those of the recording: code, parameters, data."""
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
 from itertools import takewhile
@@ -10,16 +11,19 @@ from typing import TYPE_CHECKING
 
 from pbonet.config import Library, parse_rmod
 from pbonet.errors import PbonetError
+from pbonet.io import find_file
 from pbonet.log import code_of
 from pbonet.node.task import files_of
+from pbonet.outside import sha256_of
 
+from ._records import files_of_life
 from ._verdict import Changed, ChangedParam
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pbonet.config import Rmod
-    from pbonet.log import CodeFile, Log, TaskAbout
+    from pbonet.log import CodeFile, Log, TaskAbout, TaskLife
 
     from ._verdict import Verdict
 
@@ -30,6 +34,7 @@ def note_changes(
     """Note in a verdict what has changed in the task's files since the recording."""
     about = log.task_about(verdict.task)
     verdict.changed = changed(log, about, libraries)
+    verdict.changed += changed_data(log.lives(verdict.task)[-1], libraries)
     verdict.params = changed_params(about, libraries)
 
 
@@ -65,6 +70,26 @@ def changed(
             )
     new = present.values() if about.code else ()
     return found + [Changed(path=one.path, recorded="", now=one.sha256) for one in new]
+
+
+def changed_data(life: TaskLife, libraries: Sequence[str | Path] = ()) -> list[Changed]:
+    """Return the files that a module read in `init`, and that have changed.
+
+    The present file is found as the module finds it when it is run again.
+
+    Args:
+        life: Of the task.
+        libraries: Folders that are searched before those of the recording.
+    """
+    found: list[Changed] = []
+    for then in dict.fromkeys(files_of_life(life)):
+        path, now = then.path, ""
+        with contextlib.suppress(PbonetError):
+            present = find_file(then.name, [*libraries, *life.about.libraries])
+            path, now = str(present), sha256_of(present)
+        if now != then.sha256:
+            found.append(Changed(path=path, recorded=then.sha256, now=now))
+    return found
 
 
 def changed_params(

@@ -10,6 +10,7 @@ import numpy as np
 
 from pbonet.errors import LogError
 from pbonet.log import CDR, Did, Step, StepSchema
+from pbonet.outside import Player, files_read
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pbonet.log import Log, TaskLife
+    from pbonet.outside import ReadFile
 
     from ._verdict import Verdict
 
@@ -54,6 +56,17 @@ def _from_birth(life: TaskLife) -> bool:
     first = next((one for one in life.records if kind_of(one) != Step.HEARD), None)
     done = None if first is None else did(first)
     return done is not None and done.what == "spawn"
+
+
+def files_of_life(life: TaskLife) -> list[ReadFile]:
+    """Return the files that a task's module read before its first cycle."""
+    player = Player()
+    for one in life.records:
+        if kind_of(one) == Step.CYCLE:
+            break
+        if kind_of(one) == Step.HEARD:
+            player.feed(StepSchema.data(one))
+    return files_read(player)
 
 
 def cycles_of(life: TaskLife) -> int:

@@ -37,7 +37,7 @@ class Divergence(Struct, kw_only=True):
 
 
 class Changed(Struct, kw_only=True):
-    """A file of the module's code that is another one now."""
+    """A file of the module's code, or one that it read, that is another one now."""
 
     path: str
     """Of the present file; of the recorded one when there is none."""

@@ -374,9 +374,12 @@ def _library(data: Data) -> str:
         )
         for one in data["modules"]
     ]
-    return table(("module", "class", "reads", "writes", "what it does"), rows)
+    text = table(("module", "class", "reads", "writes", "what it does"), rows)
+    generic = [one["name"] for one in data["modules"] if one["generic"]]
+    return f"{text}\n{_GENERIC.format(' '.join(generic))}" if generic else text
 
 
+_GENERIC: Final = "ports of the unit any take every variable, by SVARALIAS: {}"
 _SIDES: Final = (("in-const", "in-var"), ("out-const", "out-var"))
 
 

@@ -24,17 +24,19 @@ def find(
     """Return the modules that are searched for as data, and warnings.
 
     Args:
-        text: A module's name, an ``.rmod`` file, or words.
+        text: A module's name, an ``.rmod`` file, or its name in the library, or words.
         wanted: The other fields of `Search`.
         folders: Folders beside pbonet's own modules and the current folder.
 
     Raises:
-        ConfigError: The ``.rmod`` file is wrong, or there is no such class.
+        ConfigError: The ``.rmod`` file is wrong or missing, or there is no such class.
         ModuleLoadError: There is no such module, or it does not load.
     """
     library = Library([*folders, Path()])
     if len(text) == 1 and text[0].endswith(".rmod"):
-        rmod = library.read_rmod(text[0])
+        given = Path(text[0])
+        path = given if given.is_file() else library.find_rmod(text[0])
+        rmod = library.read_rmod(path)
         info = library.load_rmod(rmod).info
         return {"modules": [Found(info=info, rmods=(rmod.name,)).data]}, []
     asked = Search(

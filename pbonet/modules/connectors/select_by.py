@@ -17,12 +17,13 @@ class Choice(Params):
 class SelectBy(PortBasedObject[Choice], module_class="connector"):
     """z = z2 while SELECT is CHOICE, else z1.
 
-    More inputs need a chain: the z of one is the z1 of the next, each with a CHOICE of
-    its own, and SELECT is the same for all. With BLEND, z goes on from where it stands
-    after each change, and when the module is turned on: the difference between z and
-    the selected value then is added, times 1 - x^2 (3 - 2 x) with x the share of BLEND
-    that has passed. The age of z is that of the selected input. The other input has no
-    effect, even if it is NaN; if the selected one is, the task ends in ERROR.
+    A multiplexer (mux) of more inputs is a chain: the z of one is the z1 of the next,
+    each with a CHOICE of its own, and SELECT is the same for all. With BLEND, z goes on
+    from where it stands after each change, and when the module is turned on: the
+    difference between z and the selected value then is added, times 1 - x^2 (3 - 2 x)
+    with x the share of BLEND that has passed. The age of z is that of the selected
+    input. The other input has no effect, even if it is NaN; if the selected one is, the
+    task ends in ERROR.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Z")]

@@ -42,6 +42,8 @@ class ComputedTorque(PortBasedObject[Gains], module_class="controller"):
         self._takeover = Takeover(self.ndof)
         self._model = RobotModel(self.params.urdf, self.task.libraries)
         self._model.must_have(self.ndof)
+        self._low, self._high = -self._model.effort, self._model.effort
+        self._bounded = bool(np.isfinite(self._low).any())
         self._take_gains()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
@@ -52,12 +54,17 @@ class ComputedTorque(PortBasedObject[Gains], module_class="controller"):
         self._takeover.begin()
 
     def cycle(self, dt: float) -> None:
-        wish = self._kp * (self.q_ref - self.q)
-        wish += self._kd * (self.qd_ref - self.qd)
+        wish = self.q_ref - self.q
+        wish *= self._kp
+        pull = self.qd_ref - self.qd
+        pull *= self._kd
+        wish += pull
         wish += self.qdd_ref
         law = self._model.torque(self.q, self.qd, wish)
         self._takeover.apply(law, self.tau, dt, self.params.fade)
-        np.clip(self.tau, -self._model.effort, self._model.effort, out=self.tau)
+        if self._bounded:
+            np.minimum(self.tau, self._high, out=self.tau)
+            np.maximum(self.tau, self._low, out=self.tau)
 
     def _take_gains(self) -> None:
         k, n = self.params, self.ndof

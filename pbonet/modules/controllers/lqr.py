@@ -1,14 +1,11 @@
 """Linear quadratic control of a plant that is given by its matrices."""
 
-from importlib import import_module
-from typing import Annotated as A, Any
+from typing import Annotated as A
 
 import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.errors import ParameterError
-from pbonet.io import from_extra
-from pbonet.modules._ode import propagator
+from pbonet.modules._linear_plant import LinearPlant
 from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
 
@@ -40,8 +37,6 @@ class Lqr(PortBasedObject[Plant], module_class="controller"):
 
     def init(self) -> None:
         self._takeover = Takeover(len(self.u))
-        with from_extra("design", "the gain of a linear quadratic controller"):
-            self._linalg: Any = import_module("scipy.linalg")
         self._take_plant()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
@@ -57,23 +52,9 @@ class Lqr(PortBasedObject[Plant], module_class="controller"):
 
     def _take_plant(self) -> None:
         k, n, m = self.params, len(self.z), len(self.u)
-        both = np.zeros((n + m, n + m))
-        both[:n, :n] = spread(k.a, n * n, "a").reshape(n, n)
-        both[:n, n:] = spread(k.b, n * m, "b").reshape(n, m)
-        step = propagator(both, 1.0 / self.task.freq)
-        a, b = step[:n, :n], step[:n, n:]
-        q, r = np.diag(spread(k.q, n, "q")), np.diag(spread(k.r, m, "r"))
-        try:
-            cost: Matrix = self._linalg.solve_discrete_are(a, b, q, r)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise ParameterError(
-                "no gain stabilizes this plant",
-                expected="A and B that can be stabilized, and a weight on each state "
-                "that does not settle by itself",
-                got=str(error),
-                remedy="check A, B and Q",
-            ) from None
-        gain = np.linalg.solve(r + b.T @ cost @ b, b.T @ cost @ a)
-        self._gain: Matrix = np.asarray(gain, dtype=np.float64)
+        plant = LinearPlant(
+            a=k.a, b=k.b, q=k.q, r=k.r, n=n, m=m, dt=1.0 / self.task.freq
+        )
+        self._gain: Matrix = plant.gain
         self._lower = spread(k.lower, m, "lower")
         self._upper = spread(k.upper, m, "upper")

@@ -1,5 +1,6 @@
 """Inverse kinematics within the limits of the joints, by placo."""
 
+from math import isfinite
 from typing import Annotated as A
 
 import numpy as np
@@ -15,7 +16,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import RobotModel
-from pbonet.modules._dh import difference, fault_of, rotation, shorten
+from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
 from pbonet.modules._placo_motion import PlacoMotion
 from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
@@ -60,6 +61,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def on(self) -> None:
         self._told.clear()
+        self._aimed = 0.0
         self._motion.q[:] = self.q_ref
 
     def cycle(self, dt: float) -> None:
@@ -67,18 +69,18 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             self._hold("goal", why)
             return
         motion = self._motion
-        self._model.jacobian(motion.q, self._frame, self._x, self._jacobian)
-        wish = self.params.gain * difference(self.x_des, self._x) + self.v_des
-        shorten(wish[:3], self.params.linear)
-        shorten(wish[3:], self.params.angular)
-        step = self._step(wish, dt)
+        motion.show()
+        x = motion.robot.get_T_world_frame(self._frame)
+        if self._aimed:
+            self._watch(x)
+        step = self._step(x, dt)
         if step is None:
             why = motion.stopped(self.qd_ref)
             self._hold("limits", f"no joint motion keeps the limits: {why}")
             return
+        self._aimed = dt
         self.q_ref[:] = motion.q
         np.divide(step, dt, out=self.qd_ref)
-        self._watch(wish)
 
     def off(self) -> None:
         if not self.task.handover:
@@ -88,34 +90,38 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         """Return why the goal is none."""
         if why := fault_of(self.x_des):
             return f"X_DES of frame {self.params.frame} is not a pose: {why}"
-        if not np.isfinite(self.v_des).all():
+        if not all(map(isfinite, self.v_des.tolist())):
             return f"X^_DES of frame {self.params.frame} is not finite"
         return ""
 
-    def _step(self, wish: Vector, dt: float) -> Vector | None:
-        """Return the joints' step for a velocity of the hand; None if there is none."""
-        goal = self._goal
-        self._motion.show()
-        goal[:3, :3] = rotation(wish[3:] * dt) @ self._x[:, :3]
-        goal[:3, 3] = self._x[:, 3] + wish[:3] * dt
-        self._task.T_world_frame = goal
+    def _step(self, x: Matrix, dt: float) -> Vector | None:
+        """Return the joints' step from a pose of the hand; None if there is none."""
+        k = self.params
+        u, v, w, a, b, c = map(k.gain.__mul__, displacement(self.x_des, x))
+        du, dv, dw, da, db, dc = self.v_des.tolist()
+        way = shortened(u + du, v + dv, w + dw, k.linear)
+        turn = shortened(a + da, b + db, c + dc, k.angular)
+        turned = rotation_by(dt * turn[0], dt * turn[1], dt * turn[2])
+        np.matmul(turned, x[:3], out=self._goal_pose)
+        self._goal_place[:] = x[:3, 3]
+        self._goal_place += (dt * way[0], dt * way[1], dt * way[2])
+        self._task.T_world_frame = self._goal
         return self._motion.step(dt)
 
     def _hold(self, kind: str, text: str) -> None:
         """Leave Q_REF unchanged, and report the reason once."""
+        self._aimed = 0.0
         self.qd_ref[:] = 0.0
         self._told.warn(kind, f"{text}; Q_REF does not change")
 
-    def _watch(self, wish: Vector) -> None:
-        """Report once that the hand does not move as it should."""
-        missing = wish - self._jacobian @ self.qd_ref
-        far = max(
-            float(np.abs(missing[:3]).max()),
-            float(np.abs(missing[3:]).max()) * self.params.length,
-        )
-        if far < 0.5 * self.params.short:
+    def _watch(self, x: Matrix) -> None:
+        """Report once that the hand is not where the last step should have taken it."""
+        u, v, w, a, b, c = displacement(self._goal, x)
+        turn = max(abs(a), abs(b), abs(c)) * self.params.length
+        missing = max(abs(u), abs(v), abs(w), turn)
+        if missing < 0.5 * self.params.short * self._aimed:
             self._told.clear()
-        elif far >= self.params.short:
+        elif missing >= self.params.short * self._aimed and not self._told.of("reach"):
             why = self._motion.stopped(self.qd_ref)
             self._told.warn(
                 "reach", f"frame {self.params.frame} cannot follow X_DES: {why}"
@@ -125,9 +131,10 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         k = self.params
         self._model = RobotModel(k.urdf, self.task.libraries)
         self._model.must_have(self.ndof)
-        self._frame = self._model.frame(k.frame)
-        self._x, self._jacobian = np.empty((3, 4)), np.empty((6, self.ndof))
+        self._model.frame(k.frame)  # which must be there
+        self._frame = k.frame
         self._goal = np.eye(4)
+        self._goal_pose, self._goal_place = self._goal[:3], self._goal[:3, 3]
         self._told = ToldOnce(self.task)
         self._motion = PlacoMotion(self._model, k.damping, floats=False)
         self._task = self._motion.solver.add_frame_task(k.frame, self._goal)

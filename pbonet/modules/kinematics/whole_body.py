@@ -156,7 +156,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         far = max(away, float(feet[foot]))
         if far < 0.5 * k.short:
             self._told.clear()
-        elif far >= k.short:
+        elif far >= k.short and not self._told.of("reach"):
             which = f"{k.body} cannot follow X_BODY_DES"
             if feet[foot] > away:
                 which = f"{k.feet[foot]} cannot follow X_FEET_DES"

@@ -1,5 +1,6 @@
 """Online trajectory generation in joint space: any goal, at any time, by ruckig."""
 
+from math import isfinite
 from typing import Annotated as A
 
 import numpy as np
@@ -54,15 +55,16 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
 
     def on(self) -> None:
         self._motion.start(self.q, self.q_dot, self.q_acc)
-        self._goal = np.full(self.ndof, np.nan)
+        self._goal: list[float] = []
         self._rests = self._warned = False
 
     def cycle(self, dt: float) -> None:
-        if (self.q_des == self._goal).all():
+        goal: list[float] = self.q_des.tolist()
+        if goal == self._goal:
             self._step(dt, "goal")
-        elif np.isfinite(self.q_des).all():
-            self._goal[:] = self.q_des
-            self._motion.aim(self._goal)
+        elif all(map(isfinite, goal)):
+            self._goal = goal
+            self._motion.aim(goal)
             self._rests = self._warned = False
             self._step(dt, "goal")
         else:
@@ -71,7 +73,7 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
 
     def stable(self, dt: float) -> None:
         """Brake, and forget the goal."""
-        self._goal[:] = np.nan
+        self._goal = []
         self._motion.brake()
         self._step(dt, "brake")
 

@@ -76,7 +76,7 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
             self._goal[:] = self.x_des
             self._begin()
             turn = self._turning.to(self._goal[:, :3])
-            self._motion.aim(np.concatenate((self._goal[:, 3], turn)))
+            self._motion.aim(np.concatenate((self._goal[:, 3], turn)).tolist())
             self._rests = self._warned = False
             self._step(dt, "goal")
         else:

@@ -20,7 +20,7 @@ from pbonet.io import read_samples
 class Playing(Params):
     """The file, and how it is played."""
 
-    file: A[str, param("none", "path of a .csv or .npz file, on the task's machine")]
+    file: A[str, param("none", ".csv or .npz file, in a folder of modules")]
     lead: A[float, param("s", "time to go from where Y stands to the start", gt=0)] = (
         1.0
     )
@@ -39,8 +39,7 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
     goes in LEAD seconds to the first one again.
 
     A .csv file has a column of seconds and NDOF of values, perhaps NDOF more of
-    derivatives; a .npz file has the arrays `time`, `values` and perhaps `rates`. A
-    relative path begins at the folder in which the agent or the simulation started.
+    derivatives; a .npz file has the arrays `time`, `values` and perhaps `rates`.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Y")]
@@ -48,7 +47,7 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
     y_dot: A[Vector, OutVar("Y^", "ndof", "any", "its time derivative")]
 
     def init(self) -> None:
-        found = read_samples(self.params.file, self.ndof)
+        found = read_samples(self.params.file, self.ndof, self.task.libraries)
         self._times = found.time - found.time[0]
         self._values, self._rates = found.values, found.rates
 

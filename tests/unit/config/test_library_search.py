@@ -67,11 +67,34 @@ def test_a_module_is_found_by_each_of_what_it_has(everything):
     assert names(everything, "qmdiff") == ["diff"], "by the name of an RMOD"
 
 
+def test_a_generic_port_takes_every_variable_and_comes_last(everything):
+    found = search(*everything, Search(in_="T_REF", unit="N*m"))
+    named = [one.name for one in found if not one.generic]
+    generic = [one.name for one in found if one.generic]
+    assert "mujoco_arm" in named
+    assert {"biquad", "median", "gain"} <= set(generic)
+    assert [one.name for one in found] == [*named, *generic]
+    assert "constant" in names(everything, out="NO_SUCH")
+    assert "constant" not in names(everything, in_="NO_SUCH"), "it reads nothing"
+    assert "gain" not in names(everything, in_="Q_R*"), "a pattern is no variable"
+    assert "gain" in names(everything, in_="Q_MEZ", out="Y", class_="signal")
+    with pytest.raises(ModuleLoadError):
+        names(everything, in_="NO_SUCH", out="Q_REF", unit="Hz", class_="kin")
+
+
+def test_a_multiplexer_is_found_by_its_usual_name(everything):
+    assert names(everything, "mux") == ["select_by"]
+
+
+def test_an_rmod_is_found_by_its_file_s_name(everything):
+    assert names(everything, "jttrace.rmod") == ["jtball"]
+
+
 def test_units_are_those_of_the_port_that_is_asked_for(everything):
     assert "forward_kin" in names(everything, in_="Q_MEZ", unit="rad")
     assert "forward_kin" in names(everything, unit="mixed")
     with pytest.raises(ModuleLoadError):
-        names(everything, in_="Q_MEZ", unit="mixed")
+        names(everything, in_="Q_ME*", unit="mixed")
 
 
 def test_the_name_of_a_module_means_it_alone(everything):
@@ -88,13 +111,64 @@ def test_modules_are_listed_by_class(everything):
 
 def test_nothing_and_no_class_are_refused(everything):
     with pytest.raises(ModuleLoadError, match=r"got output NO_SUCH.* ask for less"):
-        names(everything, out="NO_SUCH")
+        names(everything, out="NO_SUCH*")
     with pytest.raises(ModuleLoadError, match=r"did you mean joint_pid\?"):
         names(everything, "joint_pdi")
     with pytest.raises(ConfigError, match="several classes of modules begin with s"):
         names(everything, class_="s")
     with pytest.raises(ConfigError, match="there is no class of modules cotroller"):
         names(everything, class_="cotroller")
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("controllers", "controller"),
+        ("Trajectories", "trajectory"),
+        ("trajectorie", "trajectory"),
+        ("robot_interfaces", "robot interface"),
+        ("subsystem-interface", "subsystem interface"),
+        ("SENSORS", "sensor"),
+    ],
+)
+def test_a_class_may_be_written_as_its_page_or_folder(everything, text, kind):
+    found = search(*everything, Search(class_=text))
+    assert {one.info.module_class for one in found} == {kind}
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("digital controllers", "controller"),
+        ("trajectory generator", "trajectory"),
+        ("contoler", "controller"),
+        ("sensing", "sensor"),
+    ],
+)
+def test_another_word_for_a_class_is_refused_with_the_right_one(everything, text, near):
+    with pytest.raises(ConfigError, match=f"did you mean {near}\\?"):
+        names(everything, class_=text)
+
+
+def test_an_rmod_of_the_library_is_shown_by_its_name(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["library", "jttrace.rmod", "--json"])
+    assert ended.value.code == 0
+    (found,) = json.loads(capsys.readouterr().out)["modules"]
+    assert (found["name"], found["rmods"]) == ("jtball", ["jttrace"])
+    with pytest.raises(SystemExit) as ended:
+        main(["library", "jtrace.rmod"])
+    assert ended.value.code == 1
+    assert "did you mean jttrace?" in capsys.readouterr().err
+
+
+def test_generic_modules_are_told_from_the_others(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        main(["library", "--in", "T_REF"])
+    out = capsys.readouterr().out
+    assert re.search(r"ports of the unit any take every variable.*: .*\bgain\b", out)
 
 
 def test_a_program_in_a_folder_is_not_run(tmp_path):
@@ -134,6 +208,7 @@ def run(*words, folder, path=""):
 
 LARGE = [
     "control",
+    "daqp",
     "matplotlib",
     "mujoco",
     "osqp",
@@ -174,8 +249,10 @@ def test_modules_of_an_installed_package_are_found(tmp_path):
     run(*install, str(project), folder=tmp_path)
     words = ["-m", "pbonet.cli", "library", "--out", "P_BOILER", "--unit", "Pa"]
     out = run(*words, "--json", folder=tmp_path, path=str(site))
-    (found,) = json.loads(out)["modules"]
+    found, *others = json.loads(out)["modules"]
     assert (found["name"], found["rmods"]) == ("halve", ["boiler"])
+    assert not found["generic"]
+    assert all(one["generic"] for one in others)
     assert found["module_class"] == "controller"
     assert Path(found["file"]).is_relative_to(site)
 

@@ -425,5 +425,5 @@ def test_lqr_goes_on_from_what_was_commanded_and_keeps_its_limits() -> None:
 def test_lqr_refuses_a_plant_that_nothing_stabilizes() -> None:
     with pytest.raises(MethodError, match="no gain stabilizes this plant"):
         lqr(2, 1, params={"a": (1.0, 0.0, 0.0, 2.0), "b": (1.0, 0.0)})
-    with pytest.raises(MethodError, match="4 values, or one for all"):
+    with pytest.raises(MethodError, match="4: 2 rows of 2, got 2 values"):
         lqr(2, 1, params={"a": (1.0, 0.0)})

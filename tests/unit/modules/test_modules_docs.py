@@ -76,6 +76,18 @@ def test_every_module_is_stepped_on_a_bench(name: str) -> None:
     assert any(named.search(text) and "Bench" in text for text in TESTS)
 
 
+def test_every_module_is_measured(pages) -> None:
+    """The figures on its page are of a named machine; none is of a module that went."""
+    found = pages.measured()
+    missing = [name for name in NAMES if name not in found]
+    assert missing == [], "run python -m benchmarks.library --grow 20000 --save NAME"
+    assert sorted(found) == NAMES
+    assert all("cores of" in one["machine"] for one in found.values())
+    for path, text in pages.pages().items():
+        sections = text.split("\n## ")[1:] if path.parent.name == "library" else []
+        assert all("MAXC: " in section for section in sections), path
+
+
 def test_laws_are_shown_as_they_are_written(pages) -> None:
     (text,) = [text for path, text in pages.pages().items() if path.stem == "signals"]
     assert "y = gain \\* z + bias." in text

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from urdf_chains import write_chain
 
 import pbonet.modules
 from pbonet import Subsystem
 from pbonet.config import Library
+from pbonet.master.configuration import Place
+from pbonet.master.console import run
 from pbonet.pbo import describe
+from pbonet.testing import rerun, verify
 
 if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
@@ -21,13 +26,14 @@ POSE = "1 0 0 0.1  0 1 0 0.2  0 0 1 0.3"
 INIT = {"X_DES": POSE, "X_REF": POSE, "X_MEZ": POSE, "ACC": "0 0 9.80665"}
 """First values of variables, by the port's name; 0 otherwise."""
 SIZES = {"ndof": 3, "nraw": 4, "nz": 4, "naxes": 3, "nx": 2, "nu": 1, "nfeet": 4}
+SIZES |= {"n": 2, "m": 1}
 KALMAN = {"nz": 1}
 CSV = "0 1 2 3\n1 2 3 4\n2 0 0 0\n"
 RMODS = [
     "otg", "otg_cart", "gait", "spline", "traj_play", "biquad", "median", "limits",
     "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
     "wrench_comp", "ekf_odom", "diff_drive", "mecanum", "ackermann", "deadman",
-    "joystick",
+    "joystick", "spacemouse", "mpc_linear", "lqr", "dmp",
 ]  # fmt: skip
 
 
@@ -126,6 +132,34 @@ def test_a_module_runs_with_its_rmod(tmp_path, monkeypatch, name: str) -> None:
         outputs = list(system.simulation.recording.arrays(name).values())
         assert len(outputs[0]) > 5
         assert all(np.isfinite(rows).all() for rows in outputs)
+
+
+def test_a_replay_names_the_files_of_robots_and_trajectories_that_changed(tmp_path):
+    """What a module read in `init`, whether it is run again alone or all together."""
+    chain = write_chain(tmp_path, SIZES["ndof"])
+    motion = tmp_path / "trajectory.csv"
+    motion.write_text(CSV)
+    with job(tmp_path, ["gravity", "traj_play"]):
+        pass  # its files are there
+    place = Place(libraries=(str(tmp_path),))
+    path = tmp_path / "t.job"
+    runs = tmp_path / "runs"
+    log = run(path, place, seconds=0.3, sim=True, runs=runs, quiet=True).log
+    assert all(one.good and not one.changed for one in verify(log))
+    chain.path.write_text(chain.path.read_text() + "<!-- the same robot -->\n")
+    motion.write_text(CSV.replace("1 2 3 4", "1 5 3 4"))
+    verdicts = {one.task: one for one in verify(log)}
+    assert verdicts["gravity"].good, "the robot is as it was, and the file is named"
+    told = str(verdicts["gravity"])
+    assert re.search(rf"{chain.path} has changed: \w{{12}} to \w{{12}}$", told)
+    assert verdicts["traj_play"].differs
+    assert f"{motion} has changed: " in str(verdicts["traj_play"])
+    assert verdicts["source"].changed == []
+    together = {one.task: one for one in rerun(log).tasks}
+    assert f"{chain.path} has changed: " in str(together["gravity"])
+    motion.unlink()
+    verdicts = {one.task: one for one in verify(log)}
+    assert f"{motion} is gone" in str(verdicts["traj_play"])
 
 
 SPLINE = """MODULE spline

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 
 import numpy as np
@@ -10,13 +11,13 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_splin
 from scipy.spatial.transform import Rotation
 
 from pbonet import Signal, State
-from pbonet.errors import DeviceError, MethodError
+from pbonet.errors import MethodError
 from pbonet.io.sample_file import read_samples
 from pbonet.modules.trajectories.otg import Otg
 from pbonet.modules.trajectories.otg_cart import OtgCart
 from pbonet.modules.trajectories.spline import Spline
 from pbonet.modules.trajectories.traj_play import TrajPlay
-from pbonet.outside import Player, Tape, use
+from pbonet.outside import Player, Tape, files_read, use
 from pbonet.testing import Bench
 
 SIZES = [1, 2, 7, 30]
@@ -489,7 +490,7 @@ def test_traj_play_repeats_without_a_jump(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.csv", None, "cannot be read .*No such file"),
+        ("a.csv", None, 'there is no file ".*a.csv"'),
         ("a.csv", "", "no rows of numbers"),
         ("a.csv", "time y\nover there\n", "line 2: over there"),
         ("a.csv", "0 1\n1\n", "line 2: 1 values, not 2"),
@@ -508,25 +509,20 @@ def test_traj_play_names_the_fault_of_a_file(tmp_path, name, text, message) -> N
     assert name in str(caught.value)
 
 
-def playing(entries: bytes) -> Player:
-    player = Player()
-    player.feed(entries)
-    return player
-
-
-def test_traj_play_is_replayed_with_the_file_of_the_run_only(tmp_path) -> None:
+def test_traj_play_has_the_hash_of_its_file_recorded(tmp_path) -> None:
     file = tmp_path / "a.csv"
     file.write_text("0 1\n1 2\n")
     tape = Tape()
     former = use(tape)
     try:
-        read_samples(str(file), 1)
-        kept = tape.take()
-        use(playing(kept))
-        assert read_samples(str(file), 1).values.tolist() == [[1.0], [2.0]]
+        read_samples("a.csv", 1, [tmp_path])
+        player = Player()
+        player.feed(tape.take())
+        digest = hashlib.sha256(b"0 1\n1 2\n").hexdigest()
+        assert files_read(player) == [("a.csv", str(file), digest)]
+        use(player)
         file.write_text("0 1\n1 3\n")
-        use(playing(kept))
-        with pytest.raises(DeviceError, match="has changed since the recorded run"):
-            read_samples(str(file), 1)
+        again = read_samples("a.csv", 1, [tmp_path])
+        assert again.values.tolist() == [[1.0], [3.0]], "the present one is used"
     finally:
         use(former)
