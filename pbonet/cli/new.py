@@ -86,6 +86,7 @@ def svar(
     sizes: Sizes = None,
     library: options.Library = None,
     folder: Folder = Path(),
+    add: A[bool, Option("Add what an existing table lacks; the rest stays.")] = False,
     force: Force = False,
     json_: options.Json = False,
 ) -> None:
@@ -94,6 +95,8 @@ def svar(
     Examples:
         Write the table of two tasks:
         pbonet new svar arm sine joint_pid --size n=6
+        Add the variables of a third task to it:
+        pbonet new svar arm jttrace --add
         Write it into another folder:
         pbonet new svar arm sine joint_pid --size n=6 --folder cell
     """
@@ -105,6 +108,7 @@ def svar(
         sizes=sizes or (),
         libraries=library or (),
         folder=folder,
+        add=add,
         force=force,
     )
     options.show_files(paths, warnings, as_data=json_)

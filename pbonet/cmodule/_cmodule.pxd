@@ -9,7 +9,7 @@ cdef extern from "pbonet/cmodule/pbonet.h" nogil:
         PBO_ABI, PBO_OK, PBO_OFF, PBO_CONTINUE, PBO_SKIP, PBO_ERROR
         PBO_DEADLINE, PBO_MAXEXEC, PBO_MINEXEC, PBO_ONE, PBO_ARRAY, PBO_LIST
         PBO_F64, PBO_F32, PBO_I64, PBO_I32, PBO_I16, PBO_I8, PBO_U64, PBO_U32, PBO_U16
-        PBO_U8, PBO_BOOL
+        PBO_U8, PBO_BOOL, PBO_STR
     ctypedef struct pbo_task:
         double dt
         int64_t now_ns
@@ -27,8 +27,9 @@ cdef extern from "pbonet/cmodule/pbonet.h" nogil:
         const char *doc
         const char *stale
         const double *safe
+        const double *value
         double max_age
-        uint32_t offset, line, n_safe
+        uint32_t offset, line, n_safe, n_value
         uint8_t kind, type, feedback, is_new
     ctypedef struct pbo_param:
         const char *field
@@ -41,16 +42,23 @@ cdef extern from "pbonet/cmodule/pbonet.h" nogil:
         const double *lt
         const double *rate
         const double *total
-        uint32_t offset, line, n_initial, room, count_offset
+        const char *text
+        const char **choices
+        uint32_t offset, line, n_initial, room, count_offset, n_choices
         uint8_t type, form
+    ctypedef struct pbo_user_signal:
+        const char *name
+        const char *doc
+        uint32_t number, line
     ctypedef struct pbo_module:
-        uint32_t abi, size, port_size, param_size, task_size
-        uint32_t state_size, state_align, n_ports, n_params
+        uint32_t abi, size, port_size, param_size, signal_size, task_size
+        uint32_t state_size, state_align, n_ports, n_params, n_signals
         const char *file
         const char *doc
         const char *module_class
         const pbo_port *ports
         const pbo_param *params
+        const pbo_user_signal *signals
         pbo_method *init
         pbo_method *on
         pbo_method *cycle
@@ -65,13 +73,16 @@ cdef extern from "pbonet/cmodule/pbonet.h" nogil:
         int (*timing_failure)(void *state, pbo_task *task, int kind)
 
 
+cdef extern from "pbonet/cmodule/running.h" nogil:
+    struct pbo_running:
+        pass
+
+
 cdef extern from "pbonet/cmodule/instance.h" nogil:
     struct pbo_notice:
         int32_t code
         uint32_t signals
         const char *text
-    ctypedef struct pbo_running:
-        pass
     ctypedef struct pbo_instance:
         pbo_task task
         void *state
@@ -93,6 +104,7 @@ cdef class NativeState:
     cdef bytes errmsg
     cdef pbo_method *function(self, str method) except NULL
     cdef int write(self, int i, value) except -1
+    cdef int write_text(self, const pbo_param *p, str value) except -1
     cdef int change(self, int i, value) except -1
     cdef int prepare(self) except -1
     cdef int pass_on(self, str method) except -1
@@ -108,5 +120,5 @@ cdef class NativeMethod:
     cdef int begin(self, int64_t cycles) except -1
 
 
-# Where a pointer to `must_end` of the task stands whose method in C runs in this process.
-cdef void *c_running() noexcept nogil
+# The method in C that runs in this process.
+cdef pbo_running *c_running() noexcept nogil

@@ -37,6 +37,9 @@ class SharedObject:
     def params(self) -> list[dict[str, Any]]:
         """The rows of the parameter table."""
     @property
+    def signals(self) -> list[dict[str, Any]]:
+        """The rows of the table of signals."""
+    @property
     def methods(self) -> tuple[str, ...]:
         """The methods that the module has."""
 

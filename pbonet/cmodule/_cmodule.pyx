@@ -1,12 +1,12 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = pbonet.h instance.h
+# distutils: depends = pbonet.h instance.h running.h
 """Loads shared objects of modules in C and calls their methods; see `_cmodule.pyi`."""
 
 cimport cython
 from libc.stdint cimport int32_t, int64_t, uint32_t, uintptr_t
 from libc.stdlib cimport free
-from libc.string cimport memset
+from libc.string cimport memcpy, memset
 
 from pbonet.errors import ModuleLoadError, ParameterError
 from pbonet.pbo import Answer, Recovery
@@ -29,7 +29,7 @@ cdef extern from "pbonet/cmodule/instance.h" nogil:
 
 _CODES = {"float64": PBO_F64, "float32": PBO_F32, "int64": PBO_I64, "int32": PBO_I32,
           "int16": PBO_I16, "int8": PBO_I8, "uint64": PBO_U64, "uint32": PBO_U32,
-          "uint16": PBO_U16, "uint8": PBO_U8, "bool": PBO_BOOL}
+          "uint16": PBO_U16, "uint8": PBO_U8, "bool": PBO_BOOL, "text": PBO_STR}
 _TYPES = {code: name for name, code in _CODES.items()}
 _FORMS = {PBO_ONE: "one", PBO_ARRAY: "array", PBO_LIST: "list"}
 _METHODS = ("init", "on", "cycle", "stable", "off", "kill", "error", "clear", "reinit",
@@ -49,7 +49,7 @@ _WORDS = {PBO_OK: "PBO_OK", PBO_OFF: "PBO_OFF", PBO_CONTINUE: "PBO_CONTINUE",
 cdef pbo_running running
 
 
-cdef void *c_running() noexcept nogil:
+cdef pbo_running *c_running() noexcept nogil:
     return &running
 
 
@@ -88,6 +88,7 @@ cdef class SharedObject:
         self.check("size", self.module.size, sizeof(pbo_module))
         self.check("port_size", self.module.port_size, sizeof(pbo_port))
         self.check("param_size", self.module.param_size, sizeof(pbo_param))
+        self.check("signal_size", self.module.signal_size, sizeof(pbo_user_signal))
         self.check("task_size", self.module.task_size, sizeof(pbo_task))
 
     cdef int check(self, str field, size_t got, size_t wanted) except -1:
@@ -121,7 +122,8 @@ cdef class SharedObject:
                 "type": _TYPES.get(p.type, ""), "offset": p.offset, "line": p.line,
                 "max_age": p.max_age or None, "stale": _text(p.stale),
                 "feedback": bool(p.feedback), "new": bool(p.is_new),
-                "safe": _numbers(p.safe, p.n_safe) or None})
+                "safe": _numbers(p.safe, p.n_safe) or None,
+                "value": _numbers(p.value, p.n_value) or None})
         return found
 
     @property
@@ -135,9 +137,21 @@ cdef class SharedObject:
                 "type": _TYPES.get(p.type, ""), "form": _FORMS.get(p.form, ""),
                 "room": p.room, "offset": p.offset, "line": p.line,
                 "count_offset": p.count_offset,
-                "initial": _numbers(p.initial, p.n_initial),
+                "initial": (_numbers(p.initial, p.n_initial) if p.text is NULL
+                            else (_text(p.text),)),
+                "choices": tuple([_text(p.choices[k]) for k in range(p.n_choices)]),
                 "ge": _number(p.ge), "gt": _number(p.gt), "le": _number(p.le),
                 "lt": _number(p.lt), "rate": _number(p.rate), "total": _number(p.total)})
+        return found
+
+    @property
+    def signals(self) -> list:
+        cdef const pbo_user_signal *s
+        found = []
+        for i in range(self.module.n_signals):
+            s = &self.module.signals[i]
+            found.append({"field": _text(s.name), "number": s.number,
+                          "doc": _text(s.doc), "line": s.line})
         return found
 
     @property
@@ -177,6 +191,8 @@ cdef class NativeState:
         cdef const pbo_param *p = &self.module.params[i]
         cdef char *at = <char *>self.memory + p.offset
         cdef uint32_t k
+        if p.type == PBO_STR:
+            return self.write_text(p, value)
         values = value if p.form != PBO_ONE else (value,)
         if len(values) > p.room:
             raise ParameterError(
@@ -198,6 +214,19 @@ cdef class NativeState:
                         remedy="give a smaller one") from None
         if p.form == PBO_LIST:
             (<int32_t *>(<char *>self.memory + p.count_offset))[0] = len(values)
+        return 0
+
+    cdef int write_text(self, const pbo_param *p, str value) except -1:
+        """Write a text into the state, with zeros to the end of its room."""
+        cdef bytes data = value.encode()
+        cdef char *at = <char *>self.memory + p.offset
+        if len(data) >= p.room or 0 in data:
+            raise ParameterError(
+                f"parameter {_text(p.field)} has no room for the text",
+                expected=f"at most {p.room - 1} bytes in UTF-8, none of them 0",
+                got=f"{len(data)} bytes", remedy="give a shorter one")
+        memset(at, 0, p.room)
+        memcpy(at, <const char *>data, len(data))
         return 0
 
     cdef int prepare(self) except -1:
@@ -280,7 +309,7 @@ cdef class NativeState:
     cdef int change(self, int i, value) except -1:
         """Write a parameter and tell the module, which may refuse it."""
         cdef const pbo_param *p = &self.module.params[i]
-        cdef size_t size = p.room * (1 if p.type == PBO_BOOL else 8)
+        cdef size_t size = p.room * (1 if p.type in (PBO_BOOL, PBO_STR) else 8)
         cdef char *at = <char *>self.memory + p.offset
         cdef bytes before = at[:size]
         cdef int32_t *count = NULL

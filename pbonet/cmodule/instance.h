@@ -11,26 +11,21 @@
 #include <string.h>
 
 #include "pbonet.h"
+#include "running.h"
 
-enum { PBO_TEXT = 200, PBO_NOTICES = 8 };
+enum { PBO_MESSAGE = 200, PBO_NOTICES = 8 };
 
 struct pbo_notice {
     int32_t code;
     uint32_t signals;   /* 0: a warning */
-    char text[PBO_TEXT];
+    char text[PBO_MESSAGE];
 };
-
-/* `must_end` of the task whose method runs, for the handler of timing failures; there is
- * one in the process. */
-typedef struct {
-    volatile uint32_t *volatile must_end;
-} pbo_running;
 
 typedef struct {
     pbo_task task;      /* first, so that a task is its instance */
     const pbo_module *module;
     void *state;
-    pbo_running *running;
+    struct pbo_running *running;
     int32_t answer;     /* of the last method */
     int32_t failed;     /* `fail` was called */
     int32_t code;
@@ -38,7 +33,7 @@ typedef struct {
     int32_t n_notices;
     uint32_t dropped;   /* notices without room */
     const char *file;
-    char text[PBO_TEXT];
+    char text[PBO_MESSAGE];
     struct pbo_notice notices[PBO_NOTICES];
 } pbo_instance;
 
@@ -102,7 +97,7 @@ static inline void *pbo_do_data(pbo_task *task, const char *name)
 }
 
 static inline void pbo_begin(pbo_instance *one, const pbo_module *module, void *state,
-                             pbo_running *running)
+                             struct pbo_running *running)
 {
     memset(one, 0, sizeof *one);
     one->module = module;
@@ -115,11 +110,20 @@ static inline void pbo_begin(pbo_instance *one, const pbo_module *module, void *
     one->task.svar.vartable = &one->task;
 }
 
+/* Show the method all failures of this cycle: those of before, and those that follow. */
+static inline void pbo_show_failures(pbo_instance *one)
+{
+    struct pbo_running *running = one->running;
+    running->must_end = &one->task.must_end;
+    do {        /* again if the handler came between: it must not be overwritten */
+        one->task.must_end = running->failed;
+    } while (one->task.must_end != running->failed);
+}
+
 /* Call `cycle` or `stable`; returns whether something must be passed on. */
 static inline int pbo_run(pbo_method *method, pbo_instance *one)
 {
-    one->task.must_end = 0;
-    one->running->must_end = &one->task.must_end;
+    pbo_show_failures(one);
     one->answer = method(one->state, &one->task);
     one->running->must_end = NULL;
     return (one->answer != PBO_OK) | one->failed | one->n_notices;

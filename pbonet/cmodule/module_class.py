@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated as A, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Annotated as A, Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from pbonet.pbo import (
     PortBasedObject,
     Recovery,
     TimingFailure,
+    UserSignal,
     memory,
     param,
 )
@@ -35,6 +36,7 @@ _VALUES: dict[str, tuple[Any, int]] = {
     "float64": (float, 8),
     "int64": (int, 8),
     "bool": (bool, 1),
+    "text": (str, 1),
 }
 """The Python type of a parameter's value, and its size in the state."""
 _STATE = "_c_state"
@@ -161,6 +163,7 @@ class _Tables:
         self._path, self._shared = path, shared
         self._about = shared.about
         self._ports, self._params = shared.ports, shared.params
+        self._signals = shared.signals
 
     def made(self) -> type[PortBasedObject[Any]]:
         """Return the class."""
@@ -168,6 +171,7 @@ class _Tables:
         for row in (*self._ports, *self._params):
             self._check_row(row)
         self._check_room()
+        self._check_signals()
         name = "".join(word.capitalize() for word in self._path.stem.split("_"))
         space: dict[str, Any] = {
             "__module__": self._path.stem,
@@ -175,8 +179,9 @@ class _Tables:
             "__doc__": self._about["doc"],
             "__shared__": self._shared,
             "__params__": self._params_class(),
-            "__places__": self._places(self._ports),
+            "__places__": self._places([*self._ports, *self._signals]),
             "__annotations__": {row["field"]: self._port(row) for row in self._ports},
+            **{row["field"]: self._signal(row) for row in self._signals},
             **{one: _METHODS[one] for one in self._shared.methods},
         }
         kind: Any = type
@@ -255,6 +260,25 @@ class _Tables:
                 )
             end, before = last, row["field"]
 
+    def _check_signals(self) -> None:
+        """Refuse what a dict of the class would hide: two rows of one name."""
+        taken = {row["field"] for row in self._ports} | set(_METHODS)
+        for row in self._signals:
+            if row["field"] in taken:
+                raise self._refused(
+                    row,
+                    f"the name {row['field']} is taken by a field, a method or another "
+                    "signal",
+                    remedy="rename the signal",
+                )
+            taken.add(row["field"])
+
+    def _signal(self, row: Row) -> UserSignal:
+        try:
+            return UserSignal(row["number"], row["doc"])
+        except ValueError as error:
+            raise self._refused(row, str(error)) from None
+
     def _port(self, row: Row) -> Any:  # noqa: ANN401 - an annotation
         """Return the annotation that declares a port."""
         kind: Any = np.dtype(row["type"]).type
@@ -263,7 +287,7 @@ class _Tables:
         elif row["type"] == "bool":
             kind = bool
         options: dict[str, Any] = {}
-        for name in ("max_age", "stale", "feedback", "new", "safe"):
+        for name in ("max_age", "stale", "feedback", "new", "safe", "value"):
             if row[name]:
                 options[name] = row[name]
         words = (row["name"], row["shape"], row["unit"], row["doc"])
@@ -284,7 +308,9 @@ class _Tables:
 
     def _param(self, row: Row) -> Any:  # noqa: ANN401 - an annotation
         """Return the annotation that declares a parameter."""
-        plain = self._value(row)
+        plain: Any = self._value(row)
+        if row["choices"]:
+            plain = self._choice(row)
         many: Any = tuple
         kind: Any = {
             "one": plain,
@@ -300,10 +326,22 @@ class _Tables:
             raise self._refused(
                 row,
                 "the type cannot be a parameter's",
-                expected="double, int64_t or bool",
+                expected="double, int64_t, bool, or an array of char",
                 got=row["type"],
             )
         return _VALUES[row["type"]][0]
+
+    def _choice(self, row: Row) -> Any:  # noqa: ANN401 - a type
+        """Return the type of a text that is one of several."""
+        if row["type"] != "text":
+            raise self._refused(
+                row,
+                "only a text has choices",
+                expected="PBO_PARAM_TEXT",
+                got=row["type"],
+                remedy="bound a number by PBO_GE and PBO_LE",
+            )
+        return Literal[row["choices"]]
 
     def _default(self, row: Row) -> Any:  # noqa: ANN401 - of the parameter's type
         kind = self._value(row)

@@ -13,7 +13,7 @@
 #include <stdint.h>
 
 /* Number of this interface. A module is loaded by a pbonet of the same number only. */
-#define PBO_ABI 1
+#define PBO_ABI 2
 
 /* What methods return. */
 enum {
@@ -43,8 +43,8 @@ struct pbo_task {
     int32_t handover;       /* `off`: a successor takes over the outputs at once */
     int32_t errnum;         /* the last error's number, 0 for none */
     const char *errmsg;     /* its text; for `error` and `clear` */
-    /* Timing failures of this cycle, as bits; set while `cycle` runs. Only for modules
-     * with `timing_failure`, and not in a combination of modules. */
+    /* Timing failures of this cycle, as bits; set while `cycle` runs. For tasks with
+     * `timing_failure`; in a combination of modules, of any part. */
     volatile uint32_t must_end;
     struct pbo_svar { pbo_task *vartable; } svar;   /* for pbonet_chimera.h */
     /* Use the macros below. */
@@ -64,6 +64,8 @@ struct pbo_task {
 #define pbo_warn(task, code, ...) ((task)->warn((task), (code), __VA_ARGS__))
 /* Send signals to the master, as bits; they leave when the method has returned. */
 #define pbo_signal(task, signals) ((task)->signal((task), (signals)))
+/* The bit of a signal of the module's own, by its number. */
+#define PBO_USER(NUMBER) (UINT32_C(1) << (7 + (NUMBER)))
 /* The data of a port by its name in the .rmod file; NULL if there is none. */
 #define pbo_data(task, port) ((task)->data((task), (port)))
 
@@ -72,15 +74,15 @@ struct pbo_task {
 enum { PBO_INCONST, PBO_OUTCONST, PBO_INVAR, PBO_OUTVAR };
 enum {
     PBO_F64 = 1, PBO_F32, PBO_I64, PBO_I32, PBO_I16, PBO_I8,
-    PBO_U64, PBO_U32, PBO_U16, PBO_U8, PBO_BOOL
+    PBO_U64, PBO_U32, PBO_U16, PBO_U8, PBO_BOOL, PBO_STR
 };
 
 typedef struct {
     const char *field, *name, *shape, *unit, *doc;
     const char *stale;
-    const double *safe;
+    const double *safe, *value;
     double max_age;
-    uint32_t offset, line, n_safe;
+    uint32_t offset, line, n_safe, n_value;
     uint8_t kind, type, feedback, is_new;
 } pbo_port;
 
@@ -121,13 +123,17 @@ typedef struct {
 #define PBO_NEW .is_new = 1
 #define PBO_SAFE(...) \
     .safe = PBO_VALUES(__VA_ARGS__), .n_safe = PBO_LENGTH(PBO_VALUES(__VA_ARGS__))
+#define PBO_VALUE(...) /* of an out-const: what it holds before `init` */ \
+    .value = PBO_VALUES(__VA_ARGS__), .n_value = PBO_LENGTH(PBO_VALUES(__VA_ARGS__))
 
 /* -- parameters ----------------------------------------------------------------------- */
 
 typedef struct {
     const char *field, *unit, *doc;
     const double *initial, *ge, *gt, *le, *lt, *rate, *total;
-    uint32_t offset, line, n_initial, room, count_offset;
+    const char *text;               /* the default of a text */
+    const char *const *choices;
+    uint32_t offset, line, n_initial, room, count_offset, n_choices;
     uint8_t type, form;
 } pbo_param;
 
@@ -156,6 +162,11 @@ enum { PBO_ONE, PBO_ARRAY, PBO_LIST };
 #define PBO_PARAM_LIST(S, F, N, UNIT, ...) \
     {PBO_PARAM_(S, F, PBO_LIST, PBO_ELEMENT_TYPE(S, F), PBO_LENGTH(((S *)0)->F), UNIT, \
                 __VA_ARGS__), .count_offset = PBO_COUNT_(S, N)}
+/* A text in UTF-8: an array of char with room for it and the zero at its end. Its options
+ * are PBO_TEXT (the default) and PBO_CHOICES. */
+#define PBO_PARAM_TEXT(S, F, ...) \
+    {PBO_PARAM_(S, F, PBO_ONE, _Generic(&((S *)0)->F[0], char *: PBO_STR), \
+                PBO_LENGTH(((S *)0)->F), "none", __VA_ARGS__)}
 
 /* Options of a parameter, after its description. Without PBO_DEFAULT it must be given. */
 #define PBO_DEFAULT(...) \
@@ -166,17 +177,34 @@ enum { PBO_ONE, PBO_ARRAY, PBO_LIST };
 #define PBO_LT(VALUE) .lt = PBO_VALUES(VALUE)       /* values are smaller */
 #define PBO_RATE(VALUE) .rate = PBO_VALUES(VALUE)   /* largest step while ON */
 #define PBO_TOTAL(VALUE) .total = PBO_VALUES(VALUE) /* sum of all values */
+#define PBO_TEXT(TEXT) .text = (TEXT)
+#define PBO_CHOICES(...) /* the only texts that are allowed */ \
+    .choices = (const char *const[]){__VA_ARGS__}, \
+    .n_choices = PBO_LENGTH(((const char *const[]){__VA_ARGS__}))
+
+/* -- signals of the module's own -------------------------------------------------------- */
+
+typedef struct {
+    const char *name, *doc;
+    uint32_t number, line;
+} pbo_user_signal;
+
+/* One signal (Stewart 1994, section 4.4.4): a number of 0 to 24, a name in capital letters,
+ * what it means. `pbo_signal(task, PBO_USER(number))` sends it. */
+#define PBO_USER_SIGNAL(NUMBER, NAME, DOC) \
+    {.number = (NUMBER), .name = NAME, .line = __LINE__, .doc = DOC}
 
 /* -- the module ----------------------------------------------------------------------- */
 
 typedef int pbo_method(void *state, pbo_task *task);
 
 typedef struct {
-    uint32_t abi, size, port_size, param_size, task_size;
-    uint32_t state_size, state_align, n_ports, n_params;
+    uint32_t abi, size, port_size, param_size, signal_size, task_size;
+    uint32_t state_size, state_align, n_ports, n_params, n_signals;
     const char *file, *doc, *module_class;
     const pbo_port *ports;
     const pbo_param *params;
+    const pbo_user_signal *signals;
     /* Called as the methods of PortBasedObject; `state` begins as zeros. All but `cycle`
      * may be left out. */
     pbo_method *init, *on, *cycle, *stable, *off, *kill, *error, *clear, *reinit, *sync;
@@ -190,17 +218,19 @@ typedef struct {
 
 #define PBO_PORTS(TABLE) .ports = (TABLE), .n_ports = PBO_LENGTH(TABLE)
 #define PBO_PARAMS(TABLE) .params = (TABLE), .n_params = PBO_LENGTH(TABLE)
+#define PBO_SIGNALS(TABLE) .signals = (TABLE), .n_signals = PBO_LENGTH(TABLE)
 /* Its class in the library: "controller", "robot interface" and so on. */
 #define PBO_CLASS(NAME) .module_class = (NAME)
 
-/* The module: its struct, what it does, PBO_PORTS(...), PBO_PARAMS(...), PBO_CLASS(...),
- * methods. */
+/* The module: its struct, what it does, PBO_PORTS(...), PBO_PARAMS(...), PBO_SIGNALS(...),
+ * PBO_CLASS(...), methods. */
 #define PBO_MODULE(S, DOC, ...) \
     _Static_assert(sizeof(S) <= UINT32_MAX, "the struct of a module is too large"); \
     extern const pbo_module pbonet_module; \
     __attribute__((visibility("default"), used)) const pbo_module pbonet_module = { \
         .abi = PBO_ABI, .size = sizeof(pbo_module), .port_size = sizeof(pbo_port), \
-        .param_size = sizeof(pbo_param), .task_size = sizeof(pbo_task), \
+        .param_size = sizeof(pbo_param), .signal_size = sizeof(pbo_user_signal), \
+        .task_size = sizeof(pbo_task), \
         .state_size = sizeof(S), .state_align = _Alignof(S), .file = __FILE__, \
         .doc = DOC, __VA_ARGS__}
 

@@ -115,7 +115,7 @@ def read_block(reader: Reader, grammar: Grammar) -> Block:
     while True:
         line = reader.peek()
         if line.keyword in grammar.after and not _belongs(line, grammar, block):
-            _refuse_missing(grammar, stage, len(grammar.stages), line)
+            _refuse_missing(reader, grammar, (stage, len(grammar.stages)), line)
             return block
         number = grammar.stage_of.get(line.keyword)
         if number is None:
@@ -124,7 +124,7 @@ def read_block(reader: Reader, grammar: Grammar) -> Block:
             line.keyword in block and not grammar.stages[number].many
         ):
             raise _late(line, grammar, block, stage)
-        _refuse_missing(grammar, stage, number, line)
+        _refuse_missing(reader, grammar, (stage, number), line)
         stage = number
         block.lines.setdefault(line.keyword, []).append(reader.take())
 
@@ -168,15 +168,35 @@ def _late(line: Line, grammar: Grammar, block: Block, stage: int) -> ConfigError
     )
 
 
-def _refuse_missing(grammar: Grammar, stage: int, until: int, line: Line) -> None:
+def _refuse_missing(
+    reader: Reader, grammar: Grammar, between: tuple[int, int], line: Line
+) -> None:
     """Refuse `line` when a required keyword between two stages has not come yet."""
-    for needed in grammar.stages[stage + 1 : until]:
+    first, end = between
+    for needed in grammar.stages[first + 1 : end]:
         if not needed.optional:
             wanted = needed.text.replace("|", " or ")
+            late = _follows(reader, grammar, needed, line)
             raise fault(
-                f"wrong order: {line.keyword} is where {wanted} must be",
+                f"wrong order: {line.keyword} is where {wanted} must be"
+                if late
+                else f"the line {wanted} is missing",
                 line.place,
                 expected=wanted,
                 got=line.keyword,
-                remedy=f"the order is {grammar.text}",
+                remedy=f"the order is {grammar.text}"
+                if late
+                else f"write it before this line; the order is {grammar.text}",
             )
+
+
+def _follows(reader: Reader, grammar: Grammar, needed: Stage, line: Line) -> bool:
+    """Return whether a keyword of `needed` follows `line` in the same block."""
+    if line.keyword in grammar.after:
+        return False
+    for later in reader.after(line):
+        if later.keyword in grammar.after:
+            return False
+        if later.keyword in needed.keywords:
+            return True
+    return False

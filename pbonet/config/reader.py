@@ -190,6 +190,10 @@ class Reader:
                 remedy="remove the text, or move EOF after it",
             )
 
+    def after(self, line: Line) -> Iterator[Line]:
+        """Yield the lines that follow one, without taking them."""
+        return self._raw_lines(line.place.line)
+
     def unknown(self, line: Line, expected: Iterable[str]) -> ConfigError:
         """Return the error for a line with an unknown keyword.
 

@@ -258,7 +258,8 @@ def columns(log: Cycles, task: str, names: Sequence[str] = ()) -> JsonObject:
 def diff(one: Cycles, other: Cycles, tasks: Sequence[str] = ()) -> list[JsonObject]:
     """Compare two runs variable by variable, cycle by cycle.
 
-    Cycles are counted from each task's first recorded one.
+    Each cycle is compared with that of the same place in the other run's record;
+    ``first`` is its number in the first run, as everywhere: since the task was spawned.
 
     Args:
         one: A run.
@@ -270,25 +271,25 @@ def diff(one: Cycles, other: Cycles, tasks: Sequence[str] = ()) -> list[JsonObje
     for task in tasks or both:
         a, b = one.arrays(task), other.arrays(task)
         rows += [
-            {"task": task, "variable": name, **_differ(a[name], b[name])}
+            {"task": task, "variable": name, **_differ(a[name], b[name], a["cycle"])}
             for name in one.variables(task)
             if name in other.variables(task)
         ]
     return rows
 
 
-def _differ(a: NDArray[Any], b: NDArray[Any]) -> JsonObject:
+def _differ(a: NDArray[Any], b: NDArray[Any], numbers: NDArray[Any]) -> JsonObject:
     cycles = min(len(a), len(b))
     row: JsonObject = {"cycles": [len(a), len(b)], "first": None, "largest": None}
     if a.shape[1:] != b.shape[1:] or a.dtype != b.dtype:
-        return row | {"first": 0}
+        return row | {"first": int(numbers[0]) if len(numbers) else 1}
     a, b = a[:cycles], b[:cycles]
     same = a == b
     if a.dtype.kind == "f":
         same |= np.isnan(a) & np.isnan(b)
     other = np.flatnonzero(~same.all(axis=tuple(range(1, same.ndim))))
     if len(other):
-        row["first"] = int(other[0])
+        row["first"] = int(numbers[other[0]])
         if a.dtype.kind in "fiu":
             row["largest"] = float(np.nanmax(np.abs(a.astype(float) - b.astype(float))))
     return row

@@ -141,6 +141,7 @@ def bind(
         _MEMORY: Memory(arrays, _sizes(ports, shapes), shapes),
     }
     for port in ports:
+        _set_value(port, arrays[port.attr], where)
         array = view(port, arrays[port.attr], shapes[port.attr], where=where)
         if port.is_scalar:
             scalars[port.attr] = array.data
@@ -150,6 +151,21 @@ def bind(
     task.in_vars = frozenset(port.attr for port in ports if port.kind is Kind.INVAR)
     instance.__bound__()
     return instance
+
+
+def _set_value(port: Port, array: NDArray[Any], where: str) -> None:
+    """Write the declared value of an out-const."""
+    if port.value is None:
+        return
+    if len(port.value) not in {1, array.size}:
+        raise PortError(
+            f"the value of {port.kind} {port.name} has another size",
+            where=f"{where}.{port.attr}",
+            expected=f"one number, or {array.size}: NELEM of the variable",
+            got=f"{len(port.value)} numbers",
+            remedy="correct the class or the .svar file",
+        )
+    array[:] = port.value
 
 
 def assemble(

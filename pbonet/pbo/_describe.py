@@ -175,7 +175,7 @@ def describe(
     return ModuleInfo(
         name=name or cls.__module__.rpartition(".")[2],
         cls=cls.__qualname__,
-        doc=" ".join((inspect.getdoc(cls) or "").split("\n\n")[0].split()),
+        doc=" ".join(_doc(cls).split("\n\n")[0].split()),
         version=version,
         file=file,
         ports=declared.ports,
@@ -187,6 +187,16 @@ def describe(
         freq=cls.__freq__,
         signals=declared.signals,
     )
+
+
+def _doc(cls: type) -> str:
+    """Return the docstring of a class or of a module that it derives from.
+
+    That of `PortBasedObject` says nothing about the module.
+    """
+    before = cls.__mro__[: cls.__mro__.index(PortBasedObject)]
+    texts = (vars(one).get("__doc__") for one in before)
+    return inspect.cleandoc(next((text for text in texts if text is not None), ""))
 
 
 def _is_robot_interface(cls: type[PortBasedObject[Any]]) -> bool:
@@ -304,6 +314,7 @@ def _about(port: Port) -> str:
         "feedback" * port.feedback,
         "new" * port.new,
         "" if port.safe is None else f"safe {' '.join(map(str, port.safe))}",
+        "" if port.value is None else f"value {' '.join(map(str, port.value))}",
     ]
     said = ", ".join(note for note in notes if note)
     return f"{port.doc} ({said})" if said else port.doc

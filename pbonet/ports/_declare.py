@@ -3,7 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, overload
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    TypeAlias,
+    get_args,
+    get_origin,
+    overload,
+)
 
 import numpy as np
 from msgspec import structs
@@ -70,8 +79,11 @@ class Declared:
         return f"{type(self).__name__}({', '.join([*map(repr, self.words), *options])})"
 
 
-class _Constant(Declared):
+class InConst(Declared):
+    """A constant that another task produces; read before `init` and `reinit`."""
+
     __slots__ = ()
+    kind = Kind.INCONST
 
     if TYPE_CHECKING:
 
@@ -82,18 +94,31 @@ class _Constant(Declared):
         def __init__(self, *words: str) -> None: ...
 
 
-class InConst(_Constant):
-    """A constant that another task produces; read before `init` and `reinit`."""
-
-    __slots__ = ()
-    kind = Kind.INCONST
+_Value: TypeAlias = "float | Sequence[float] | None"
 
 
-class OutConst(_Constant):
-    """A constant that this module produces; written after `init` and `reinit`."""
+class OutConst(Declared):
+    """A constant that this module produces; written after `init` and `reinit`.
+
+    Args:
+        value: What it holds before `init`: one number, or one for each element. With
+            it the module needs no `init` for the constant, and `pbonet new` knows it.
+    """
 
     __slots__ = ()
     kind = Kind.OUTCONST
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __init__(
+            self, name: str, shape: str, doc: str, /, *, value: _Value = None
+        ) -> None: ...
+        @overload
+        def __init__(
+            self, name: str, shape: str, unit: str, doc: str, /, *, value: _Value = None
+        ) -> None: ...
+        def __init__(self, *words: str, value: _Value = None) -> None: ...
 
 
 class InVar(Declared):

@@ -1,4 +1,4 @@
-"""The options of a port about the age of its values, and their checks."""
+"""The options of a port, most of them about the age of its values, and their checks."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ._source import Declaring
 
 _OPTIONS = {
+    Kind.OUTCONST: ("value",),
     Kind.INVAR: ("max_age", "stale", "feedback"),
     Kind.OUTVAR: ("new", "safe"),
 }
@@ -45,8 +46,8 @@ def options_of(
             found[name] = _seconds(body, attr, value)
         elif name == "stale":
             found[name] = _action(body, attr, value)
-        elif name == "safe":
-            found[name] = _safe(body, port, value)
+        elif name in {"safe", "value"}:
+            found[name] = _numbers(body, port, name, value)
         else:
             found[name] = _flag(body, attr, name, value)
     return found
@@ -127,8 +128,10 @@ def _flag(body: Declaring, attr: str, name: str, value: object) -> bool:
     raise body.error(attr, f"{name} is no bool", expected="True", got=repr(value))
 
 
-def _safe(body: Declaring, port: Port, value: object) -> tuple[float, ...] | None:
-    """Return the safe value as numbers: one for all elements, or one for each."""
+def _numbers(
+    body: Declaring, port: Port, name: str, value: object
+) -> tuple[float, ...] | None:
+    """Return values for a port: one for all elements, or one for each."""
     if value is None:
         return None
     single = isinstance(value, int | float)
@@ -136,14 +139,15 @@ def _safe(body: Declaring, port: Port, value: object) -> tuple[float, ...] | Non
     size = _size(port.shape)
     fits = bool(numbers) and (single or size in {0, len(numbers)})
     structure = port.type.startswith("void")
-    if fits and not structure and all(map(_is_finite, numbers)):
+    whole = "int" in port.type
+    if fits and not structure and all(_is_number(one, whole) for one in numbers):
         return tuple(cast("list[float]", numbers))
     raise body.error(
         port.attr,
-        "safe is no value of the port",
+        f"{name} is no value of the port",
         expected="none for a structure"
         if structure
-        else "a finite number, or one for each element",
+        else f"a {'whole' if whole else 'finite'} number, or one for each element",
         got=repr(value),
     )
 
@@ -159,5 +163,7 @@ def _size(shape: tuple[int | str, ...]) -> int:
     return math.prod(one if isinstance(one, int) else 0 for one in shape)
 
 
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
+def _is_number(value: object, whole: bool) -> bool:  # noqa: FBT001
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return False
+    return not whole or float(value).is_integer()

@@ -67,6 +67,8 @@ class Port(Struct, frozen=True):
     """Of an out-var: it is new information and does not inherit the inputs' age."""
     safe: tuple[float, ...] | None = None
     """Of an out-var: what `Stale.SAFE` writes; one number counts for each element."""
+    value: tuple[float, ...] | None = None
+    """Of an out-const: what it holds before `init`; likewise."""
 
     @property
     def is_size(self) -> bool:

@@ -6,6 +6,7 @@
 #include "dispatch.h"
 #include "loop.h"
 #include "failure.h"
+#include "../../pbonet/cmodule/instance.h"
 #include "guard.h"
 #include "ring.h"
 #include "view.h"
@@ -34,26 +35,53 @@ static void tell(struct rt_task *task, uint32_t grant, int kind)
     raise(RT_FAIL_SIGNAL);
 }
 
+/* Methods in C; `state` is the task. Each returns PBO_OK if `must_end` is as it says. */
+
+static int sees(void *state, pbo_task *task)
+{
+    (void)state;
+    return task->must_end == PBO_MAXEXEC ? PBO_OK : PBO_ERROR;
+}
+
+static int is_late(void *state, pbo_task *task)
+{
+    (void)state;
+    return task->must_end == PBO_DEADLINE ? PBO_OK : PBO_ERROR;
+}
+
+static int fails(void *state, pbo_task *task)
+{
+    int early = task->must_end != 0;
+    tell(state, 7, RT_MAXEXEC);
+    return early ? PBO_ERROR : sees(state, task);
+}
+
 int main(void)
 {
     static struct rt_table table;
     struct rt_task task = {.table = &table, .slot = &table.slots[0], .seq = 7};
-    volatile uint32_t ends = 0, *volatile must_end = &ends;
-    require(rt_guard_failures(&task, 500000000, interrupt, &must_end) == 0, "the guard");
+    struct pbo_running running = {0};
+    static pbo_instance parts[2];       /* of a combination */
+    for (int i = 0; i < 2; i++)
+        pbo_begin(&parts[i], NULL, &task, &running);
+    require(rt_guard_failures(&task, 500000000, interrupt, &running) == 0, "the guard");
 
     require(!rt_enter(RT_IN_CYCLE), "nothing came, and something is to be delivered");
-    tell(&task, 7, RT_MAXEXEC);
+    require(!pbo_run(fails, &parts[0]), "a method in C sees the failure of its cycle");
     require(interrupts == 1, "a failure amid the cycle interrupts it");
-    require(ends == 1u << RT_MAXEXEC, "a method in C sees the failure");
-    must_end = NULL;
     require(rt_has_failed(&task), "and it is not handled yet");
     require(rt_take_failures(&task) == 1u << RT_MAXEXEC, "it is that kind");
     require(!rt_has_failed(&task), "now it is");
+    require(!pbo_run(sees, &parts[1]), "later parts of the cycle see it from their start");
+    rt_exit();
+    require(!rt_enter(RT_IN_CYCLE), "nothing came in the next cycle");
+    require(pbo_run(sees, &parts[1]), "which need not end");
     rt_exit();
 
     tell(&task, 7, RT_DEADLINE);        /* while inputs are copied */
     require(interrupts == 1, "nothing is delivered outside the cycle");
     require(rt_enter(RT_IN_CYCLE), "what came before the cycle is delivered in it");
+    require(!pbo_run(is_late, &parts[0]), "and seen in it");
     require(rt_take_failures(&task) == 1u << RT_DEADLINE, "it is that kind");
     require(rt_take_failures(&task) == 0, "it is delivered once");
     rt_exit();
@@ -61,6 +89,7 @@ int main(void)
     tell(&task, 7, RT_DEADLINE);        /* behind the cycle: nobody is there */
     task.seq = 8;
     require(rt_enter(RT_IN_CYCLE), "something is there to be looked at");
+    require(pbo_run(is_late, &parts[0]), "another cycle is not to end for it");
     require(rt_take_failures(&task) == 0, "another cycle is not told");
     require(rt_get(&task.slot->stats.stale_failures) == 1, "but it is counted");
     require(!rt_enter(RT_IN_CYCLE), "and gone");

@@ -33,6 +33,7 @@ HEAD = (
     ),
     *("CPU", "jitter p50", "p99", "max", "transfer", "warn"),
 )
+SINCE = "since each task was turned on last:"
 _FAILED = (State.ERROR, State.NOT_CREATED)
 """States that have a reason, unless the task was killed by order."""
 
@@ -163,7 +164,7 @@ def text(summaries: Iterable[TaskSummary]) -> str:
     summaries = list(summaries)
     if not summaries:
         return "no tasks"
-    lines = [render.table(HEAD, [_row(one) for one in summaries])]
+    lines = [SINCE, render.table(HEAD, [_row(one) for one in summaries])]
     lines += [f"ERROR> {one.task}: {one.error}" for one in summaries if one.error]
     return "\n".join(lines)
 

@@ -84,7 +84,7 @@ def scaffold(
         **code,
         f"{name}.rmod": _rmod_text(name, ports, desc, freq),
         f"tests/test_{name}.py": _test_text(
-            name, ports, handler=timing_failure, apart=own_tree, in_c=in_c
+            ports, handler=timing_failure, apart=own_tree, in_c=in_c
         ),
     }
 
@@ -343,7 +343,10 @@ def _rmod_text(name: str, ports: Sequence[NewPort], desc: str, freq: float) -> s
     )
 
 
-_TEST = '''"""The module {name} on a bench: inputs in, outputs out, in virtual time."""
+_TEST = '''"""A module on a bench: inputs in, outputs out, in virtual time.
+
+``test_NAME.py`` tests the module of ``NAME.rmod``: rename them together.
+"""
 
 {modules}from pathlib import Path
 
@@ -353,8 +356,9 @@ from pbonet.pbo import {words}
 from pbonet.testing import Bench
 
 FOLDER = Path(__file__).parents[1]
-RMOD = FOLDER / "{name}.rmod"
-{build}PORTS = Library([FOLDER]).load("{name}").info.ports
+RMOD = FOLDER / Path(__file__).with_suffix(".rmod").name.removeprefix("test_")
+MODULE = read_rmod(RMOD).module
+{build}PORTS = Library([FOLDER]).load(MODULE).info.ports
 {values}
 
 def test_the_rmod_lists_the_ports_of_the_class() -> None:
@@ -373,7 +377,7 @@ def test_it_lives_a_whole_life() -> None:
 
 _BUILD = """\
 MAKE = ["make", "--silent", "-C", str(FOLDER), f"PYTHON={{sys.executable}}"]
-subprocess.run([*MAKE, "{name}.so"], check=True)  # the source as it is now
+subprocess.run([*MAKE, f"{{MODULE}}.so"], check=True)  # the source as it is now
 """
 
 _BUMPLESS = """
@@ -397,7 +401,7 @@ def test_a_late_cycle_is_given_up() -> None:
 
 
 def _test_text(
-    name: str, ports: Sequence[NewPort], *, handler: bool, apart: bool, in_c: bool
+    ports: Sequence[NewPort], *, handler: bool, apart: bool, in_c: bool
 ) -> str:
     values = _bench_values(ports)
     text = "".join(f"    {_quoted(word)}: {value},\n" for word, value in values.items())
@@ -405,9 +409,8 @@ def _test_text(
     first = next((port for port in ports if _can_be_compared(port)), None)
     numpy = "import numpy as np\n" + ("\n" if apart else "")
     return _TEST.format(
-        name=name,
         modules="import subprocess\nimport sys\n" if in_c else "",
-        build=_BUILD.format(name=name) if in_c else "",
+        build=_BUILD.format() if in_c else "",
         numpy=numpy if "np." in text else "",
         values=f"VALUES = {{\n{text}}}\n" if values else "",
         given=given,

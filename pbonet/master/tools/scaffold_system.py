@@ -23,10 +23,10 @@ from pbonet.config import (
     Variable,
 )
 from pbonet.errors import ConfigError, did_you_mean
-from pbonet.ports import solve_shapes
+from pbonet.ports import Kind, solve_shapes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pbonet.config import Rmod
     from pbonet.pbo import ModuleInfo
@@ -56,7 +56,10 @@ class Use(Struct, frozen=True):
 
 
 def new_svar(
-    file: str, uses: Sequence[Use], sizes: Mapping[str, int]
+    file: str,
+    uses: Sequence[Use],
+    sizes: Mapping[str, int],
+    there: Sequence[Variable] = (),
 ) -> tuple[SvarFile, list[str]]:
     """Return a table with every variable that tasks read and write.
 
@@ -64,6 +67,7 @@ def new_svar(
         file: Its name.
         uses: The tasks.
         sizes: Sizes by the constant, or the word of a shape, that names them.
+        there: Variables that exist already: they are left out, and their sizes count.
 
     Returns:
         The table, and what is to be said of it.
@@ -73,24 +77,66 @@ def new_svar(
         PortError: Two ports of one module disagree about a size.
     """
     _must_be_sizes(uses, sizes)
-    nelem = _elements(uses, sizes)
     ports: dict[str, list[Port]] = {}
     for use in uses:
         for variable, port in use.ports().items():
             ports.setdefault(variable, []).append(port)
-    names = sorted(ports, key=lambda name: not ports[name][0].kind.is_const)
+    nelem = {one.name: one.nelem for one in there}
+    known = {**_first_values(there), **_declared(ports), **sizes}
+    _solve_all(uses, nelem, known)
+    names = sorted(
+        ports.keys() - {one.name for one in there},
+        key=lambda name: (not ports[name][0].kind.is_const, [*ports].index(name)),
+    )
     told = [
         f"no module declares the unit of {name}: correct UNITS none"
         for name in names
         if {port.unit for port in ports[name]} == {"any"}
     ]
-    variables = [_variable(name, ports[name], nelem[name]) for name in names]
+    variables = [
+        _variable(name, ports[name], nelem[name], known.get(name)) for name in names
+    ]
+    told += [
+        f"no task produces the constant {one.name}: give it a value by INIT"
+        for one in variables
+        if one.init is None and _is_given(ports[one.name])
+    ]
     return SvarFile(file=file, defines={}, variables=tuple(variables)), told
 
 
-def _variable(name: str, ports: Sequence[Port], nelem: int) -> Variable:
-    """Return a variable as declared by its writer, else by its first reader."""
+def _first_values(there: Iterable[Variable]) -> dict[str, int]:
+    """Return the first value of each variable that may be a size."""
+    return {
+        one.name: value
+        for one in there
+        if one.init and one.nelem == 1 and isinstance(value := one.init[0], int)
+    }
+
+
+def _declared(ports: Mapping[str, Sequence[Port]]) -> dict[str, int]:
+    """Return the values that classes declare for constants that may be sizes."""
+    return {
+        name: int(port.value[0])
+        for name, uses in ports.items()
+        for port in uses
+        if port.is_size and port.value
+    }
+
+
+def _is_given(ports: Iterable[Port]) -> bool:
+    """Return whether a variable is a constant that no task produces."""
+    return all(port.kind is Kind.INCONST for port in ports)
+
+
+def _variable(
+    name: str, ports: Sequence[Port], nelem: int, value: int | None
+) -> Variable:
+    """Return a variable as declared by its writer, else by its first reader.
+
+    A size that no task produces begins with its value.
+    """
     ordered = sorted(ports, key=lambda port: port.kind.is_input)
+    given = _is_given(ports) and ports[0].is_size and value is not None
     units = [port.unit for port in ordered if port.unit != "any"]
     return Variable(
         name=name,
@@ -98,6 +144,7 @@ def _variable(name: str, ports: Sequence[Port], nelem: int) -> Variable:
         desc=ordered[0].doc.strip(),
         units=units[0] if units else "none",
         nelem=nelem,
+        init=(value,) if given and value is not None else None,
     )
 
 
@@ -113,25 +160,24 @@ def _type(name: str, port: Port) -> str:
     return _TYPES.get(word, word if port.is_scalar else np.dtype(word).name)
 
 
-def _elements(uses: Sequence[Use], sizes: Mapping[str, int]) -> dict[str, int]:
-    """Return the number of elements of every variable.
+def _solve_all(
+    uses: Sequence[Use], nelem: dict[str, int], known: dict[str, int]
+) -> None:
+    """Find out the number of elements of every variable, and the sizes.
 
     Raises:
         ConfigError: One does not follow from what is known.
     """
-    known = dict(sizes)
-    nelem: dict[str, int] = {}
     for use in uses:
         for variable, port in use.ports().items():
             if all(isinstance(dim, int) for dim in port.shape):
-                nelem[variable] = math.prod(map(int, port.shape))
+                nelem.setdefault(variable, math.prod(map(int, port.shape)))
     left, unsolved = list(uses), len(uses) + 1
     while left and len(left) < unsolved:
         unsolved = len(left)
         left = [use for use in left if not _solve(use, nelem, known)]
     if left:
         raise _unknown(left, nelem, known)
-    return nelem
 
 
 def _must_be_sizes(uses: Sequence[Use], sizes: Mapping[str, int]) -> None:

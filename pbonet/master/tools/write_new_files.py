@@ -5,7 +5,16 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from pbonet.config import Library, read_sbs, read_svar, write_job, write_sbs, write_svar
+from pbonet.config import (
+    Library,
+    load,
+    parse_svar,
+    read_sbs,
+    read_svar,
+    write_job,
+    write_sbs,
+    write_svar,
+)
 from pbonet.errors import ConfigError, ConfigFileError
 from pbonet.ports import Kind
 
@@ -90,6 +99,7 @@ def new_svar(
     sizes: Sequence[str] = (),
     libraries: Sequence[str | Path] = (),
     folder: Path,
+    add: bool = False,
     force: bool = False,
 ) -> tuple[list[Path], list[str]]:
     """Write a table with every variable that these tasks read and write.
@@ -100,6 +110,7 @@ def new_svar(
         sizes: What no port says, as ``NAME=NUMBER``.
         libraries: Folders of modules.
         folder: Where to write.
+        add: Add the variables that an existing file lacks; the rest of it stays.
         force: Write over a file that stands there.
 
     Returns:
@@ -107,14 +118,32 @@ def new_svar(
 
     Raises:
         PbonetError: An RMOD or a module is missing or wrong, a size is not known, or a
-            file stands there already.
+            file stands there already, or not.
     """
+    path = folder / f"{_plain(name, '.svar')}.svar"
+    before = load(path) if add else ""
+    there = parse_svar(before, str(path)).variables if add else ()
     table, told = scaffold_system.new_svar(
-        f"{_plain(name, '.svar')}.svar",
+        path.name,
         _uses(rmods, [folder, *libraries]),
         scaffold_system.read_sizes(sizes),
+        there,
     )
-    return _write({folder / table.file: write_svar(table)}, force=force), told
+    if not table.variables:
+        return [], [f"{path} has every variable of these tasks", *told]
+    text = write_svar(table)
+    if add:
+        text = _joined(before, text)
+        parse_svar(text, str(path))
+    remedy = "use --add to add what it lacks, or --force to replace it"
+    return _write({path: text}, force=force or add, remedy=remedy), told
+
+
+def _joined(first: str, second: str) -> str:
+    """Return two texts of one format as one; the first ends before its EOF."""
+    lines = first.splitlines(keepends=True)
+    last = max(i for i, line in enumerate(lines) if line.split()[:1] == ["EOF"])
+    return f"{''.join(lines[:last]).rstrip()}\n\n{second}"
 
 
 def new_job(
@@ -192,7 +221,12 @@ def _uses(
     return [scaffold_system.Use(one, library.load_rmod(one).info) for one in records]
 
 
-def _write(paths: Mapping[Path, str], *, force: bool) -> list[Path]:
+def _write(
+    paths: Mapping[Path, str],
+    *,
+    force: bool,
+    remedy: str = "choose another name or folder, or use --force",
+) -> list[Path]:
     """Write files.
 
     Raises:
@@ -203,7 +237,7 @@ def _write(paths: Mapping[Path, str], *, force: bool) -> list[Path]:
         raise ConfigFileError(
             "a file exists there already",
             where=str(standing[0]),
-            remedy="choose another name or folder, or use --force",
+            remedy=remedy,
         )
     for path, text in paths.items():
         try:

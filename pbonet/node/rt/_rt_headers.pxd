@@ -2,6 +2,8 @@
 
 from libc.stdint cimport int32_t, int64_t, uint16_t, uint32_t, uint64_t
 
+from pbonet.cmodule._cmodule cimport pbo_running
+
 
 cdef extern from "layout.h" nogil:
     enum:
@@ -151,7 +153,7 @@ cdef extern from "failure.h" nogil:
         RT_IN_CYCLE, RT_IN_SYNC
     int RT_FAIL_SIGNAL
     int rt_guard_failures(rt_task *task, int64_t bound_ns, int (*interrupt)(int) noexcept,
-                          void *must_end)
+                          pbo_running *in_c)
     void rt_unguard_failures(const rt_task *task)
     int rt_enter(int where)
     int rt_has_failed(const rt_task *task)

@@ -10,6 +10,7 @@
 #ifndef PBONET_FAILURE_H
 #define PBONET_FAILURE_H
 
+#include "../../cmodule/running.h"
 #include "slot.h"
 
 enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
@@ -17,7 +18,7 @@ enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
 
 struct rt_failing {
     struct rt_task *task;
-    volatile uint32_t *volatile *must_end;      /* of the method in C that runs, else NULL */
+    struct pbo_running *in_c;   /* the method in C that runs, which looks at failures */
     int (*interrupt)(int);      /* makes the interpreter call the signal's Python code */
     timer_t timer;
     int has_timer;
@@ -41,6 +42,13 @@ static inline void rt_set_timer(int64_t first_ns, int64_t every_ns)
                             .it_interval = rt_timespec(every_ns)};
     if (rt_failing.has_timer)
         timer_settime(rt_failing.timer, 0, &at, NULL);
+}
+
+/* Failures of the current grant, as bits; those of an earlier one do not count. */
+static inline uint32_t rt_failures_now(const struct rt_task *task)
+{
+    uint32_t word = atomic_load(&task->slot->grant.failed);
+    return (word & ~UINT32_C(7)) == rt_number_of(task) << 3 ? word & 7 : 0;
 }
 
 /* The handler exceeded its bound; end the process if it is overdue by the bound again. */
@@ -67,9 +75,11 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
             f->interrupt(signal);
     } else if (f->where != RT_OUTSIDE) {
         struct rt_grant *g = &f->task->slot->grant;
-        volatile uint32_t *must_end = *f->must_end;
+        uint32_t came = rt_failures_now(f->task);
+        volatile uint32_t *must_end = f->in_c->must_end;
+        f->in_c->failed |= came;
         if (must_end)
-            *must_end |= atomic_load(&g->failed) & 7;
+            *must_end |= came;
         int forced = atomic_load(&g->forced) == rt_number_of(f->task);
         if (f->handling || (f->locked && !forced))
             f->pending = 1;
@@ -82,7 +92,7 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
 /* Install the signal handler for `task`; an errno value when the kernel refuses. */
 static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
                                     int (*interrupt)(int),
-                                    volatile uint32_t *volatile *must_end)
+                                    struct pbo_running *in_c)
 {
     struct sigaction action = {.sa_sigaction = rt_on_failure, .sa_flags = SA_SIGINFO};
     struct sigevent event = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = RT_FAIL_SIGNAL};
@@ -90,7 +100,7 @@ static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
     rt_failing.task = task;
     rt_failing.bound_ns = bound_ns;
     rt_failing.interrupt = interrupt;
-    rt_failing.must_end = must_end;
+    rt_failing.in_c = in_c;
     if (!rt_failing.has_timer) {
         if (timer_create(CLOCK_MONOTONIC, &event, &rt_failing.timer))
             return errno;
@@ -112,11 +122,16 @@ static inline void rt_unguard_failures(const struct rt_task *task)
  * dropped: it must be delivered now. */
 static inline int rt_enter(int where)
 {
-    rt_failing.pending = 0;
-    rt_failing.where = where;
+    struct rt_failing *f = &rt_failing;
+    f->pending = 0;
+    if (f->task)
+        f->in_c->failed = 0;
+    f->where = where;
     atomic_signal_fence(memory_order_seq_cst);  /* a signal from here on is delivered */
-    struct rt_task *task = rt_failing.task;
-    return task && (atomic_load(&task->slot->grant.failed) & 7);
+    if (!f->task || !(atomic_load(&f->task->slot->grant.failed) & 7))
+        return 0;
+    __atomic_fetch_or(&f->in_c->failed, rt_failures_now(f->task), __ATOMIC_RELAXED);
+    return 1;
 }
 
 /* Whether a failure of the current grant is not handled yet. */

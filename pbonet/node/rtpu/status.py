@@ -54,7 +54,7 @@ def task_status(
     missed = slot.missed - slot.on_missed - failed
     released = cycles + missed + failed
     spent = (slot.cpu_total_ns - slot.on_cpu_ns) * _NS
-    ptime = _profile_ns(task.state, slot) * _NS
+    ptime = _profile_ns(task, slot) * _NS
     return TaskStatus(
         rmod=task.rmod,
         task=task.task,
@@ -149,11 +149,17 @@ def of_lost(rtpu: str, rmod: Rmod, lost: Gone) -> TaskStatus:
     )
 
 
-def _profile_ns(state: str, slot: SlotStatus) -> int:
-    """Return the time over which cycles were counted: since the task was turned on."""
+def _profile_ns(task: TaskSnapshot, slot: SlotStatus) -> int:
+    """Return the time over which cycles were counted: since the task was turned on.
+
+    It ends with the period of the last cycle, so that one cycle is one per period.
+    """
     if slot.on_ns == 0:
         return 0
-    end = slot.now_ns if state == State.ON else max(slot.release_ns, slot.on_ns)
+    end = slot.now_ns
+    if task.state != State.ON:
+        period = round(1e9 / task.ref_f) if task.ref_f > 0 else 0
+        end = max(slot.release_ns, slot.on_ns) + period
     return max(end - slot.on_ns, 0)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c_modules import put_misbehaving
 from virtual_job import simulate
 from watching import wait_for
 
@@ -97,3 +98,30 @@ def test_a_part_that_raises_is_named_and_the_rest_of_the_rtpu_goes_on(nodes):
     assert event.text.startswith("whole.second.cycle: ")
     assert master.status("whole").state == "ERROR"
     assert "second" in master.status("whole").error
+
+
+LONG = (
+    "MODULE c_overruns\nDESC\nSVARALIAS Y={}\nINCONST none\nOUTCONST none\nINVAR none\n"
+    "OUTVAR Y\nTASKTYPE periodic\nFREQ 50\nLOCAL\nANSWER 0\nEVERY 3\nEOF\n"
+)
+
+
+def test_each_part_in_c_sees_that_its_cycle_must_end(nodes):
+    """The first part is long and then sees it; the second sees it when it begins."""
+    put_misbehaving(nodes.library)
+    nodes.agent("arm0")
+    master = nodes.master("arm0", "two")
+    text = (
+        "COMBINE first second\nDESC\nINCONST none\nOUTCONST none\nINVAR none\n"
+        "OUTVAR Y2\nTASKTYPE periodic\nFREQ 50\nMAXC 0.005\nEOF\n"
+        f"PART first\n{LONG.format('Y1')}PART second\n{LONG.format('Y2')}"
+    )
+    master.spawn("whole", "", text=text)
+    master.on("whole")
+    wait_for(
+        lambda: (
+            len([w for w in master.events("WARNING", "whole") if "early" in w.text])
+            == len(("first", "second"))
+        ),
+        "a warning of each part",
+    )

@@ -367,7 +367,7 @@ def test_its_shape_may_be_too_large_for_its_room(folder):
 
 SMALL = """
 #include <pbonet.h>
-struct small {{ const int32_t *n; const double *x; double *y; double k; }};
+struct small {{ const int32_t *n; const double *x; double *y; double k; char s[4]; }};
 struct other {{ double pad[9]; double k; }};
 static const pbo_port ports[] = {{ {ports} }};
 static const pbo_param params[] = {{ {params} }};
@@ -392,7 +392,19 @@ def small(**parts):
 
 
 K = "PBO_PARAM(struct small, k, {})"
+TEXT = 'PBO_PARAM_TEXT(struct small, s, "a text", {})'
 PORT = 'PBO_OUT_VAR(struct small, y, "{}", "{}", "{}", "{}")'
+
+
+def own(rows):
+    """Return the parts of a module with signals of its own."""
+    rows = rows.replace("{", "PBO_USER_SIGNAL(").replace("}", ")")
+    return {
+        "more": f"static const pbo_user_signal own[] = {{ {rows} }};",
+        "methods": ".cycle = cycle, PBO_SIGNALS(own)",
+    }
+
+
 ROW = '{{.field = "y", .name = "Y", .shape = "1", .unit = "m", .doc = "d", {}}}'
 
 
@@ -401,14 +413,15 @@ ROW = '{{.field = "y", .name = "Y", .shape = "1", .unit = "m", .doc = "d", {}}}'
     [
         ({"methods": ".on = cycle"}, r"pbonet_module\.cycle.*no method cycle"),
         (
-            {"methods": ".cycle = cycle, .abi = 2"},
-            r"pbonet_module\.abi.*built for another pbonet: abi differs .*1.*2",
+            {"methods": ".cycle = cycle, .abi = 1"},
+            r"pbonet_module\.abi.*built for another pbonet: abi differs .*2.*1",
         ),
         (
             {"methods": ".cycle = cycle, .size = 8"},
             r"pbonet_module\.size.*size differs .*got 8",
         ),
         ({"methods": ".cycle = cycle, .task_size = 9"}, r"task_size differs"),
+        ({"methods": ".cycle = cycle, .signal_size = 9"}, r"signal_size differs"),
         ({"methods": '.cycle = cycle, PBO_CLASS("toy")'}, r"pbonet_module.*toy"),
         (
             {"port": PORT.format("Y", "m", "rad", "d")},
@@ -445,6 +458,20 @@ ROW = '{{.field = "y", .name = "Y", .shape = "1", .unit = "m", .doc = "d", {}}}'
             {"params": K.format('"m", "g", PBO_DEFAULT(9), PBO_LE(1)')},
             r"field k.*default is refused",
         ),
+        (
+            {"params": K.format('"m", "g", PBO_CHOICES("a", "b")')},
+            r"field k.*only a text has choices .*PBO_PARAM_TEXT.*float64",
+        ),
+        (
+            {"params": TEXT.format('PBO_TEXT("c"), PBO_CHOICES("a", "b")')},
+            r"field s.*default is refused.*no such choice",
+        ),
+        ({"params": TEXT.format("PBO_GE(1)")}, r"field s.*a str has no bounds"),
+        (own('{25, "LATE", "d"}'), r"field LATE.*user signals go from 0 to 24"),
+        (own('{1, "late", "d"}'), r"field late.*capital letters"),
+        (own('{1, "ERROR", "d"}'), r"field ERROR.*every task has a signal ERROR"),
+        (own('{1, "A", "d"}, {1, "B", "d"}'), r"field B.*user signal 1 is A already"),
+        (own('{1, "A", "d"}, {2, "A", "d"}'), r"field A.*name A is taken"),
         (
             {"more": "int nowhere(void); int (*at)(void) = nowhere;"},
             r"undefined symbol",
@@ -597,6 +624,81 @@ def test_a_module_of_the_thesis_runs_under_its_own_names(tmp_path):
     assert "too far away" in bench.task.errmsg
     bench.inputs.Q_REF = [-1, 0, 0]
     assert bench.on() is State.OFF
+
+
+SAYS = """
+#include <pbonet.h>
+#include <string.h>
+struct says { double *y; char name[6], law[8]; double own; };
+enum { DONE = 3, FULL = 24 };
+static const pbo_port ports[] = {
+    PBO_OUT_VAR(struct says, y, "Y", "2", "none", "length of the name, 1 if hard"),
+};
+static const pbo_param params[] = {
+    PBO_PARAM_TEXT(struct says, name, "a name"),
+    PBO_PARAM_TEXT(struct says, law, "how", PBO_TEXT("soft"),
+                   PBO_CHOICES("soft", "hard")),
+};
+static const pbo_user_signal own[] = {
+    PBO_USER_SIGNAL(DONE, "DONE", "it is done"),
+    PBO_USER_SIGNAL(FULL, "FULL", "it is full"),
+};
+static int cycle(void *state, pbo_task *task)
+{
+    struct says *self = state;
+    self->y[0] = (double)strlen(self->name);
+    self->y[1] = !strcmp(self->law, "hard");
+    pbo_signal(task, PBO_USER(DONE));
+    return PBO_OK;
+}
+static int set(void *state, pbo_task *task, int param)
+{
+    struct says *self = state;
+    if (param == 0 && !strcmp(self->name, "no"))
+        return pbo_fail(task, 4, "no name");
+    return PBO_OK;
+}
+PBO_MODULE(struct says, "Say.", PBO_PORTS(ports), PBO_PARAMS(params), PBO_SIGNALS(own),
+           .cycle = cycle, .set = set);
+"""
+
+
+def test_texts_stand_in_its_struct(tmp_path):
+    write_c(tmp_path, "says", SAYS)
+    loaded = Library([tmp_path]).load("says")
+    name, law = loaded.info.params
+    assert (name.type, name.required) == ("str", True)
+    assert (law.type, law.default) == ("one of soft, hard", "soft")
+    bench = Bench(loaded.cls, params={"name": "joint"})
+    bench.on()
+    bench.step()
+    assert bench.outputs.y.tolist() == [5.0, 0.0]
+    bench.set("name", "ä")
+    bench.set("law", "hard")
+    bench.step()
+    assert bench.outputs.y.tolist() == [2.0, 1.0], "UTF-8, and nothing of the old text"
+    with pytest.raises(MethodError, match="no name"):
+        bench.set("name", "no")
+    with pytest.raises(MethodError, match=r"no room for the text .*at most 5 bytes"):
+        bench.set("name", "joints")
+    bench.step()
+    assert bench.outputs.y.tolist() == [2.0, 1.0], "the old text remains"
+    with pytest.raises(ParameterError, match=r"none of them 0"):
+        Bench(loaded.cls, params={"name": "a\0b"})
+
+
+def test_its_own_signals_have_names(tmp_path):
+    write_c(tmp_path, "says", SAYS)
+    loaded = Library([tmp_path]).load("says")
+    assert [(one.name, one.number, one.doc) for one in loaded.info.signals] == [
+        ("DONE", 3, "it is done"),
+        ("FULL", 24, "it is full"),
+    ]
+    bench = Bench(loaded.cls, params={"name": "a"})
+    bench.on()
+    bench.step()
+    (notice,) = bench.notices()
+    assert notice.bits == loaded.cls.DONE == 1 << 10
 
 
 SCALE = """

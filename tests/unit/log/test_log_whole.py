@@ -174,8 +174,8 @@ def test_what_a_simulation_gives_now_is_written(simulation, tmp_path) -> None:
     assert found.first == "a"
     rows = text.diff(Log(log), Log(out))
     assert {(row["task"], *row["cycles"], row["first"]) for row in rows} == {
-        ("a", 20, 20, 0),
-        ("b", 20, 20, 0),
+        ("a", 20, 20, 1),
+        ("b", 20, 20, 1),
     }
     assert rerun(out).good
     with pytest.raises(LogError, match=r"now\.mcap: the log cannot be written"):

@@ -103,7 +103,7 @@ def test_another_value_is_tried_on_the_recorded_inputs(path, tmp_path, value) ->
     then, now = (Log(one).arrays("a")["Y0"] for one in (path, out))
     assert np.allclose(now[0] - then[0], 0.75 * np.array([1.0, 2.0]) * 0.01)
     (row,) = found.differences
-    assert (row["variable"], row["first"]) == ("Y0", 0)
+    assert (row["variable"], row["first"]) == ("Y0", 1)
     assert row["largest"] == np.abs(now - then).max()
     then, now = (Log(one).arrays("b")["Y1"] for one in (path, out))
     assert np.array_equal(then, now), "its record is used"
@@ -117,7 +117,7 @@ def test_tasks_that_are_named_read_the_new_outputs(path, tmp_path) -> None:
     found = rerun(path, ["b"], out=out, params={"a": {"gain": 1.5}})
     assert [one.task for one in found.tasks] == ["b", "a"]
     assert found.good
-    assert [row["first"] for row in found.differences] == [0, 0]
+    assert [row["first"] for row in found.differences] == [1, 1]
 
 
 def test_a_recorded_set_of_the_same_parameter_is_ignored(tmp_path) -> None:
@@ -131,9 +131,9 @@ def test_a_recorded_set_of_the_same_parameter_is_ignored(tmp_path) -> None:
         shop.close()
     one, other = tmp_path / "one.mcap", tmp_path / "other.mcap"
     (row,) = rerun(path, out=one, params={"a": {"gain": 0.75}}).differences
-    assert row["first"] == 2
+    assert row["first"] == 3
     (row,) = rerun(path, out=other, params={"a": {"gain": 2.5}}).differences
-    assert row["first"] == 0
+    assert row["first"] == 1
 
 
 def test_a_wrong_parameter_is_refused(path) -> None:
@@ -161,7 +161,7 @@ def test_a_simulation_is_tried_on_its_recorded_inputs(simulated) -> None:
     found = rerun(log, params={"a": {"gain": 3}})
     assert found.good, str(found)
     assert [row["variable"] for row in found.differences] == ["Y"]
-    assert found.differences[0]["first"] == 0
+    assert found.differences[0]["first"] == 1
 
 
 def test_the_verb_tries_shows_and_draws(call, path, tmp_path) -> None:

@@ -31,7 +31,9 @@ def test_each_task_is_in_the_summary_though_it_was_gone_before_the_others():
         ("cart", "ON", 10),
         ("lqr", "ON", 6),
     ]
-    assert summary.text(found).startswith("task  rtpu  last state  cycles")
+    since, head = summary.text(found).splitlines()[:2]
+    assert since == "since each task was turned on last:"
+    assert head.startswith("task  rtpu  last state  cycles")
 
 
 def failures(seen, killed=()):

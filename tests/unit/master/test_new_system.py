@@ -92,6 +92,65 @@ def test_a_job_with_its_subsystem_is_legal_as_it_is_written(call, write, tmp_pat
     assert out.endswith("arm.job: job arm of 2 tasks: legal\n")
 
 
+def test_a_constant_that_the_class_gives_a_value_is_a_size(call, write, tmp_path):
+    plant = {**PLANT, "ports": PLANT["ports"].replace('joints")', 'joints", value=2)')}
+    plant["ports"] = plant["ports"].replace('"2"', '"ndof"')
+    write("plant", **plant)
+    write("law", **LAW)
+    assert call("new", "job", "arm", "law", "plant")[::2] == (0, "")
+    sizes = {one.name: one.nelem for one in read_svar("arm.svar").variables}
+    assert sizes == {"NDOF": 1, "Q_MEZ": 2, "T_REF": 2, "JAC": 6, "THERE": 1}
+    assert "INIT" not in (tmp_path / "arm.svar").read_text(), "plant gives it"
+    assert call("check", "arm.job", "--library", tmp_path)[0] == 0
+    status, out, err = call("run", "arm.job", "--sim", "--seconds", 0.1, "--library", ".")
+    assert status == 0, out + err
+
+
+def test_a_constant_that_no_task_produces_has_the_value_of_its_size(call, write):
+    write("law", **LAW)
+    status, _, err = call("new", "job", "arm", "law", "--size", "NDOF=3")
+    assert status == 0, err
+    (ndof, *_) = read_svar("arm.svar").variables
+    assert (ndof.name, ndof.init) == ("NDOF", (3,))
+    text = call("check", "arm.job", "--library", ".")[1]
+    assert "no task produces the constant NDOF" in text
+    assert "it has the value of its INIT line" in text
+
+
+def test_a_constant_without_a_value_is_named(call, write):
+    ports = """    table: A[Vector, InConst("TABLE", "3", "m", "where it stands")]
+    y: A[float, OutVar("Y", "1", "m", "height")]"""
+    write("table", ports, inconst="TABLE", outvar="Y")
+    _, out, _ = call("new", "svar", "arm", "table", "--json")
+    assert json.loads(out)["warnings"] == [
+        "no task produces the constant TABLE: give it a value by INIT"
+    ]
+
+
+def test_variables_are_added_to_a_table(call, write, tmp_path):
+    write("plant", **PLANT)
+    write("law", **LAW)
+    assert call("new", "svar", "arm", "plant")[0] == 0
+    path = tmp_path / "arm.svar"
+    before = "# mine\n" + path.read_text().replace("DESC      torque", "DESC   T")
+    path.write_text(before)
+    status, _, err = call("new", "svar", "arm", "plant", "law")
+    assert status == 1
+    assert "a file exists there already" in err
+    assert "--add" in err
+    assert call("new", "svar", "arm", "law", "--add")[::2] == (0, "")
+    assert path.read_text().startswith(before.removesuffix("EOF\n"))
+    found = {one.name: one.nelem for one in read_svar("arm.svar").variables}
+    assert found == {"NDOF": 1, "T_REF": 2, "Q_MEZ": 2, "THERE": 1, "JAC": 6}
+    after = path.read_text()
+    status, _, err = call("new", "svar", "arm", "law", "plant", "--add")
+    assert (status, path.read_text()) == (0, after)
+    assert "arm.svar has every variable of these tasks" in err
+    status, _, err = call("new", "svar", "leg", "law", "--add")
+    assert status == 1
+    assert "the file cannot be read" in err
+
+
 def test_a_size_that_no_port_has_is_asked_for_and_taken(call, write):
     write("law", **LAW)
     status, _, err = call("new", "svar", "arm", "law")

@@ -1,6 +1,7 @@
 """What `pbonet new module` writes, and that it passes what this project passes."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -137,8 +138,8 @@ def test_its_tests_pass(folder):
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_its_tests_take_parameters_from_the_rmod(tmp_path):
-    """Who writes the law adds parameters: what LOCAL gives them counts in the tests."""
+def test_its_tests_take_parameters_from_the_rmod_and_outlive_a_new_name(tmp_path):
+    """Parameters are added with the law: what LOCAL gives them counts in the tests."""
     for file, text in scaffold(
         "hold", [NewPort(name="Y", kind=OV, shape="1", unit="m")]
     ).items():
@@ -152,7 +153,11 @@ def test_its_tests_take_parameters_from_the_rmod(tmp_path):
     text = module.read_text().replace("(PortBasedObject)", "(PortBasedObject[Gains])")
     text = text.replace("PortBasedObject\n", "Params, PortBasedObject, param\n", 1)
     module.write_text(text.replace("class Hold", f"{gains}\n\nclass Hold"))
-    rmod.write_text(rmod.read_text().replace("EOF", "LOCAL\nKP 2.0\nEOF"))
+    text = rmod.read_text().replace("EOF", "LOCAL\nKP 2.0\nEOF")
+    (tmp_path / "keep.rmod").write_text(re.sub(r"(MODULE +)hold", r"\1keep", text))
+    rmod.unlink()
+    module.rename(tmp_path / "keep.py")
+    (tmp_path / "tests" / "test_hold.py").rename(tmp_path / "tests" / "test_keep.py")
     sys_path = {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     options = ("-q", "-p", "no:cacheprovider", "--rootdir", tmp_path, "-W", "error")
     assert not run(tmp_path, "python", "-m", "pytest", *options, tmp_path, **sys_path)

@@ -191,6 +191,23 @@ def test_parameters_must_be_params():
     assert caught.value.got == "PortBasedObject[int]"
 
 
+def test_a_class_without_a_docstring_has_that_of_the_module_it_derives_from():
+    class Bare(PortBasedObject):
+        def cycle(self, dt):
+            pass
+
+    class Told(Bare):
+        """Do it.
+
+        At length.
+        """
+
+    class Again(Told):
+        pass
+
+    assert [describe(one).doc for one in (Bare, Told, Again)] == ["", "Do it.", "Do it."]
+
+
 def test_a_module_is_described_as_data():
     info = describe(Law, version="abc", file="law.py")
     assert info.name == "test_pbo_object"

@@ -9,6 +9,7 @@ from pbonet import (
     InConst,
     InVar,
     Matrix,
+    OutConst,
     OutVar,
     Params,
     PortBasedObject,
@@ -239,3 +240,49 @@ def test_a_constant_that_is_a_size_is_compared_with_the_ports(law):
         "that runs must be killed and spawned again to have another size"
     )
     check_sizes(law, Kind.OUTCONST)
+
+
+class Gives(PortBasedObject):
+    ndof: A[int, OutConst("NDOF", "1", "degrees of freedom", value=2)]
+    far: A[bool, OutConst("FAR", "1", "none", "a flag", value=True)]
+    tool: A[Vector, OutConst("TOOL", "ndof", "m", "each the same", value=0.5)]
+    dh: A[Matrix, OutConst("DH", "ndof,2", "m", "geometry", value=(1, 2, 3, 4))]
+
+    def cycle(self, dt):
+        pass
+
+
+def test_a_constant_has_the_value_that_its_class_declares():
+    local = {
+        "ndof": np.zeros(1, "<i4"),
+        "far": np.zeros(1, "?"),
+        "tool": np.zeros(2),
+        "dh": np.zeros(4),
+    }
+    gives = bind(Gives, Params(), local, TaskContext())
+    assert (gives.ndof, gives.far) == (2, True)
+    assert gives.tool.tolist() == [0.5, 0.5]
+    assert gives.dh.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    check_sizes(gives, Kind.OUTCONST)
+    local |= {"tool": np.zeros(3), "dh": np.zeros(6)}
+    with pytest.raises(PortError, match=r"value of out-const DH .*or 6.*got 4 numbers"):
+        bind(Gives, Params(), local, TaskContext())
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "value", "what"),
+    [
+        (int, "1", 2.5, "a whole number"),
+        (int, "1", "two", "a whole number"),
+        (float, "1", float("inf"), "a finite number"),
+        (Vector, "3", (1.0, 2.0), "one for each element"),
+    ],
+)
+def test_a_value_that_the_constant_cannot_have(kind, shape, value, what):
+    with pytest.raises(DeclarationError, match=f"value is no value of .*{what}"):
+
+        class Wrong(PortBasedObject):
+            x: A[kind, OutConst("X", shape, "m", "x", value=value)]
+
+            def cycle(self, dt):
+                pass
