@@ -170,7 +170,7 @@ def test_the_verb_tries_shows_and_draws(call, path, tmp_path) -> None:
     status, out, _ = call(*place, "--plot", picture)
     assert status == 0
     assert "tried: gain 1.5, recorded 0.75" in out
-    assert out.splitlines()[-1].split()[:4] == ["a", "Y0", "4/4", "0"]
+    assert out.splitlines()[-1].split()[:4] == ["a", "Y0", "4/4", "1"]
     assert "<svg" in picture.read_text()
     status, out, _ = call(*place, "--json")
     assert json.loads(out)["differences"][0]["largest"] > 0
