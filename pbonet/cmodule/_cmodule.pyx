@@ -245,24 +245,31 @@ cdef class NativeState:
         return 0
 
     cdef int pass_on(self, str method) except -1:
-        """Pass on what a method has reported, and its failure."""
-        cdef int i, n = self.one.n_notices
+        """Pass on what a method has reported, and its failure.
+
+        All of it is taken first: what is called here may call a handler of timing
+        failures, which reports for itself.
+        """
+        cdef int32_t i, answer = self.one.answer, code = self.one.code
         cdef uint32_t lost = self.one.dropped
-        self.one.n_notices = 0
+        failure = (_text(self.one.text), f"{_text(self.one.file)}:{self.one.line}"
+                   ) if self.one.failed else None
+        notices = [(self.one.notices[i].signals, _text(self.one.notices[i].text),
+                    self.one.notices[i].code) for i in range(self.one.n_notices)]
+        self.one.n_notices = self.one.failed = 0
         self.one.dropped = 0
-        for i in range(n):
-            if self.one.notices[i].signals:
-                self.task.signal(self.one.notices[i].signals)
+        for signals, text, number in notices:
+            if signals:
+                self.task.signal(signals)
             else:
-                self.task.warn(_text(self.one.notices[i].text), self.one.notices[i].code)
+                self.task.warn(text, number)
         if lost:
             self.task.warn(f"{lost} more warnings and signals of {method} had no room")
-        if self.one.failed:
-            self.one.failed = 0
-            place = f"{_text(self.one.file)}:{self.one.line} in {method}"
-            self.task.fail(_text(self.one.text), self.one.code or 1, place=place)
-        elif self.one.answer not in _ANSWERS.get(method, (PBO_OK,)):
-            got = _WORDS.get(self.one.answer, str(self.one.answer))
+        if failure is not None:
+            text, place = failure
+            self.task.fail(text, code or 1, place=f"{place} in {method}")
+        elif answer not in _ANSWERS.get(method, (PBO_OK,)):
+            got = _WORDS.get(answer, str(answer))
             self.task.fail(f"{method} returned {got}", place=f"{method} of the module")
         return 0
 
@@ -277,8 +284,9 @@ cdef class NativeState:
         else:
             plain = self.function(method)
             self.one.answer = plain(self.memory, &self.one.task)
+        cdef int32_t answer = self.one.answer
         self.pass_on(method)
-        return _ANSWERS.get(method, {}).get(self.one.answer)
+        return _ANSWERS.get(method, {}).get(answer)
 
     cdef pbo_method *function(self, str method) except NULL:
         cdef const pbo_module *m = self.module

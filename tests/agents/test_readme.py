@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import signal
 from pathlib import Path
 
@@ -23,7 +24,7 @@ def blocks(kind):
     return re.findall(rf"^```{kind}\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 
 
-MAKE, BY_HAND, RTPUS, STEPS = map(words_of, blocks("sh"))
+MAKE, BY_HAND, RTPUS, STEPS, OWN = map(words_of, blocks("sh"))
 
 
 def test_the_class_runs_and_computes_what_it_says(tmp_path):
@@ -49,6 +50,21 @@ def test_what_it_makes_and_enters_is_there():
     assert "VENV := .venv\n" in makefile
     for page in re.findall(r"\]\((docs/[^)#]+)\)", TEXT):
         assert (ROOT / page).exists(), page
+
+
+def test_the_class_holds_the_axes_of_the_example(tmp_path):
+    enter, *commands = OWN
+    folder = tmp_path / "example"
+    shutil.copytree(ROOT / enter[1], folder)
+    (folder / "joint_pd.py").write_text(blocks("python")[0])
+    (tmp_path / "desk").mkdir()
+    own = Desk(tmp_path / "desk", folder)
+    try:
+        out = [own.call(words) for words in commands]
+    finally:
+        own.close()
+    assert out[0].split() == ["hold.svar", "hold.sbs", "hold.job"]
+    assert re.search(r"^joint_pd +core0 +ON +1000 +0 +0 ", out[1], re.MULTILINE), out
 
 
 @pytest.fixture

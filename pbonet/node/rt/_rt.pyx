@@ -292,14 +292,17 @@ cdef class Slot:
         method.one.task.dt = self.dt_ns * 1e-9
         method.one.task.now_ns = self.task.rel_ns
         method.one.task.cyclecount = rt_cycles(self.task.slot) - method.before
-        if pbo_run(method.function, method.one):
-            method.of.pass_on(method.name)
-        if rt_has_failed(&self.task):
-            self.failures.returned = method.name
-            try:
+        cdef bint reports = pbo_run(method.function, method.one)
+        if not reports and not rt_has_failed(&self.task):
+            return 0
+        self.failures.returned = method.name
+        try:
+            if reports:
+                method.of.pass_on(method.name)
+            if rt_has_failed(&self.task):
                 self.failures.handle()
-            finally:
-                self.failures.returned = ""
+        finally:
+            self.failures.returned = ""
         return 0
 
     cdef void close(self, LocalTable local, Ring ring) noexcept:

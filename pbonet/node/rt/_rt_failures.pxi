@@ -50,7 +50,7 @@ cdef class Failures:
     cdef CoreTable table        # keeps the memory
     cdef object handler
     cdef public object error
-    cdef readonly str returned      # the method in C that has just returned
+    cdef readonly str returned      # the method in C that has just returned, else ""
     cdef bint skip
     cdef readonly Critical section
 
@@ -79,7 +79,7 @@ cdef class Failures:
             return
         if rt_is_aborting():
             raise Aborted
-        if not rt_is_outside():
+        if not rt_is_outside() and not self.returned:   # else the loop handles it
             self.handle()
 
     cdef int handle(self) except -1:
