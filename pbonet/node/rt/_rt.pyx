@@ -55,6 +55,9 @@ cdef enum:
 cdef enum:      # what runs: pbonet.svar.Action
     GO_ON, HOLD, STABLE, SAFE, ERROR
 
+cdef enum:      # how far a cycle is
+    WAITING, LEFT_OUT, COPIED, DECIDED, RETURNED, ENDED
+
 
 include "_rt_table.pxi"
 include "_rt_failures.pxi"
@@ -73,10 +76,12 @@ cdef class Slot:
     cdef public Tape tape
     cdef readonly Failures failures
     cdef bint vowed, is_aged
+    cdef bint reports   # the last method in C has reported something
     cdef readonly int action    # what ran last in place of `cycle`; 0: that itself
     cdef int critical           # what runs while the flag is up; 0: `cycle`
     cdef object aged, stable_method, safe_method
     cdef NativeMethod native, native_stable     # methods in C, called by pointer
+    cdef bint alone     # `cycle` is in C, and needs the interpreter for what is rare only
 
     def __init__(self, CoreTable table not None, int i):
         self.task.table = table.open()
@@ -92,7 +97,7 @@ cdef class Slot:
 
     def run(self, cycle, LocalTable local, *, stable=None, safe=None, int critical=0,
             sync=None, Ring ring=None, int leave=LEAVE, failing=None, aged=None) -> int:
-        cdef int why, served = 0, last = 0
+        cdef int why, served = 0, last = 0, at
         cdef bint periodic = rt_kind_of(self.live()) == RT_PERIODIC
         if periodic == (sync is not None):
             raise ValueError("`sync` is required for tasks that are not periodic, and only for them")
@@ -101,6 +106,7 @@ cdef class Slot:
         self.stable_method, self.safe_method = stable, safe
         self.native = self.in_c(cycle)
         self.native_stable = self.in_c(stable)
+        self.alone = self.native is not None and periodic
         if rt_mode_of(self.task.slot) == RT_OFF:
             self.is_aged = False
         self.failures.error = None
@@ -109,8 +115,18 @@ cdef class Slot:
         self.fault_mark = rt_faults()
         try:
             while True:
+                at = WAITING
                 with nogil:
                     why = rt_wait(&self.task, served)
+                    while self.alone and why == RT_RELEASED:
+                        served = 1
+                        at = self.once_alone(local, ring, leave)
+                        if at != ENDED or self.flags & leave:
+                            break
+                        last = rt_was_last(&self.task)
+                        if last:
+                            break
+                        why = rt_wait(&self.task, served)
                 if why == RT_WAIT_SIGNAL:
                     PyErr_CheckSignals()
                 elif why != RT_RELEASED:
@@ -119,12 +135,13 @@ cdef class Slot:
                     served = 1
                     if not periodic and not self.wait_outside(sync, ring):
                         continue
-                    self.once(cycle, local, ring, leave)
+                    if at != ENDED:
+                        self.once(at, cycle, local, ring, leave)
                     if self.cost.aborted:
                         return ABORTED
                     if self.flags & leave or self.action == ERROR:
                         return FLAGS
-                    last = rt_was_last(&self.task)
+                    last = last or rt_was_last(&self.task)
                     if last:
                         return LAST
         finally:
@@ -203,39 +220,76 @@ cdef class Slot:
             rt_end(&self.task)
         return 0
 
-    cdef int choose(self, LocalTable local) except -1:
+    cdef void choose(self, LocalTable local) noexcept nogil:
         """Choose what runs in place of `cycle` now; 0: that itself."""
-        cdef int action
-        if local.c_to_report() != self.is_aged:
-            self.tell_age(not self.is_aged)
+        if local is None:
+            return
         if local.c_aged():
-            action = local.c_action()
-            return action if action else self.critical
-        return self.critical if self.critical and local.c_illegal() else GO_ON
+            self.action = local.c_action()
+            if not self.action:
+                self.action = self.critical
+        elif self.critical and local.c_illegal():
+            self.action = self.critical
 
-    cdef int once(self, cycle, LocalTable local, Ring ring, int leave) except -1:
-        """Run one cycle; an exception of the module propagates and marks it failed."""
-        cdef rt_cost *cost = &self.cost
-        cdef int flags = 0
+    cdef bint begin(self, LocalTable local) noexcept nogil:
+        """Begin a cycle and copy its inputs in; returns whether it is left out."""
         self.action = GO_ON
-        memset(cost, 0, sizeof(rt_cost))
+        memset(&self.cost, 0, sizeof(rt_cost))
         if not rt_begin(&self.task) or self.failures.skip:
-            return self.leave_out()
+            return True
         c_defer_bells()
-        cost.start_ns = rt_time(self.task.table)
-        if local is not None:
-            flags = local.c_copy_in()
-            self.action = self.choose(local)
+        self.cost.start_ns = rt_time(self.task.table)
+        self.flags = 0 if local is None else local.c_copy_in()
+        return False
+
+    cdef bint must_tell_age(self, LocalTable local) noexcept nogil:
+        """Return whether inputs have become stale or fresh."""
+        return local is not None and local.c_to_report() != self.is_aged
+
+    cdef void decide(self, LocalTable local, Ring ring, int leave) noexcept nogil:
+        """Decide what runs in the cycle, and begin its record."""
+        cdef rt_cost *cost = &self.cost
+        self.choose(local)
         cost.stable = self.action != GO_ON
-        cost.torn = flags & COPY_TORN
-        cost.stale = (flags & COPY_STALE) != 0
-        self.flags = flags
-        cost.failed = (flags & leave) != 0 or self.action == ERROR
+        cost.torn = self.flags & COPY_TORN
+        cost.stale = (self.flags & COPY_STALE) != 0
+        cost.failed = (self.flags & leave) != 0 or self.action == ERROR
         if ring is not None:
             self.begin_record(local, ring)
         cost.called_ns = rt_time(self.task.table)
+
+    cdef int once_alone(self, LocalTable local, Ring ring, int leave) noexcept nogil:
+        """Run a cycle in C up to what needs the interpreter, mostly to its end."""
+        if self.begin(local):
+            return LEFT_OUT
+        if self.must_tell_age(local):
+            return COPIED
+        self.decide(local, ring, leave)
+        if self.cost.failed or self.action != GO_ON or rt_enter(RT_IN_CYCLE):
+            return DECIDED
+        if self.run_c(self.native):
+            return RETURNED
+        rt_exit()
+        self.finish(local, ring)
+        return ENDED
+
+    cdef int once(self, int at, cycle, LocalTable local, Ring ring, int leave) except -1:
+        """Run one cycle, or what is left of it after `at`.
+
+        An exception of the module propagates and marks it failed.
+        """
+        cdef rt_cost *cost = &self.cost
+        if at == LEFT_OUT or at == WAITING and self.begin(local):
+            return self.leave_out()
+        if at < DECIDED:
+            if self.must_tell_age(local):
+                self.tell_age(not self.is_aged)
+            self.decide(local, ring, leave)
         try:
-            if not cost.failed:
+            if at == RETURNED:
+                self.report(self.native)
+                rt_exit()
+            elif not cost.failed:
                 if rt_enter(RT_IN_CYCLE):
                     self.failures.handle()
                 if self.action == GO_ON:
@@ -259,16 +313,21 @@ cdef class Slot:
             cost.failed = 1
             raise
         finally:
-            cost.returned_ns = rt_time(self.task.table)
-            if not cost.failed and local is not None and self.action != HOLD:
-                if self.action != GO_ON:
-                    local.c_make_new()  # what stands in for `cycle` does not use old inputs
-                self.flags |= local.c_commit(
-                    0 if self.action != GO_ON else self.stamp_ns, cost.returned_ns,
-                    rt_cycles(self.task.slot) + 1)
-                cost.failed = (self.flags & ~COPY_FLAGS) != 0
-            self.close(local, ring)
+            self.finish(local, ring)
         return 0
+
+    cdef void finish(self, LocalTable local, Ring ring) noexcept nogil:
+        """Copy the outputs out, and end the cycle."""
+        cdef rt_cost *cost = &self.cost
+        cost.returned_ns = rt_time(self.task.table)
+        if not cost.failed and local is not None and self.action != HOLD:
+            if self.action != GO_ON:
+                local.c_make_new()  # what stands in for `cycle` does not use old inputs
+            self.flags |= local.c_commit(
+                0 if self.action != GO_ON else self.stamp_ns, cost.returned_ns,
+                rt_cycles(self.task.slot) + 1)
+            cost.failed = (self.flags & ~COPY_FLAGS) != 0
+        self.close(local, ring)
 
     cdef int tell_age(self, bint stale) except -1:
         """Call `aged` because inputs became stale or fresh; rare, so it may be Python."""
@@ -288,16 +347,22 @@ cdef class Slot:
 
     cdef int call_c(self, NativeMethod method) except -1:
         """Call a method in C; a timing failure is handled when it has returned."""
+        return self.report(method) if self.run_c(method) else 0
+
+    cdef bint run_c(self, NativeMethod method) noexcept nogil:
+        """Run a method in C; returns whether `report` is to follow."""
         self.dt_ns = rt_step(&self.task)
         method.one.task.dt = self.dt_ns * 1e-9
         method.one.task.now_ns = self.task.rel_ns
         method.one.task.cyclecount = rt_cycles(self.task.slot) - method.before
-        cdef bint reports = pbo_run(method.function, method.one)
-        if not reports and not rt_has_failed(&self.task):
-            return 0
+        self.reports = pbo_run(method.function, method.one)
+        return self.reports or rt_has_failed(&self.task)
+
+    cdef int report(self, NativeMethod method) except -1:
+        """Pass on what a method in C has reported, and handle the cycle's failures."""
         self.failures.returned = method.name
         try:
-            if reports:
+            if self.reports:
                 method.of.pass_on(method.name)
             if rt_has_failed(&self.task):
                 self.failures.handle()
@@ -305,7 +370,7 @@ cdef class Slot:
             self.failures.returned = ""
         return 0
 
-    cdef void close(self, LocalTable local, Ring ring) noexcept:
+    cdef void close(self, LocalTable local, Ring ring) noexcept nogil:
         """Record and account the cycle, and end it."""
         cdef rt_cost *cost = &self.cost
         cdef uint64_t cpu
@@ -321,7 +386,7 @@ cdef class Slot:
         rt_end(&self.task)
         c_ring_bells()      # readers on other machines, which this cycle wrote to
 
-    cdef void begin_record(self, LocalTable local, Ring ring) noexcept:
+    cdef void begin_record(self, LocalTable local, Ring ring) noexcept nogil:
         """Compute the record's size; store the inputs, which `cycle` may change."""
         cdef ring_record *r = &self.record
         cdef size_t n, at = 0
@@ -343,7 +408,7 @@ cdef class Slot:
             ring_stage(ring.r, r, at, value, n)
             at += n
 
-    cdef bint end_record(self, LocalTable local, Ring ring) noexcept:
+    cdef bint end_record(self, LocalTable local, Ring ring) noexcept nogil:
         cdef ring_record *r = &self.record
         cdef rt_cost *cost = &self.cost
         cdef const void *heard = NULL
@@ -377,7 +442,7 @@ cdef class Slot:
                 ring_wanted(ring.r)
         return kept
 
-    cdef void count_faults(self) noexcept:
+    cdef void count_faults(self) noexcept nogil:
         cdef uint64_t now = rt_faults()
         rt_count_faults(self.task.slot, now - self.fault_mark)
         self.fault_mark = now
