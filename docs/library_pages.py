@@ -92,7 +92,7 @@ def _page(
         "<!-- written by docs/library_pages.py; edit the modules, not this -->",
         f"# {TITLES[kind]}",
         "",
-        f"Modules of the class *{kind}* in {{doc}}`the library </library>`.",
+        f"Modules of the class *{kind}* in [the library](../library.md).",
         "",
     ]
     rows = [
@@ -228,7 +228,7 @@ def _reference(modules: dict[str, LoadedModule]) -> str:
         "# The library's modules",
         "",
         "One class in each file; the class docstring gives the law, `[source]` the "
-        "code. {doc}`/library` lists ports and parameters.",
+        "code. [The library](../library.md) lists ports and parameters.",
         "",
         *_directive("pbonet.modules", "no-members"),
     ]

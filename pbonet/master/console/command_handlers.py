@@ -56,11 +56,7 @@ def check(session: SessionState, given: Given) -> Data:
 def status(session: SessionState, given: Given) -> Data:
     """Show status since the last one that this interface showed."""
     wanted: list[str] = given.get("task") or []
-    fields = (
-        status_fields.columns([given["fields"]])
-        if given.get("fields")
-        else session.shown
-    )
+    fields = _columns(given["fields"]) if given.get("fields") else session.shown
     rtpus = session.subsystem.rtpu_status()
     for task in wanted:
         session.subsystem.model.find(task)
@@ -99,6 +95,18 @@ def status(session: SessionState, given: Given) -> Data:
             for rtpu in rtpus
         ],
     }
+
+
+def _columns(text: str) -> tuple[str, ...]:
+    """Return the columns of one status."""
+    if text.rstrip().endswith(","):
+        raise StateError(
+            "the columns end with a comma",
+            expected="one word, such as state,refF",
+            got=text,
+            remedy="leave out the space after each comma, or quote them all",
+        )
+    return status_fields.columns([text])
 
 
 def _asked(session: SessionState, rtpus: list[RtpuStatus]) -> list[m.AgentInfo]:

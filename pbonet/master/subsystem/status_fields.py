@@ -299,12 +299,12 @@ def _percent(part: float | None, whole: float | None) -> float | None:
 
 
 def columns(words: list[str]) -> tuple[str, ...]:
-    """Return the columns that words name; they may hold several with commas.
+    """Return the columns that words name; they may hold several with commas or spaces.
 
     Raises:
         StateError: One of them is no field.
     """
-    names = [name for word in words for name in word.split(",") if name]
+    names = " ".join(words).replace(",", " ").split()
     if names == ["all"]:
         return NAMES
     if names == ["default"]:

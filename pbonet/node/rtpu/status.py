@@ -54,7 +54,7 @@ def task_status(
     missed = slot.missed - slot.on_missed - failed
     released = cycles + missed + failed
     spent = (slot.cpu_total_ns - slot.on_cpu_ns) * _NS
-    ptime = _profile_ns(task, slot) * _NS
+    ptime = _profile_ns(task, slot, released) * _NS
     return TaskStatus(
         rmod=task.rmod,
         task=task.task,
@@ -149,18 +149,19 @@ def of_lost(rtpu: str, rmod: Rmod, lost: Gone) -> TaskStatus:
     )
 
 
-def _profile_ns(task: TaskSnapshot, slot: SlotStatus) -> int:
+def _profile_ns(task: TaskSnapshot, slot: SlotStatus, released: int) -> int:
     """Return the time over which cycles were counted: since the task was turned on.
 
-    It ends with the period of the last cycle, so that one cycle is one per period.
+    The first release may come at once. So a task that has ended is given a period for
+    each release, where that is at most one period more: one cycle is one in a period.
     """
     if slot.on_ns == 0:
         return 0
-    end = slot.now_ns
-    if task.state != State.ON:
-        period = round(1e9 / task.ref_f) if task.ref_f > 0 else 0
-        end = max(slot.release_ns, slot.on_ns) + period
-    return max(end - slot.on_ns, 0)
+    if task.state == State.ON:
+        return max(slot.now_ns - slot.on_ns, 0)
+    lasted = max(slot.release_ns - slot.on_ns, 0)
+    period = round(1e9 / task.ref_f) if task.ref_f > 0 else 0
+    return max(lasted, min(released * period, lasted + period))
 
 
 def task_profile(

@@ -186,6 +186,7 @@ def test_parameter_without_any_task_is_asked_back(session):
         ('on ""', "on: TASK is empty"),
         ("on " + 2000 * "x", "on: TASK has 2000 characters"),
         ("status fields=cycles", "status has no field cycles"),
+        ("status fields=state, refF", "the columns end with a comma"),
         ("on 'pid", "the line is not understood"),
     ],
 )
@@ -211,7 +212,7 @@ def test_blank_lines_and_comments_do_nothing(session, stub):
 def test_status_set_is_a_command_of_two_words(session):
     assert split_name(["status", "set", "miss"])[0].name == "status set"
     assert split_name(["status", "pid"])[0].name == "status"
-    session.execute("status set rmod,miss mezF")
+    session.execute("status set 'rmod, miss' mezF")
     assert session.shown == ("rmod", "miss", "mezF")
     session.execute("status set all")
     assert session.shown == status_fields.NAMES

@@ -172,6 +172,18 @@ def test_no_merge_was_left_halfway() -> None:
     assert found == []
 
 
+def test_pages_hold_nothing_that_only_sphinx_understands() -> None:
+    """They are read on GitHub, too, where a role or a label is raw text."""
+    raw = re.compile(r"\{(doc|ref|term|numref)\}`|^\([\w-]+\)=$", re.MULTILINE)
+    found = [
+        f"{path.relative_to(ROOT)}: {one[0]}"
+        for path in tracked()
+        if path.suffix == ".md"
+        for one in raw.finditer(path.read_text())
+    ]
+    assert found == [], "write [text](page.md), which Sphinx follows, too"
+
+
 def test_the_product_imports_no_oracle() -> None:
     oracles = {path.stem for path in (ROOT / "tests" / "oracles").iterdir()}
     assert {"plain_dispatcher", "plain_table", "reference"} <= oracles

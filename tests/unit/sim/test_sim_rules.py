@@ -222,6 +222,20 @@ def test_turning_on_again_begins_anew(shop: Shop) -> None:
     assert dts == pytest.approx(np.full(30, 0.1)), "not the time it was OFF"
 
 
+def test_a_task_that_ends_after_one_cycle_had_its_frequency(shop: Shop) -> None:
+    shop.module("steps", STEPS.replace("< 2", "< 0"), "OUTVAR Y", "FREQ 10")
+    simulation = shop.job("steps a")
+    simulation.start()
+    simulation.control("steps", "off")
+    simulation.wait(0.075)
+    simulation.control("steps", "on")  # 0.025 s before its next release
+    simulation.wait(0.03)
+    simulation.control("steps", "off")
+    (status,) = simulation.rtpu_status()[0].tasks
+    assert status.cycle == 1
+    assert status.mez_f == pytest.approx(10.0)
+
+
 def test_failed_init_undoes_everything(shop: Shop) -> None:
     shop.module(
         "broken",
