@@ -1,7 +1,7 @@
 """The example with Numba of docs/c-modules.md; not run by default, as Numba is 208 MB.
 
-    pip install numba==0.68.1
-    pytest tests/unit/cmodule/numba_law.py
+pip install numba==0.68.1
+pytest tests/unit/cmodule/numba_law.py
 """
 
 import re
@@ -14,7 +14,9 @@ from pbonet.testing import Bench
 
 def test_a_law_in_numba_stands_in_a_module_in_python(tmp_path):
     page = (ROOT / "docs" / "c-modules.md").read_text()
-    (code,) = re.findall(r"<!-- file: spring.py -->\n```python\n(.*?)```", page, re.S)
+    (code,) = re.findall(
+        r"<!-- file: spring.py -->\n```python\n(.*?)```", page, re.DOTALL
+    )
     (tmp_path / "spring.py").write_text(code)
     bench = Bench(Library([tmp_path]).load("spring").cls, {"q": [1, 2, 3, 4, 5, 6]})
     bench.on()

@@ -102,7 +102,8 @@ def test_a_constant_that_the_class_gives_a_value_is_a_size(call, write, tmp_path
     assert sizes == {"NDOF": 1, "Q_MEZ": 2, "T_REF": 2, "JAC": 6, "THERE": 1}
     assert "INIT" not in (tmp_path / "arm.svar").read_text(), "plant gives it"
     assert call("check", "arm.job", "--library", tmp_path)[0] == 0
-    status, out, err = call("run", "arm.job", "--sim", "--seconds", 0.1, "--library", ".")
+    more = ("--seconds", 0.1, "--library", ".")
+    status, out, err = call("run", "arm.job", "--sim", *more)
     assert status == 0, out + err
 
 

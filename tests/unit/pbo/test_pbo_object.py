@@ -205,7 +205,8 @@ def test_a_class_without_a_docstring_has_that_of_the_module_it_derives_from():
     class Again(Told):
         pass
 
-    assert [describe(one).doc for one in (Bare, Told, Again)] == ["", "Do it.", "Do it."]
+    docs = [describe(one).doc for one in (Bare, Told, Again)]
+    assert docs == ["", "Do it.", "Do it."]
 
 
 def test_a_module_is_described_as_data():
