@@ -18,7 +18,7 @@ enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
 
 struct rt_failing {
     struct rt_task *task;
-    struct pbo_running *in_c;   /* the method in C that runs, which looks at failures */
+    struct pbo_running *in_c;   /* the method in C that runs, and what has failed */
     int (*interrupt)(int);      /* makes the interpreter call the signal's Python code */
     timer_t timer;
     int has_timer;

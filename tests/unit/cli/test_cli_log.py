@@ -166,7 +166,7 @@ def test_runs_that_differ_are_told_with_a_status(call, path, tmp_path) -> None:
     status, out, _ = call("log", "diff", path, tmp_path / "other.mcap", "--json")
     assert status == 1
     (row,) = json.loads(out)
-    assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 12)
+    assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 13)
     status, out, _ = call("log", "diff", path, same, "--task", "other")
     assert status == 0
     assert [line.split()[0] for line in out.splitlines()] == ["task", "other"]
