@@ -629,10 +629,11 @@ def test_a_module_of_the_thesis_runs_under_its_own_names(tmp_path):
 SAYS = """
 #include <pbonet.h>
 #include <string.h>
-struct says { double *y; char name[6], law[8]; double own; };
+struct says { double *y; int32_t *n; char name[6], law[8]; };
 enum { DONE = 3, FULL = 24 };
 static const pbo_port ports[] = {
     PBO_OUT_VAR(struct says, y, "Y", "2", "none", "length of the name, 1 if hard"),
+    PBO_OUT_CONST(struct says, n, "N", "1", "none", "a constant", PBO_VALUE(3)),
 };
 static const pbo_param params[] = {
     PBO_PARAM_TEXT(struct says, name, "a name"),
@@ -663,13 +664,14 @@ PBO_MODULE(struct says, "Say.", PBO_PORTS(ports), PBO_PARAMS(params), PBO_SIGNAL
 """
 
 
-def test_texts_stand_in_its_struct(tmp_path):
+def test_texts_and_values_of_constants_stand_in_its_struct(tmp_path):
     write_c(tmp_path, "says", SAYS)
     loaded = Library([tmp_path]).load("says")
     name, law = loaded.info.params
     assert (name.type, name.required) == ("str", True)
     assert (law.type, law.default) == ("one of soft, hard", "soft")
     bench = Bench(loaded.cls, params={"name": "joint"})
+    assert bench.outputs.n == 3
     bench.on()
     bench.step()
     assert bench.outputs.y.tolist() == [5.0, 0.0]
