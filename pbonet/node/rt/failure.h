@@ -10,8 +10,8 @@
 #ifndef PBONET_FAILURE_H
 #define PBONET_FAILURE_H
 
+#include "slot.h"       /* first: it chooses the features of the C library */
 #include "../../cmodule/running.h"
-#include "slot.h"
 
 enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
 #define RT_AGAIN_NS INT64_C(500000)     /* repetition interval of an abort */
