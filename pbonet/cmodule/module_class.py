@@ -290,6 +290,9 @@ class _Tables:
         for name in ("max_age", "stale", "feedback", "new", "safe", "value"):
             if row[name]:
                 options[name] = row[name]
+        for name in ("safe", "value"):
+            if row[name] and len(row[name]) == 1:
+                options[name] = row[name][0]  # for all elements
         words = (row["name"], row["shape"], row["unit"], row["doc"])
         return A[kind, _MARKS[row["kind"]](*words, **options)]
 

@@ -139,15 +139,15 @@ def _numbers(
     size = _size(port.shape)
     fits = bool(numbers) and (single or size in {0, len(numbers)})
     structure = port.type.startswith("void")
-    whole = "int" in port.type
-    if fits and not structure and all(_is_number(one, whole) for one in numbers):
-        return tuple(cast("list[float]", numbers))
+    if fits and not structure and all(_is_number(one, port.type) for one in numbers):
+        found = cast("list[float]", numbers)
+        return tuple(int(one) if isinstance(one, bool) else one for one in found)
     raise body.error(
         port.attr,
         f"{name} is no value of the port",
         expected="none for a structure"
         if structure
-        else f"a {'whole' if whole else 'finite'} number, or one for each element",
+        else f"{_expected(port.type)}, or one for each element",
         got=repr(value),
     )
 
@@ -163,7 +163,32 @@ def _size(shape: tuple[int | str, ...]) -> int:
     return math.prod(one if isinstance(one, int) else 0 for one in shape)
 
 
-def _is_number(value: object, whole: bool) -> bool:  # noqa: FBT001
+def _expected(kind: str) -> str:
+    """Return in words what a number of a port's type is."""
+    if kind.startswith("bool"):
+        return "True or False"
+    if "int" not in kind:
+        return "a finite number"
+    low, high = _range(kind)
+    return f"a whole number from {low} to {high}"
+
+
+def _range(kind: str) -> tuple[int, int]:
+    """Return the least and the greatest number of a type of whole numbers."""
+    name = kind.removesuffix("[]")
+    bits = int(name.lstrip("uint") or 64)
+    if name.startswith("u"):
+        return 0, 2**bits - 1
+    return -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+
+
+def _is_number(value: object, kind: str) -> bool:
+    """Return whether a value is one that a port's type can hold."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return False
-    return not whole or float(value).is_integer()
+    if kind.startswith("bool"):
+        return value in {0, 1}
+    if "int" not in kind:
+        return True
+    low, high = _range(kind)
+    return float(value).is_integer() and low <= value <= high

@@ -632,7 +632,8 @@ SAYS = """
 struct says { double *y; int32_t *n; char name[6], law[8]; };
 enum { DONE = 3, FULL = 24 };
 static const pbo_port ports[] = {
-    PBO_OUT_VAR(struct says, y, "Y", "2", "none", "length of the name, 1 if hard"),
+    PBO_OUT_VAR(struct says, y, "Y", "2", "none", "length of the name, 1 if hard",
+                PBO_SAFE(7)),
     PBO_OUT_CONST(struct says, n, "N", "1", "none", "a constant", PBO_VALUE(3)),
 };
 static const pbo_param params[] = {
@@ -672,6 +673,7 @@ def test_texts_and_values_of_constants_stand_in_its_struct(tmp_path):
     assert (law.type, law.default) == ("one of soft, hard", "soft")
     bench = Bench(loaded.cls, params={"name": "joint"})
     assert bench.outputs.n == 3
+    assert loaded.info.ports[0].safe == (7.0,), "for both elements"
     bench.on()
     bench.step()
     assert bench.outputs.y.tolist() == [5.0, 0.0]

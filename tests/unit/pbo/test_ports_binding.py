@@ -2,6 +2,7 @@
 
 from typing import Annotated as A
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -264,6 +265,9 @@ def test_a_constant_has_the_value_that_its_class_declares():
     assert gives.tool.tolist() == [0.5, 0.5]
     assert gives.dh.tolist() == [[1.0, 2.0], [3.0, 4.0]]
     check_sizes(gives, Kind.OUTCONST)
+    for port in Gives.__interface__.ports:
+        sent = msgspec.msgpack.encode(port)
+        assert msgspec.msgpack.decode(sent, type=type(port)).value == port.value
     local |= {"tool": np.zeros(3), "dh": np.zeros(6)}
     with pytest.raises(PortError, match=r"value of out-const DH .*or 6.*got 4 numbers"):
         bind(Gives, Params(), local, TaskContext())
@@ -274,6 +278,8 @@ def test_a_constant_has_the_value_that_its_class_declares():
     [
         (int, "1", 2.5, "a whole number"),
         (int, "1", "two", "a whole number"),
+        (np.uint8, "1", 300, "a whole number from 0 to 255"),
+        (bool, "1", 2.5, "True or False"),
         (float, "1", float("inf"), "a finite number"),
         (Vector, "3", (1.0, 2.0), "one for each element"),
     ],
