@@ -229,6 +229,38 @@ def merge(
     )
 
 
+def export(
+    *,
+    file: A[Path, Argument("A log, or a run's folder.")],
+    rosbag2: A[Path, Option("Write a bag of ROS 2: a new folder.", "FOLDER")],
+    topics: A[
+        Path | None,
+        Option("Which topics (docs/ros2.md); all variables if left out.", "FILE"),
+    ] = None,
+    json_: options.Json = False,
+) -> None:
+    """Write a run as a bag of ROS 2, which its tools open.
+
+    'pbonet log cat --out' exports one task for spreadsheets, numpy and Parquet.
+
+    Examples:
+        Write all variables of a run:
+        pbonet log export runs/teleop --rosbag2 teleop-bag
+        Write the topics that a bridge publishes by its file:
+        pbonet log export runs/teleop --rosbag2 teleop-bag --topics arm.toml
+    """
+    from pbonet import ros2
+    from pbonet.log import Log
+
+    log = Log(file)
+    wanted = None if topics is None else ros2.topics_file.read_topics(topics)
+    counts = ros2.rosbag2.export(log, rosbag2, wanted)
+    options.warn(log.damage)
+    text = "\n".join(f"{name}: {count} messages" for name, count in counts.items())
+    data = {"file": str(rosbag2), "topics": counts}
+    options.show(f"{rosbag2}\n{text}", data, as_data=json_)
+
+
 def recover(
     *,
     file: A[Path, Argument("A log that is damaged or was cut short.")],
@@ -250,4 +282,4 @@ def recover(
     _written(out, json_, done.messages)
 
 
-COMMANDS = (info, cat, events, commands, plot, diff, merge, recover)
+COMMANDS = (info, cat, events, commands, plot, diff, merge, export, recover)

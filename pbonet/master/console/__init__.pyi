@@ -9,11 +9,18 @@ from . import (
     stop_all as stop_all,
     watch_values as watch_values,
 )
+from .command_session import (
+    Call as Call,
+    CommandSession as CommandSession,
+    Reply as Reply,
+    convert as convert,
+)
 from .commands import (
     COMMANDS as COMMANDS,
     Arg as Arg,
     Command as Command,
     Kind as Kind,
+    Scope as Scope,
     Use as Use,
     find as find,
 )

@@ -86,6 +86,22 @@ def rules() -> dict[str, Any]:
     }
 
 
+def ros2_rules(domain: int) -> dict[str, Any]:
+    """Return zenoh's `access_control` of a session with nodes of ROS 2.
+
+    They have their domain and their tokens, and no key of pbonet, whatever is connected
+    to them.
+    """
+    keys = [f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**"]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [_rule("ros 2", "both", _EVERYTHING, keys)],
+        "subjects": [{"id": "everybody"}],
+        "policies": [{"rules": ["ros 2"], "subjects": ["everybody"]}],
+    }
+
+
 def _subject(name: str, *roles: Role) -> dict[str, Any]:
     return {"id": name, "cert_common_names": [role.common_name for role in roles]}
 

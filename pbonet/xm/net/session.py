@@ -67,6 +67,8 @@ _KEYS_REFUSED = (
 PROTOCOLS = ("tcp", "tls", "udp", "ws", "unixsock-stream")
 _HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):(\d{1,5})([?#].*)?")
 _LAST_PORT = 65535
+_ROS_LONGEST = 64 << 20
+"""Bytes of the longest message of ROS 2 that is received at all."""
 TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks forever beyond 256."""
 
@@ -280,6 +282,62 @@ def client(
                 got=got,
                 remedy=remedy + (_KEYS_REFUSED if key_folder else ""),
             ) from None
+
+
+def ros2(
+    domain: int, *, router: str = "", listen: str = "", insecure: bool = False
+) -> zenoh.Session:
+    """Open a session with nodes of ROS 2, which has no link to any agent.
+
+    As rmw_zenoh does, it is a peer that learns of others from a router; or it is that
+    router.
+
+    Args:
+        domain: The ROS domain.
+        router: The endpoint of the router; empty for none.
+        listen: Be the router there; empty: be a peer.
+        insecure: Listen beyond this machine, too; nothing protects it.
+
+    Raises:
+        UnreachableError: The router does not answer.
+        NodeError: An endpoint is malformed, or cannot be listened on.
+    """
+    if listen:
+        check_endpoint(listen, insecure=insecure)
+    settings: dict[str, object] = {
+        "mode": "router" if listen else "peer",
+        "listen": {"endpoints": [listen or "tcp/127.0.0.1:0"]},
+        "connect": {
+            "endpoints": [check_endpoint(router)] if router else [],
+            "timeout_ms": round(OPEN_TIME * 1000),
+            "exit_on_failure": True,
+        },
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "link": {"rx": {"max_message_size": _ROS_LONGEST}},
+        },
+        "access_control": access_control.ros2_rules(domain),
+    }
+    try:
+        return zenoh.open(
+            zenoh.Config.from_json5(msgspec.json.encode(settings).decode())
+        )
+    except zenoh.ZError as error:
+        if not router:
+            raise NodeError(
+                "the router for ROS 2 cannot be opened",
+                where=listen,
+                got=_reason(error),
+                remedy="is another router there? --router connects to it",
+            ) from None
+        raise UnreachableError(
+            "no zenoh router for ROS 2 answers",
+            where=router,
+            got=_reason(error),
+            remedy="start one with `ros2 run rmw_zenoh_cpp rmw_zenohd`, or be one with "
+            f"--listen {router}",
+        ) from None
 
 
 def _local_agents(domain: str) -> tuple[list[str], dict[str, int]]:

@@ -1,0 +1,54 @@
+"""``pbonet ros2``: a subsystem as a node of ROS 2, without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated as A
+
+from . import options
+from .parser import Option
+
+HELP = "Be a node of ROS 2, whose nodes speak rmw_zenoh."
+
+
+def bridge(
+    *,
+    file: options.File,
+    topics: A[
+        Path | None,
+        Option("Which topics (docs/ros2.md); all variables if left out.", "FILE"),
+    ] = None,
+    router: A[
+        str, Option("The router of ROS 2; tcp/localhost:7447 if left out.", "ENDPOINT")
+    ] = "",
+    listen: A[str, Option("Be the router of ROS 2 at this endpoint.", "ENDPOINT")] = "",
+    control: A[
+        bool, Option("Let nodes change the subsystem: on, off, swap, set.")
+    ] = False,
+    insecure: A[bool, Option("Listen beyond this machine, unprotected.")] = False,
+    place: options.Watching,
+    json_: options.Json = False,
+) -> None:
+    """Publish variables as topics, and topics as links, until Ctrl-C.
+
+    Examples:
+        Show the variables to nodes whose router runs on this machine:
+        pbonet ros2 bridge arm.sbs
+        Be their router, and publish what a file says:
+        pbonet ros2 bridge arm.sbs --listen tcp/localhost:7447 --topics arm.toml
+        Let them command the subsystem, too:
+        pbonet ros2 bridge arm.sbs --control
+    """
+    from pbonet.ros2 import bridge as process
+
+    process.run(
+        file,
+        place,
+        topics,
+        process.Network(router, listen, insecure),
+        control=control,
+        as_data=json_,
+    )
+
+
+COMMANDS = (bridge,)

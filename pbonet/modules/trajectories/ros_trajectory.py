@@ -1,0 +1,114 @@
+"""Follow the trajectories that a node of ROS 2 sends, such as those of MoveIt."""
+
+from typing import Annotated as A
+
+import numpy as np
+
+from pbonet import (
+    InConst,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Signal,
+    Vector,
+    param,
+    tbuf,
+)
+from pbonet.io import devices_allowed
+from pbonet.modules.trajectories.traj_play import hermite
+
+
+class Sent(Params):
+    """The link, and what it may hold."""
+
+    link: A[str, param("none", "name of the link that `pbonet ros2 bridge` writes")]
+    points: A[int, param("none", "most points, as `points` of the topic", ge=1)] = 64
+
+
+class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
+    """y = the last JointTrajectory that came over a link of `pbonet ros2 bridge`.
+
+    It begins where y stands, with the velocity that y has, and passes each point at its
+    time after the arrival, by cubic Hermite pieces. A point without a velocity gets
+    that of second-order differences, the last one rests. Points at time 0 are left out.
+    A new trajectory replaces the old one at once; one without points stops y where it
+    stands, as `stable` does. A trajectory with times that do not grow, or without
+    positions, is warned of and not followed. At its end the signal FINISH is sent. If
+    Y is the goal of `otg`, that limits velocity, acceleration and jerk. In a simulation
+    nothing comes.
+    """
+
+    ndof: A[int, InConst("NDOF", "1", "none", "number of joints")]
+    y: A[Vector, OutVar("Y", "ndof", "any", "the trajectory")]
+    y_dot: A[Vector, OutVar("Y^", "ndof", "any", "its time derivative")]
+
+    def init(self) -> None:
+        self._rests = True
+        self._link = None
+        form = ("f8", (self.params.points, 1 + 3 * self.ndof))
+        if devices_allowed():
+            self._link = tbuf.Reader(self.params.link, form)
+
+    def on(self) -> None:
+        if self._link is not None:
+            self._link.read()  # what came before is over
+        self._rest()
+
+    def cycle(self, dt: float) -> None:
+        if self._link is not None and self._link.read():
+            self._begin(self._link.value)
+        if self._rests:
+            return
+        self._time += dt
+        if self._time < self._times[-1]:
+            self._project()
+        else:
+            self.y[:], self.y_dot[:] = self._points[-1], 0.0
+            self._rests = True
+            self.task.signal(Signal.FINISH)
+
+    def stable(self, dt: float) -> None:  # noqa: ARG002
+        """Stop, and forget the trajectory."""
+        self._rest()
+
+    def off(self) -> None:
+        if not self.task.handover:
+            self.y_dot[:] = 0.0
+
+    def kill(self) -> None:
+        if link := getattr(self, "_link", None):
+            link.close()
+
+    def _rest(self) -> None:
+        self._rests = True
+        self.y_dot[:] = 0.0
+
+    def _begin(self, rows: Vector) -> None:
+        """Take the points of a trajectory, with where y stands before them."""
+        n = self.ndof
+        there = rows[np.isfinite(rows[:, 0])]
+        if len(there) == 0:
+            self._rest()
+            return
+        there = there[there[:, 0] > 0.0]
+        times = np.concatenate(([0.0], there[:, 0]))
+        points = np.vstack((self.y, there[:, 1 : 1 + n]))
+        if len(there) == 0 or (np.diff(times) <= 0).any() or np.isnan(points).any():
+            self.task.warn(
+                f"link {self.params.link}: a trajectory was not followed, because its "
+                "times do not grow or positions are missing"
+            )
+            return
+        rates = np.gradient(points, times, axis=0, edge_order=1)
+        rates[0], rates[-1] = self.y_dot, 0.0
+        given = there[:, 1 + n : 1 + 2 * n]
+        rates[1:] = np.where(np.isnan(given), rates[1:], given)
+        self._times, self._points, self._rates = times, points, rates
+        self._time, self._rests = 0.0, False
+
+    def _project(self) -> None:
+        k = int(np.searchsorted(self._times, self._time, side="right")) - 1
+        span = float(self._times[k + 1] - self._times[k])
+        begin, goal = ((self._points[i], self._rates[i]) for i in (k, k + 1))
+        share = (self._time - float(self._times[k])) / span
+        self.y[:], self.y_dot[:] = hermite(share, span, begin, goal)

@@ -1,0 +1,1 @@
+from . import bridge as bridge, rosbag2 as rosbag2, topics_file as topics_file

@@ -1,0 +1,368 @@
+"""Numbers in messages, by paths such as ``twist.linear.x`` or ``position[0:6]``."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from pbonet.analysis.legality import same_unit
+from pbonet.errors import ConfigError, ProtocolError, did_you_mean
+
+from .message_types import dtype_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.config import Variable
+
+    from .message_types import Field, MessageTypes
+
+Step = tuple[str, int | None]
+"""A field, and which message of a list it is."""
+_PART: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[(\d+)(?::(\d+))?\])?")
+_WHOLE: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_^'.]*)(?:\[(\d+)(?::(\d+))?\])?")
+_MOST: Final = 1000
+"""Elements that a path may number."""
+_POSITION, _SPEED, _FORCE = ("rad", "m"), ("rad/s", "m/s"), ("N*m", "N")
+UNITS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
+    "sensor_msgs/msg/JointState": {
+        "position": _POSITION,
+        "velocity": _SPEED,
+        "effort": _FORCE,
+    },
+    "sensor_msgs/msg/Imu": {
+        "orientation": ("none",),
+        "angular_velocity": ("rad/s",),
+        "linear_acceleration": ("m/s^2",),
+    },
+    "sensor_msgs/msg/BatteryState": {
+        "voltage": ("V",),
+        "temperature": ("degC",),
+        "current": ("A",),
+        "charge": ("A*hour",),
+        "capacity": ("A*hour",),
+        "percentage": ("none",),
+    },
+    "geometry_msgs/msg/Pose": {"position": ("m",), "orientation": ("none",)},
+    "geometry_msgs/msg/Transform": {"translation": ("m",), "rotation": ("none",)},
+    "geometry_msgs/msg/Twist": {"linear": ("m/s",), "angular": ("rad/s",)},
+    "geometry_msgs/msg/Accel": {"linear": ("m/s^2",), "angular": ("rad/s^2",)},
+    "geometry_msgs/msg/Wrench": {"force": ("N",), "torque": ("N*m",)},
+    "trajectory_msgs/msg/JointTrajectoryPoint": {
+        "positions": _POSITION,
+        "velocities": _SPEED,
+        "accelerations": ("rad/s^2", "m/s^2"),
+        "effort": _FORCE,
+    },
+}
+"""Units of fields by message, as ROS says them (REP 103 and the messages' comments)."""
+
+
+class Span(NamedTuple):
+    """Some elements; an end of None: all from the first."""
+
+    first: int = 0
+    end: int | None = None
+
+
+class Leaf(NamedTuple):
+    """A number, or an array of numbers, of a message."""
+
+    path: str
+    steps: tuple[Step, ...]
+    """Fields from the message to it, with the element of lists of messages."""
+    field: Field
+    units: tuple[str, ...]
+    """Units of which one must be that of the variable; empty: any."""
+    span: Span | None = None
+    """The elements that the path names."""
+
+
+class Share(NamedTuple):
+    """Elements of a variable, as ``Q_MEZ[0:3]`` names them."""
+
+    variable: str
+    first: int
+    end: int
+
+
+def share_of(text: str, variables: dict[str, Variable], where: str) -> Share:
+    """Return the elements of a variable that a text names.
+
+    Raises:
+        ConfigError: There is no such variable, or it has fewer elements.
+    """
+    match = _WHOLE.fullmatch(text)
+    name = match[1] if match else text
+    if match is None or name not in variables:
+        raise ConfigError(
+            f"there is no variable {name}",
+            where=where,
+            expected="a variable of the table, as NAME, NAME[2] or NAME[0:3]",
+            remedy=did_you_mean(name, variables) or "see the .svar file",
+        )
+    size = variables[name].nelem
+    first, end = 0, size
+    if match[2] is not None:
+        first = int(match[2])
+        end = first + 1 if match[3] is None else int(match[3])
+    if not 0 <= first < end <= size:
+        raise ConfigError(
+            f"{text} are no elements of {name}",
+            where=where,
+            expected=f"elements 0 to {size - 1}; {name}[0:{size}] are all",
+            got=text,
+        )
+    return Share(name, first, end)
+
+
+def leaves_of(types: MessageTypes, name: str, path: str, where: str) -> list[Leaf]:
+    """Return the numbers below a path of a message, in the order of its definition.
+
+    Raises:
+        ConfigError: There is no such field, or it has no numbers.
+    """
+    return _Search(types, path, where).leaves(name)
+
+
+class _Search:
+    """Looks for the numbers below a path.
+
+    Args:
+        types: The types of messages.
+        path: The path.
+        where: The place, for errors.
+    """
+
+    def __init__(self, types: MessageTypes, path: str, where: str) -> None:
+        self._types, self._path, self._where = types, path, where
+
+    def leaves(self, name: str) -> list[Leaf]:
+        """Return the numbers of a message of this type."""
+        steps: tuple[Step, ...] = ()
+        units: tuple[str, ...] = ()
+        parts = self._path.split(".")
+        for place, part in enumerate(parts):
+            field, span = self._field(name, part)
+            units = UNITS.get(name, {}).get(field.name, units)
+            if not field.nested:
+                if place < len(parts) - 1:
+                    raise self._no_field(name, parts[place + 1])
+                self._must_be_numbers(field)
+                return [
+                    Leaf(self._path, (*steps, (field.name, None)), field, units, span)
+                ]
+            steps = (*steps, (field.name, self._element(field, span)))
+            name = field.type
+        return self._below(name, steps, units)
+
+    def _field(self, name: str, part: str) -> tuple[Field, Span | None]:
+        match = _PART.fullmatch(part)
+        fields = {one.name: one for one in self._types.fields(name)}
+        if match is None or match[1] not in fields:
+            raise self._no_field(name, part)
+        if match[2] is None:
+            return fields[match[1]], None
+        first = int(match[2])
+        end = first + 1 if match[3] is None else int(match[3])
+        if not first < end <= _MOST or fields[match[1]].size is None:
+            raise ConfigError(
+                f"{part} are no elements of a list",
+                where=self._where,
+                got=self._path,
+                remedy=f"{match[1]}[0:3] are the first three of a list",
+            )
+        return fields[match[1]], Span(first, end)
+
+    def _element(self, field: Field, span: Span | None) -> int | None:
+        """Return which message of a list of messages is meant."""
+        if (field.size is None) == (span is None):
+            return None if span is None else span.first
+        raise ConfigError(
+            f"{field.name} is a list of messages",
+            where=self._where,
+            expected=f"one of them, as {field.name}[0]",
+            got=self._path,
+        )
+
+    def _below(
+        self, name: str, steps: tuple[Step, ...], units: tuple[str, ...]
+    ) -> list[Leaf]:
+        found: list[Leaf] = []
+        for field in self._types.fields(name):
+            own = UNITS.get(name, {}).get(field.name, units)
+            here = (*steps, (field.name, None))
+            if not field.nested:
+                self._must_be_numbers(field)
+                found.append(Leaf(self._path, here, field, own))
+            elif field.size is None:
+                found += self._below(field.type, here, own)
+            else:
+                self._must_be_numbers(field)
+        return found
+
+    def _must_be_numbers(self, field: Field) -> None:
+        if field.nested or field.type in {"string", "wstring"}:
+            raise ConfigError(
+                f"{field.name} is not a number",
+                where=self._where,
+                expected="a number, an array of numbers, or a message of numbers",
+                got=self._path,
+                remedy="name its numbers, or set it under `constants`",
+            )
+
+    def _no_field(self, name: str, part: str) -> ConfigError:
+        known = [one.name for one in self._types.fields(name)]
+        return ConfigError(
+            f"{name} has no field {part}",
+            where=self._where,
+            expected=" or ".join(known) or "no field at all",
+            got=self._path,
+            remedy=did_you_mean(part, known),
+        )
+
+
+# -- writing --------------------------------------------------------------------------
+
+
+def setter(message: Any, leaf: Leaf) -> Callable[[NDArray[Any]], None]:  # noqa: ANN401
+    """Return a function that writes numbers to a leaf of a message.
+
+    Lists of messages on the way are there already (`grow`).
+    """
+    *way, (last, _) = leaf.steps
+    owner = _walk(message, way)
+    if leaf.field.size is None:
+        kind = np.dtype(dtype_of(leaf.field.type))
+
+        def one(values: NDArray[Any]) -> None:
+            setattr(owner, last, kind.type(values[0]).item())
+
+        return one
+    dtype = dtype_of(leaf.field.type)
+
+    def several(values: NDArray[Any]) -> None:
+        setattr(owner, last, values.astype(dtype))
+
+    return several
+
+
+def grow(types: MessageTypes, message: Any, leaf: Leaf) -> None:  # noqa: ANN401
+    """Let a message have the elements of lists of messages that lead to a leaf."""
+    for name, index in leaf.steps[:-1]:
+        inner = getattr(message, name)
+        if index is not None:
+            kind = next(
+                one.type for one in types.fields(_type_of(message)) if one.name == name
+            )
+            while len(inner) <= index:
+                inner.append(types.new(kind))
+            inner = inner[index]
+        message = inner
+
+
+def _type_of(message: Any) -> str:  # noqa: ANN401 - a message of rosbags
+    return str(message.__msgtype__)
+
+
+def _walk(message: Any, steps: Sequence[Step]) -> Any:  # noqa: ANN401
+    for name, index in steps:
+        message = getattr(message, name)
+        if index is not None:
+            message = message[index]
+    return message
+
+
+def width(leaf: Leaf) -> int | None:
+    """Return how many numbers a leaf takes; None: as many as there are."""
+    if leaf.field.size is None:
+        return 1
+    return leaf.field.size or None
+
+
+def must_fit(leaf: Leaf, variable: Variable, where: str) -> None:
+    """Refuse a variable of another unit than a leaf has.
+
+    Raises:
+        ConfigError: No unit of the leaf is that of the variable.
+    """
+    if leaf.units and not any(same_unit(variable.units, one) for one in leaf.units):
+        raise ConfigError(
+            f"{variable.name} does not fit {leaf.path}",
+            where=where,
+            expected=" or ".join(leaf.units),
+            got=variable.units,
+            remedy="publish a variable of that unit; the module `gain` converts one",
+        )
+
+
+# -- reading --------------------------------------------------------------------------
+
+
+class Source(NamedTuple):
+    """Where the elements of a link's record come from."""
+
+    leaf: Leaf
+    size: int
+    by_joint: bool
+    """Whether they are in the order of the message's own joint names."""
+
+
+def source(leaf: Leaf, joints: int, where: str) -> Source:
+    """Return how a leaf is read.
+
+    Raises:
+        ConfigError: How many elements it has is not said.
+    """
+    if leaf.span is not None:
+        end = leaf.span.end or 0
+        return Source(leaf, end - leaf.span.first, by_joint=False)
+    size = width(leaf)
+    if size is None and not joints:
+        raise ConfigError(
+            f"{leaf.path} has any number of elements",
+            where=where,
+            expected=f"which ones, as {leaf.path}[0:6], or `joints`",
+        )
+    return Source(leaf, size or joints, by_joint=size is None)
+
+
+def numbers(message: Any, one: Source, order: NDArray[np.intp] | None) -> Any:  # noqa: ANN401
+    """Return the numbers of a source in a message.
+
+    Args:
+        message: The message.
+        one: The source.
+        order: The place of each joint in the message.
+
+    Raises:
+        ProtocolError: The message has fewer.
+    """
+    leaf = one.leaf
+    try:
+        found = _walk(message, leaf.steps)
+    except IndexError:
+        raise _too_few(leaf, 0, one.size) from None
+    if leaf.field.size is None:
+        return found
+    if one.by_joint and order is not None:
+        if len(found) <= int(order.max()):
+            raise _too_few(leaf, len(found), len(order))
+        return found[order]
+    first = leaf.span.first if leaf.span else 0
+    if len(found) < first + one.size:
+        raise _too_few(leaf, len(found), first + one.size)
+    return found[first : first + one.size]
+
+
+def _too_few(leaf: Leaf, got: int, expected: int) -> ProtocolError:
+    return ProtocolError(
+        f"{leaf.path} has too few elements",
+        expected=f"{expected}",
+        got=f"{got}",
+        remedy="its sender must give all of them",
+    )

@@ -1,0 +1,273 @@
+"""Types of ROS 2 messages: definitions, hashes and CDR, all by the package rosbags."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+import numpy as np
+
+from pbonet.errors import ConfigError, ProtocolError, did_you_mean
+from pbonet.io import from_extra
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+HEADER: Final = "std_msgs/msg/Header"
+COMMAND: Final = "pbonet_interfaces/srv/Command"
+"""The service of a command; its words are those of a line at the prompt."""
+COMMAND_TEXT: Final = """string arguments
+---
+bool success
+string message
+string data
+"""
+_PARAMETERS: Final = {
+    "ListParameters": "string[] prefixes\nuint64 depth\n---\n"
+    "{}/ListParametersResult result\n",
+    "GetParameters": "string[] names\n---\n{}/ParameterValue[] values\n",
+    "GetParameterTypes": "string[] names\n---\nuint8[] types\n",
+    "DescribeParameters": "string[] names\n---\n{}/ParameterDescriptor[] descriptors\n",
+    "SetParameters": "{0}/Parameter[] parameters\n---\n"
+    "{0}/SetParametersResult[] results\n",
+    "SetParametersAtomically": "{0}/Parameter[] parameters\n---\n"
+    "{0}/SetParametersResult result\n",
+}
+"""Services by which every node of ROS 2 shows its parameters."""
+_INFO: Final = "service_msgs/msg/ServiceEventInfo"
+_PARTS: Final = 3
+
+
+class Field(NamedTuple):
+    """One field of a message."""
+
+    name: str
+    type: str
+    """A number's type, ``string``, or the name of a message."""
+    nested: bool
+    size: int | None
+    """Elements of an array; 0: a sequence of any length; None: a single value."""
+
+
+class MessageTypes:
+    """All types that are known: those of ROS 2, services, and those of a user.
+
+    Args:
+        folders: Folders of packages, with files ``PACKAGE/msg/NAME.msg``.
+
+    Raises:
+        DeviceError: rosbags is not installed.
+        ConfigError: A definition is wrong.
+    """
+
+    def __init__(self, folders: Iterable[Path] = ()) -> None:
+        with from_extra("ros2", "ROS 2"):
+            from rosbags import typesys
+            from rosbags.interfaces import Nodetype
+
+        self._sys: Any = typesys
+        self._nodes = Nodetype
+        self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+        defined: dict[str, Any] = self._store.fielddefs
+        defined.update(_as_in_ros(defined))
+        self.add_service(COMMAND, COMMAND_TEXT)
+        for name, text in _PARAMETERS.items():
+            self.add_service(
+                f"rcl_interfaces/srv/{name}", text.format("rcl_interfaces/msg")
+            )
+        for folder in folders:
+            self._add_folder(folder)
+
+    def add(self, name: str, text: str) -> None:
+        """Add a message by its definition, the text of a ``.msg`` file.
+
+        Raises:
+            ConfigError: It is no definition, or differs from a known one.
+        """
+        try:
+            self._store.register(_as_in_ros(self._sys.get_types_from_msg(text, name)))
+        except Exception as error:  # noqa: BLE001 - what rosbags' parser raises
+            raise ConfigError(
+                f"this is no definition of the message {name}",
+                got=str(error).partition("\n")[0] or type(error).__name__,
+                remedy="write it as in a .msg file of ROS 2; types of messages that "
+                "ROS 2 has cannot be changed",
+            ) from None
+
+    def add_service(self, name: str, text: str) -> None:
+        """Add a service by its definition, the text of a ``.srv`` file.
+
+        Raises:
+            ConfigError: It is no definition.
+        """
+        request, _, response = text.partition("---\n")
+        for part, its in (("Request", request), ("Response", response)):
+            self.add(f"{name}_{part}", its)
+        ask, answer = f"{name}_Request", f"{name}_Response"
+        self.add(
+            f"{name}_Event",
+            f"{_INFO} info\n{ask}[<=1] request\n{answer}[<=1] response\n",
+        )
+        self.add(
+            name,
+            f"{ask} request_message\n{answer} response_message\n"
+            f"{name}_Event event_message\n",
+        )
+
+    def _add_folder(self, folder: Path) -> None:
+        files = sorted(folder.glob("*/msg/*.msg"))
+        if not files:
+            raise ConfigError(
+                "this folder has no messages",
+                where=str(folder),
+                expected="files PACKAGE/msg/NAME.msg",
+                remedy="name the folder in which the packages are",
+            )
+        found: dict[str, Any] = {}
+        for file in files:
+            name = "/".join((*file.parts[-_PARTS:-1], file.stem))
+            try:
+                text = file.read_text(encoding="utf-8")
+                found |= self._sys.get_types_from_msg(text, name)
+            except Exception as error:  # noqa: BLE001 - what rosbags' parser raises
+                raise ConfigError(
+                    f"this is no definition of the message {name}",
+                    where=str(file),
+                    got=str(error).partition("\n")[0] or type(error).__name__,
+                    remedy="write it as in ROS 2",
+                ) from None
+        try:
+            self._store.register(found)
+        except Exception as error:  # noqa: BLE001 - what rosbags raises
+            raise ConfigError(
+                "these messages do not fit together",
+                where=str(folder),
+                got=str(error).partition("\n")[0],
+                remedy="give every message that another one has, too",
+            ) from None
+
+    def has(self, name: str) -> bool:
+        """Return whether a message is known."""
+        return name in self._store.fielddefs
+
+    def must_have(self, name: str, where: str = "") -> None:
+        """Refuse a type that is not known.
+
+        Raises:
+            ConfigError: It is none.
+        """
+        if name not in self._store.fielddefs:
+            raise ConfigError(
+                f"there is no message {name}",
+                where=where,
+                expected="a name such as sensor_msgs/msg/JointState",
+                remedy=did_you_mean(name, self._store.fielddefs)
+                or "give its .msg file: `messages` names the folder of its package",
+            )
+
+    def hash(self, name: str) -> str:
+        """Return the hash of a message's or service's type, as keys have it."""
+        return str(self._store.hash_rihs01(name))
+
+    def definition(self, name: str) -> str:
+        """Return the text of a message, with all those that it has."""
+        return str(self._store.generate_msgdef(name, ros_version=2)[0])
+
+    @property
+    def store(self) -> Any:  # noqa: ANN401 - rosbags' own
+        """All types, as rosbags has them."""
+        return self._store
+
+    def fields(self, name: str) -> list[Field]:
+        """Return the fields of a message."""
+        return [self._field(*one) for one in self._store.fielddefs[name][1]]
+
+    def _field(self, name: str, kind: tuple[Any, Any]) -> Field:
+        node, about = kind
+        size: int | None = None
+        if node in {self._nodes.ARRAY, self._nodes.SEQUENCE}:
+            is_array = node == self._nodes.ARRAY
+            (node, about), size = about
+            size = size if is_array else 0
+        nested = node == self._nodes.NAME
+        return Field(name, about if nested else about[0], nested, size)
+
+    def new(self, name: str) -> Any:  # noqa: ANN401 - by its type
+        """Return a message whose numbers are 0, whose texts and lists are empty."""
+        values = {one.name: self._empty(one) for one in self.fields(name)}
+        return self._store.types[name](**values)
+
+    def _empty(self, field: Field) -> object:
+        if field.nested or field.type in {"string", "wstring"}:
+            return self._several(field)
+        if field.size is not None:
+            return np.zeros(field.size, dtype_of(field.type))
+        return False if field.type == "bool" else np.dtype(field.type).type(0).item()
+
+    def _several(self, field: Field) -> object:
+        make = (lambda: self.new(field.type)) if field.nested else str
+        return make() if field.size is None else [make() for _ in range(field.size)]
+
+    def encode(self, name: str, message: object) -> bytes:
+        """Return a message in CDR."""
+        return bytes(self._store.serialize_cdr(message, name))
+
+    def decode(self, name: str, data: bytes) -> Any:  # noqa: ANN401 - by its type
+        """Return the message that CDR means.
+
+        Raises:
+            ProtocolError: It is no such message.
+        """
+        try:
+            return self._store.deserialize_cdr(data, name)
+        except Exception as error:  # noqa: BLE001 - what its generated code raises
+            raise ProtocolError(
+                f"this is no message {name}",
+                got=f"{len(data)} bytes: {type(error).__name__}",
+                remedy="its sender has another definition of the type",
+            ) from None
+
+
+def _as_in_ros(tree: Any) -> Any:  # noqa: ANN401 - a definition, as rosbags has it
+    """Return a definition as ROS means it.
+
+    In a ``.msg`` file ``char`` is another word for ``uint8``, hashes included, and a
+    service has no ``/msg`` in its name; rosbags 0.11.9 has it otherwise.
+    """
+    if isinstance(tree, str):
+        return tree.replace("/srv/msg/", "/srv/")
+    if isinstance(tree, tuple) and tree[0] == "char" and tree[1:] == (0,):
+        return "uint8", 0
+    if isinstance(tree, dict):
+        named = cast("dict[str, Any]", tree)
+        return {_as_in_ros(key): _as_in_ros(value) for key, value in named.items()}
+    if isinstance(tree, list | tuple):
+        parts = [_as_in_ros(one) for one in cast("list[Any]", tree)]
+        return parts if isinstance(tree, list) else tuple(parts)
+    return tree
+
+
+def dtype_of(kind: str) -> str:
+    """Return numpy's name of a number's type."""
+    return {"bool": "bool", "octet": "u1", "byte": "u1", "char": "u1"}.get(kind, kind)
+
+
+def seconds(message: Any) -> float:  # noqa: ANN401 - Time or Duration
+    """Return a time or duration in seconds."""
+    return float(message.sec) + 1e-9 * float(message.nanosec)
+
+
+def nanoseconds(message: Any) -> int:  # noqa: ANN401 - Time or Duration
+    """Return a time or duration in nanoseconds."""
+    return int(message.sec) * 1_000_000_000 + int(message.nanosec)
+
+
+def set_stamp(message: Any, stamp_ns: int) -> None:  # noqa: ANN401 - Time
+    """Set a time to nanoseconds since 1970."""
+    message.sec, message.nanosec = divmod(stamp_ns, 1_000_000_000)
+
+
+def is_finite(values: Iterable[float]) -> bool:
+    """Return whether all values are numbers."""
+    return all(map(math.isfinite, values))

@@ -1,0 +1,401 @@
+"""Variables of the table as topics, by a thread that asks nothing of any task."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from pbonet.errors import ConfigError, SvarError, SvarMissingError
+from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
+
+from . import field_paths
+from .message_types import HEADER, set_stamp
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.config import Variable
+    from pbonet.svar import LocalTable
+
+    from .field_paths import Leaf, Share
+    from .message_types import MessageTypes
+    from .repeated_warnings import Warnings
+    from .ros_node import Publisher
+    from .topics_file import Plain, Publish
+
+_GLANCE_NS: Final = 1_000_000
+"""Nanoseconds between checks of a table that is not expected to change."""
+_NEAR_NS: Final = 30_000
+"""The same while a commit is expected."""
+_EARLY: Final = 0.2
+"""Share of a period by which a commit is expected early."""
+_LATE: Final = 1.0
+"""Share of a period for which one that is late is expected."""
+_DRIFT: Final = 0.05
+"""Share of the lateness of a commit by which the next one is expected later."""
+_SOON: Final = 0.95
+"""Share of the shortest time between two messages after which one may be sent."""
+_LONGEST_NS: Final = 200_000_000
+"""Nanoseconds until the thread looks whether the table is still there."""
+_AGAIN: Final = 0.2
+_PAUSED: Final = "it is paused: a variable is stale, or was never written"
+_NO_TABLE: Final = "the subsystem is not open on this machine; it is waited for"
+_BAD: Final = Flags.COPY_LOST | Flags.TABLE_OVERWRITTEN
+
+
+class Filling:
+    """A message that is filled with variables.
+
+    Args:
+        types: The types of messages.
+        about: What the file says.
+        variables: The variables of the table.
+        where: The place, for errors.
+
+    Raises:
+        ConfigError: A type, field or variable does not exist, or they do not fit.
+    """
+
+    def __init__(
+        self,
+        types: MessageTypes,
+        about: Publish,
+        variables: dict[str, Variable],
+        where: str,
+    ) -> None:
+        types.must_have(about.type, where)
+        self._types, self.type = types, about.type
+        self.message: Any = types.new(about.type)
+        plan: list[tuple[Leaf, Share]] = []
+        for path, text in about.fields.items():
+            share = field_paths.share_of(text, variables, where)
+            leaves = field_paths.leaves_of(types, about.type, path, where)
+            plan += _shared(leaves, share, variables[share.variable], where)
+        for leaf, _ in plan:
+            field_paths.grow(types, self.message, leaf)
+        for path, value in about.constants.items():
+            self._set(path, value, where)
+        self.variables = sorted({share.variable for _, share in plan})
+        self._setters = [
+            (field_paths.setter(self.message, leaf), share) for leaf, share in plan
+        ]
+        self._stamps = list(_headers(types, about.type, self.message))
+        for header in self._stamps:
+            header.frame_id = about.frame or header.frame_id
+        self.encode(
+            {n: _zeros(variables[n]) for n in self.variables}, 0
+        )  # once, to see
+
+    def _set(self, path: str, value: Plain | list[Plain], where: str) -> None:
+        """Set a field that stays as it is."""
+        *way, last = path.split(".")
+        owner: Any = self.message
+        try:
+            for part in way:
+                name, _, index = part.partition("[")
+                owner = getattr(owner, name)
+                owner = owner[int(index.removesuffix("]"))] if index else owner
+            before = getattr(owner, last)
+            setattr(owner, last, _as(before, value))
+        except (AttributeError, IndexError, TypeError, ValueError):
+            raise ConfigError(
+                f"the constant {path} cannot be set",
+                where=where,
+                expected=f"a field of {self.type}, and a value of its type",
+                got=repr(value),
+            ) from None
+
+    def encode(self, values: dict[str, NDArray[Any]], stamp_ns: int) -> bytes:
+        """Return the message with these values, in CDR.
+
+        Args:
+            values: The values of `variables`.
+            stamp_ns: When they were made, nanoseconds since 1970.
+        """
+        for put, share in self._setters:
+            put(values[share.variable][share.first : share.end])
+        for header in self._stamps:
+            set_stamp(header.stamp, stamp_ns)
+        return self._types.encode(self.type, self.message)
+
+
+def _zeros(variable: Variable) -> NDArray[Any]:
+    import numpy as np
+
+    return np.zeros(variable.nelem, variable.dtype)
+
+
+def _shared(
+    leaves: Sequence[Leaf], share: Share, variable: Variable, where: str
+) -> list[tuple[Leaf, Share]]:
+    """Return which elements of a variable go to which number of a message."""
+    if variable.dtype[0] == "V":
+        raise ConfigError(
+            f"{variable.name} is a struct, not numbers",
+            where=where,
+            remedy="publish variables of numbers",
+        )
+    found: list[tuple[Leaf, Share]] = []
+    first, size = share.first, share.end - share.first
+    widths = [field_paths.width(leaf) for leaf in leaves]
+    need = sum(one or 0 for one in widths)
+    if None in widths and len(leaves) == 1:
+        widths = [size]
+    elif need != size or None in widths:
+        raise ConfigError(
+            f"{variable.name} does not fit {leaves[0].path}",
+            where=where,
+            expected=f"{need} elements",
+            got=f"{size}",
+            remedy=f"name some, as {variable.name}[0:{need}], or other fields",
+        )
+    for leaf, one in zip(leaves, widths, strict=True):
+        field_paths.must_fit(leaf, variable, where)
+        end = first + (one or 0)
+        found.append((leaf, share._replace(first=first, end=end)))
+        first = end
+    return found
+
+
+def _as(before: object, value: Plain | list[Plain]) -> object:
+    """Return a constant as its field has it."""
+    import numpy as np
+
+    if isinstance(before, np.ndarray):
+        array = cast("NDArray[Any]", before)
+        return np.array(value, array.dtype)
+    if isinstance(before, list):
+        if not (isinstance(value, list) and all(isinstance(v, str) for v in value)):
+            raise TypeError
+        return value
+    if isinstance(value, list) or isinstance(before, str) != isinstance(value, str):
+        raise TypeError
+    kind: Any = type(before)
+    return kind(value)
+
+
+def _headers(types: MessageTypes, name: str, message: Any) -> Iterable[Any]:  # noqa: ANN401
+    """Yield the headers in a message."""
+    if name == HEADER:
+        yield message
+        return
+    for field in types.fields(name):
+        if field.nested:
+            inner = getattr(message, field.name)
+            for one in [inner] if field.size is None else inner:
+                yield from _headers(types, field.type, one)
+
+
+class Outgoing:
+    """One topic with the variables that it is made of.
+
+    Args:
+        filling: The message.
+        publisher: Where it goes.
+        max_hz: How often a second at most.
+        warnings: What a user should know.
+    """
+
+    def __init__(
+        self, filling: Filling, publisher: Publisher, max_hz: float, warnings: Warnings
+    ) -> None:
+        self.filling, self.publisher, self._warnings = filling, publisher, warnings
+        self._pause_ns = int(1e9 / max_hz * _SOON)
+        self._local: LocalTable | None = None
+        self._values: dict[str, NDArray[Any]] = {}
+        self._sent: list[tuple[int, int]] = []
+        self.copied: list[tuple[int, int]] = []
+        """Registers that were copied last, and the number of the commit of each."""
+        self.due_ns = 0
+        """When it may be published again."""
+
+    def attach(self, table: Table) -> None:
+        """Read this table from now on."""
+        names = self.filling.variables
+        self._local = local = table.local("ros2", os.getpid(), invar=names)
+        local.keep_fresh({table.index(name): Freshness() for name in names})
+        self._values = {name: local.array(name) for name in names}
+        self._sent = self.copied = []
+
+    @property
+    def behind(self) -> bool:
+        """Whether it has a commit that was not published yet."""
+        return self._sent != self.copied
+
+    def turn(self, now: int) -> None:
+        """Publish the variables if one has changed, none is too old, and it is time."""
+        local = self._local
+        if local is None or local.copy_in() & _BAD:
+            return
+        self.copied = local.pairs
+        if not self.behind or now < self.due_ns:
+            return
+        self._sent = self.copied
+        ages = [local.age(name) for name in self.filling.variables]
+        name = self.publisher.end.name
+        if local.flags & Flags.COPY_STALE or max(ages) == float("inf"):
+            self._warnings.warn(name, _PAUSED)
+            return
+        self._warnings.over(name, _PAUSED)
+        self.due_ns = now + self._pause_ns
+        stamp_ns = time.time_ns() - round(max(ages) * 1e9)
+        self.publisher.put(self.filling.encode(self._values, stamp_ns), stamp_ns)
+
+
+class TablePublisher:
+    """Publishes the table of a subsystem, as long and as often as there is one.
+
+    Args:
+        name: The table's name.
+        layout: Its layout.
+        outgoing: The topics.
+        warnings: What a user should know.
+    """
+
+    def __init__(
+        self, name: str, layout: str, outgoing: list[Outgoing], warnings: Warnings
+    ) -> None:
+        self._name, self._layout = name, layout
+        self._outgoing, self._warnings = outgoing, warnings
+        self._table: Table | None = None
+        self._watch = Watch()
+        self._ended = threading.Event()
+        self._period_ns = 0.0
+        self._last_ns = self._seen_ns = 0
+        self._heads: dict[int, int] = {}
+        self._generation = -1
+        self._thread = threading.Thread(
+            target=self._work, name="ros topics", daemon=True
+        )
+
+    def start(self) -> None:
+        """Publish from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self._watch.ring()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _work(self) -> None:
+        while not self._ended.is_set():
+            try:
+                if self._table is None:
+                    self._attach()
+                else:
+                    self._turn(self._table)
+            except SvarMissingError:
+                self._warnings.warn(self._name, _NO_TABLE)
+                self._ended.wait(_AGAIN)
+            except SvarError as error:
+                self._warnings.warn_of(self._name, error)
+                self._leave()
+                self._ended.wait(_AGAIN)
+        self._leave()
+
+    def _attach(self) -> None:
+        self._table = Table.attach(self._name, layout=self._layout)
+        self._generation = -1
+        for one in self._outgoing:
+            one.attach(self._table)
+        self._warnings.over(self._name, _NO_TABLE)
+
+    def _leave(self) -> None:
+        if self._table is not None:
+            self._table.close()
+            self._table = None
+
+    def _turn(self, table: Table) -> None:
+        """Wait until something has changed, and publish it."""
+        before = self._numbers()
+        moved = self._sleep(table, before)
+        now = now_ns()
+        for one in self._outgoing:
+            one.turn(now)
+        if moved:
+            steps = [n - before.get(uid, n) for uid, n in self._numbers().items()]
+            self._measure(now, max(steps, default=0))
+        elif not _is_there(table):
+            self._leave()
+
+    def _numbers(self) -> dict[int, int]:
+        """Return the number of the newest commit that was copied, by register."""
+        found: dict[int, int] = {}
+        for one in self._outgoing:
+            for uid, number in one.copied:
+                found[uid] = max(number, found.get(uid, 0))
+        return found
+
+    def _sleep(self, table: Table, known: dict[int, int]) -> bool:
+        """Sleep until a commit; where one is expected, look closely.
+
+        Returns:
+            Whether there was one.
+        """
+        arena = table.arena
+        if table.generation != self._generation:
+            self._generation = table.generation
+            self._heads = {one.uid: one.index for one in table.registers()}
+        self._watch.forget()
+        heads = [
+            (self._heads[uid], n) for uid, n in known.items() if uid in self._heads
+        ]
+        self._watch.add(arena, self._generation, arena.changes, heads)
+        now = now_ns()
+        due = [one.due_ns for one in self._outgoing if one.behind]
+        until = min([now + _LONGEST_NS, *due])
+        expected = self._last_ns + self._period_ns
+        near = min(expected - _EARLY * self._period_ns, until)
+        if near > now:
+            self._ended.wait((near - now) * 1e-9)
+        late = round(min(expected + _LATE * self._period_ns, until))
+        if late > now and self._watch.sleep(late, _NEAR_NS):
+            return True
+        return self._watch.sleep(until, _GLANCE_NS)
+
+    def _measure(self, now: int, steps: int) -> None:
+        """Take note of some commits, to expect the next one."""
+        since = (now - self._seen_ns) / max(steps, 1)
+        self._seen_ns = now
+        # It is seen late at times, and never early: lateness moves the next one little.
+        expected = self._last_ns + steps * self._period_ns
+        late = now - expected
+        self._last_ns = now
+        if 0 < late < self._period_ns:
+            self._last_ns = round(expected + _DRIFT * late)
+        if since > _LONGEST_NS or steps == 0:
+            self._period_ns = 0.0
+        else:
+            self._period_ns += (since - self._period_ns) * (
+                0.1 if self._period_ns else 1
+            )
+
+
+def _is_there(table: Table) -> bool:
+    """Return whether a table's file is still that of its name."""
+    try:
+        return table.path.stat().st_ino == os.fstat(table.arena.fileno).st_ino
+    except OSError:
+        return False
+
+
+def fillings(
+    types: MessageTypes,
+    wanted: Iterable[Publish],
+    variables: dict[str, Variable],
+    where: str,
+) -> list[tuple[Publish, Filling]]:
+    """Return the messages that a file names.
+
+    Raises:
+        ConfigError: A type, field or variable does not exist, or they do not fit.
+    """
+    return [
+        (one, Filling(types, one, variables, f"{where}: {one.topic}")) for one in wanted
+    ]

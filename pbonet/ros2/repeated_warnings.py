@@ -1,0 +1,57 @@
+"""Warnings of a bridge while it runs: each once, and again after some seconds."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.errors import PbonetError
+
+_PAUSE: Final = 10.0
+"""Seconds after which a warning about the same is shown again."""
+_KEPT: Final = 1000
+
+
+class Warnings:
+    """Shows warnings of things that may happen a thousand times a second.
+
+    Args:
+        show: Called with each sentence that is to be seen; any thread calls it.
+    """
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        self._show = show
+        self._shown: dict[str, tuple[float, int]] = {}
+        self._lock = threading.Lock()
+
+    def warn(self, about: str, what: str, details: str = "") -> None:
+        """Show a sentence, unless the same was shown a moment ago.
+
+        Args:
+            about: What it is about, such as a topic.
+            what: What happens; always the same words for the same thing.
+            details: More about it, which may differ each time.
+        """
+        key, now = f"{about}: {what}", time.monotonic()
+        with self._lock:
+            last, more = self._shown.get(key, (-_PAUSE, 0))
+            if now - last < _PAUSE:
+                self._shown[key] = last, more + 1
+                return
+            if len(self._shown) >= _KEPT:
+                self._shown.clear()
+            self._shown[key] = now, 0
+        self._show(f"{key}{details}" + (f" ({more} more times)" if more else ""))
+
+    def warn_of(self, about: str, error: PbonetError) -> None:
+        """Show an error."""
+        self.warn(about, error.what, str(error).partition(error.what)[2])
+
+    def over(self, about: str, what: str) -> None:
+        """Show this at once when it happens again."""
+        with self._lock:
+            self._shown.pop(f"{about}: {what}", None)

@@ -1,0 +1,270 @@
+"""One node of ROS 2 on a zenoh session: publishers, subscribers, services, tokens."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import zenoh
+
+from pbonet.errors import PbonetError, ProtocolError
+from pbonet.lazy import logger
+from pbonet.xm.net import direct
+
+from .wire_format import Attachment, End, Kind, Node, Qos, parse_token, tokens_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .message_types import MessageTypes
+    from .repeated_warnings import Warnings
+
+_WAITING: Final = 32
+"""Requests to services that wait at most; more are refused."""
+_CDR: Final = "application/cdr"
+_SERVICE_QOS: Final = Qos()
+_OTHERS: Final = {
+    Kind.PUBLISHER: Kind.SUBSCRIBER,
+    Kind.SUBSCRIBER: Kind.PUBLISHER,
+    Kind.SERVICE: Kind.CLIENT,
+    Kind.CLIENT: Kind.SERVICE,
+}
+_END_TIME: Final = 2.0
+
+
+class Publisher:
+    """Publishes messages of one topic, and never waits for a subscriber.
+
+    Args:
+        session: The session.
+        end: What it is.
+    """
+
+    def __init__(self, session: zenoh.Session, end: End) -> None:
+        self.end = end
+        self.number = 0
+        self._gid = end.gid
+        publisher: Any = session.declare_publisher(
+            end.key, encoding=_CDR, congestion_control=zenoh.CongestionControl.DROP
+        )
+        self._put = publisher.put
+
+    def put(self, data: bytes, stamp_ns: int) -> None:
+        """Publish a message; what a slow subscriber has no room for is dropped.
+
+        Args:
+            data: The message in CDR.
+            stamp_ns: When its content was made, nanoseconds since 1970.
+        """
+        self.number += 1
+        attachment = Attachment(self.number, stamp_ns, self._gid).pack()
+        self._put(data, attachment=attachment)
+
+
+class RosNode:
+    """A node with all that it has.
+
+    Args:
+        session: A session that no other node uses.
+        node: Domain, name and namespace.
+        types: The types of messages.
+        warnings: What a user should know.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        node: Node,
+        types: MessageTypes,
+        warnings: Warnings,
+    ) -> None:
+        self.session, self.types, self.warnings = session, types, warnings
+        self.node = node._replace(session=str(session.info.zid()))
+        self.ends: list[End] = []
+        self._declared: list[Any] = []
+        self._threads: list[threading.Thread] = []
+        self._requests: queue.Queue[tuple[Callable[[Any], Any], End, Any] | None] = (
+            queue.Queue(_WAITING)
+        )
+
+    def open(self) -> None:
+        """Show the node, and begin to answer and to look for others."""
+        live = self.session.liveliness()
+        self._declared += [
+            live.declare_token(self.node.token),
+            live.declare_subscriber(
+                tokens_of(self.node.domain), direct(self._on_token), history=True
+            ),
+        ]
+        self._start(self._work, "ros services")
+
+    def close(self) -> None:
+        """Undeclare everything, and close the session."""
+        for one in reversed(self._declared):
+            with contextlib.suppress(zenoh.ZError):
+                one.undeclare()
+        with contextlib.suppress(queue.Full):
+            self._requests.put_nowait(None)
+        with contextlib.suppress(zenoh.ZError):
+            self.session.close()  # type: ignore[no-untyped-call]
+        for thread in self._threads:
+            thread.join(_END_TIME)
+
+    def name_of(self, topic: str) -> str:
+        """Return the full name of a topic or service."""
+        topic = topic.removeprefix("~/")
+        return topic if topic.startswith("/") else f"{self.node.full_name}/{topic}"
+
+    def publisher(self, topic: str, kind: str, qos: Qos) -> Publisher:
+        """Declare a publisher."""
+        end = self._end(Kind.PUBLISHER, topic, kind, qos)
+        made = Publisher(self.session, end)
+        self._declare(end)
+        return made
+
+    def subscribe(
+        self,
+        topic: str,
+        kind: str,
+        qos: Qos,
+        take: Callable[[zenoh.Sample], None],
+        max_hz: float,
+    ) -> End:
+        """Declare a subscriber; only the newest message waits, all others are dropped.
+
+        Args:
+            topic: The topic.
+            kind: Its type.
+            qos: Its quality of service.
+            take: Called with messages, in a thread of its own.
+            max_hz: How often a second at most.
+        """
+        end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
+        handlers: Any = zenoh.handlers
+        session: Any = self.session
+        subscriber = session.declare_subscriber(end.key, handlers.RingChannel(1))
+        self._declare(end)
+
+        def run() -> None:
+            pause = 1.0 / max_hz
+            while True:
+                began = time.monotonic()
+                try:
+                    sample = subscriber.recv()
+                except zenoh.ZError:
+                    return  # the session was closed
+                self._safely(end.name, partial(take, sample))
+                if (left := began + pause - time.monotonic()) > 0:
+                    time.sleep(left)
+
+        self._start(run, f"ros {topic}")
+        return end
+
+    def serve(self, name: str, kind: str, answer: Callable[[Any], Any]) -> None:
+        """Declare a service.
+
+        Args:
+            name: Its name.
+            kind: Its type, such as ``rcl_interfaces/srv/GetParameters``.
+            answer: Returns the response to a request; one at a time is called.
+        """
+        end = self._end(Kind.SERVICE, name, kind, _SERVICE_QOS)
+
+        def take(query: zenoh.Query) -> None:
+            try:
+                self._requests.put_nowait((answer, end, query))
+            except queue.Full:
+                _refuse(query, f"{end.name}: too many requests wait; ask again")
+
+        self._declared.append(
+            self.session.declare_queryable(end.key, direct(take), complete=True)
+        )
+        self._declare(end)
+
+    def _end(self, kind: Kind, name: str, type_name: str, qos: Qos) -> End:
+        made = End(
+            self.node,
+            len(self.ends) + 1,
+            kind,
+            self.name_of(name),
+            type_name,
+            self.types.hash(type_name),
+            qos.text,
+        )
+        self.ends.append(made)
+        return made
+
+    def _declare(self, end: End) -> None:
+        self._declared.append(self.session.liveliness().declare_token(end.token))
+
+    def _start(self, what: Callable[[], None], name: str) -> None:
+        thread = threading.Thread(target=what, name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    # -- other nodes ------------------------------------------------------------------
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """Tell of others that mean another type; their messages never come here."""
+        other = parse_token(str(sample.key_expr))
+        if sample.kind != zenoh.SampleKind.PUT or not isinstance(other, End):
+            return
+        for own in self.ends:
+            if other.name != own.name or other.kind != _OTHERS[own.kind]:
+                continue
+            if (other.type, other.hash) != (own.type, own.hash):
+                what = "another definition" if other.type == own.type else other.type
+                self.warnings.warn(
+                    own.name,
+                    f"node {other.node.full_name} means {what}",
+                    f" (expected {own.type} {own.hash}, got {other.type} {other.hash})"
+                    "; no message passes",
+                )
+
+    # -- services ---------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while (item := self._requests.get()) is not None:
+            answer, end, query = item
+            self._safely(end.name, partial(self._reply, answer, end, query))
+
+    def _reply(
+        self,
+        answer: Callable[[Any], Any],
+        end: End,
+        query: Any,  # noqa: ANN401 - zenoh's, whose types are partly unknown
+    ) -> None:
+        with query:
+            try:
+                asked = Attachment.unpack(
+                    query.attachment.to_bytes() if query.attachment else b""
+                )
+                data = query.payload.to_bytes() if query.payload else b""
+                request = self.types.decode(f"{end.type}_Request", data)
+            except ProtocolError as error:
+                query.reply_err(str(error))
+                return
+            response = self.types.encode(f"{end.type}_Response", answer(request))
+            back = asked._replace(stamp_ns=time.time_ns())
+            query.reply(end.key, response, encoding=_CDR, attachment=back.pack())
+
+    def _safely(self, name: str, what: Callable[[], None]) -> None:
+        """Call a function; the node outlives whatever a message does."""
+        try:
+            what()
+        except PbonetError as error:
+            self.warnings.warn_of(name, error)
+        except zenoh.ZError as error:
+            self.warnings.warn(name, "it could not be sent", f": {error}")
+        except Exception as error:  # noqa: BLE001 - no message ends the node
+            logger("pbonet.ros2").exception("%s failed inside pbonet", name)
+            self.warnings.warn(name, "it failed inside pbonet", f": {error}")
+
+
+def _refuse(query: Any, text: str) -> None:  # noqa: ANN401 - as above
+    with contextlib.suppress(zenoh.ZError), query:
+        query.reply_err(text)

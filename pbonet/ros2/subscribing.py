@@ -1,0 +1,288 @@
+"""Topics as links, which tasks read as those of any other subsystem."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from pbonet import tbuf
+from pbonet.errors import ConfigError, ProtocolError
+from pbonet.svar import now_ns
+
+from . import field_paths
+from .message_types import nanoseconds, seconds
+from .wire_format import Attachment
+
+if TYPE_CHECKING:
+    import zenoh
+    from numpy.typing import NDArray
+
+    from .field_paths import Source
+    from .message_types import MessageTypes
+    from .repeated_warnings import Warnings
+    from .topics_file import Subscribe
+
+HOME: Final = "ros2"
+"""The part before the colon of a link that a bridge writes."""
+TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
+LONGEST: Final = 1 << 20
+"""Bytes of the longest message that is decoded, as of a link's record."""
+_NAMES: Final = ("name", "joint_names")
+"""Fields of messages that name joints."""
+_COLUMNS: Final = ("positions", "velocities", "accelerations")
+_SENDERS: Final = 100
+"""Senders of a topic whose numbers are kept."""
+_LONG_AGO_NS: Final = 3600_000_000_000
+
+
+class Selection:
+    """Numbers of a message in the order in which a variable has them.
+
+    Args:
+        types: The types of messages.
+        about: What the file says.
+        where: The place, for errors.
+
+    Raises:
+        ConfigError: A type or field does not exist, or its size is not said.
+    """
+
+    def __init__(self, types: MessageTypes, about: Subscribe, where: str) -> None:
+        types.must_have(about.type, where)
+        self._joints = _Joints(about.joints)
+        if not about.fields:
+            raise ConfigError(
+                "it is not said which numbers of the message are wanted",
+                where=where,
+                expected='fields = ["linear.x", "angular.z"]',
+            )
+        self._sources: list[Source] = [
+            field_paths.source(leaf, len(about.joints), where)
+            for path in about.fields
+            for leaf in field_paths.leaves_of(types, about.type, path, where)
+        ]
+        if about.joints:
+            _must_name_joints(types, about.type, where)
+        self.shape = (sum(one.size for one in self._sources),)
+
+    def read(self, message: Any, to: NDArray[np.float64]) -> None:  # noqa: ANN401
+        """Copy the numbers of a message.
+
+        Raises:
+            ProtocolError: It has fewer, or not all joints.
+        """
+        order = self._joints.order(message)
+        at = 0
+        for one in self._sources:
+            to[at : at + one.size] = field_paths.numbers(message, one, order)
+            at += one.size
+
+
+class Trajectory:
+    """A JointTrajectory as rows of time, positions, velocities and accelerations.
+
+    What a message does not give, and rows behind its last point, are not a number.
+
+    Args:
+        types: The types of messages.
+        about: What the file says.
+        where: The place, for errors.
+
+    Raises:
+        ConfigError: The joints are not said.
+    """
+
+    def __init__(self, types: MessageTypes, about: Subscribe, where: str) -> None:
+        types.must_have(about.type, where)
+        if not about.joints or about.points < 1 or about.fields:
+            raise ConfigError(
+                "a trajectory needs its joints, and no fields",
+                where=where,
+                expected='joints = ["joint1", "joint2"], and points above 0',
+            )
+        self._joints = _Joints(about.joints)
+        self._count = len(about.joints)
+        self.shape = (about.points, 1 + len(_COLUMNS) * self._count)
+
+    def read(self, message: Any, to: NDArray[np.float64]) -> None:  # noqa: ANN401
+        """Copy the points of a message.
+
+        Raises:
+            ProtocolError: It has too many points, or not all joints.
+        """
+        points, n = message.points, self._count
+        if len(points) > len(to):
+            raise ProtocolError(
+                "the trajectory has too many points",
+                expected=f"at most {len(to)}",
+                got=f"{len(points)}",
+                remedy="set `points` of the topic, and POINTS of ros_trajectory",
+            )
+        to[:] = np.nan
+        order = self._joints.order(message) if points else None
+        for row, point in zip(to, points, strict=False):
+            row[0] = seconds(point.time_from_start)
+            for k, column in enumerate(_COLUMNS):
+                values = getattr(point, column)
+                if len(values):
+                    row[1 + k * n : 1 + (k + 1) * n] = _ordered(values, order, column)
+
+
+def _ordered(values: Any, order: NDArray[np.intp] | None, column: str) -> Any:  # noqa: ANN401
+    if order is None or len(values) <= int(order.max()):
+        raise ProtocolError(
+            f"a point of the trajectory has too few {column}", got=f"{len(values)}"
+        )
+    return values[order]
+
+
+class _Joints:
+    """Where joints stand in messages.
+
+    Args:
+        wanted: Their names, in the order of the variable.
+    """
+
+    def __init__(self, wanted: list[str]) -> None:
+        self._wanted = wanted
+        self._last: list[str] = []
+        self._order: NDArray[np.intp] | None = None
+
+    def order(self, message: Any) -> NDArray[np.intp] | None:  # noqa: ANN401
+        """Return the place of each joint in a message; None if no joint was named.
+
+        Raises:
+            ProtocolError: The message does not have all joints.
+        """
+        if not self._wanted:
+            return None
+        names: list[str] = next(
+            list(getattr(message, one)) for one in _NAMES if hasattr(message, one)
+        )
+        if self._order is None or names != self._last:
+            places = {name: place for place, name in enumerate(names)}
+            missing = [name for name in self._wanted if name not in places]
+            if missing:
+                raise ProtocolError(
+                    f"the message has no joint {missing[0]}",
+                    expected=" ".join(self._wanted),
+                    got=" ".join(names[:20]),
+                )
+            self._order = np.array([places[name] for name in self._wanted], np.intp)
+            self._last = names
+        return self._order
+
+
+def _must_name_joints(types: MessageTypes, name: str, where: str) -> None:
+    if not any(field.name in _NAMES for field in types.fields(name)):
+        raise ConfigError(
+            f"{name} has no names of joints",
+            where=where,
+            expected="JointState, or another message with `name` or `joint_names`",
+            remedy="remove `joints`, and say which elements: position[0:6]",
+        )
+
+
+Reading = Selection | Trajectory
+
+
+def reading(types: MessageTypes, about: Subscribe, where: str) -> Reading:
+    """Return how a topic's messages become records.
+
+    Raises:
+        ConfigError: A type or field does not exist, or a size is not said.
+    """
+    kind = Trajectory if about.type == TRAJECTORY else Selection
+    if about.stamp == "header" and types.has(about.type):
+        names = [field.name for field in types.fields(about.type)]
+        if "header" not in names:
+            raise ConfigError(
+                f"{about.type} has no header with a stamp",
+                where=where,
+                expected="stamp = 'arrival'",
+                got="stamp = 'header'",
+            )
+    return kind(types, about, where)
+
+
+class Incoming:
+    """One topic with its link.
+
+    Args:
+        types: The types of messages.
+        about: What the file says.
+        record: How messages become records.
+        warnings: What a user should know.
+
+    Raises:
+        XmError: The link has another writer, or its name cannot be one.
+    """
+
+    def __init__(
+        self,
+        types: MessageTypes,
+        about: Subscribe,
+        record: Reading,
+        warnings: Warnings,
+    ) -> None:
+        self.about, self._types, self._record = about, types, record
+        self._warnings = warnings
+        self._last: dict[bytes, int] = {}
+        self._by_header = about.stamp == "header"
+        self.lost = 0
+        """Messages that came faster than they were read, or were lost on the way."""
+        self._writer = tbuf.Writer(about.link, ("f8", record.shape))
+
+    def close(self) -> None:
+        """Detach from the link."""
+        self._writer.close()
+
+    def take(self, sample: zenoh.Sample) -> None:
+        """Write a message to the link.
+
+        Raises:
+            ProtocolError: It is too long, or no such message.
+        """
+        arrived = now_ns()
+        if len(sample.payload) > LONGEST:
+            raise ProtocolError(
+                "a message is too long, and was not read",
+                expected=f"at most {LONGEST} bytes",
+                got=f"{len(sample.payload)} bytes",
+                remedy="let its node send less",
+            )
+        if sample.attachment is not None:
+            self._count(Attachment.unpack(sample.attachment.to_bytes()))
+        message = self._types.decode(self.about.type, sample.payload.to_bytes())
+        self._record.read(message, self._writer.value)
+        self._writer.write(arrived - self._age(message))
+
+    def _age(self, message: Any) -> int:  # noqa: ANN401
+        """Return how long ago a message's content was made, in nanoseconds."""
+        if not self._by_header:
+            return 0
+        age = time.time_ns() - nanoseconds(message.header.stamp)
+        if not -_LONG_AGO_NS < age < _LONG_AGO_NS:
+            raise ProtocolError(
+                "the header's stamp is not of this time, and the message was not used",
+                expected="nanoseconds since 1970 by a clock that agrees with this one",
+                got=f"{age * 1e-9:.0f} s ago",
+                remedy="synchronize the clocks, or say stamp = 'arrival'",
+            )
+        return max(age, 0)
+
+    def _count(self, attachment: Attachment) -> None:
+        """Count what was not read, and tell of it."""
+        last = self._last.get(attachment.gid)
+        if len(self._last) >= _SENDERS:
+            self._last.clear()
+        self._last[attachment.gid] = attachment.number
+        if last is not None and attachment.number > last + 1:
+            self.lost += attachment.number - last - 1
+            self._warnings.warn(
+                self.about.topic,
+                f"messages come faster than max_hz = {self.about.max_hz:g} or are lost",
+                f": {self.lost} were not read; the newest are",
+            )

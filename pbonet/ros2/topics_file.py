@@ -1,0 +1,233 @@
+"""The file of a bridge: which variables and topics belong together; TOML."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Literal
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.analysis.legality import same_unit
+from pbonet.errors import ConfigError, ConfigFileError
+
+from .wire_format import MOST_DOMAIN, NAME, Qos
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pbonet.config import Variable
+
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+ARRAY: Final = "std_msgs/msg/Float64MultiArray"
+_JOINT_FIELDS: Final = {
+    "position": ("Q", ("rad", "m")),
+    "velocity": ("Q^", ("rad/s", "m/s")),
+    "effort": ("T", ("N*m", "N")),
+}
+"""Fields of JointState, with the variable's name before the ``_`` and its units."""
+Plain = str | bool | int | float
+
+
+class Topic(Struct, kw_only=True, forbid_unknown_fields=True):
+    """The common part of publishing and subscribing."""
+
+    topic: str
+    """Its name; without a first slash it is below the node's."""
+    type: str
+    """The message, such as ``geometry_msgs/msg/Twist``."""
+    reliable: bool = True
+    depth: int = 10
+    max_hz: float = 1000.0
+    """How often a second a message is handled at most; the newest one then."""
+
+    @property
+    def qos(self) -> Qos:
+        """Its quality of service."""
+        return Qos(reliable=self.reliable, depth=self.depth)
+
+
+class Publish(Topic, kw_only=True, forbid_unknown_fields=True):
+    """Variables that become a topic."""
+
+    fields: dict[str, str]
+    """By field, the variable or some of its elements: ``Q_MEZ``, ``X[0:3]``."""
+    constants: dict[str, Plain | list[Plain]] = {}
+    """Fields that stay as they are."""
+    frame: str = ""
+    """``frame_id`` of all headers."""
+
+
+class Subscribe(Topic, kw_only=True, forbid_unknown_fields=True):
+    """A topic that becomes a link."""
+
+    link: str
+    """The link is ``ros2:LINK``, for `tbuf_receive` and `ros_trajectory`."""
+    fields: list[str] = []
+    """The message's fields, in the order of the variable's elements."""
+    joints: list[str] = []
+    """Joints in the order of the variable's elements; the message's may differ."""
+    points: int = 64
+    """The most points of a trajectory."""
+    stamp: Literal["arrival", "header"] = "arrival"
+    """From when its age counts; ``header`` needs clocks that agree."""
+
+
+class Topics(Struct, kw_only=True, forbid_unknown_fields=True):
+    """All that a bridge is to do."""
+
+    domain: int | None = None
+    """None: ROS_DOMAIN_ID, else 0."""
+    node: str = ""
+    """The node's name, with its namespace; empty: the subsystem's name."""
+    messages: list[str] = []
+    """Folders of packages with ``.msg`` files."""
+    publish: list[Publish] = []
+    subscribe: list[Subscribe] = []
+
+    @property
+    def folders(self) -> list[Path]:
+        """The folders of packages."""
+        return list(map(Path, self.messages))
+
+    @property
+    def ros_domain(self) -> int:
+        """The ROS domain."""
+        if self.domain is not None:
+            return self.domain
+        text = os.environ.get("ROS_DOMAIN_ID") or "0"
+        if not text.isdigit() or int(text) > MOST_DOMAIN:
+            raise ConfigError(
+                "ROS_DOMAIN_ID is no ROS domain",
+                expected=f"0 to {MOST_DOMAIN}",
+                got=text,
+                remedy="unset it, or set another one",
+            )
+        return int(text)
+
+
+def read_topics(path: Path) -> Topics:
+    """Return what a bridge's file says.
+
+    Raises:
+        ConfigFileError: It cannot be read.
+        ConfigError: It is not TOML, or says something that cannot be.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigFileError(
+            "the file of topics cannot be read",
+            where=str(path),
+            got=getattr(error, "strerror", None) or str(error),
+            remedy="see docs/ros2.md for what stands in it",
+        ) from None
+    try:
+        found = msgspec.convert(tomllib.loads(text), Topics)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise ConfigError(
+            "the file of topics says something that cannot be",
+            where=str(path),
+            got=str(error),
+            remedy="see docs/ros2.md for what stands in it",
+        ) from None
+    found.messages = [str(path.parent / folder) for folder in found.messages]
+    _check(found, str(path))
+    return found
+
+
+def _check(topics: Topics, where: str) -> None:
+    _check_domain(topics, where)
+    names = [topics.node] if topics.node else []
+    names += [one.topic for one in (*topics.publish, *topics.subscribe)]
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise ConfigError(
+                f"{name!r} is no name of ROS",
+                where=where,
+                expected="letters, digits and _, in parts with / between",
+                remedy="rename it",
+            )
+    _refuse_twice("topic", [one.topic for one in topics.publish], where)
+    _refuse_twice("link", [one.link for one in topics.subscribe], where)
+    for one in (*topics.publish, *topics.subscribe):
+        if not (one.max_hz > 0 and one.depth > 0):
+            raise ConfigError(
+                "max_hz and depth are above 0", where=f"{where}: {one.topic}"
+            )
+
+
+def _check_domain(topics: Topics, where: str) -> None:
+    if not 0 <= topics.ros_domain <= MOST_DOMAIN:
+        raise ConfigError(
+            "this is no ROS domain",
+            where=where,
+            expected=f"0 to {MOST_DOMAIN}",
+            got=str(topics.domain),
+        )
+
+
+def _refuse_twice(what: str, names: Sequence[str], where: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(
+                f"the {what} {name} is there twice",
+                where=where,
+                expected=f"one of each {what}",
+                remedy="remove or rename one of them",
+            )
+
+
+def by_names(variables: Iterable[Variable]) -> Topics:
+    """Return the topics of a table without a file: all its variables are published.
+
+    ``Q_MEZ``, ``Q^_MEZ`` and ``T_MEZ`` become one JointState if their units are those
+    of joints, and so with any other ending; all others become arrays of numbers.
+    """
+    left = {one.name: one for one in variables if one.dtype[0] != "V"}
+    found: list[Publish] = []
+    for name in [one for one in left if one.startswith("Q_")]:
+        ending = name.removeprefix("Q_")
+        joints = _joints(ending, left)
+        if "position" in joints:
+            size = left[name].nelem
+            for one in joints.values():
+                del left[one]
+            topic = f"joint_states/{ros_name(ending)}"
+            found.append(
+                Publish(
+                    topic=topic,
+                    type=JOINT_STATE,
+                    fields=joints,
+                    constants={"name": [f"joint{i + 1}" for i in range(size)]},
+                )
+            )
+    found += [
+        Publish(topic=f"variables/{ros_name(name)}", type=ARRAY, fields={"data": name})
+        for name in left
+    ]
+    return Topics(publish=found)
+
+
+def _joints(ending: str, variables: dict[str, Variable]) -> dict[str, str]:
+    """Return which variables of an ending are which field of JointState."""
+    found: dict[str, str] = {}
+    size = variables[f"Q_{ending}"].nelem
+    for field, (first, units) in _JOINT_FIELDS.items():
+        one = variables.get(f"{first}_{ending}")
+        if (
+            one is not None
+            and one.nelem == size
+            and any(same_unit(one.units, unit) for unit in units)
+        ):
+            found[field] = one.name
+    return found
+
+
+def ros_name(name: str) -> str:
+    """Return a variable's name as ROS allows it: ``Q^_MEZ`` becomes ``qdot_mez``."""
+    text = name.replace("^", "dot").replace("'", "p")
+    return re.sub(r"\W", "_", text).lower()

@@ -1,0 +1,437 @@
+"""A subsystem as a node of ROS 2, seen by zenoh-ros2-sdk, which knows no pbonet."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import zenoh
+from watching import free_port, wait_for
+
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.ros2.message_types import (
+    COMMAND,
+    COMMAND_TEXT,
+    MessageTypes,
+    nanoseconds,
+)
+
+sdk = pytest.importorskip("zenoh_ros2_sdk")
+from zenoh_ros2_sdk import entity, keyexpr  # noqa: E402
+from zenoh_ros2_sdk.qos import QosProfile  # noqa: E402
+
+DOMAIN = 7
+JOINTS = """
+    from typing import Annotated as A
+    from pbonet import OutVar, Params, PortBasedObject, Vector, param
+
+    class Of(Params):
+        value: A[float, param("rad", "the first joint", ge=-4, le=4)] = 1.5
+        signs: A[tuple[int, ...], param("none", "a list")] = (1, -1)
+
+    class Joints(PortBasedObject[Of]):
+        '''An arm that counts.'''
+
+        q: A[Vector, OutVar("Q_MEZ", "2", "rad", "position", new=True)]
+        qd: A[Vector, OutVar("Q^_MEZ", "2", "rad/s", "velocity", new=True)]
+        t: A[Vector, OutVar("T_MEZ", "2", "N*m", "torque", new=True)]
+
+        def on(self) -> None:
+            self.count = 0
+
+        def cycle(self, dt: float) -> None:
+            self.count += 1
+            self.q[:] = self.params.value, self.count
+            self.qd[:] = self.count
+            self.t[:] = -self.count
+"""
+SVAR = """
+NAME Q_MEZ
+TYPE double
+DESC position
+UNITS rad
+NELEM 2
+
+NAME Q^_MEZ
+TYPE double
+DESC velocity
+UNITS rad/s
+NELEM 2
+
+NAME T_MEZ
+TYPE double
+DESC torque
+UNITS N*m
+NELEM 2
+
+NAME SPEED
+TYPE double
+DESC what a node of ROS wants
+UNITS m/s
+NELEM 2
+MAXAGE 0.5
+EOF
+"""
+RMOD = """MODULE {module}
+DESC a test
+{alias}
+INCONST none
+OUTCONST none
+INVAR none
+OUTVAR {out}
+TASKTYPE periodic
+FREQ {hz}
+{local}
+EOF
+"""
+OUT = "Q_MEZ Q^_MEZ T_MEZ"
+TOPICS = f"""
+domain = {DOMAIN}
+node = "/lab/arm"
+messages = ["interfaces"]
+
+[[publish]]
+topic = "/joint_states"
+type = "sensor_msgs/msg/JointState"
+frame = "base"
+fields = {{ position = "Q_MEZ", velocity = "Q^_MEZ", effort = "T_MEZ" }}
+constants = {{ name = ["one", "two"] }}
+
+[[publish]]
+topic = "torque"
+type = "my_msgs/msg/Torque"
+fields = {{ "axis.y" = "T_MEZ[1]" }}
+max_hz = 50
+
+[[subscribe]]
+topic = "/cmd_vel"
+type = "geometry_msgs/msg/Twist"
+link = "cmd_vel"
+fields = ["linear.x", "angular.z"]
+"""
+GET = "string[] names", "rcl_interfaces/ParameterValue[] values"
+SET = (
+    "rcl_interfaces/Parameter[] parameters",
+    "rcl_interfaces/SetParametersResult[] results",
+)
+TORQUE = "geometry_msgs/Vector3 axis\nstring why\n"
+
+
+def text_of(name):
+    """Return the text of a message and write what it needs beside it, for the SDK."""
+    return MessageTypes().definition(name).partition("=" * 80)[0]
+
+
+@pytest.fixture
+def messages(tmp_path):
+    """Definitions that the SDK gets as text, as it can download none here."""
+    for name in (
+        "std_msgs/msg/Header",
+        "builtin_interfaces/msg/Time",
+        "sensor_msgs/msg/JointState",
+        "geometry_msgs/msg/Vector3",
+        "geometry_msgs/msg/Twist",
+        "rcl_interfaces/msg/ParameterValue",
+        "rcl_interfaces/msg/Parameter",
+        "rcl_interfaces/msg/SetParametersResult",
+    ):
+        file = tmp_path / "texts" / f"{name}.msg"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text_of(name))
+    own = tmp_path / "interfaces" / "my_msgs" / "msg"
+    own.mkdir(parents=True)
+    (own / "Torque.msg").write_text(TORQUE)
+    return tmp_path / "texts"
+
+
+@pytest.fixture
+def arm(nodes, tmp_path):
+    """A subsystem with two tasks that are ON, and one to swap to."""
+    nodes.write_module("joints", JOINTS)
+    receive = "LOCAL\nLINK ros2:cmd_vel"
+    for name, text in (
+        ("a.svar", SVAR),
+        ("a.sbs", "SUBSYSTEM arm\nSVARFILE a.svar\nRTPU arm0\nEOF\n"),
+        ("one.rmod", RMOD.format(module="joints", alias="", out=OUT, hz=500, local="")),
+        ("two.rmod", RMOD.format(module="joints", alias="", out=OUT, hz=500, local="")),
+        (
+            "seen.rmod",
+            RMOD.format(
+                module="tbuf_receive",
+                alias="SVARALIAS Z=SPEED",
+                out="Z",
+                hz=200,
+                local=receive,
+            ),
+        ),
+        ("a.toml", TOPICS),
+    ):
+        (tmp_path / name).write_text(text)
+    nodes.agent("arm0")
+    with Subsystem(tmp_path / "a.sbs", domain=nodes.domain, record="off") as arm:
+        arm.spawn("one")
+        arm.spawn("seen")
+        arm.on(["one", "seen"])
+        arm.detach()
+        yield tmp_path, nodes.domain
+        arm.open()
+
+
+@pytest.fixture
+def bridge(arm, messages):  # noqa: ARG001 - its file names their folder
+    """The process, the port of its router, and what it says."""
+    folder, domain = arm
+    port = free_port()
+    words = ["ros2", "bridge", folder / "a.sbs", "--topics", folder / "a.toml"]
+    words += ["--listen", f"tcp/127.0.0.1:{port}", "--control", "--json"]
+    with (
+        (folder / "errors").open("w") as errors,
+        subprocess.Popen(
+            [sys.executable, "-m", "pbonet.cli", *map(str, words), "--domain", domain],
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+        ) as process,
+    ):
+        try:
+            told = process.stdout.readline()
+            assert told, (folder / "errors").read_text()
+            yield process, port, json.loads(told)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+@pytest.fixture
+def node(bridge, messages, monkeypatch):
+    """The SDK's own session with our router."""
+    _, port, _ = bridge
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "scouting/multicast/enabled=false")
+    monkeypatch.setenv("GIT_ALLOW_PROTOCOL", "none")  # it would fetch definitions
+    sdk.get_registry().messages_dir = messages
+    session = sdk.ZenohSession.get_instance("127.0.0.1", port)
+    yield session
+    session.session.close()
+    sdk.ZenohSession._instance = None
+
+
+def told(folder, words):
+    """Wait until the bridge has told something."""
+    wait_for(lambda: words in (folder / "errors").read_text(), words)
+
+
+def our_tokens(node):
+    """Return what the SDK finds of us in the graph."""
+    return {str(r.ok.key_expr) for r in node.liveliness.get(f"@ros2_lv/{DOMAIN}/**")}
+
+
+def token(node, number, kind, name, made):
+    """Return the token of our end that fits one of the SDK, as it would write it."""
+    ours = next(t for t in our_tokens(node) if t.endswith("/NN/%/%lab/arm"))
+    of = entity.NodeEntity(DOMAIN, ours.split("/")[2], 0, "arm", "/lab")
+    qos = "1:2:1,10:,:,:,,"
+    assert QosProfile.decode(qos) == QosProfile()
+    end = entity.EndpointEntity(
+        of, number, kind, name, made.dds_type_name, made.type_hash, qos
+    )
+    return keyexpr.endpoint_liveliness_keyexpr(end)
+
+
+def test_a_node_of_ros_sees_moves_and_commands_a_subsystem(arm, bridge, node) -> None:
+    sees_it(node, bridge[2])
+    gets_its_variables()
+    commands_it()
+    moves_it(arm, node)
+    disturbs_it(arm, node)
+
+
+def sees_it(node, about):
+    """Every end of ours is in the graph of ROS as the SDK would have put it there."""
+    assert about["publishes"] == ["/joint_states", "/lab/arm/torque"]
+    assert {"/lab/arm/swap", "/lab/arm/set_parameters"} <= set(about["services"])
+    publisher = sdk.ROS2Publisher(
+        "/cmd_vel", "geometry_msgs/msg/Twist", domain_id=DOMAIN, namespace="/sdk"
+    )
+    states = sdk.ROS2Subscriber(
+        "/joint_states", "sensor_msgs/msg/JointState", print, domain_id=DOMAIN
+    )
+    swap = sdk.ROS2ServiceClient(
+        "/lab/arm/swap", COMMAND, *COMMAND_TEXT.split("---\n"), domain_id=DOMAIN
+    )
+    seen = our_tokens(node)
+    for number, kind, end, name in (
+        (1, entity.EntityKind.SUBSCRIPTION, publisher, "/cmd_vel"),
+        (2, entity.EntityKind.PUBLISHER, states, "/joint_states"),
+        (
+            about["services"].index("/lab/arm/swap") + 4,
+            entity.EntityKind.SERVICE,
+            swap,
+            "/lab/arm/swap",
+        ),
+    ):
+        wanted = token(node, number, kind, name, end)
+        assert wanted in seen
+    for end in (publisher, states, swap):
+        end.close()
+
+
+def gets_its_variables():
+    """One JointState of three variables for each of 500 commits a second."""
+    got, torques = [], []
+    with contextlib.ExitStack() as ends:
+        for topic, name, text, take in (
+            ("/joint_states", "sensor_msgs/msg/JointState", None, got.append),
+            ("/lab/arm/torque", "my_msgs/msg/Torque", TORQUE, torques.append),
+        ):
+            end = sdk.ROS2Subscriber(
+                topic, name, take, msg_definition=text, domain_id=DOMAIN
+            )
+            ends.callback(end.close)
+        wait_for(lambda: len(got) > 1000 and torques, "messages")
+        end_ns = time.time_ns()
+    first, last = got[0], got[-1]
+    assert (first.name, first.header.frame_id) == (["one", "two"], "base")
+    for one in got:  # one commit, whole
+        count = one.position[1]
+        assert one.position.tolist() == [1.5, count]
+        assert one.velocity.tolist() == [count] * 2
+        assert one.effort.tolist() == [-count] * 2
+    steps = np.diff([one.position[1] for one in got])
+    assert (steps >= 1).all(), "in order, and each once"
+    assert (steps == 1).any(), "each commit, as far as the machine can"
+    stamps = [nanoseconds(m.header.stamp) for m in (first, last)]
+    assert stamps[0] < stamps[1] < end_ns
+    assert torques[0].axis.y < 0 == torques[0].axis.x
+    assert torques[0].why == ""
+
+
+def service(name, kind, *texts):
+    """Return a client of the SDK."""
+    return sdk.ROS2ServiceClient(
+        f"/lab/arm/{name}", kind, *texts, domain_id=DOMAIN, timeout=60.0
+    )
+
+
+def commands_it():
+    """Services are commands of the one table, and the parameters of tasks."""
+    with contextlib.ExitStack() as ends:
+
+        def call(name, arguments):
+            one = service(name, COMMAND, *COMMAND_TEXT.split("---\n"))
+            ends.callback(one.close)
+            return one.call(arguments=arguments)
+
+        done = call("swap", "one two")
+        assert done.success, done.message
+        states = {
+            one["task"]: one["fields"]["state"]
+            for one in json.loads(call("status", "").data)["tasks"]
+        }
+        assert states == {"one": "OFF", "two": "ON", "seen": "ON"}
+        refused = call("on", "nobody")
+        assert not refused.success
+        assert "the subsystem has no task nobody" in refused.message
+        for name in ("ParameterValue", "Parameter", "SetParametersResult"):
+            sdk.load_message_type(f"rcl_interfaces/msg/{name}")
+        get = service("get_parameters", "rcl_interfaces/srv/GetParameters", *GET)
+        change = service("set_parameters", "rcl_interfaces/srv/SetParameters", *SET)
+        ends.callback(get.close)
+        ends.callback(change.close)
+        names = ["two.value", "two.signs", "two.nothing"]
+        values = get.call(names=names).values
+        assert [one.type for one in values] == [3, 7, 0]
+        assert values[1].integer_array_value.tolist() == [1, -1]
+        values[0].double_value = -2.5
+        results = [set_one(change, "two.value", values[0])]
+        values[0].double_value = 99.0
+        results.append(set_one(change, "two.value", values[0]))
+        assert [one.successful for one in results] == [True, False]
+        assert "99" in results[1].reason
+        assert get.call(names=names).values[0].double_value == -2.5
+
+
+def set_one(client, name, value):
+    """Set one parameter by a client of the SDK; return its result."""
+    kind = client.session_mgr.store.types["rcl_interfaces/msg/Parameter"]
+    return client.call(parameters=[kind(name=name, value=value)]).results[0]
+
+
+def speed(arm):
+    """Return what the table has of the speed that ROS wants."""
+    folder, domain = arm
+    with Subsystem(folder / "a.sbs", domain=domain, watch=True) as watching:
+        return watching.display(["SPEED"])[0]
+
+
+def moves_it(arm, node):
+    """A topic is a link: it has an age, and gets stale when its node is silent."""
+    assert speed(arm).stale, "nothing came yet"
+    twist, vector = (
+        node.register_message_type(None, f"geometry_msgs/msg/{name}")
+        for name in ("Twist", "Vector3")
+    )
+    wheel = sdk.ROS2Publisher("/cmd_vel", "geometry_msgs/msg/Twist", domain_id=DOMAIN)
+
+    def arrived():
+        wheel.publish(linear=vector(x=0.5, y=9, z=9), angular=vector(x=9, y=9, z=-0.25))
+        one = speed(arm)
+        return not one.stale and list(one.values) == [0.5, -0.25]
+
+    wait_for(arrived, "the speed")
+    assert twist.__msgtype__ == "geometry_msgs/msg/Twist"
+    wheel.close()
+    wait_for(lambda: speed(arm).stale, "a silent node")
+    assert list(speed(arm).values) == [0.5, -0.25]
+
+
+def disturbs_it(arm, node):
+    """Whatever others send is told, and neither ends nor stops anything."""
+    folder, _ = arm
+    types = MessageTypes()
+    name = "geometry_msgs/msg/Twist"
+    key = f"{DOMAIN}/cmd_vel/geometry_msgs::msg::dds_::Twist_/{types.hash(name)}"
+    good = types.encode(name, types.new(name))
+    number = iter(range(1, 1 << 30))
+
+    def put(data, block=True):
+        attachment = next(number).to_bytes(8, "little") + bytes(8) + b"\x10" + bytes(16)
+        control = (
+            zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
+        )
+        node.session.put(key, data, attachment=attachment, congestion_control=control)
+
+    put(bytes(10 << 20))
+    told(folder, "a message is too long, and was not read (expected at most 1048576")
+    put(b"\0\1\0\0too short")
+    told(folder, "this is no message geometry_msgs/msg/Twist")
+    node.session.put(key, good, attachment=b"abc")
+    told(folder, "this is no attachment of rmw_zenoh")
+    other = sdk.ROS2Publisher(
+        "/cmd_vel", name, domain_id=DOMAIN, type_hash="RIHS01_" + 64 * "0"
+    )
+    told(folder, "means another definition")
+    other.close()
+    another = sdk.ROS2Publisher(
+        "/cmd_vel", "my_msgs/msg/Torque", msg_definition=TORQUE, domain_id=DOMAIN
+    )
+    told(folder, "means my_msgs/msg/Torque")
+    another.close()
+    # A subscriber that never reads: its queue is full at once.
+    held = node.session.declare_subscriber(
+        f"{DOMAIN}/joint_states/**", zenoh.handlers.FifoChannel(1)
+    )
+    for _ in range(20_000):
+        put(good, block=False)
+    told(folder, "messages come faster than max_hz = 1000")
+    wait_for(lambda: not speed(arm).stale, "the newest message")
+    with Subsystem(folder / "a.sbs", domain=arm[1], watch=True) as watching:
+        before = watching.status("two").cycle
+        wait_for(lambda: watching.status("two").cycle > before + 100, "its cycles")
+    del held

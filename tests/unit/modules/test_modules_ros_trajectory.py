@@ -1,0 +1,135 @@
+"""`ros_trajectory` on a bench: the link is real, and the test is its bridge."""
+
+import numpy as np
+import pytest
+
+from pbonet import Signal, State, tbuf, xm
+from pbonet.io import no_devices
+from pbonet.modules.trajectories.ros_trajectory import RosTrajectory
+from pbonet.modules.trajectories.traj_play import hermite
+from pbonet.testing import Bench
+
+NAN = float("nan")
+POINTS = 4
+
+
+@pytest.fixture(autouse=True)
+def home():
+    xm.live_on("ros2", domain="d")
+    yield
+    xm.live_on("local")
+
+
+@pytest.fixture
+def bench():
+    params = {"link": "ros2:way", "points": POINTS}
+    made = Bench(RosTrajectory, params=params, ndof=2, freq=100.0)
+    made.outputs.y = [1.0, 2.0]
+    made.on()
+    yield made
+    made.kill()
+
+
+@pytest.fixture
+def send():
+    with tbuf.Writer("way", ("f8", (POINTS, 7))) as writer:
+
+        def put(*points):
+            writer.value[:] = NAN
+            for row, point in zip(writer.value, points, strict=False):
+                row[: len(point)] = point
+            writer.write()
+
+        yield put
+
+
+def steps(bench, count):
+    for _ in range(count):
+        bench.step()
+
+
+def test_it_rests_until_a_trajectory_comes(bench, send):
+    steps(bench, 5)
+    assert bench.outputs.y.tolist() == [1.0, 2.0]
+    send((0.1, 3.0, 4.0))
+    steps(bench, 11)
+    assert bench.outputs.y.tolist() == [3.0, 4.0]
+    assert bench.outputs.y_dot.tolist() == [0.0, 0.0]
+    assert bench.task.signals & Signal.FINISH
+
+
+def test_it_passes_the_points_with_their_velocities(bench, send):
+    send((0.0, 9.0, 9.0), (0.1, 2.0, 2.5, 7.0, -1.0), (0.3, 4.0, 2.0, 0.0, 0.0))
+    found = []
+    for _ in range(30):
+        bench.step()
+        found.append((bench.outputs.y.copy(), bench.outputs.y_dot.copy()))
+    np.testing.assert_allclose(found[9], [[2.0, 2.5], [7.0, -1.0]], atol=1e-9)
+    begin, goal = (np.array([[1.0, 2.0], [0.0, 0.0]]), np.array([[2.0, 2.5], [7, -1]]))
+    np.testing.assert_allclose(found[4], hermite(0.5, 0.1, begin, goal), atol=1e-9)
+    np.testing.assert_allclose(found[-1], [[4.0, 2.0], [0.0, 0.0]], atol=1e-9)
+
+
+def test_velocities_that_are_not_given_are_differences(bench, send):
+    send((0.1, 2.0, 2.0), (0.2, 3.0, 2.0))
+    steps(bench, 10)
+    np.testing.assert_allclose(bench.outputs.y_dot, [10.0, 0.0], atol=1e-9)
+
+
+def test_a_new_one_begins_where_it_stands_without_a_jump(bench, send):
+    send((1.0, 3.0, 2.0))
+    steps(bench, 50)
+    before = bench.outputs.y.copy(), bench.outputs.y_dot.copy()
+    assert before[1][0] > 1.0
+    send((2.0, 0.0, 2.0))
+    bench.step()
+    np.testing.assert_allclose(bench.outputs.y, before[0] + 0.01 * before[1], atol=5e-3)
+    np.testing.assert_allclose(bench.outputs.y_dot, before[1], atol=0.5)
+    steps(bench, 200)
+    assert bench.outputs.y.tolist() == [0.0, 2.0]
+
+
+def test_one_without_points_stops(bench, send):
+    send((1.0, 3.0, 2.0))
+    steps(bench, 50)
+    stands = bench.outputs.y.copy()
+    send()
+    steps(bench, 5)
+    assert (bench.outputs.y == stands).all()
+    assert not bench.outputs.y_dot.any()
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(0.2, 3.0, 3.0), (0.1, 4.0, 4.0)],
+        [(0.1,)],
+        [(0.0, 3.0, 3.0)],
+        [(0.1, NAN, 1.0)],
+    ],
+)
+def test_one_that_cannot_be_is_warned_of_and_the_old_one_goes_on(bench, send, points):
+    send((0.2, 3.0, 4.0))
+    steps(bench, 10)
+    send(*points)
+    steps(bench, 11)
+    assert bench.task.nwarnings == 1
+    assert "was not followed" in bench.task.errmsg
+    assert bench.outputs.y.tolist() == [3.0, 4.0]
+
+
+def test_what_came_while_it_was_off_is_not_followed(bench, send):
+    bench.off()
+    send((0.1, 3.0, 4.0))
+    bench.on()
+    steps(bench, 20)
+    assert bench.outputs.y.tolist() == [1.0, 2.0]
+
+
+def test_a_simulation_opens_no_link(shared_memory):
+    with no_devices("this is a simulation"):
+        bench = Bench(RosTrajectory, params={"link": "ros2:way"}, ndof=2)
+    bench.on()
+    steps(bench, 3)
+    assert bench.state is State.ON
+    assert list(shared_memory.iterdir()) == []

@@ -1,0 +1,408 @@
+"""Variables as messages, and messages as records; CDR is read by mcap-ros2-support."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pbonet import tbuf, xm
+from pbonet.config.model import Variable
+from pbonet.errors import ConfigError, ProtocolError, XmTakenError
+from pbonet.ros2.message_types import MessageTypes, set_stamp
+from pbonet.ros2.publishing import Filling
+from pbonet.ros2.repeated_warnings import Warnings
+from pbonet.ros2.subscribing import LONGEST, Incoming, reading
+from pbonet.ros2.topics_file import Publish, Subscribe, by_names, read_topics
+from pbonet.ros2.wire_format import Attachment
+
+pytest.importorskip("rosbags")
+STAMP = 1_700_000_000_123_456_789
+JOINTS = "sensor_msgs/msg/JointState"
+VARIABLES = {
+    one.name: one
+    for one in (
+        Variable(name="Q_MEZ", type="double", nelem=3, units="rad"),
+        Variable(name="Q^_MEZ", type="double", nelem=3, units="rad/s"),
+        Variable(name="T_MEZ", type="float", nelem=3, units="N*m"),
+        Variable(name="DEG", type="double", nelem=3, units="deg"),
+        Variable(name="X", type="double", nelem=7, units="any"),
+        Variable(name="V", type="double", nelem=6, units="m/s"),
+        Variable(name="ON", type="bool", nelem=1),
+        Variable(name="COUNT", type="int", nelem=2),
+        Variable(name="RAW", type="struct[5]"),
+    )
+}
+
+
+@pytest.fixture(scope="module")
+def types():
+    return MessageTypes()
+
+
+@pytest.fixture(autouse=True)
+def home():
+    xm.live_on("ros2", domain="d")
+    yield
+    xm.live_on("local")
+
+
+def decoded(types, name, data):
+    """Return a message as an implementation that is not rosbags reads it."""
+    dynamic = pytest.importorskip("mcap_ros2._dynamic")
+    return dynamic.generate_dynamic(name, types.definition(name))[name](data)
+
+
+def filled(types, name, fields, **more):
+    """Return a message that is filled with 1, 2, ... of each variable."""
+    about = Publish(topic="t", type=name, fields=fields, **more)
+    filling = Filling(types, about, VARIABLES, "here")
+    values = {
+        one: (np.arange(VARIABLES[one].nelem) + 1).astype(VARIABLES[one].dtype)
+        for one in filling.variables
+    }
+    return decoded(types, name, filling.encode(values, STAMP))
+
+
+def plain(*vectors):
+    """Return the numbers of small messages."""
+    return [[getattr(one, key) for key in one.__slots__] for one in vectors]
+
+
+def test_three_variables_are_one_joint_state(types) -> None:
+    fields = {"position": "Q_MEZ", "velocity": "Q^_MEZ", "effort": "T_MEZ"}
+    got = filled(
+        types, JOINTS, fields, frame="base", constants={"name": ["a", "b", "c"]}
+    )
+    assert got.name == ["a", "b", "c"]
+    assert list(got.position) == list(got.velocity) == list(got.effort) == [1, 2, 3]
+    assert (got.header.frame_id, got.header.stamp.sec) == ("base", STAMP // 10**9)
+    assert got.header.stamp.nanosec == STAMP % 10**9
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "where", "expected"),
+    [
+        ("geometry_msgs/msg/Twist", {"linear": "V[0:3]"}, "linear", [1, 2, 3]),
+        (
+            "geometry_msgs/msg/TwistStamped",
+            {"twist.linear": "V[3:6]"},
+            "twist.linear",
+            [4, 5, 6],
+        ),
+        (
+            "geometry_msgs/msg/PoseStamped",
+            {"pose.orientation": "X[3:7]"},
+            "pose.orientation",
+            [4, 5, 6, 7],
+        ),
+        (
+            "geometry_msgs/msg/WrenchStamped",
+            {"wrench.torque": "T_MEZ"},
+            "wrench.torque",
+            [1, 2, 3],
+        ),
+        (
+            "sensor_msgs/msg/Imu",
+            {"angular_velocity": "Q^_MEZ"},
+            "angular_velocity",
+            [1, 2, 3],
+        ),
+        (
+            "nav_msgs/msg/Odometry",
+            {"pose.pose": "X"},
+            "pose.pose.orientation",
+            [4, 5, 6, 7],
+        ),
+        (
+            "tf2_msgs/msg/TFMessage",
+            {"transforms[1].transform.translation": "X[0:3]"},
+            "transforms.1.transform.translation",
+            [1, 2, 3],
+        ),
+    ],
+)
+def test_parts_of_variables_are_parts_of_messages(
+    types, name, fields, where, expected
+) -> None:
+    found = filled(types, name, fields)
+    for part in where.split("."):
+        found = found[int(part)] if part.isdigit() else getattr(found, part)
+    assert plain(found) == [expected]
+
+
+def test_single_numbers_truths_and_lists(types) -> None:
+    assert filled(types, "std_msgs/msg/Bool", {"data": "ON"}).data is True
+    assert filled(types, "std_msgs/msg/Int32", {"data": "COUNT[1]"}).data == 2
+    battery = filled(
+        types,
+        "sensor_msgs/msg/BatteryState",
+        {"voltage": "X[0]", "cell_voltage": "X"},
+        constants={"present": True, "serial_number": "7", "power_supply_status": 2},
+    )
+    assert (battery.voltage, list(battery.cell_voltage)) == (1.0, [1, 2, 3, 4, 5, 6, 7])
+    assert (battery.present, battery.serial_number) == (True, "7")
+    assert battery.power_supply_status == 2
+    path = "trajectory_msgs/msg/JointTrajectory"
+    line = filled(types, path, {"points[0].positions": "Q_MEZ"})
+    assert list(line.points[0].positions) == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "said"),
+    [
+        (JOINTS, {"position": "DEG"}, r"DEG does not fit position \(expected rad or m"),
+        (JOINTS, {"position": "Q_MEX"}, "no variable Q_MEX.*Q_MEZ"),
+        (JOINTS, {"position": "Q_MEZ[2:5]"}, "are no elements of Q_MEZ"),
+        (JOINTS, {"positions": "Q_MEZ"}, "has no field positions.*position"),
+        (JOINTS, {"name": "Q_MEZ"}, "name is not a number"),
+        (JOINTS, {"header": "X"}, "frame_id is not a number"),
+        (JOINTS, {"position": "RAW"}, "RAW is a struct"),
+        ("sensor_msgs/msg/JointStat", {"a": "X"}, "no message.*JointState"),
+        ("geometry_msgs/msg/Twist", {"linear": "V"}, r"expected 3 elements, got 6"),
+        ("geometry_msgs/msg/Twist", {"linear.x.y": "V[0]"}, "has no field y"),
+        ("tf2_msgs/msg/TFMessage", {"transforms.transform": "X"}, "a list of messages"),
+    ],
+)
+def test_what_does_not_fit_is_told(types, name, fields, said) -> None:
+    with pytest.raises(ConfigError, match=said):
+        filled(types, name, fields)
+
+
+@pytest.mark.parametrize("constants", [{"name": 3}, {"nothing": 1}, {"name": [1]}])
+def test_constants_must_fit(types, constants) -> None:
+    with pytest.raises(ConfigError, match="the constant"):
+        filled(types, JOINTS, {"position": "Q_MEZ"}, constants=constants)
+
+
+# -- the other way --------------------------------------------------------------------
+
+
+def record(types, message, name, **about):
+    """Return what a message becomes."""
+    made = reading(types, Subscribe(topic="t", type=name, link="x", **about), "here")
+    found = np.full(made.shape, 99.0)
+    made.read(types.decode(name, types.encode(name, message)), found)
+    return found
+
+
+def joint_state(types, names, **columns):
+    message = types.new(JOINTS)
+    message.name = names
+    for key, values in columns.items():
+        setattr(message, key, np.array(values, float))
+    return message
+
+
+def test_numbers_of_a_message_in_the_order_that_is_wanted(types) -> None:
+    name = "geometry_msgs/msg/Twist"
+    message = types.new(name)
+    message.linear.x, message.angular.z = 1.5, -2.0
+    fields = ["angular.z", "linear"]
+    assert record(types, message, name, fields=fields).tolist() == [-2.0, 1.5, 0, 0]
+
+
+def test_joints_come_in_our_order(types) -> None:
+    message = joint_state(
+        types, ["c", "x", "a"], position=[3, 9, 1], velocity=[6, 9, 4]
+    )
+    about = {"fields": ["position", "velocity"], "joints": ["a", "c"]}
+    assert record(types, message, JOINTS, **about).tolist() == [1, 3, 4, 6]
+    message.velocity = message.velocity[:1]
+    with pytest.raises(ProtocolError, match="velocity has too few elements"):
+        record(types, message, JOINTS, **about)
+    message.name = ["c", "x", "y"]
+    with pytest.raises(ProtocolError, match="no joint a"):
+        record(types, message, JOINTS, **about)
+
+
+def test_elements_by_their_number(types) -> None:
+    message = joint_state(types, [], position=[1, 2, 3])
+    assert record(types, message, JOINTS, fields=["position[1:3]"]).tolist() == [2, 3]
+    with pytest.raises(ProtocolError, match=r"expected 5, got 3"):
+        record(types, message, JOINTS, fields=["position[0:5]"])
+
+
+def test_a_trajectory_is_rows_of_points(types) -> None:
+    name, point = (f"trajectory_msgs/msg/JointTrajectory{one}" for one in ("", "Point"))
+    message = types.new(name)
+    message.joint_names = ["b", "a"]
+    for k in range(2):
+        one = types.new(point)
+        one.positions = np.array([k + 0.5, k + 0.25])
+        one.time_from_start.sec, one.time_from_start.nanosec = k, 500_000_000
+        message.points.append(one)
+    message.points[1].velocities = np.array([7.0, 8.0])
+    rows = record(types, message, name, joints=["a", "b"], points=3)
+    nan = np.nan
+    np.testing.assert_array_equal(
+        rows,
+        [
+            [0.5, 0.25, 0.5, nan, nan, nan, nan],
+            [1.5, 1.25, 1.5, 8.0, 7.0, nan, nan],
+            [nan] * 7,
+        ],
+    )
+    with pytest.raises(ProtocolError, match="too many points"):
+        record(types, message, name, joints=["a", "b"], points=1)
+    message.points[0].positions = np.array([1.0])
+    with pytest.raises(ProtocolError, match="too few positions"):
+        record(types, message, name, joints=["a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("name", "about", "said"),
+    [
+        (JOINTS, {}, "which numbers"),
+        (JOINTS, {"fields": ["position"]}, "any number of elements"),
+        ("trajectory_msgs/msg/JointTrajectory", {}, "needs its joints"),
+        (
+            "std_msgs/msg/Float64",
+            {"fields": ["data"], "joints": ["a"]},
+            "no names of j",
+        ),
+        ("std_msgs/msg/Float64", {"fields": ["data"], "stamp": "header"}, "no header"),
+        ("std_msgs/msg/Nothing", {"fields": ["data"], "stamp": "header"}, "no message"),
+    ],
+)
+def test_what_cannot_be_subscribed_is_told(types, name, about, said) -> None:
+    with pytest.raises(ConfigError, match=said):
+        reading(types, Subscribe(topic="t", type=name, link="x", **about), "here")
+
+
+# -- links ----------------------------------------------------------------------------
+
+
+class Bytes(bytes):
+    """Bytes as zenoh has them."""
+
+    def to_bytes(self):
+        return bytes(self)
+
+
+class Link:
+    """A topic with its link, and what it tells."""
+
+    def __init__(self, types, name, **about):
+        self.types, self.told = types, []
+        self.about = Subscribe(topic="/t", type=name, link="x", **about)
+        form = reading(types, self.about, "here")
+        self.end = Incoming(types, self.about, form, Warnings(self.told.append))
+        self.number = 0
+
+    def take(self, message, *, step=1, raw=None):
+        self.number += step
+        name = self.about.type
+        data = raw if raw is not None else self.types.encode(name, message)
+        note = Attachment(self.number, 0, bytes(16)).pack()
+        payload, attached = (Bytes(one) for one in (data, note))
+        self.end.take(SimpleNamespace(payload=payload, attachment=attached))
+
+
+@pytest.fixture
+def link(types):
+    made = Link(types, JOINTS, fields=["position[0:2]"], stamp="header")
+    yield made
+    made.end.close()
+
+
+def test_a_message_is_a_record_with_the_age_of_its_header(types, link) -> None:
+    message = joint_state(types, [], position=[1, 2])
+    set_stamp(message.header.stamp, time.time_ns() - 3_000_000_000)
+    with tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        link.take(message)
+        assert reader.read()
+        assert reader.value.tolist() == [1.0, 2.0]
+        assert 3.0 <= reader.age_ns() * 1e-9 < 60.0
+        set_stamp(message.header.stamp, 5)
+        with pytest.raises(ProtocolError, match="not of this time"):
+            link.take(message)
+        assert not reader.read(), "so its age grows"
+
+
+def test_what_was_not_read_is_counted_and_told_once(types, link) -> None:
+    message = joint_state(types, [], position=[1, 2])
+    set_stamp(message.header.stamp, time.time_ns())
+    for step in (1, 1, 1, 10, 20):
+        link.take(message, step=step)
+    assert link.end.lost == 28
+    assert len(link.told) == 1
+    assert "messages come faster than max_hz = 1000" in link.told[0]
+
+
+def test_long_and_broken_messages_are_refused(link) -> None:
+    with pytest.raises(ProtocolError, match="too long"):
+        link.take(None, raw=bytes(LONGEST + 1))
+    for raw in (b"", b"\0\1\0\0", bytes(100), b"\0\1\0\0" + b"\xff" * 64):
+        with pytest.raises(ProtocolError, match="this is no message"):
+            link.take(None, raw=raw)
+
+
+@pytest.mark.usefixtures("link")
+def test_a_link_has_one_bridge(types) -> None:
+    with pytest.raises(XmTakenError):
+        Link(types, JOINTS, fields=["position[0:2]"])
+
+
+# -- the file -------------------------------------------------------------------------
+
+
+def test_without_a_file_names_and_units_decide() -> None:
+    more = [
+        Variable(name="Q_REF", type="double", nelem=3, units="deg"),
+        Variable(name="T_REF", type="double", nelem=3, units="N*m"),
+    ]
+    found = by_names([*VARIABLES.values(), *more]).publish
+    assert found[0].topic == "joint_states/mez"
+    assert found[0].fields == {
+        "position": "Q_MEZ",
+        "velocity": "Q^_MEZ",
+        "effort": "T_MEZ",
+    }
+    assert found[0].constants == {"name": ["joint1", "joint2", "joint3"]}
+    assert {one.fields["data"]: one.topic for one in found[1:]} == {
+        "DEG": "variables/deg",
+        "X": "variables/x",
+        "V": "variables/v",
+        "ON": "variables/on",
+        "COUNT": "variables/count",
+        "Q_REF": "variables/q_ref",
+        "T_REF": "variables/t_ref",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[publish]", "says something that cannot be"),
+        ("nothing = 1", "unknown field"),
+        ("domain = 233", "no ROS domain"),
+        ('node = "a b"', "no name of ROS"),
+        ('[[publish]]\ntopic = "a"', "missing required field"),
+        (2 * '[[publish]]\ntopic = "a"\ntype = "b"\nfields = {}\n', "a is there twice"),
+        ('[[publish]]\ntopic = "a"\ntype = "b"\nfields = {}\nmax_hz = 0.0', "above 0"),
+    ],
+)
+def test_a_wrong_file_is_told(tmp_path, text, said) -> None:
+    (tmp_path / "t.toml").write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        read_topics(tmp_path / "t.toml")
+
+
+def test_messages_of_a_user(tmp_path) -> None:
+    folder = tmp_path / "mine_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Grip.msg").write_text("Finger[2] fingers\nfloat32 force # N\n")
+    (folder / "Finger.msg").write_text("float64[] angles\n")
+    types = MessageTypes([tmp_path])
+    got = filled(
+        types, "mine_msgs/msg/Grip", {"force": "X[1]", "fingers[1].angles": "Q_MEZ"}
+    )
+    assert (got.force, list(got.fingers[1].angles)) == (2.0, [1, 2, 3])
+    (folder / "Bad.msg").write_text("float64 1x\n")
+    with pytest.raises(ConfigError, match=r"Bad.msg.*no definition"):
+        MessageTypes([tmp_path])
+    with pytest.raises(ConfigError, match="no messages"):
+        MessageTypes([folder])
