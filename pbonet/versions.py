@@ -94,7 +94,8 @@ def mismatches(programs: Mapping[str, Mapping[str, Range]]) -> list[str]:
 
 
 def _unheard(tables: Mapping[str, Range]) -> list[str]:
-    """Say which programs are sent packets that they could understand in another version.
+    """Say which programs are sent packets in a version that they do not understand,
+    though they have one in common with the sender.
 
     A packet goes to all at once, in one version. One that understands both of two
     which have none in common is heard by one of them only.

@@ -80,6 +80,8 @@ READY_TIME = 5.0
 """Seconds for which masters do not see an agent that spawns tasks again."""
 LET_GO_TIME = 2.0
 """Seconds for closing tables."""
+HERE_CHECKS = 5
+"""Checks of its processes, 0.2 s apart, for one of the RTPUs that live here."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -153,6 +155,7 @@ class Agent:
         self._about: AgentInfo | None = None
         self._here: list[str] = []
         """RTPUs that live on this machine; see `AgentInfo.here`."""
+        self._checks = 0
         self._over = Ending()
         self._stopping = False
         self._started = False
@@ -309,9 +312,11 @@ class Agent:
         return found
 
     def _check_alive(self) -> None:
-        """See which RTPUs live here; send this one's process a sign of life."""
-        with contextlib.suppress(OSError):  # the folder was removed
-            self._here = self.places.neighbours()
+        """Send the RTPU process a sign of life; see at times which RTPUs live here."""
+        self._checks += 1
+        if self._checks % HERE_CHECKS == 0:
+            with contextlib.suppress(OSError):  # the folder was removed
+                self._here = self.places.neighbours()
         self._send_alive()
 
     def _send_alive(self) -> None:
