@@ -31,6 +31,9 @@ comes 0.15 s later."""
 FIRST_US = 75_000
 """Until the first retransmission, in addition to the measured round trip. It exceeds
 the 40 ms by which a receiver may delay an acknowledgement."""
+UNSENT = 8192
+"""Bytes that wait in a socket: what is written during an interruption is old at its
+end, and would be sent before all that is new."""
 _RTO_MIN_US = 45
 """The option for it, since Linux 6.15; else it is 200 ms, or `rto_min` of the route."""
 _INFO = struct.Struct("4B4xI24xI4xI52xI")
@@ -58,6 +61,7 @@ class Connection:
         self.is_busy = False
         """Whether it sends something again, or could not send."""
         with contextlib.suppress(OSError), _opened(fd) as one:
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
             one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
 
     def tend(self, now: float) -> bool:
