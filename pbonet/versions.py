@@ -94,8 +94,7 @@ def mismatches(programs: Mapping[str, Mapping[str, Range]]) -> list[str]:
 
 
 def _unheard(tables: Mapping[str, Range]) -> list[str]:
-    """Say which programs are sent packets in a version that they do not understand,
-    though they have one in common with the sender.
+    """Say which programs are sent packets of another version than one they understand.
 
     A packet goes to all at once, in one version. One that understands both of two
     which have none in common is heard by one of them only.
