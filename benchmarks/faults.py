@@ -486,7 +486,8 @@ def stepped(cell: Cell, name: str, ahead: float) -> Outcome:
 
 
 def steps(count: int) -> Iterator[tuple[str, Callable[[Cell], Outcome], int]]:
-    """Yield steps of wall clocks, as `cuts`."""
+    """Yield steps of wall clocks, as `cuts`, and first what happens without any."""
+    yield "nothing", partial(stepped, name="two", ahead=0.0), 2 * count
     for name, host in HOSTS.items():
         for ahead in (STEP, -STEP):
             what = partial(stepped, name=name, ahead=ahead)

@@ -47,12 +47,12 @@ for _ in range(500):
     connect()
 print("ready", flush=True)
 while True:
-    for number, _ in poll.poll():  # the other side has closed it
+    for number, _ in poll.poll():
         poll.unregister(number)
-        there.pop(number).close()
+        there.pop(number).close()  # the other side has closed it
         connect()
 """
-"""Connections that say nothing, always 500 of them."""
+"""Always 500 connections that say nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def comes(cell):
 
 
 def test_silent_connections_keep_no_agent_out(lab, lan):
-    """They take TLS's handshake as long as they may; an agent comes, and is stopped."""
+    """An agent comes meanwhile, and is stopped; decision 0249 says what fails here."""
     where = lan["a"].address("c"), str(lab.port)
     command = lan["c"].command(sys.executable, "-c", SILENT, *where)
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as silent:
