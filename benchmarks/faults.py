@@ -4,15 +4,17 @@ Three network namespaces with a cable between any two, and clocks hours apart: a
 on a writes the time, a controller on b passes it on with its own time, and a robot
 interface on c (500 Hz, CRITICAL, MAXAGE 0.05) writes down each cycle: when it was, what
 it acted on, and whether it was `cycle` or `stable`. All hosts share the clock by which
-they write, and tasks are judged by their monotonic clocks, which differ.
+they write (CLOCK_TAI), and tasks are judged by their monotonic clocks, which differ.
+Their wall clocks are set by `wall_clock.c`.
 
 A row is a kind of fault, repeated: cuts of several lengths, in one direction or both,
-random loss, an agent, an RTPU process or a machine killed, a machine that comes back
-with its clock an hour ahead. It shows the oldest command and the oldest sample of the
-source that `cycle` acted on, when `stable` came first, how much longer than the cut
-nothing was controlled, and how long after the end of the fault all was well. For cables
-that carry too little it shows how often `cycle` and `stable` took turns. Then b is cut
-off, and `status` and `stop` are asked on a: what they said, and what was so.
+random loss, the wall clock of a running machine set by an hour, an agent, an RTPU
+process or a machine killed, a machine that comes back with its clock an hour ahead. It
+shows the oldest command and the oldest sample of the source that `cycle` acted on, when
+`stable` came first, how much longer than the cut nothing was controlled, and how long
+after the end of the fault all was well. For cables that carry too little it shows how
+often `cycle` and `stable` took turns. Then b is cut off, and `status` and `stop` are
+asked on a: what they said, and what was so.
 
 Ends with status 3 when a goal is missed.
 
@@ -69,6 +71,8 @@ WELL = 0.3
 """Seconds without `stable` after which all is well."""
 LIMIT = 30.0
 PORT = 7447
+STEP = 3600.0
+"""Seconds by which wall clocks are set."""
 MODULE = '''\
 """A part of the benchmark of faults."""
 
@@ -85,11 +89,11 @@ class {name}(PortBasedObject):
 
     def cycle(self, dt: float) -> None:
         {copy}
-        self.y[{mine}] = time.time()
+        self.y[{mine}] = time.clock_gettime(time.CLOCK_TAI)
 
     def stable(self, dt: float) -> None:
         {copy}
-        self.y[{mine}] = time.time()
+        self.y[{mine}] = time.clock_gettime(time.CLOCK_TAI)
         self.y[3] = 1.0
 '''
 IN = '    x: A[Vector, InVar("X", "4", "none", "the same of the one before")]\n'
@@ -115,6 +119,11 @@ class Cycles(NamedTuple):
     command: np.ndarray
     now: np.ndarray
     stable: np.ndarray
+
+
+def now() -> float:
+    """Return the time by which all hosts write, in seconds."""
+    return time.clock_gettime(time.CLOCK_TAI)
 
 
 class Outcome(NamedTuple):
@@ -157,11 +166,10 @@ class Robot:
 
     def is_well(self, since: float) -> bool:
         """Return whether only `cycle` ran for a while, and acts on new commands."""
-        rows = self.take()
-        now = time.time()
-        late = rows[rows[:, 2] > max(now - WELL, since)]
+        rows, at = self.take(), now()
+        late = rows[rows[:, 2] > max(at - WELL, since)]
         enough = len(late) and late[-1, 2] - late[0, 2] > WELL * 0.8
-        return bool(enough) and not late[:, 3].any() and late[-1, 1] > now - WELL
+        return bool(enough) and not late[:, 3].any() and late[-1, 1] > at - WELL
 
 
 def outcome(rows: np.ndarray, begin: float, end: float) -> Outcome:
@@ -197,8 +205,13 @@ class Cell:
         self._subsystem: Subsystem | None = None
         self._robot: Robot | None = None
         try:
+            library = build_wall_clock(folder)
             for name, host in HOSTS.items():
-                self.sides[name] = Side(name, folder, self.lan[host].command())
+                side = self.sides[name] = Side(name, folder, self.lan[host].command())
+                self.set_wall_clock(name, 0.0)
+                file = self._wall_clock(name)
+                side.more = {"LD_PRELOAD": str(library), "WALL_CLOCK": str(file)}
+            self._prove_wall_clocks()
             for name in HOSTS:
                 self.start(name)
             self.sbs = write_files(folder)
@@ -220,11 +233,32 @@ class Cell:
         )
         wait(side.socket_there, f"agent {name}")
 
+    def _wall_clock(self, name: str) -> Path:
+        return self._folder / f"{name}.wall"
+
+    def set_wall_clock(self, name: str, ahead: float) -> None:
+        """Set the wall clock of a machine, in seconds ahead of the true time."""
+        file = self._wall_clock(name)
+        with file.open("r+b" if file.exists() else "wb") as opened:
+            opened.write(round(ahead * 1e9).to_bytes(8, sys.byteorder, signed=True))
+
+    def _prove_wall_clocks(self) -> None:
+        """Make sure that a machine's processes have the clock that was set."""
+        code = "import time; print(time.time() - time.clock_gettime(time.CLOCK_TAI))"
+        for ahead in (STEP, 0.0):
+            self.set_wall_clock("two", ahead)
+            side = self.sides["two"]
+            said = subprocess.check_output(
+                [*side.inside, sys.executable, "-c", code], env=side.environment
+            )
+            apart = float(said) - (time.time() - now())
+            assert abs(apart - ahead) < 1.0, f"wall clock {apart} s, and not {ahead}"
+
     def assemble(self) -> None:
         """Have all tasks run, as soon as it can be; those that run already stay."""
         wait(partial(self.all_seen, "one"), "all agents", LIMIT)
         wait(self._try_to_assemble, "all tasks", LIMIT)
-        begun = time.time()
+        begun = now()
         wait(lambda: self.robot.is_well(begun), "the robot's cycles", LIMIT)
 
     def _try_to_assemble(self) -> bool:
@@ -319,6 +353,14 @@ class Cell:
         self.lan.close()
 
 
+def build_wall_clock(folder: Path) -> Path:
+    """Build the library that sets wall clocks; return its file."""
+    made, source = folder / "wall_clock.so", Path(__file__).with_name("wall_clock.c")
+    command = ["cc", "-O2", "-shared", "-fPIC", "-o", str(made), str(source), "-ldl"]
+    subprocess.run(command, check=True)
+    return made
+
+
 def write_files(folder: Path) -> Path:
     """Write modules and subsystem; return its ``.sbs`` file."""
     before = dict(zip(TASKS, ("", "S", "U"), strict=True))
@@ -366,10 +408,10 @@ def interruption(
     """Interrupt a cable for a time."""
     cell.robot.reset()
     time.sleep(0.2)
-    begin = time.time()
+    begin = now()
     part(cell.lan)
-    time.sleep(max(begin + seconds - time.time(), 0.0))
-    end = time.time()
+    time.sleep(max(begin + seconds - now(), 0.0))
+    end = now()
     cell.lan.heal(*hosts)
     wait(lambda: cell.robot.is_well(end), "healing", LIMIT)
     return outcome(cell.robot.take(), begin, end)
@@ -396,11 +438,11 @@ def lossy(cell: Cell, chance: random.Random) -> Outcome:
     both(cell.lan, "b", "c", 0.2)
     time.sleep(0.1)
     cell.robot.reset()
-    begin = time.time()
+    begin = now()
     for sender, receiver in ("bc", "cb"):
         cell.lan.lose(sender, receiver)
     time.sleep(chance.uniform(0.02, 0.4))
-    end = time.time()
+    end = now()
     for sender, receiver in ("bc", "cb"):
         cell.lan.lose(sender, receiver, 0.2)
     time.sleep(0.3)
@@ -412,10 +454,10 @@ def lossy(cell: Cell, chance: random.Random) -> Outcome:
 def narrow(cell: Cell, rate: float) -> dict[str, float]:
     """Let the cable before the robot carry little for a time; return what it did."""
     cell.robot.reset()
-    begin = time.time()
+    begin = now()
     cell.lan.narrow("b", "c", rate)
     time.sleep(NARROW_TIME)
-    end = time.time()
+    end = now()
     cell.lan.narrow("b", "c", math.inf)
     rows = cell.robot.take()
     wait(lambda: cell.robot.is_well(end), "healing", LIMIT)
@@ -428,6 +470,28 @@ def narrow(cell: Cell, rate: float) -> dict[str, float]:
         "stable": float(1.0 - acted.mean()),
         "command": float(ages.max(initial=0.0)),
     }
+
+
+def stepped(cell: Cell, name: str, ahead: float) -> Outcome:
+    """Set the wall clock of a machine that runs, and set it right again."""
+    cell.robot.reset()
+    time.sleep(0.2)
+    begin = now()
+    cell.set_wall_clock(name, ahead)
+    time.sleep(0.7)
+    cell.set_wall_clock(name, 0.0)
+    end = now()
+    wait(lambda: cell.robot.is_well(end), "cycles", LIMIT)
+    return outcome(cell.robot.take(), begin, begin)
+
+
+def steps(count: int) -> Iterator[tuple[str, Callable[[Cell], Outcome], int]]:
+    """Yield steps of wall clocks, as `cuts`, and first what happens without any."""
+    yield "nothing", partial(stepped, name="two", ahead=0.0), 2 * count
+    for name, host in HOSTS.items():
+        for ahead in (STEP, -STEP):
+            what = partial(stepped, name=name, ahead=ahead)
+            yield f"wall clock of {host} {ahead / 3600:+.0f} h", what, count
 
 
 def killed(cell: Cell, what: str) -> Outcome:
@@ -444,7 +508,7 @@ def killed(cell: Cell, what: str) -> Outcome:
         "machine": cell.processes("two"),
         "machine, clock": cell.processes("two"),
     }[what]
-    begin = time.time()
+    begin = now()
     for pid in victims:
         with contextlib.suppress(OSError):
             os.kill(pid, signal.SIGKILL)
@@ -453,7 +517,7 @@ def killed(cell: Cell, what: str) -> Outcome:
     if what.endswith("clock"):
         cell.lan["b"].ahead += 3600.0
     time.sleep(0.5)
-    end = time.time()
+    end = now()
     if what != "RTPU process":
         cell.start("two")
     robot = cell.robot
@@ -468,11 +532,11 @@ def stopping(cell: Cell) -> list[dict[str, Any]]:
     time.sleep(0.6)
     found: list[dict[str, Any]] = []
     for words in (("status", str(cell.sbs)), ("stop", "faults")):
-        begun = time.time()
+        begun = now()
         status, said = cell.verb(*words)
         found.append({
             "verb": f"{words[0]}, b cut off", "status": status, "said": said,
-            "seconds": time.time() - begun, "so": every_state(cell),
+            "seconds": now() - begun, "so": every_state(cell),
         })  # fmt: skip
     for host in "ac":
         cell.lan.heal(host, "b")
@@ -524,6 +588,9 @@ def goals(found: dict[str, list[Outcome]]) -> Iterator[str]:
         if name.endswith("ms, b - c"):
             p90 = float(np.quantile([one.hole for one in many], 0.9))
             yield rtbench.verdict(f"{name}: hole beyond the cut, p90, s,", p90, 0.15)
+    holes = [o.hole for name, many in found.items() if "wall" in name for o in many]
+    middle = float(np.median(holes))
+    yield rtbench.verdict("wall clock set: hole, median, s,", middle, MAXAGE)
 
 
 def narrow_goals(found: list[dict[str, float]]) -> Iterator[str]:
@@ -561,7 +628,7 @@ def measure(cell: Cell, count: int, randoms: int, seed: int) -> dict[str, Any]:
     )
     heads = " ".join(f"{name:>15}" for name in columns)
     print(f"{'milliseconds: median, p90, max':<32}     {heads}")
-    for name, what, times in cuts(count):
+    for name, what, times in (*cuts(count), *steps(max(count // 5, 1))):
         add(name, what, times)
     add("cut 20-400 ms, 20 % loss, b - c", partial(lossy, chance=chance), randoms)
     cables = [narrow(cell, rate) for rate in RATES]

@@ -94,12 +94,15 @@ class Side:
         for made in (self.run_dir, self.shm_dir):
             made.mkdir(mode=0o700)
         self.agent: subprocess.Popen[bytes] | None = None
+        self.more: dict[str, str] = {}
+        """Of its environment, beside the folders."""
 
     @property
     def environment(self) -> dict[str, str]:
         """The environment of its processes."""
         folders = {"PBONET_RUN_DIR": self.run_dir, "PBONET_SHM_DIR": self.shm_dir}
-        return {**os.environ, **{key: str(path) for key, path in folders.items()}}
+        paths = {key: str(path) for key, path in folders.items()}
+        return {**os.environ, **paths, **self.more}
 
     def start(
         self,

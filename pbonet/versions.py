@@ -88,6 +88,30 @@ def mismatches(programs: Mapping[str, Mapping[str, Range]]) -> list[str]:
             for other in wanted[n + 1 :]
             if common(one, other) is None
         ]
+    return found + _unheard({
+        n: r["table"] for n, r in programs.items() if "table" in r
+    })
+
+
+def _unheard(tables: Mapping[str, Range]) -> list[str]:
+    """Say which programs are sent packets of another version than one they understand.
+
+    A packet goes to all at once, in one version. One that understands both of two
+    which have none in common is heard by one of them only.
+    """
+    found: list[str] = []
+    for name, mine in tables.items():
+        version = spoken(mine, tables.values())
+        deaf = [
+            other
+            for other, theirs in tables.items()
+            if version not in theirs and common(mine, theirs) is not None
+        ]
+        if deaf:
+            found.append(
+                f"{name} sends tables in version {version}, for all at once, which "
+                f"{', '.join(deaf)} cannot read; no values of it arrive there"
+            )
     return found
 
 

@@ -163,9 +163,9 @@ class Lan:
 
     def heal(self, one: str, other: str) -> None:
         """Plug it in again, or let it carry again."""
-        self._set_cable(one, other, "up")
         for sender, receiver in ((one, other), (other, one)):
             self._keep(sender, receiver)
+        self._set_cable(one, other, "up")
         for host, peer in self._muted & {(one, other), (other, one)}:
             self._muted.discard((host, peer))
             for near, far in ((host, peer), (peer, host)):

@@ -229,19 +229,22 @@ def test_it_is_given_up_after_too_many_losses(nodes, monkeypatch):
     from pbonet.node.agent import agent as its
 
     monkeypatch.setattr(its, "RESTARTS", 1)
-    agent = nodes.agent("arm0")
+    agent, other = nodes.agent("arm0"), nodes.agent("arm1")
     arm = nodes.master("arm0", "arm")
     arm.spawn("a", "counts", restart="on")
     arm.on("a")
     kill_rtpu(nodes)
     wait_states(arm, a="ON")
     wait_written(nodes, "arm0", ["a"])
+    wait_for(lambda: other.ways().ways, "the other one to know it")
     old = nodes.state("arm0").pid
     os.kill(old, signal.SIGKILL)
     assert agent.wait(60.0)
     assert "was lost 2 times" in agent.reason
     agent.stop()
     assert not desired_state.path_of(nodes.domain, "arm0").exists()
+    lost = wait_for(lambda: other.info().lost, "the loss, which is no orderly end")
+    assert [one.rtpu for one in lost] == ["arm0"]
 
 
 # -- a stop ---

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
 
 import pytest
@@ -11,7 +13,7 @@ from hostkit import Lab
 from tbuf_rig import READER, WRITER, flows
 from watching import wait_for
 
-from pbonet.xm.net import key_expressions as names, pki
+from pbonet.xm.net import key_expressions as names, messages as m, pki
 from pbonet.xm.net.credentials import CA, CERT, KEY, Role
 
 STRANGER = """
@@ -31,6 +33,26 @@ for line in sys.stdin:
     }), flush=True)
 """
 """A router that says nothing of its keys itself: it shows an agent, and asks others."""
+
+
+SILENT = """
+import select, socket, sys
+where = sys.argv[1], int(sys.argv[2])
+poll, there = select.poll(), {}
+def connect():
+    made = socket.create_connection(where)
+    there[made.fileno()] = made
+    poll.register(made, select.POLLIN)
+for _ in range(500):
+    connect()
+print("ready", flush=True)
+while True:
+    for number, _ in poll.poll():
+        poll.unregister(number)
+        there.pop(number).close()  # the other side has closed it
+        connect()
+"""
+"""Always 500 connections that say nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +119,27 @@ def comes(cell):
         lambda: (now := cell.value("arm1", "Z0")).cycle > before and now, "news"
     )
     assert found.writer == "src@host-a"
+
+
+def test_silent_connections_keep_no_agent_out(lab, lan):
+    """An agent comes meanwhile, and is stopped; decision 0249 says what fails here."""
+    where = lan["a"].address("c"), str(lab.port)
+    command = lan["c"].command(sys.executable, "-c", SILENT, *where)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as silent:
+        try:
+            assert silent.stdout.readline() == "ready\n"
+            lab.start("arm2", "c", connect=[lab.endpoint("a", "c")])
+            lab.wait_seen("arm2", "a")
+            cell = Desk(lab, "far", ("arm2",), host="a")
+            cell.spawn("arm2", "src", "counts", out="Z0")
+            cell.on("arm2", "src")
+            stopped = cell.ask("arm2", m.Stop(), m.Stopped)
+            assert stopped.off == ["src"]
+            cell.close()
+            assert silent.poll() is None
+            lab.stop("arm2")
+        finally:
+            silent.kill()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from nodekit import AGENT
 from watching import wait_for
 
 from pbonet.testing.lan import Lan
-from pbonet.xm.net import key_expressions
+from pbonet.xm.net import key_expressions, messages as m
 
 KEEPS = AGENT.replace("SILENT_MS = session.LEASE_MS", "SILENT_MS = 1000")
 """An agent that keeps a silent link for longer than it believes in the other one."""
@@ -36,8 +36,7 @@ one.sendall(b"y" * 100)
 begun = time.monotonic()
 again = 0
 while again < int(sys.argv[2]):
-    time.sleep(0.01)
-    care.tend()
+    time.sleep(care.tend())
     data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 8)
     assert data[0] == 1, "the connection has ended"
     again = data[2]
@@ -108,6 +107,37 @@ def test_a_machine_is_out_of_sight_while_its_link_is_kept(lan, how) -> None:
         wait_for(lambda: desk.value("arm1", "Z0").cycle > first, "news of src")
         assert not gone, "the link was given up"
         tokens.undeclare()
+        desk.close()
+    finally:
+        lan.heal_all()
+        lab.close()
+
+
+def test_little_waits_during_an_interruption(lan) -> None:
+    """Else old values would come first when it is over, one after the other."""
+    lan.heal_all()
+    lab = Lab(lan, OWN_PORT, lease_ms=round(LIMIT * 1e3))
+
+    def skipped():
+        (news,) = desk.look("arm1", m.Links(), m.LinkReport).tables
+        return news.gaps
+
+    try:
+        lab.start("arm0", "a")
+        lab.start("arm1", "b", connect=[lab.endpoint("a", "b")])
+        lab.wait_all()
+        desk = Desk(lab, "cell", ("arm0", "arm1"), host="b")
+        desk.spawn("arm0", "src", "counts", out="Z0", freq=500.0)
+        desk.on("arm0", "src")
+        wait_for(lambda: desk.value("arm1", "Z0").cycle > 100, "news")
+        before = skipped()
+        lan.mute("a", "b")
+        begin = desk.value("arm0", "Z0").cycle
+        wait_for(lambda: desk.value("arm0", "Z0").cycle > begin + 400, "many cycles")
+        end = desk.value("arm0", "Z0").cycle
+        lan.heal("a", "b")
+        wait_for(lambda: desk.value("arm1", "Z0").cycle > end, "news of src")
+        assert skipped() - before > (end - begin) / 2
         desk.close()
     finally:
         lan.heal_all()

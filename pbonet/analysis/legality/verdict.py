@@ -137,6 +137,10 @@ def check(configuration: Configuration) -> list[Problem]:
     return found + _with_fallbacks(configuration, found)
 
 
+_OF_STANDBYS = (check_writers, check_readers, check_circles, check_safety, check_loads)
+"""Checks of tasks that are ON, which a standby must pass before it is."""
+
+
 def _with_fallbacks(now: Configuration, found: Sequence[Problem]) -> list[Problem]:
     """Return the problems there would be once a standby replaces its original.
 
@@ -152,7 +156,7 @@ def _with_fallbacks(now: Configuration, found: Sequence[Problem]) -> list[Proble
     told: list[Problem] = []
     for standby, original in pairs.items():
         then = structs.replace(now, on=now.on - {original} | {standby})
-        for part in (check_writers, check_readers, check_loads):
+        for part in _OF_STANDBYS:
             told += [
                 _once(p, f"{standby} is in the place of {original}") for p in part(then)
             ]

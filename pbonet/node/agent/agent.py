@@ -80,6 +80,8 @@ READY_TIME = 5.0
 """Seconds for which masters do not see an agent that spawns tasks again."""
 LET_GO_TIME = 2.0
 """Seconds for closing tables."""
+HERE_CHECKS = 5
+"""Checks of its processes, 0.2 s apart, for one of the RTPUs that live here."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -153,6 +155,7 @@ class Agent:
         self._about: AgentInfo | None = None
         self._here: list[str] = []
         """RTPUs that live on this machine; see `AgentInfo.here`."""
+        self._checks = 0
         self._over = Ending()
         self._stopping = False
         self._started = False
@@ -161,6 +164,8 @@ class Agent:
         self._guard = threading.Lock()
         self.reason = ""
         """Why the agent has ended by itself."""
+        self._given_up = False
+        """Whether that was a loss, and not the orderly end of the RTPU process."""
 
     @property
     def name(self) -> str:
@@ -206,15 +211,6 @@ class Agent:
         self._here = self.places.neighbours()
         self._stopped.start()
         self._about = self._describe()
-        self._mail = Mail(self._session, self.places, self.config.files, self._note)
-        self._server = Server(
-            self._session,
-            *(self.config.domain, self.name),
-            node=self,
-            mail=self._mail,
-            overview=self._overview,
-            book=self._recorders,
-        )
         client = Client(self._session, self.config.domain, f"{self.name}-stops")
         self._stops = StopOrders(
             *(self.name, client, self._note),
@@ -224,6 +220,18 @@ class Agent:
         self._desired.orders_of, self._desired.others_of = (
             self._stops.left,
             self._stops.others,
+        )
+        self._mail = Mail(
+            *(self._session, self.places, self.config.files, self._note),
+            parts=self._stops.parts,
+        )
+        self._server = Server(
+            self._session,
+            *(self.config.domain, self.name),
+            node=self,
+            mail=self._mail,
+            overview=self._overview,
+            book=self._recorders,
         )
         self._again = TaskRestarts(
             *(self.name, self._desired, client, self), note=self._note, mark=self._mark
@@ -304,9 +312,11 @@ class Agent:
         return found
 
     def _check_alive(self) -> None:
-        """See which RTPUs live here; send this one's process a sign of life."""
-        with contextlib.suppress(OSError):  # the folder was removed
-            self._here = self.places.neighbours()
+        """Send the RTPU process a sign of life; see at times which RTPUs live here."""
+        self._checks += 1
+        if self._checks % HERE_CHECKS == 0:
+            with contextlib.suppress(OSError):  # the folder was removed
+                self._here = self.places.neighbours()
         self._send_alive()
 
     def _send_alive(self) -> None:
@@ -439,7 +449,7 @@ class Agent:
         if self._server is not None:
             self._server.stop()
             self._server = None
-        if ways is not None and not keep:
+        if ways is not None and not (keep or self._given_up):
             ways.announce_end()  # after the last answer, and before silence
         if beats is not None:
             beats.stop()
@@ -648,7 +658,7 @@ class Agent:
         if self._mirrors is not None:
             self._mirrors.carry({}, wait=LET_GO_TIME)
 
-    def lost(self, how: str, *, again: bool) -> None:
+    def lost(self, how: str, *, again: bool, orderly: bool) -> None:
         """Restart the RTPU process if it was killed; otherwise end."""
         self._desired.lost()
         if self._again is not None:
@@ -661,7 +671,7 @@ class Agent:
                 return
             self._link = None
         if not again:
-            self._give_up(how)
+            self._give_up(how, loss=not orderly)
             return
         log.error("%s: %s", self.name, how)
         self._restarter = threading.Thread(
@@ -706,7 +716,7 @@ class Agent:
         if self._again is not None:
             self._again.begin(f"{how.splitlines()[0]}, at {at}")
 
-    def _give_up(self, reason: str) -> None:
-        self.reason = reason
+    def _give_up(self, reason: str, *, loss: bool = True) -> None:
+        self.reason, self._given_up = reason, loss
         log.error("%s: %s", self.name, reason)
         self._over.set()

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-TURN = 0.025
-"""Seconds between checks of the links."""
-BEAT_TURNS = 4
-"""Turns between two signs of life."""
-FIND_TURNS = 40
-"""Turns between searches for new connections."""
+PERIOD = 0.1
+"""Seconds between two signs of life."""
+LEAST = 1e-3
+"""Shortest time between two checks, in seconds."""
+FIND_PERIOD = 1.0
+"""Seconds between searches for new connections."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
@@ -125,7 +125,7 @@ class Heartbeat:
         self._decoder = msgspec.msgpack.Decoder(Beat)
         self._encoder = msgspec.msgpack.Encoder()
         self._agents: dict[str, _Agent] = {}
-        self._began = time.monotonic()
+        self._began = self._next_beat = self._next_find = time.monotonic()
         self._guard = threading.Lock()
         self._over = threading.Event()
         self._retransmission = Retransmission()
@@ -255,19 +255,26 @@ class Heartbeat:
 
     def _work(self) -> None:
         process_setup.go_before_others()
-        turn = 0
-        while not self._over.wait(TURN):
+        pause = 0.0
+        while not self._over.wait(pause):
+            now, pause = time.monotonic(), PERIOD
             try:
-                if turn % FIND_TURNS == 0:
-                    self._retransmission.find()
-                self._retransmission.tend()
-                if turn % BEAT_TURNS == 0:
-                    with contextlib.suppress(zenoh.ZError):
-                        self._publisher.put(self._beat())  # pyright: ignore[reportUnknownMemberType]
-                self._check(time.monotonic())
+                pause = min(self._turn(now), max(0.0, self._next_beat - now))
             except Exception:  # a fault in one turn must not end the signs of life
                 log.exception("the links could not be checked")
-            turn += 1
+
+    def _turn(self, now: float) -> float:
+        """Do what is due; return the seconds until the links want care again."""
+        if now >= self._next_find:
+            self._next_find = now + FIND_PERIOD
+            self._retransmission.find()
+        pause = self._retransmission.tend()
+        if now >= self._next_beat:
+            self._next_beat = now + PERIOD
+            with contextlib.suppress(zenoh.ZError):
+                self._publisher.put(self._beat())  # pyright: ignore[reportUnknownMemberType]
+        self._check(now)
+        return min(pause, self._until_silent(now))
 
     def _beat(self) -> bytes:
         """Return a packed sign of life."""
@@ -277,6 +284,12 @@ class Heartbeat:
         heard = {name: HELD if held[one.machine] else one.sent_ns for name, one in seen}
         beat = Beat(self._machine, round(time.monotonic() * 1e9), heard)
         return self._encoder.encode(beat)
+
+    def _until_silent(self, now: float) -> float:
+        """Return the seconds after which an agent may be out of sight next."""
+        heard = (one.heard for one in list(self._agents.values()) if one.seen)
+        left = min(heard, default=now) + session.SILENT_MS * 1e-3 - now
+        return max(left, LEAST)
 
     def _check(self, now: float) -> None:
         """Report agents that went out of sight."""

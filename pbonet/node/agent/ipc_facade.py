@@ -25,6 +25,8 @@ class Mail:
         places: The agent's files.
         files: The folder of files for other machines, if declared.
         note: Called with reports for masters.
+        parts: Returns whether a missed stop keeps tasks of a subsystem and an RTPU on
+            another machine apart.
 
     Raises:
         NodeError: That folder does not exist.
@@ -36,10 +38,12 @@ class Mail:
         places: run_folder.Places,
         files: str | None,
         note: Callable[[rtpu_messages.Note], None],
+        parts: Callable[[str, str], bool],
     ) -> None:
-        domain, name = places.domain, places.name
-        self._resources = ResourceServer(session, domain, name, FileServer(files, name))
-        self._relay = TaskGateway(session, domain, name, places.post, note)
+        whose = session, places.domain, places.name
+        fileserver = FileServer(files, places.name)
+        self._resources = ResourceServer(*whose, fileserver, parts)
+        self._relay = TaskGateway(*whose, places.post, note, parts=parts)
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Start a request, which is answered when it is done; returns at once."""

@@ -42,6 +42,7 @@ from pbonet.xm.net import (
 )
 
 from .idempotency import RepeatedRequests
+from .stop_orders import parted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,13 +91,20 @@ class ResourceServer:
         session: The agent's session.
         domain: Its domain.
         rtpu: Its name.
-        filer: Reads and writes files.
+        fileserver: Reads and writes files.
+        parts: See `Mail`.
     """
 
     def __init__(
-        self, session: zenoh.Session, domain: str, rtpu: str, fileserver: FileServer
+        self,
+        session: zenoh.Session,
+        domain: str,
+        rtpu: str,
+        fileserver: FileServer,
+        parts: Callable[[str, str], bool] = lambda _, __: False,
     ) -> None:
         self._domain, self._rtpu, self._fileserver = domain, rtpu, fileserver
+        self._parts = parts
         self._codec = codec.Codec()
         self._repeats = RepeatedRequests()
         self._change = threading.Condition()
@@ -195,6 +203,8 @@ class ResourceServer:
         answer = partial(self._repeats.end, who) if once else reply
         wait = getattr(request, "wait", 0.0) > 0.0
         try:
+            if self._is_apart(request):
+                raise parted(_rtpu_of(request.client))
             self._admit(wait=wait)
         except PbonetError as error:
             answer(self._codec.pack(codec.failure(error, request.id, request.v)))
@@ -214,6 +224,11 @@ class ResourceServer:
                 )
             self._queued += 1
             self._waits += wait
+
+    def _is_apart(self, request: r.XmRequest) -> bool:
+        """Return whether a stop that was missed keeps its sender apart from here."""
+        whose = request.subsystem  # empty: a program, which no stop ends
+        return bool(whose) and self._parts(whose, _rtpu_of(request.client))
 
     def _serve(
         self, request: r.XmRequest, reply: Callable[[bytes], None], *, wait: bool
@@ -303,7 +318,8 @@ class ResourceServer:
 
     def _still(self, request: Any, held: Held) -> bool:  # noqa: ANN401
         """Return whether a wait under way is still wanted."""
-        return not (self._over or held.gone or request.take in self._broken_off)
+        ended = self._over or held.gone or request.take in self._broken_off
+        return not (ended or self._is_apart(request))
 
     def _take(self, request: r.Take) -> r.Took:
         held = self._begin(request)
@@ -449,6 +465,11 @@ def _other(held: Held) -> XmError:
         where=held.thing.name,
         remedy="run the same pbonet version on every machine",
     )
+
+
+def _rtpu_of(client: str) -> str:
+    """Return the RTPU of a task's process, by the name of its channel."""
+    return client.rsplit("-", 2)[0]
 
 
 def _until(wait: float) -> int:

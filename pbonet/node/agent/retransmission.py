@@ -23,14 +23,23 @@ if TYPE_CHECKING:
 AHEAD_MS = 100
 """Longest pause between two retransmissions. An agent that stands still for longer
 during an interruption loses the link, and makes it again."""
+BUSY = 0.025
+"""Seconds between checks while something is being sent again."""
+IDLE = 0.1
+"""The same otherwise: the first retransmission is seen before the second one, which
+comes 0.15 s later."""
 FIRST_US = 75_000
 """Until the first retransmission, in addition to the measured round trip. It exceeds
 the 40 ms by which a receiver may delay an acknowledgement."""
+UNSENT = 8192
+"""Bytes that wait in a socket: what is written during an interruption is old at its
+end, and would be sent before all that is new."""
 _RTO_MIN_US = 45
 """The option for it, since Linux 6.15; else it is 200 ms, or `rto_min` of the route."""
-_INFO = struct.Struct("4B4xI24xI60xI")
+_INFO = struct.Struct("4B4xI24xI4xI52xI")
 """Of `TCP_INFO`: state, congestion state, time-outs without an acknowledgement, probes,
-time-out in us, segments that are sent again, and how many ever were."""
+time-out in us, segments that are sent again, ms since the last sending, and how many
+segments were ever sent again."""
 _ESTABLISHED = 1
 _OPEN = 0
 
@@ -49,7 +58,10 @@ class Connection:
         self._ever: int = 0
         """How many segments had been sent again then."""
         self._limited = False
+        self.is_busy = False
+        """Whether it sends something again, or could not send."""
         with contextlib.suppress(OSError), _opened(fd) as one:
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
             one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
 
     def tend(self, now: float) -> bool:
@@ -67,14 +79,19 @@ class Connection:
 
     def _limit(self, one: socket.socket, now: float) -> None:
         data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
-        state, congestion, again, probes, pause_us, sent, ever = _INFO.unpack(data)
+        (state, congestion, again, probes, pause_us, sent, ago_ms, ever) = _INFO.unpack(
+            data
+        )
         if state != _ESTABLISHED:
             raise OSError
+        self.is_busy = bool(again or probes)
         if probes:  # nothing could be sent, as while a device is down: try it now
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if again:
             if not (sent or self._limited):  # the kernel counts from the first sending
                 self._whole -= pause_us * 1e-6
+            elif again == 1 and not self._limited:  # it counts from this one
+                self._whole = max(self._whole, now - ago_ms * 1e-3)
             _set_limit(one, round((now - self._whole) * 1e3) + AHEAD_MS)
             self._limited = True
             return
@@ -99,12 +116,14 @@ class Retransmission:
         for fd in found - self._connections.keys():
             self._connections[fd] = Connection(fd)
 
-    def tend(self) -> None:
-        """Shorten the pauses; to be called every `AHEAD_MS` / 2 or sooner."""
+    def tend(self) -> float:
+        """Shorten the pauses; return the seconds until this is to be called again."""
         now = time.monotonic()
         for fd, one in list(self._connections.items()):
             if not one.tend(now):
                 del self._connections[fd]
+        busy = any(one.is_busy for one in self._connections.values())
+        return BUSY if busy else IDLE
 
 
 @contextlib.contextmanager

@@ -74,8 +74,14 @@ class Listener(Protocol):
     def let_go(self) -> None:
         """Close its tables, because its remains are about to be removed."""
 
-    def lost(self, how: str, *, again: bool) -> None:
-        """Handle the end of the RTPU process; `again`: start a new one."""
+    def lost(self, how: str, *, again: bool, orderly: bool) -> None:
+        """Handle the end of the RTPU process.
+
+        Args:
+            how: How it has ended.
+            again: Whether to start a new one.
+            orderly: Whether it has turned its tasks OFF, and said so.
+        """
 
 
 class RtpuLink:
@@ -312,7 +318,8 @@ class RtpuLink:
         else:
             how = f"the RTPU process ended: {self._end(reason, orderly=orderly)}"
         with _contained():
-            self._listener.lost(how, again=not (orderly or self._unreadable))
+            stays = orderly or self._unreadable
+            self._listener.lost(how, again=not stays, orderly=orderly)
 
     def _read(self, sock: socket.socket) -> tuple[str, bool]:
         """Pass messages on; return why they end, and whether it ended in order."""

@@ -5,7 +5,8 @@ knows these from the greetings of the other agents. If one of them was out of re
 gets the order as soon as it is seen again; until it has carried it out, nothing that
 its machine sends for the subsystem's table is used. Every agent that has received the
 stop does this, so it needs neither the master nor the command that gave it. Of links
-with that machine no record is used. An RTPU
+with that machine no record is used, and no message or semaphore passes between it and
+tasks of the subsystem elsewhere. An RTPU
 carries an order out once, so it does not matter how often it arrives. With keys, other
 machines take the repetition from a gateway only (see `pbonet.xm.net.access_control`).
 
@@ -27,7 +28,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from msgspec import Struct
 
-from pbonet.errors import AccessError, PbonetError, Severity
+from pbonet.errors import AccessError, PbonetError, Severity, UnreachableError
 from pbonet.node.restart import StopLeft
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import key_expressions, messages as m
@@ -284,6 +285,19 @@ class StopOrders:
                     del order.due[name]
         self._changed()
 
+    def has_ended(self, name: str) -> bool:
+        """Return whether an agent in sight says that an RTPU of its machine has ended.
+
+        Nothing of it is ON then, though its own agent has not said so.
+        """
+        with self._guard:
+            peer = self._peers.get(name)
+            return peer is not None and any(
+                name in one.ended and one.machine == peer.machine
+                for other, one in self._peers.items()
+                if other not in self._gone
+            )
+
     def in_reach(self) -> list[str]:
         """Return the RTPUs that are seen now."""
         with self._guard:
@@ -324,6 +338,15 @@ class StopOrders:
                 if not due
             )
 
+    def parts(self, subsystem: str, name: str) -> bool:
+        """Return whether no task of a subsystem uses what an RTPU has, and none of its.
+
+        That is the case while its machine has not carried out a stop of the subsystem.
+        """
+        with self._guard:
+            peer = self._peers.get(name) if self._orders else None
+        return peer is not None and self.refuses(subsystem, peer.machine)
+
     def _repeat(self, order: _Order, name: str) -> None:
         request: Order = (
             m.Replaced(tasks=order.tasks, stop_id=order.id, timeout=TIME)
@@ -358,6 +381,16 @@ class StopOrders:
             int(Severity.WARNING), "STOPPED", f"{text}: {tasks} turned off"
         )
         self._note(note)
+
+
+def parted(rtpu: str) -> UnreachableError:
+    """Return the error of a request between tasks that a missed stop keeps apart."""
+    return UnreachableError(
+        "it missed a stop of the subsystem, and has not carried it out yet",
+        where=rtpu,
+        remedy="its agent is given the stop again; until its tasks are OFF no message, "
+        "semaphore or file passes between them and other machines",
+    )
 
 
 def _concerns(subsystem: str, subsystems: list[str]) -> bool:

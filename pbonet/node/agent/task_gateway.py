@@ -32,6 +32,8 @@ from pbonet.xm.net import (
     messages as m,
 )
 
+from .stop_orders import parted
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -75,6 +77,7 @@ class TaskGateway:
         name: Its name.
         path: The socket that tasks connect to.
         note: Called with reports for masters.
+        parts: See `Mail`.
     """
 
     def __init__(
@@ -84,8 +87,11 @@ class TaskGateway:
         name: str,
         path: Path,
         note: Callable[[rtpu_messages.Note], None],
+        *,
+        parts: Callable[[str, str], bool] = lambda _, __: False,
     ) -> None:
         self._domain, self._path, self._note = domain, path, note
+        self._parts = parts
         self._client = Client(session, domain, f"{name}-{secrets.token_hex(4)}")
         self._codec = codec.Codec()
         self._letter = msgspec.msgpack.Decoder(Letter)
@@ -132,7 +138,7 @@ class TaskGateway:
     def _read(self, wire: _Wire) -> None:
         """Receive the requests of one connection until it is closed."""
         client = ""
-        deliveries = Deliveries(self._client, lambda text: self._report(client, text))
+        deliveries = Deliveries(self, lambda text: self._report(client, text))
         try:
             while not self._over:
                 letter = self._letter.decode(wire.link.recv_bytes(LARGEST))
@@ -189,8 +195,21 @@ class TaskGateway:
         if not letter.wait:
             self._client.post(letter.rtpu, request)
             return b""
-        result = self._client.call(letter.rtpu, request, object, timeout=letter.timeout)
+        result = self.call(letter.rtpu, request, object, timeout=letter.timeout)
         return self._codec.pack(m.Answer(ok=True, result=result))
+
+    def call(
+        self, rtpu: str, request: m.Request, result: type[object], *, timeout: float
+    ) -> object:
+        """Return the result of a task's request.
+
+        Raises:
+            UnreachableError: It is not there, or missed a stop of the task's subsystem.
+            PbonetError: It refuses.
+        """
+        if request.subsystem and self._parts(request.subsystem, rtpu):
+            raise parted(rtpu)
+        return self._client.call(rtpu, request, result, timeout=timeout)
 
     def _request(self, letter: Letter) -> XmRequest:
         request = self._codec.request(letter.data)

@@ -2,7 +2,8 @@
 
 A master says when an original has been turned ON, and before it turns it off. In
 between, it is lost if no task writes the variables of its standby, and its RTPU says
-that it is not ON or says nothing. If its machine is out of sight,
+that it is not ON or says nothing. Where another agent of its machine says that this
+RTPU has ended, it is not ON. If its machine is out of sight,
 that machine must have been alone for as long: unheard here and by the keeper's machine
 (`Signs.absence`). Its CRITICAL tasks run `stable` by then, for its own agents count
 the same time (``ALONE``), which is shorter.
@@ -80,6 +81,10 @@ class Orders(Protocol):
 
     def in_reach(self) -> list[str]:
         """Return the RTPUs that are seen now."""
+        ...
+
+    def has_ended(self, name: str) -> bool:
+        """Return whether an agent beside it says that an RTPU has no process."""
         ...
 
 
@@ -207,6 +212,8 @@ class Takeovers:
             return None
         if self._signs.is_seen(standby.rtpu):
             return since if one.missing else None
+        if self._orders.has_ended(standby.rtpu):
+            return since
         alone = self._signs.absence(standby.rtpu, one.keeper)
         if alone < session.SILENT_MS * 1e-3:
             return None

@@ -79,11 +79,12 @@ class RemoteChannel:
     Args:
         path: The agent's socket.
         rtpu: The agent's RTPU.
+        subsystem: The task's subsystem.
     """
 
-    def __init__(self, path: str, rtpu: str) -> None:
+    def __init__(self, path: str, rtpu: str, subsystem: str) -> None:
         self.name = f"{rtpu}-{os.getpid()}-{secrets.token_hex(4)}"
-        self._path, self._rtpu = path, rtpu
+        self._path, self._rtpu, self._subsystem = path, rtpu, subsystem
         self._codec = codec.Codec()
         self._own = threading.local()
         self._guard = threading.Lock()
@@ -93,15 +94,13 @@ class RemoteChannel:
         self, rtpu: str, request: Request, result: type[T], *, timeout: float = 2.0
     ) -> T:
         """Return the result of a request; see `pbonet.xm.net.rpc.Client.call`."""
-        request.client = self.name
-        data = self._codec.pack(request)
+        data = self._pack(request)
         answer = self._exchange(Letter(self.name, rtpu, timeout, data))
         return read_result(rtpu, self._codec.answer(answer), result)
 
     def post(self, rtpu: str, request: Request) -> None:
         """Send a request; the agent passes it on."""
-        request.client = self.name
-        data = self._codec.pack(request)
+        data = self._pack(request)
         self._exchange(Letter(self.name, rtpu, 0.0, data, wait=False))
 
     def deliver(self, rtpu: str, request: Request) -> None:
@@ -110,8 +109,7 @@ class RemoteChannel:
         Raises:
             XmFullError: The agent does not read what the task sends.
         """
-        request.client = self.name
-        data = self._codec.pack(request)
+        data = self._pack(request)
         self._exchange(Letter(self.name, rtpu, 0.0, data, wait=False, report=True))
 
     def rtpus(self) -> list[str]:
@@ -125,6 +123,10 @@ class RemoteChannel:
             anchor, self._anchor = self._anchor, None
             if anchor is not None:
                 anchor.close()
+
+    def _pack(self, request: Request) -> bytes:
+        request.client, request.subsystem = self.name, self._subsystem
+        return self._codec.pack(request)
 
     def _exchange(self, letter: Letter) -> bytes:
         try:
@@ -209,9 +211,8 @@ def carrier() -> Carrier:
 def _make() -> Carrier:
     home = names.home()
     if home.subsystem:
-        return RemoteChannel(
-            str(run_folder.Places(home.domain, home.rtpu).post), home.rtpu
-        )
+        path = run_folder.Places(home.domain, home.rtpu).post
+        return RemoteChannel(str(path), home.rtpu, home.subsystem)
     return client(home.domain)
 
 

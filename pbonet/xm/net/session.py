@@ -53,6 +53,9 @@ gives up before that."""
 ACCEPT_PENDING = 1000
 """Most connections without a greeting; more are closed at once. This leaves room for
 agents and masters beside hundreds of connections that say nothing."""
+BATCHES = 1
+"""Batches of table packets that may wait for a link. In an interruption a second one
+would fill with half a second of old values, which come before all that is new."""
 RETRY_MS = 200
 """Longest pause between attempts to reach a lost agent, in milliseconds."""
 SCOUTING_PORT = 17000
@@ -398,7 +401,11 @@ def _config(
                 "accept_pending": _accept_pending(),
             },
             "link": {
-                "tx": {"lease": LEASE_MS if listen else SILENT_MS, "keep_alive": 4},
+                "tx": {
+                    "lease": LEASE_MS if listen else SILENT_MS,
+                    "keep_alive": 4,
+                    "queue": {"size": {"real_time": BATCHES}},
+                },
                 **(_tls(key_folder) if key_folder else {}),
             },
         },

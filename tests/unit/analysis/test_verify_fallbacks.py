@@ -1,11 +1,13 @@
 """A job is judged with each standby in its original's place, and never with both."""
 
+from functools import partial
+
 import pytest
 from msgspec import structs
 from verify_parts import configuration, task
 
 from pbonet.analysis import legality
-from pbonet.config.model import RtpuEntry
+from pbonet.config.model import RtpuEntry, Variable
 
 
 def standby(original, name="safe", **more):
@@ -105,7 +107,9 @@ def away(takeover, *, rtpu="arm1", critical=True, **more):
     spare = standby("pid", outvar="T")
     spare = structs.replace(spare, rtpu=rtpu, takeover=takeover)
     rtpus = tuple(RtpuEntry(name=f"arm{n}") for n in range(3))
-    return judged(first, spare, READER, rtpus=rtpus, **more).problems
+    limit = Variable(name="T", type="double", maxage=0.1)  # READER is on arm0
+    judge = partial(judged, first, spare, READER, rtpus=rtpus, variables=(limit,))
+    return judge(**more).problems
 
 
 APART = {"arm0": "a", "arm1": "b", "arm2": "b"}

@@ -18,9 +18,9 @@ def limits(**ages: float | None) -> SvarFile:
     return SvarFile(file="t.svar", defines={}, variables=variables)
 
 
-def found(*tasks: legality.Task, age=None, strict=False, machines=APART):
+def found(*tasks: legality.Task, age=None, strict=False, machines=APART, on=None):
     now = structs.replace(
-        configuration(*tasks),
+        configuration(*tasks, on=on),
         svar=limits(U=age, Q=None),
         machines=machines,
         strict=strict,
@@ -135,4 +135,37 @@ def test_an_input_that_only_programs_write_is_refused(age) -> None:
     assert (one.code, one.severity) == (
         legality.Code.NO_WRITER,
         legality.Severity.REFUSE,
+    )
+
+
+@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize(
+    ("critical", "said"),
+    [
+        (False, "spare is a robot interface and not CRITICAL"),
+        (True, ""),
+    ],
+)
+def test_a_standby_is_judged_before_it_is_on(critical, said, strict) -> None:
+    """As if it were in its original's place already; TAKEOVER asks nobody."""
+    arm = robot(critical=True, ok=True)
+    made = robot(critical=critical, ok=True)
+    rmod = structs.replace(made.rmod, module="spare")
+    spare = structs.replace(made, rmod=rmod, task="spare", fallback_of=arm.name)
+    problems = found(writer(), arm, spare, age=0.1, strict=strict, on={"src", "arm"})
+    assert [said in one.what for one in problems] == [True] * bool(said)
+    for one in problems:
+        assert one.what.endswith(", once spare is in the place of arm")
+        refused = legality.Severity.REFUSE
+        assert (one.severity is refused) == strict
+
+
+def test_the_inputs_of_a_standby_need_a_limit_too() -> None:
+    """The original's do not: it is on the machine of what it reads."""
+    near = structs.replace(reader(), rtpu="arm1")
+    spare = structs.replace(reader(), task="spare", fallback_of="ctl")
+    (one,) = found(writer(), near, spare, on={"src", "ctl"})
+    assert one.what == (
+        "spare reads U, which comes from src on another machine (arm1), whatever its "
+        "age, once spare is in the place of ctl"
     )

@@ -1,5 +1,7 @@
 """Stop orders that reach RTPUs late: known, repeated, carried out once."""
 
+import contextlib
+import itertools
 import struct
 import threading
 import time
@@ -12,13 +14,23 @@ import zenoh
 from watching import wait_for
 
 from pbonet import tbuf, xm
-from pbonet.errors import NoAnswerError
-from pbonet.node.agent import link_ends, subsystem_links
+from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
+from pbonet.node.agent import link_ends, resource_server, subsystem_links
+from pbonet.node.agent.file_server import FileServer
 from pbonet.node.agent.peer_latency import Peer, PeerLatencies
+from pbonet.node.agent.resource_server import ResourceServer
 from pbonet.node.agent.stop_orders import MOST, StopOrders
 from pbonet.node.agent.subsystem_links import Links
+from pbonet.node.agent.task_gateway import TaskGateway
 from pbonet.tbuf import layout
-from pbonet.xm.net import key_expressions, messages as m, session
+from pbonet.xm.ipc.remote_channel import RemoteChannel
+from pbonet.xm.net import (
+    codec,
+    key_expressions,
+    messages as m,
+    resource_messages as r,
+    session,
+)
 from pbonet.xm.net.agents import AgentInfo
 
 
@@ -237,7 +249,10 @@ def test_a_machine_is_used_again_when_the_rtpu_that_missed_the_order_has_no_proc
         orders.met(info("eye1", machine="boot", here=here))
         assert orders.refuses("arm", machine), "arm1 may still be found"
     assert orders.holds_agent("eye1")
+    assert not orders.has_ended("arm1")
     orders.met(info("eye1", machine="boot", here=["eye1"]))
+    assert orders.has_ended("arm1")
+    assert not orders.has_ended("eye1")
     assert not orders.refuses("arm", machine)
     assert not orders.holds(machine)
     assert not orders.holds_agent("eye1")
@@ -372,6 +387,104 @@ class Session:
 
     def declare_token(self, _key):
         return SimpleNamespace(undeclare=lambda: None)
+
+
+class Answers(Queue):
+    """The answers of a server of resources to requests of a task on arm1."""
+
+    def ask(self, server, subsystem="arm", task="arm1-7-0a"):
+        request = r.Put(name="parts", data=b"go", client=task, subsystem=subsystem)
+        request.id = str(next(self.ids))
+        server.take(request, self.put)
+        answer = codec.Codec().answer(self.get(timeout=60))
+        return answer.result if answer.ok else PbonetError.from_wire(answer.error)
+
+    ids = itertools.count()
+
+
+def test_messages_of_such_a_machine_are_refused(orders, monkeypatch):
+    """A message is acted on: a server has a cycle for each one."""
+    monkeypatch.setattr(resource_server, "direct", lambda call: call)
+    xm.live_on("arm0", domain="d", subsystem="arm")
+    files = FileServer(None, "arm0")
+    server = ResourceServer(Session(), "d", "arm0", files, orders.parts)
+    answers = Answers()
+    try:
+        with contextlib.closing(xm.queue("parts")) as queue:
+            orders.met(info("arm1", "arm", "leg"))
+            orders.met(info("arm2", "arm"))
+            assert answers.ask(server) is True
+            assert queue.try_receive() == b"go"
+            orders.lost("arm1")
+            orders.add(stop())
+            assert isinstance(refused := answers.ask(server), UnreachableError)
+            assert "arm1: it missed a stop of the subsystem" in str(refused)
+            assert len(queue) == 0
+            assert answers.ask(server, "leg") is True, "that was not stopped"
+            assert answers.ask(server, task="arm2-7-0a") is True
+            assert answers.ask(server, "", "p12-0a") is True, "a program"
+            orders.met(info("arm1", "arm", stops=["s1"]))
+            assert answers.ask(server) is True
+            queue.destroy()
+    finally:
+        server.stop()
+        xm.live_on("local")
+
+
+def test_a_wait_for_such_a_machine_ends(orders, monkeypatch):
+    """What it waits for is for the tasks that are there now."""
+    monkeypatch.setattr(resource_server, "direct", lambda call: call)
+    xm.live_on("arm0", domain="d", subsystem="arm")
+    zenoh_ = Session()
+    files = FileServer(None, "arm0")
+    server = ResourceServer(zenoh_, "d", "arm0", files, orders.parts)
+    answers = Queue()
+    one = {"client": "arm1-7-0a", "subsystem": "arm"}
+    pack = codec.Codec()
+    try:
+        orders.met(info("arm1", "arm"))
+        token = key_expressions.customer("d", "arm1-7-0a")
+        came = SimpleNamespace(key_expr=token, kind=zenoh.SampleKind.PUT)
+        zenoh_.called[key_expressions.customer("d", "*")](came)
+        new = {"initial": 0}
+        made = r.Attach(name="turn", kind="sem", create=new, id="1", **one)
+        server.take(made, answers.put)
+        handle = pack.answer(answers.get(timeout=60)).result["handle"]
+        wait = r.Take(handle=handle, take="t", wait=1e6, id="2", **one)
+        server.take(wait, answers.put)
+        with contextlib.closing(xm.semaphore("turn")) as turn:
+            wait_for(lambda: turn.waiting == 1, "the wait")
+            orders.lost("arm1")
+            orders.add(stop())
+            answer = pack.answer(answers.get(timeout=60))
+            assert not answer.ok or answer.result["code"] == 0
+            turn.v()
+            assert turn.value == 1
+            turn.destroy()
+    finally:
+        server.stop()
+        xm.live_on("local")
+
+
+def test_a_task_here_uses_nothing_of_such_a_machine(orders, tmp_path):
+    """By way of its agent, as tasks reach other machines."""
+    orders.met(info("arm1", "arm"))
+    orders.lost("arm1")
+    orders.add(stop())
+    path, notes = tmp_path / "post", []
+    link = Session()
+    gate = TaskGateway(link, "d", "arm0", path, notes.append, parts=orders.parts)
+    channel = RemoteChannel(str(path), "arm0", "arm")
+    try:
+        with pytest.raises(UnreachableError, match="it missed a stop"):
+            channel.call("arm1", r.Look(handle=1), r.Seen)
+        channel.deliver("arm1", r.Give(name="turn"))
+        wait_for(lambda: notes, "the report")
+        assert notes[0].code == "NOT_DELIVERED"
+        assert "it missed a stop" in notes[0].text
+    finally:
+        channel.close()
+        gate.stop()
 
 
 def test_records_of_such_a_machine_are_not_used(orders, agents, notes, monkeypatch):

@@ -53,7 +53,7 @@ class Hears:
     def let_go(self):
         self._note("let go")
 
-    def lost(self, how, *, again):
+    def lost(self, how, *, again, orderly):  # noqa: ARG002
         self.how = how
         self._note("lost" if again else "ended")
 
@@ -236,7 +236,7 @@ def test_an_agent_that_cannot_start_its_rtpu_process_again_ends(monkeypatch, tmp
     monkeypatch.setattr(agents.RtpuLink, "open", refused)
     config = AgentConfig(name="arm0", domain="d")
     agent = agents.Agent(config)
-    agent.lost("the RTPU process ended: killed", again=True)
+    agent.lost("the RTPU process ended: killed", again=True, orderly=False)
     assert agent.wait(30.0)
     assert "does not start again" in agent.reason
     assert "temporarily unavailable" in agent.reason

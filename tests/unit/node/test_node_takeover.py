@@ -32,12 +32,14 @@ class World:
         self.done, self.fails, self.ids = [], set(), []
         self.meanwhile = lambda: None
         self.reach = ["arm2", "arm3"]
+        self.ended = set()
         signs = SimpleNamespace(
             is_seen=lambda name: name not in self.silent, absence=self._absence
         )
         orders = SimpleNamespace(
             add=lambda order: self.done.append(("kept", order.tasks)),
             in_reach=lambda: self.reach,
+            has_ended=lambda name: name in self.ended,
         )
         self.watch = Takeovers(
             "arm1", self, signs, orders,
@@ -173,6 +175,17 @@ def test_one_that_was_heard_between_two_turns_is_lost_from_then_on(world):
     assert world.done == [("arm2", ORDER)]
     world.alone = 3.0
     world.watch.turn(8.0)
+    assert world.done[-1] == TOLD
+
+
+def test_an_rtpu_that_has_ended_on_a_machine_that_goes_on_is_lost(world):
+    """Its agent has given up, and another agent of that machine is heard."""
+    cut(world)
+    world.alone = 0.0
+    world.turns(0, 20)
+    assert world.done == [], "its process may go on without its agent"
+    world.ended.add("arm0")
+    world.turns(20.1, 23.2)
     assert world.done[-1] == TOLD
 
 

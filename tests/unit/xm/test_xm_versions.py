@@ -64,12 +64,22 @@ def test_each_pair_of_sides_without_a_common_version_is_told():
     ]
     assert m.mismatched(agents) == [
         "no common version of table: a of host-a, c of host-c versions 1 to 2; "
-        "b of host-b version 3; no values are exchanged between them"
+        "b of host-b version 3; no values are exchanged between them",
+        "d of host-d sends tables in version 2, for all at once, which b of host-b "
+        "cannot read; no values of it arrive there",
     ]
     assert m.mismatched([info("e", protocol=9)]) == [
         "no common version of commands: this program version 1; e of host-e version 9; "
         "between them only hello and stop work"
     ]
+
+
+@pytest.mark.parametrize("last", [Range(1, 2), Range(2, 2)])
+def test_where_all_can_read_what_each_sends_nothing_is_told(last):
+    """Ranges of which each two overlap have a version that is in all of them."""
+    tables = [Range(1, 2), Range(2, 3), last]
+    agents = [info(name, table=one) for name, one in zip("abc", tables, strict=True)]
+    assert m.mismatched(agents) == []
 
 
 def test_links_have_the_version_of_their_header_file():
