@@ -23,6 +23,9 @@ device, so that the same code runs in real time, in simulation and in replay. On
     The published numbers of the Unimation PUMA 560.
 ``sample_file``
     Samples of a signal over time, from a file.
+``mavlink``
+    A MAVLink link; ``mavlink_channels`` carry its bytes, ``mavlink_signing`` judges
+    signatures, ``mavlink_clock`` knows the time of the other end.
 ``mujoco_robot``
     A robot that MuJoCo simulates, behind the interface a real one would have.
 ``optional_packages``

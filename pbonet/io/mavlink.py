@@ -1,0 +1,248 @@
+"""A MAVLink link: frames in and out, polled once a cycle, never waiting.
+
+pymavlink packs and unpacks the messages. What is read is recorded frame by frame, so a
+replay of a log gets the same messages without a link, and without the link's key.
+"""
+
+from __future__ import annotations
+
+import struct
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+from pbonet.errors import DeviceError, ParameterError
+from pbonet.outside import Outside
+
+from .mavlink_channels import make_channel, parse_address
+from .mavlink_signing import Signatures, read_key, time_stamp
+from .optional_packages import from_extra
+from .policy import require_devices
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Message = Any
+"""A message of pymavlink: attributes as the protocol names them."""
+_COUNTS: Final = struct.Struct("<HH")
+"""At the end of a recorded answer: damaged frames, and frames that were refused."""
+_MOST: Final = (1 << 16) - 1
+_HEADER: Final = 12
+"""Bytes that pymavlink waits for at the beginning of a frame."""
+
+
+class MavLink:
+    """One link, with one other end, or several stations.
+
+    Frames count that come from the system `peer`, or from any other than `system` if
+    that is 0. Others are ignored and counted. When the link is lost it is opened again
+    after `retry` seconds.
+
+    Args:
+        address: As for `parse_address`.
+        system: Our system id.
+        component: Our component id.
+        peer: The system id of the other end; 0 for any.
+        key: File of the passphrase with which frames are signed; empty for none.
+            Frames must be signed unless nobody else can reach the link.
+        retry: Seconds between two attempts to open it.
+        work: Most reads of one poll.
+
+    Attributes:
+        mav: Makes messages: `link.mav.heartbeat_encode(...)` of pymavlink.
+        fault: Why there is no link; None while there is one.
+        damaged: Frames with a bad check sum, and bytes that belong to none.
+        refused: Frames without a valid signature.
+        foreign: Frames of other systems, by system id.
+        unsent: Frames for which the link had no room.
+
+    Raises:
+        ParameterError: The address is none, or needs a key.
+        DeviceError: pymavlink is not installed, or the key's file is not usable.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        system: int,
+        component: int,
+        *,
+        peer: int = 0,
+        key: str = "",
+        retry: float = 1.0,
+        work: int = 256,
+    ) -> None:
+        with from_extra("mavlink", "MAVLink"):
+            self._dialect = import_module("pymavlink.dialects.v20.common")
+        self.address = address
+        self.system, self.peer = system, peer
+        self.fault: DeviceError | None = None
+        self.damaged = self.refused = self.unsent = 0
+        self.foreign: dict[int, int] = {}
+        self._retry_ns, self._work = round(retry * 1e9), work
+        self._next_try_ns: int | None = None
+        self._opened = False
+        self._received: dict[str, list[Message]] = {}
+        self._parsed: list[Message] = []
+        self._outside = Outside(f"MAVLink {address}")
+        self.mav: Any = self._new_parser()
+        self.mav.srcSystem, self.mav.srcComponent = system, component
+        self._signatures = self._sign(key)
+        self._channel = make_channel(parse_address(address))
+        self._begin()
+
+    def poll(self, now_ns: int) -> None:
+        """Receive what has arrived since the last poll, for `newest` and `all_of`.
+
+        Args:
+            now_ns: The time, in nanoseconds of any one clock.
+        """
+        self._received.clear()
+        try:
+            if self._opened or self._open(now_ns):
+                self._read()
+        except OSError as error:  # also a DeviceError
+            self._lose(error, now_ns)
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something arrives, at most so long; for `init` alone."""
+        if self._opened:
+            self._outside.ask(self._channel.wait, seconds, default=None)
+
+    def all_of(self, name: str) -> Sequence[Message]:
+        """Return the messages of a kind that the last poll received, oldest first."""
+        return self._received.get(name, ())
+
+    def newest(self, name: str) -> Message | None:
+        """Return the newest message of a kind that the last poll received."""
+        found = self._received.get(name)
+        return found[-1] if found else None
+
+    def send(self, message: Message) -> None:
+        """Send a message, if the link is open; it is lost if there is no room."""
+        if not self._opened or self._outside.plays:
+            return
+        data = message.pack(self.mav)
+        self.mav.seq = (self.mav.seq + 1) % 256
+        try:
+            self.unsent += not self._channel.send(data)
+        except OSError:  # the next poll says so
+            self.unsent += 1
+
+    def close(self) -> None:
+        """Let go of the link; the next poll opens it again."""
+        self._opened, self._next_try_ns = False, None
+        self._channel.close()
+
+    # -- opening and losing -----------------------------------------------------------
+
+    def _sign(self, key: str) -> Signatures | None:
+        """Begin to sign, if there is a key; it is not read in a replay.
+
+        Raises:
+            ParameterError: The link needs one.
+        """
+        if not key:
+            if not parse_address(self.address).private:
+                raise ParameterError(
+                    "a MAVLink link that others can reach needs a key",
+                    where=self.address,
+                    expected="KEY with the file of the passphrase that both ends have",
+                    remedy="write KEY FILE, or use a serial line or localhost",
+                )
+            return None
+        if self._outside.plays:
+            return None
+        signing, begin = self.mav.signing, time_stamp()
+        signing.secret_key = secret = read_key(key)
+        signing.sign_outgoing, signing.timestamp = True, begin
+        return Signatures(secret, begin)
+
+    def _open(self, now_ns: int) -> bool:
+        if self._next_try_ns is not None and now_ns < self._next_try_ns:
+            return False
+        require_devices(self.address)
+        self._outside.ask(self._channel.open, default=None)
+        self._opened, self.fault = True, None
+        self._begin()
+        return True
+
+    def _begin(self) -> None:
+        """Forget the beginning of a frame that will not be completed."""
+        self._parser = self._new_parser()
+
+    def _new_parser(self) -> Any:  # noqa: ANN401 - it has no types
+        parser = self._dialect.MAVLink(None)
+        parser.robust_parsing = True
+        return parser
+
+    def _lose(self, error: OSError, now_ns: int) -> None:
+        self.close()
+        self._next_try_ns = now_ns + self._retry_ns
+        if isinstance(error, DeviceError):
+            self.fault = error
+            return
+        self.fault = DeviceError(
+            "the MAVLink link is lost",
+            where=self.address,
+            got=error.strerror or str(error),
+            remedy="check that the port is free and the other end runs; "
+            f"it is tried again every {self._retry_ns * 1e-9:g} s",
+        )
+
+    # -- receiving --------------------------------------------------------------------
+
+    def _read(self) -> None:
+        for _ in range(self._work):
+            answer = self._outside.ask(self._receive, default=b"")
+            if not answer:
+                return
+            if self._outside.plays:
+                self._parse(answer[: -_COUNTS.size])
+            damaged, refused = _COUNTS.unpack(answer[-_COUNTS.size :])
+            self.damaged += damaged
+            self.refused += refused
+            for message in self._parsed:
+                self._keep(message)
+
+    def _keep(self, message: Message) -> None:
+        system = message.get_srcSystem()
+        if not self._counts(system):
+            self.foreign[system] = self.foreign.get(system, 0) + 1
+            return
+        self._received.setdefault(message.get_type(), []).append(message)
+
+    def _counts(self, system: int) -> bool:
+        return system == self.peer if self.peer else system != self.system
+
+    def _receive(self) -> bytes:
+        """Return the valid frames of one read, and the counts of others."""
+        data = self._channel.receive()
+        if not data:
+            return b""
+        damaged = self._parse(data)
+        refused = 0
+        if (judge := self._signatures) is not None:
+            valid = [one for one in self._parsed if _is_valid(judge, one)]
+            refused, self._parsed = len(self._parsed) - len(valid), valid
+        if any(self._counts(one.get_srcSystem()) for one in self._parsed):
+            self._channel.accept()
+        frames = [bytes(one.get_msgbuf()) for one in self._parsed]
+        return b"".join((*frames, _COUNTS.pack(min(damaged, _MOST), refused)))
+
+    def _parse(self, data: bytes) -> int:
+        """Unpack the frames of a read; return how many were damaged."""
+        parser, dialect = self._parser, self._dialect
+        found = parser.parse_buffer(data) or ()
+        odd = (dialect.MAVLink_bad_data, dialect.MAVLink_unknown)
+        self._parsed = [one for one in found if not isinstance(one, odd)]
+        damaged = sum(isinstance(one, dialect.MAVLink_bad_data) for one in found)
+        if self._channel.whole and parser.buf_len():  # the rest will not come
+            parser.buf, parser.buf_index = bytearray(), 0
+            parser.expected_length = _HEADER
+            damaged += 1
+        return damaged
+
+
+def _is_valid(judge: Signatures, message: Message) -> bool:
+    frame = message.get_msgbuf()
+    return judge.valid(frame, message.get_srcSystem(), message.get_srcComponent())

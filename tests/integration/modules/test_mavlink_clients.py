@@ -1,0 +1,191 @@
+"""MAVLink modules with MAVSDK at the other end, as a station and as a vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import subprocess
+import threading
+import time
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mavsdk_grpc as mavsdk
+import pytest
+from mavsdk_grpc import telemetry_server
+from mavsdk_grpc.offboard import PositionNedYaw
+from pymavlink.dialects.v20 import common
+
+from pbonet.modules.robot_interfaces.mav_vehicle import MavVehicle
+from pbonet.modules.subsystem_interfaces.mav_ground import MavGround
+from pbonet.testing import Bench
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Iterator
+
+OFFBOARD, LAND, HOLD = 6 << 16, 4 << 16 | 6 << 24, 4 << 16 | 3 << 24
+LIMIT = 60.0
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@contextmanager
+def running(bench: Any, each: Callable[[Any], None]) -> Iterator[list[str]]:
+    """Step a bench at 100 Hz of real time in a thread; yields what it says."""
+    said: list[str] = []
+    ends = threading.Event()
+
+    def run() -> None:
+        last = time.monotonic()
+        while not ends.wait(0.01):
+            now = time.monotonic()
+            bench.step(now - last)
+            last = now
+            each(bench)
+            said.extend(one.text for one in bench.notices() if one.text)
+
+    bench.on()
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield said
+    finally:
+        ends.set()
+        thread.join()
+        bench.kill()
+
+
+async def first(stream: AsyncIterator[Any], wanted: Callable[[Any], bool]) -> Any:
+    async with asyncio.timeout(LIMIT):
+        async for one in stream:
+            if wanted(one):
+                return one
+    return None
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(LIMIT):
+        while not holds():  # noqa: ASYNC110 - a thread makes it true
+            await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def client(url: str, *ids: str) -> AsyncIterator[Any]:
+    """MAVSDK in a process of its own, which is killed at the end, as `kill -9` does."""
+    port = free_port(socket.SOCK_STREAM)
+    program = Path(mavsdk.__file__).parent / "bin" / "mavsdk_server"
+    words = [program, "-p", str(port), *ids, url]
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)  # noqa: ASYNC220
+    try:
+        system = mavsdk.System(mavsdk_server_address="127.0.0.1", port=port)
+        async with asyncio.timeout(LIMIT):
+            await system.connect()
+        yield system
+    finally:
+        process.kill()
+        process.wait()
+
+
+def follow(air: Any) -> None:
+    """Be a vehicle that is at once where and what it is asked to be."""
+    out = air.outputs
+    air.inputs.armed, air.inputs.in_mode = out.arm, out.mode
+    if out.setpoint[0] == 84:
+        air.inputs.x = out.setpoint[2:5]
+
+
+def test_mavsdk_steers_a_subsystem() -> None:
+    port = free_port()
+    params = {
+        "address": f"udpout:127.0.0.1:{port}",
+        "params": ("SPEED_MAX=3", "GAIN=1.5"),
+    }
+    at = {"nparam": 2, "lla": [0.8, 0.15, 400.0], "battery": 15.2, "fix": 3}
+    air = Bench(MavGround, {**at, "att": [1.0, 0, 0, 0]}, params=params)
+
+    async def fly(said: list[str]) -> None:
+        async with client(f"udpin://127.0.0.1:{port}") as station:
+            await steer(station)
+        await until(lambda: air.outputs.mode == HOLD)
+        assert any("no station for 2.5" in one for one in said)
+
+    async def steer(station: Any) -> None:
+        seen = station.telemetry
+        await first(station.core.connection_state(), lambda one: one.is_connected)
+        await first(seen.attitude_quaternion(), lambda one: one.w == 1.0)
+        await first(seen.battery(), lambda one: abs(one.voltage_v - 15.2) < 1e-3)
+        at = await first(seen.position(), lambda _: True)
+        assert at.latitude_deg == pytest.approx(45.8366236)
+        assert await station.param.get_param_float("GAIN") == 1.5
+        await station.param.set_param_float("GAIN", 2.25)
+        assert await station.param.get_param_float("GAIN") == 2.25
+        everything = (await station.param.get_all_params()).float_params
+        assert {one.name: one.value for one in everything} == {
+            "SPEED_MAX": 3.0,
+            "GAIN": 2.25,
+        }
+        assert air.outputs.param.tolist() == [3.0, 2.25]
+        await station.action.arm()
+        await first(seen.armed(), bool)
+        await station.offboard.set_position_ned(PositionNedYaw(1.0, 2.0, -3.0, 30.0))
+        await station.offboard.start()
+        await first(seen.flight_mode(), lambda one: str(one) == "OFFBOARD")
+        await first(
+            seen.position_velocity_ned(),
+            lambda one: one.position.down_m == -3.0 and one.position.east_m == 2.0,
+        )
+        assert air.outputs.setpoint[11] == pytest.approx(0.5235988)
+        await station.action.land()
+        await first(seen.flight_mode(), lambda one: str(one) == "LAND")
+        assert air.outputs.mode == LAND
+        await station.offboard.start()
+
+    with running(air, follow) as said:
+        asyncio.run(fly(said))
+
+
+def test_a_subsystem_steers_mavsdk() -> None:
+    """Its vehicle's side has the component 191, and begins when it hears a vehicle."""
+    port = free_port()
+    params = {"address": f"udpout:127.0.0.1:{port}", "component": 191, "wait": 0.0}
+    base = Bench(MavVehicle, params=params, critical=True)
+    parser: Any = common.MAVLink(None, 200, 1)
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def awake(_: Any) -> None:
+        beat = parser.heartbeat_encode(2, 12, 0, 0, 4, 3).pack(parser)
+        other.sendto(beat, ("127.0.0.1", port))
+
+    async def fly() -> None:
+        ids = "--sysid", "1", "--compid", "1"
+        async with client(f"udpin://127.0.0.1:{port}", *ids) as craft:
+            await serve(craft)
+        await until(lambda: base.illegal)
+        assert base.outputs.age >= 2.5
+
+    async def serve(craft: Any) -> None:
+        await craft.action_server.set_armable(True, True)
+        told = telemetry_server
+        place = told.PositionNed(1.0, 2.0, -3.0), told.VelocityNed(0.5, 0.25, -1.0)
+        await craft.telemetry_server.publish_position_velocity_ned(
+            told.PositionVelocityNed(*place)
+        )
+        await craft.telemetry_server.publish_battery(told.Battery(16.0, 50.0))
+        await until(lambda: base.outputs.x.tolist() == [1.0, 2.0, -3.0])
+        await until(lambda: base.outputs.battery == 16.0)
+        assert base.outputs.v.tolist() == [0.5, 0.25, -1.0]
+        base.inputs.arm = 1
+        asked = base.module._commands._asked
+        await until(lambda: base.module._was_armed and 400 not in asked)
+
+    try:
+        with running(base, awake) as said:
+            asyncio.run(fly())
+    finally:
+        other.close()
+    assert not [one for one in said if "command 400" in one], "it was accepted"
