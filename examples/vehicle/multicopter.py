@@ -16,6 +16,7 @@ from pbonet.modules._quaternion import (  # noqa: PLC2701 - as pbonet's own modu
 GRAVITY = 9.81
 ATTITUDE, POSITION = 82, 84
 OFFBOARD, HOLD, LAND = 6 << 16, 4 << 16 | 3 << 24, 4 << 16 | 6 << 24
+MISSION = 4 << 16 | 4 << 24
 """PX4's modes."""
 INERTIA = np.array((0.03, 0.03, 0.05))
 NEAR = 1e-3
@@ -44,7 +45,8 @@ class Craft(Params):
 class Multicopter(PortBasedObject[Craft], module_class="robot interface"):
     """m v' = m g - T z - drag v, J w' = torque - w x J w, and a cascade that steers it.
 
-    In OFFBOARD it follows SETPOINT; when that asks for nothing it changes to hold. LAND
+    In OFFBOARD it follows SETPOINT; when that asks for nothing it changes to hold. In
+    MISSION it follows SETPOINT, too. LAND
     descends and disarms on the ground. It arms and disarms there alone, when ARM_CMD
     changes. PARAM is the largest speed and the speed of landing. Without a fresh
     SETPOINT, and while the configuration is illegal, it holds its place.
@@ -90,7 +92,7 @@ class Multicopter(PortBasedObject[Craft], module_class="robot interface"):
 
     def stable(self, dt: float) -> None:
         """Hold the place, or go on landing."""
-        if self.in_mode == OFFBOARD:
+        if self.in_mode in {OFFBOARD, MISSION}:
             self._change(HOLD)
         self._steer_by_mode()
         self._fly(dt)
@@ -105,7 +107,7 @@ class Multicopter(PortBasedObject[Craft], module_class="robot interface"):
         asked = bool(self.setpoint[0])
         if self.mode != self._was_mode:
             self._was_mode = self.mode
-            if self.mode in {HOLD, LAND} or (self.mode == OFFBOARD and asked):
+            if self.mode in {HOLD, LAND, MISSION} or (self.mode == OFFBOARD and asked):
                 self._change(self.mode)
         if self.in_mode == OFFBOARD and not asked:
             self._change(HOLD)
@@ -125,7 +127,8 @@ class Multicopter(PortBasedObject[Craft], module_class="robot interface"):
 
     def _steer_by_mode(self) -> None:
         """Compute the thrust and the torques that are wanted."""
-        kind = int(self.setpoint[0]) if self.in_mode == OFFBOARD else 0
+        follows = self.in_mode in {OFFBOARD, MISSION}
+        kind = int(self.setpoint[0]) if follows else 0
         if not self.armed:
             self._wanted, self._turn = 0.0, np.zeros(3)
         elif kind == ATTITUDE:

@@ -84,12 +84,14 @@ class Channel(Protocol):
 
     def receive(self) -> bytes:
         """Return what one read gives; empty: nothing is there."""
+        ...
 
     def accept(self) -> None:
         """Send to the sender of the last read, too."""
 
     def send(self, data: bytes) -> bool:
         """Send one frame; False: there is no room for it, or no other end."""
+        ...
 
     def wait(self, seconds: float) -> None:
         """Wait until something is there; for `init` alone."""

@@ -1,13 +1,25 @@
 """A vehicle on a MAVLink link, for ground stations: pbonet is the vehicle."""
 
 from collections.abc import Callable
-from math import asin, atan2, degrees, tau
+from math import asin, atan2, cos, degrees, radians, tau
 from typing import Annotated as A, Any, Literal, NamedTuple
 
 from pbonet import InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
 from pbonet.io import MavLink
-from pbonet.modules._mavlink import GCS, IN_PROGRESS, Every, Owner, setpoint_of
+from pbonet.modules._mavlink import (
+    ACC,
+    GCS,
+    IN_PROGRESS,
+    POSITION,
+    YAW,
+    YAW_RATE,
+    Every,
+    Owner,
+    V,
+    setpoint_of,
+)
+from pbonet.modules._mavlink_mission import Item, MissionServer
 from pbonet.modules._mavlink_parameters import LONGEST, ParameterServer
 from pbonet.modules._values import keep
 
@@ -16,6 +28,10 @@ AUTOPILOT = 1
 PX4 = 12
 ARM, MODE, LAND, INTERVAL, REQUEST, CAPABILITIES = 400, 176, 21, 511, 512, 520
 """Commands that stations send."""
+WAYPOINT, TAKEOFF = 16, 22
+"""Commands of a mission's items, beside LAND."""
+EARTH = 6_371_000.0
+"""Its radius, m."""
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 CAN = 2 | 4 | 8 | 64 | 128 | 8192
 """Capabilities: floats as parameters, integers in missions and commands, MAVLink 2, and
@@ -25,8 +41,8 @@ FASTEST = 1e3
 """Messages of one kind a second that a station may ask for."""
 TRIED_NS = 1_000_000_000
 """A command is denied when the vehicle has not followed it by then."""
-SAID = 4
-"""The severity of texts to stations: warning."""
+WARNING, NOTICE = 4, 6
+"""The severity of texts to stations."""
 
 
 class Vehicle(Params):
@@ -50,6 +66,8 @@ class Vehicle(Params):
     ] = "hold"
     hold_mode: A[int, param("none", "MODE_CMD for that; PX4's hold", ge=0)] = 50593792
     land_mode: A[int, param("none", "MODE_CMD to land; PX4's", ge=0)] = 100925440
+    mission_mode: A[int, param("none", "MODE that flies it; PX4's", ge=0)] = 67371008
+    reach: A[float, param("m", "from an item that counts as reached", gt=0)] = 1.0
 
 
 class Pending(NamedTuple):
@@ -71,6 +89,11 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
     are numbers that stations change by their names in PARAMS. When no station was heard
     for LOST_AFTER and ARMED is 1, MODE_CMD becomes HOLD_MODE or LAND_MODE, as LOST
     says.
+
+    It keeps a mission. While MODE is MISSION_MODE and ARMED is 1, SETPOINT is the place
+    of its item WP_NOW: of waypoints and take-offs, for the time that they say; landing
+    makes MODE_CMD LAND_MODE, other items are passed over, and after the last one
+    MODE_CMD is HOLD_MODE.
     """
 
     att: A[Vector, InVar("ATT_MEZ", "4", "none", "attitude w x y z")]
@@ -89,6 +112,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
     arm: A[int, OutVar("ARM_CMD", "1", "none", "1 arms, 0 disarms", new=True)]
     mode: A[int, OutVar("MODE_CMD", "1", "none", "mode to set", new=True)]
     param: A[Vector, OutVar("PARAM", "nparam", "any", "parameters", new=True)]
+    item: A[int, OutVar("WP_NOW", "1", "none", "item of the mission", new=True)]
     age: A[float, OutVar("LINK_AGE", "1", "s", "since a station's heartbeat", new=True)]
     bad: A[
         Vector,
@@ -103,6 +127,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         self._owner.poll()  # what is wrong is said at once
         self._boot_ns = self.task.now
         self._parameters = ParameterServer(link, names, values)
+        self._mission = MissionServer(link, self._note)
         self._kinds: dict[int, Callable[[], Any]] = {
             0: self._heartbeat,
             1: self._status,
@@ -111,6 +136,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
             31: self._attitude,
             32: self._local,
             33: self._global,
+            42: self._current,
             148: self._version,
         }
         self._streams = {number: Every(rate) for number, rate in self._rates().items()}
@@ -123,6 +149,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         self._heard_ns = self._asked_ns = 0
         self._began_ns = self.task.now
         self._lost = False
+        self._reached_ns = 0
         self.setpoint[:] = 0.0
         self.arm, self.mode = self.armed, self.in_mode  # nothing is asked for yet
         self.param[:] = self._parameters.values
@@ -130,11 +157,16 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the clock tells
         now = self.task.now
         self._owner.poll()
-        self._take_setpoint(now)
+        self._mission.run(now, self._is_for_us)
+        if self.armed and self.in_mode == self.params.mission_mode:
+            self._fly_mission(now)
+        else:
+            self._take_setpoint(now)
+        self.item = self._mission.current
         self._take_commands(now)
         self._take_link(now)
         for change in self._parameters.run():
-            self._say(f"parameter {change}")
+            self._note(f"parameter {change}")
         self.param[:] = self._parameters.values
         for number, every in self._streams.items():
             if every.due(now):
@@ -255,17 +287,79 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
                 self.mode = k.hold_mode if k.lost == "hold" else k.land_mode
             self._say(f"no station for {self.age:.3g} s: {k.lost}")
 
+    # -- the mission ------------------------------------------------------------------
+
+    def _fly_mission(self, now: int) -> None:
+        """Make SETPOINT of the present item, and go on when it is reached."""
+        mission = self._mission
+        if mission.current >= len(mission.items):
+            self.mode = self.params.hold_mode
+            return
+        one = mission.items[mission.current]
+        if one.command == LAND:
+            self.mode = self.params.land_mode
+            return
+        goal = self._place_of(one)
+        if goal is None:
+            self._pass_item()
+            return
+        self._asked_ns = now
+        self.setpoint[:] = 0.0
+        self.setpoint[0], self.setpoint[1] = POSITION, V | ACC | YAW | YAW_RATE
+        self.setpoint[2:5] = goal
+        far = sum((a - b) ** 2 for a, b in zip(goal, self.x.tolist(), strict=True))
+        if far > self.params.reach**2:
+            self._reached_ns = 0
+            return
+        self._reached_ns = self._reached_ns or now
+        if now - self._reached_ns >= one.p1 * 1e9:
+            self._pass_item()
+
+    def _pass_item(self) -> None:
+        mission, link = self._mission, self._link
+        link.send(link.mav.mission_item_reached_encode(mission.current))
+        mission.current += 1
+        self._reached_ns = 0
+
+    def _place_of(self, one: Item) -> tuple[float, float, float] | None:
+        """Return the place of an item, NED; None if it has none."""
+        north, east, down = self.x.tolist()
+        if one.command == TAKEOFF:
+            return north, east, -one.z
+        if one.command != WAYPOINT:
+            return None
+        if one.frame == 1:  # MAV_FRAME_LOCAL_NED
+            return one.x * 1e-4, one.y * 1e-4, one.z
+        lat, lon, alt = self.lla.tolist()
+        north += EARTH * (radians(one.x * 1e-7) - lat)
+        east += EARTH * cos(lat) * (radians(one.y * 1e-7) - lon)
+        above = one.frame in {3, 6}  # the point of departure
+        return north, east, -one.z if above else down + alt - one.z
+
     # -- what stations see ------------------------------------------------------------
 
     def _rates(self) -> dict[int, float]:
         """Return the messages that are sent unasked, and how many a second."""
         rate = self.params.rate
-        return {0: 1.0, 1: 1.0, 24: 5.0, 31: rate, 30: rate, 32: rate, 33: rate}
+        return {
+            0: 1.0,
+            1: 1.0,
+            24: 5.0,
+            31: rate,
+            30: rate,
+            32: rate,
+            33: rate,
+            42: 1.0,
+        }
 
     def _say(self, text: str) -> None:
         """Warn of something here, and at the stations."""
         self.task.warn(text)
-        self._link.send(self._link.mav.statustext_encode(SAID, text.encode()[:50]))
+        self._note(text, WARNING)
+
+    def _note(self, text: str, severity: int = NOTICE) -> None:
+        """Say something at the stations."""
+        self._link.send(self._link.mav.statustext_encode(severity, text.encode()[:50]))
 
     def _boot_ms(self) -> int:
         return (self.task.now - self._boot_ns) // 1_000_000 & 0xFFFFFFFF
@@ -320,6 +414,9 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         return self._link.mav.global_position_int_encode(
             self._boot_ms(), lat, lon, alt, above, *speeds, heading
         )
+
+    def _current(self) -> Any:  # noqa: ANN401
+        return self._link.mav.mission_current_encode(self._mission.current)
 
     def _version(self) -> Any:  # noqa: ANN401
         none = bytes(8)

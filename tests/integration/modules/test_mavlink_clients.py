@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import struct
 import subprocess
 import threading
 import time
@@ -12,18 +13,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mavsdk_grpc as mavsdk
+import numpy as np
 import pytest
 from mavsdk_grpc import telemetry_server
+from mavsdk_grpc.mission_raw import MissionItem
 from mavsdk_grpc.offboard import PositionNedYaw
 from pymavlink.dialects.v20 import common
 
-from pbonet.modules.robot_interfaces.mav_vehicle import MavVehicle
+import pbonet.modules
 from pbonet.modules.subsystem_interfaces.mav_ground import MavGround
 from pbonet.testing import Bench
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator
 
+CRAFT = Path(pbonet.modules.__file__).parent / "robot_interfaces" / "mav_craft.rmod"
+PARTS = ("vehicle", "params", "mission")
 OFFBOARD, LAND, HOLD = 6 << 16, 4 << 16 | 6 << 24, 4 << 16 | 3 << 24
 LIMIT = 60.0
 
@@ -60,6 +65,15 @@ def running(bench: Any, each: Callable[[Any], None]) -> Iterator[list[str]]:
         bench.kill()
 
 
+def mission_text() -> str:
+    rows = [
+        f"{k} {int(k == 0)} 3 16 {k / 3} 0.1 {-k / 7} 0.25 {47.4 + k * 1e-5:.7f} "
+        f"{8.5 - k * 1e-5:.7f} {k / 9} 1"
+        for k in range(20)
+    ]
+    return "\n".join(["QGC WPL 110", *rows, ""])
+
+
 async def first(stream: AsyncIterator[Any], wanted: Callable[[Any], bool]) -> Any:
     async with asyncio.timeout(LIMIT):
         async for one in stream:
@@ -89,6 +103,13 @@ async def client(url: str, *ids: str) -> AsyncIterator[Any]:
     finally:
         process.kill()
         process.wait()
+
+
+def bits(one: Any) -> bytes:
+    """Return an item as it travels."""
+    numbers = one.param1, one.param2, one.param3, one.param4, one.z
+    whole = one.seq, one.frame, one.command, one.autocontinue, one.x, one.y
+    return struct.pack("<5f6i", *numbers, *whole)
 
 
 def follow(air: Any) -> None:
@@ -130,6 +151,7 @@ def test_mavsdk_steers_a_subsystem() -> None:
             "GAIN": 2.25,
         }
         assert air.outputs.param.tolist() == [3.0, 2.25]
+        await exchange_missions(station)
         await station.action.arm()
         await first(seen.armed(), bool)
         await station.offboard.set_position_ned(PositionNedYaw(1.0, 2.0, -3.0, 30.0))
@@ -145,15 +167,37 @@ def test_mavsdk_steers_a_subsystem() -> None:
         assert air.outputs.mode == LAND
         await station.offboard.start()
 
+    async def exchange_missions(station: Any) -> None:
+        given = [
+            MissionItem(k, 6, 16, int(k == 0), 1, k / 3, 0.1, -k / 7, 0.25,
+                        473977000 + k * 123, 85456000 - k * 321, k / 9, 0)
+            for k in range(20)
+        ]  # fmt: skip
+        await station.mission_raw.upload_mission(given)
+        assert [one.z for one in air.module._mission.items] == [
+            np.float32(k / 9) for k in range(20)
+        ]
+        got = await station.mission_raw.download_mission()
+        assert [bits(one) for one in got] == [bits(one) for one in given]
+
     with running(air, follow) as said:
         asyncio.run(fly(said))
 
 
-def test_a_subsystem_steers_mavsdk() -> None:
+def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
     """Its vehicle's side has the component 191, and begins when it hears a vehicle."""
     port = free_port()
-    params = {"address": f"udpout:127.0.0.1:{port}", "component": 191, "wait": 0.0}
-    base = Bench(MavVehicle, params=params, critical=True)
+    (tmp_path / "plan.waypoints").write_text(mission_text())
+    rmod = tmp_path / "craft.rmod"
+    rmod.write_text(
+        CRAFT.read_text().replace("EOF", "LOCAL")
+        + f"mav_vehicle.ADDRESS udpout:127.0.0.1:{port}\nmav_vehicle.WAIT 0\n"
+        + "mav_params.WATCH SPEED GAIN\nmav_params.WANT GAIN=2.25\n"
+        + "mav_mission.FILE plan.waypoints\n"
+        + "".join(f"mav_{one}.COMPONENT 191\n" for one in PARTS)
+        + "EOF\n"
+    )
+    base = Bench.of(rmod, {"nparam": 2}, library=[tmp_path])
     parser: Any = common.MAVLink(None, 200, 1)
     other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
@@ -166,9 +210,14 @@ def test_a_subsystem_steers_mavsdk() -> None:
         async with client(f"udpin://127.0.0.1:{port}", *ids) as craft:
             await serve(craft)
         await until(lambda: base.illegal)
-        assert base.outputs.age >= 2.5
+        assert base["LINK_AGE"] >= 2.5
 
     async def serve(craft: Any) -> None:
+        given = asyncio.create_task(
+            first(craft.mission_raw_server.incoming_mission(), lambda _: True)
+        )
+        await craft.param_server.provide_param_float("SPEED", 3.0)
+        await craft.param_server.provide_param_float("GAIN", 1.5)
         await craft.action_server.set_armable(True, True)
         told = telemetry_server
         place = told.PositionNed(1.0, 2.0, -3.0), told.VelocityNed(0.5, 0.25, -1.0)
@@ -176,12 +225,17 @@ def test_a_subsystem_steers_mavsdk() -> None:
             told.PositionVelocityNed(*place)
         )
         await craft.telemetry_server.publish_battery(told.Battery(16.0, 50.0))
-        await until(lambda: base.outputs.x.tolist() == [1.0, 2.0, -3.0])
-        await until(lambda: base.outputs.battery == 16.0)
-        assert base.outputs.v.tolist() == [0.5, 0.25, -1.0]
-        base.inputs.arm = 1
-        asked = base.module._commands._asked
-        await until(lambda: base.module._was_armed and 400 not in asked)
+        await until(lambda: base["X_MEZ"].tolist() == [1.0, 2.0, -3.0])
+        await until(lambda: base["BATT"] == 16.0)
+        assert base["X^_MEZ"].tolist() == [0.5, 0.25, -1.0]
+        await until(lambda: base["PARAM"].tolist() == [3.0, 2.25])
+        assert await craft.param_server.retrieve_param_float("GAIN") == 2.25
+        await until(lambda: base["WP_COUNT"] == 20)  # read back, equal to the bit
+        given.cancel()
+        base["ARM_CMD"] = 1
+        vehicle = base.module.parts[0]
+        asked = vehicle._commands._asked
+        await until(lambda: vehicle._was_armed and 400 not in asked)
 
     try:
         with running(base, awake) as said:

@@ -12,12 +12,14 @@ import socket
 import tty
 from collections.abc import Iterator
 from math import nan, pi, radians
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
+import pbonet.modules
 from pbonet import State
 from pbonet.errors import DeviceError, MethodError, ParameterError
 from pbonet.io import MavLink, PeerClock, no_devices
@@ -32,6 +34,7 @@ from pbonet.modules.teleoperation.mav_command import MavCommand
 from pbonet.outside import Player, Tape, use
 from pbonet.testing import Bench, FakeClock
 
+MODULES = Path(pbonet.modules.__file__).parent
 STEP = 0.01
 SPOT = [84.0, 0xDF8, 1.0, 2.0, -3.0, *[0.0] * 8]
 OFFBOARD = 6 << 16
@@ -739,3 +742,13 @@ def test_commands_are_given_when_they_are_said() -> None:
     one.set("arm", 0)
     one.step()
     assert (one.outputs.arm, one.outputs.mode) == (0, 9)
+
+
+@pytest.mark.parametrize(
+    "name", sorted(path.stem for path in MODULES.glob("*/mav_*.rmod"))
+)
+def test_every_rmod_is_one(name: str) -> None:
+    from pbonet.config import Library
+
+    (path,) = MODULES.glob(f"*/{name}.rmod")
+    assert Library().read_rmod(path).name == name
