@@ -37,6 +37,8 @@ CAN = 2 | 4 | 8 | 64 | 128 | 8192
 """Capabilities: floats as parameters, integers in missions and commands, MAVLink 2, and
 both kinds of set-points."""
 ARMED = 128
+PX4_FLAGS = {4: 0x1C, 6: 0x18}
+"""Flags of PX4's main modes AUTO and OFFBOARD: stabilized, guided, automatic."""
 FASTEST = 1e3
 """Messages of one kind a second that a station may ask for."""
 TRIED_NS = 1_000_000_000
@@ -365,9 +367,10 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         return (self.task.now - self._boot_ns) // 1_000_000 & 0xFFFFFFFF
 
     def _heartbeat(self) -> Any:  # noqa: ANN401
-        armed = bool(self.armed)
-        base, status = (ARMED | 1, 4) if armed else (1, 3)
         k = self.params
+        base, status = (ARMED | 1, 4) if self.armed else (1, 3)
+        if k.autopilot == PX4:  # as its own heartbeats have them, beside the mode
+            base |= PX4_FLAGS.get(self.in_mode >> 16 & 0xFF, 0)
         return self._link.mav.heartbeat_encode(
             k.type, k.autopilot, base, self.in_mode, status, 3
         )

@@ -1,4 +1,4 @@
-"""MAVLink modules with MAVSDK at the other end, as a station and as a vehicle."""
+"""MAVLink modules with other programs at the other end: MAVSDK twice, and MAVProxy."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import socket
 import struct
 import subprocess
+import sys
 import threading
 import time
 from contextlib import asynccontextmanager, contextmanager
@@ -19,6 +20,7 @@ from mavsdk_grpc import telemetry_server
 from mavsdk_grpc.mission_raw import MissionItem
 from mavsdk_grpc.offboard import PositionNedYaw
 from pymavlink.dialects.v20 import common
+from watching import wait_for
 
 import pbonet.modules
 from pbonet.modules.subsystem_interfaces.mav_ground import MavGround
@@ -243,3 +245,66 @@ def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
     finally:
         other.close()
     assert not [one for one in said if "command 400" in one], "it was accepted"
+
+
+class Proxy:
+    """MAVProxy on a link, in a folder of its own."""
+
+    def __init__(self, port: int, folder: Path) -> None:
+        self._log = folder / "out.log"
+        program = Path(sys.executable).with_name("mavproxy.py")
+        modules = "--default-modules=mode,param,wp,arm,cmdlong"
+        words = [sys.executable, program, f"--master=udpin:127.0.0.1:{port}", modules]
+        words += [f"--state-basedir={folder}", f"--logfile={folder / 'x.tlog'}"]
+        with self._log.open("w") as out:
+            self.process = subprocess.Popen(
+                words, stdin=subprocess.PIPE, stdout=out, stderr=out, cwd=folder
+            )
+
+    def __call__(self, text: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{text}\n".encode())
+        self.process.stdin.flush()
+
+    def says(self, text: str) -> bool:
+        return text in self._log.read_text(errors="replace")
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+def test_mavproxy_steers_a_subsystem(tmp_path: Path) -> None:
+    pytest.importorskip("MAVProxy", reason="pip install --group mavproxy")
+    port = free_port()
+    air = Bench(
+        MavGround,
+        {"nparam": 2, "lla": [0.8, 0.15, 400.0], "att": [1.0, 0, 0, 0]},
+        params={
+            "address": f"udpout:127.0.0.1:{port}",
+            "params": ("SPEED_MAX=3", "GAIN=1.5"),
+        },
+    )
+    first_line, rows = mission_text().split("\n", 1)
+    plan = "\n".join((first_line, rows.replace(" ", "\t")))
+    (tmp_path / "plan.txt").write_text(plan)
+    with running(air, follow):
+        proxy = Proxy(port, tmp_path)
+        try:
+            wait_for(lambda: proxy.says("Received 2 parameters"), "its parameters")
+            proxy("param set GAIN 2.5")
+            wait_for(lambda: air.outputs.param[1] == 2.5, "the parameter")
+            proxy("arm throttle")
+            wait_for(lambda: air.outputs.arm == 1, "arming")
+            proxy("long DO_SET_MODE 1 4 6")
+            wait_for(lambda: air.outputs.mode == LAND, "the mode")
+            proxy("wp load plan.txt")
+            wait_for(lambda: len(air.module._mission.items) == 20, "the mission")
+            proxy("wp save back.txt")
+            wait_for(lambda: proxy.says("Saved 20 waypoints to back.txt"), "it again")
+            rows = (tmp_path / "back.txt").read_text().splitlines()[1:]
+            heights = [float(row.split()[10]) for row in rows]
+            assert heights == pytest.approx([k / 9 for k in range(20)], abs=1e-5)
+        finally:
+            proxy.close()
+        wait_for(lambda: air.outputs.age > 2.5, "that it is missed")
