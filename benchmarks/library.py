@@ -121,6 +121,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "dmp": lambda: {"params": {"file": samples()}},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
+    "mav_ground": lambda: {"nparam": 1},
     "gait": lambda: {"nfeet": 4},
     "kalman": lambda: {"nx": 2, "nz": 1, "nu": 1},
     "lqr": lambda: {"n": 2, "m": 1},

@@ -24,8 +24,9 @@ device, so that the same code runs in real time, in simulation and in replay. On
 ``sample_file``
     Samples of a signal over time, from a file.
 ``mavlink``
-    A MAVLink link; ``mavlink_channels`` carry its bytes, ``mavlink_signing`` judges
-    signatures, ``mavlink_clock`` knows the time of the other end.
+    A MAVLink link; ``mavlink_channels`` carry its bytes, ``mavlink_frames`` finds
+    frames in them, ``mavlink_signing`` judges signatures, and ``mavlink_clock`` knows
+    the time of the other end.
 ``mujoco_robot``
     A robot that MuJoCo simulates, behind the interface a real one would have.
 ``optional_packages``

@@ -1,7 +1,8 @@
 """A MAVLink link: frames in and out, polled once a cycle, never waiting.
 
-pymavlink packs and unpacks the messages. What is read is recorded frame by frame, so a
-replay of a log gets the same messages without a link, and without the link's key.
+pymavlink packs and unpacks the messages, each when its values are asked for. What is
+read is recorded frame by frame, so a replay of a log gets the same messages without a
+link, and without the link's key.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pbonet.errors import DeviceError, ParameterError
 from pbonet.outside import Outside
 
 from .mavlink_channels import make_channel, parse_address
+from .mavlink_frames import Frame, FrameFinder
 from .mavlink_signing import Signatures, read_key, time_stamp
 from .optional_packages import from_extra
 from .policy import require_devices
@@ -26,8 +28,7 @@ Message = Any
 _COUNTS: Final = struct.Struct("<HH")
 """At the end of a recorded answer: damaged frames, and frames that were refused."""
 _MOST: Final = (1 << 16) - 1
-_HEADER: Final = 12
-"""Bytes that pymavlink waits for at the beginning of a frame."""
+_NONE: Final = _COUNTS.pack(0, 0)
 
 
 class MavLink:
@@ -81,11 +82,14 @@ class MavLink:
         self._retry_ns, self._work = round(retry * 1e9), work
         self._next_try_ns: int | None = None
         self._opened = False
-        self._received: dict[str, list[Message]] = {}
-        self._parsed: list[Message] = []
+        self._received: dict[int, list[Frame]] = {}
+        self._frames: list[Frame] = []
         self._outside = Outside(f"MAVLink {address}")
-        self.mav: Any = self._new_parser()
-        self.mav.srcSystem, self.mav.srcComponent = system, component
+        kinds = self._dialect.mavlink_map
+        self._kinds = {one.msgname: number for number, one in kinds.items()}
+        self._extras = {n: bytes((one.crc_extra,)) for n, one in kinds.items()}
+        self.mav: Any = self._dialect.MAVLink(None, system, component)
+        self._unpacker: Any = self._dialect.MAVLink(None)
         self._signatures = self._sign(key)
         self._channel = make_channel(parse_address(address))
         self._begin()
@@ -110,12 +114,27 @@ class MavLink:
 
     def all_of(self, name: str) -> Sequence[Message]:
         """Return the messages of a kind that the last poll received, oldest first."""
-        return self._received.get(name, ())
+        found = self._received.get(self._kinds[name])
+        return [self._unpack(one) for one in found] if found else ()
 
-    def newest(self, name: str) -> Message | None:
-        """Return the newest message of a kind that the last poll received."""
-        found = self._received.get(name)
-        return found[-1] if found else None
+    def newest(self, name: str, component: int = 0) -> Message | None:
+        """Return the newest message of a kind that the last poll received.
+
+        Args:
+            name: The kind.
+            component: Its sender's component; 0 for any.
+        """
+        for one in reversed(self._received.get(self._kinds[name], ())):
+            if component in {0, one.component}:
+                return self._unpack(one)
+        return None
+
+    def has(self, name: str) -> bool:
+        """Return whether the last poll received a message of a kind."""
+        return self._kinds[name] in self._received
+
+    def _unpack(self, frame: Frame) -> Message:
+        return self._unpacker.decode(bytearray(frame.data))
 
     def send(self, message: Message) -> None:
         """Send a message, if the link is open; it is lost if there is no room."""
@@ -168,12 +187,10 @@ class MavLink:
 
     def _begin(self) -> None:
         """Forget the beginning of a frame that will not be completed."""
-        self._parser = self._new_parser()
-
-    def _new_parser(self) -> Any:  # noqa: ANN401 - it has no types
-        parser = self._dialect.MAVLink(None)
-        parser.robust_parsing = True
-        return parser
+        checksum = self._dialect.x25crc
+        crc = getattr(self._dialect, "mcrf4xx", None) or (lambda x: checksum(x).crc)
+        whole = self._channel.whole
+        self._finder = FrameFinder(self._extras, crc, whole=whole)
 
     def _lose(self, error: OSError, now_ns: int) -> None:
         self.close()
@@ -197,19 +214,18 @@ class MavLink:
             if not answer:
                 return
             if self._outside.plays:
-                self._parse(answer[: -_COUNTS.size])
+                self._frames = self._finder.feed(answer[: -_COUNTS.size])
             damaged, refused = _COUNTS.unpack(answer[-_COUNTS.size :])
             self.damaged += damaged
             self.refused += refused
-            for message in self._parsed:
-                self._keep(message)
+            for frame in self._frames:
+                self._keep(frame)
 
-    def _keep(self, message: Message) -> None:
-        system = message.get_srcSystem()
-        if not self._counts(system):
-            self.foreign[system] = self.foreign.get(system, 0) + 1
-            return
-        self._received.setdefault(message.get_type(), []).append(message)
+    def _keep(self, frame: Frame) -> None:
+        if self._counts(frame.system):
+            self._received.setdefault(frame.kind, []).append(frame)
+        else:
+            self.foreign[frame.system] = self.foreign.get(frame.system, 0) + 1
 
     def _counts(self, system: int) -> bool:
         return system == self.peer if self.peer else system != self.system
@@ -219,30 +235,16 @@ class MavLink:
         data = self._channel.receive()
         if not data:
             return b""
-        damaged = self._parse(data)
-        refused = 0
+        finder, refused = self._finder, 0
+        frames = finder.feed(data)
         if (judge := self._signatures) is not None:
-            valid = [one for one in self._parsed if _is_valid(judge, one)]
-            refused, self._parsed = len(self._parsed) - len(valid), valid
-        if any(self._counts(one.get_srcSystem()) for one in self._parsed):
-            self._channel.accept()
-        frames = [bytes(one.get_msgbuf()) for one in self._parsed]
-        return b"".join((*frames, _COUNTS.pack(min(damaged, _MOST), refused)))
-
-    def _parse(self, data: bytes) -> int:
-        """Unpack the frames of a read; return how many were damaged."""
-        parser, dialect = self._parser, self._dialect
-        found = parser.parse_buffer(data) or ()
-        odd = (dialect.MAVLink_bad_data, dialect.MAVLink_unknown)
-        self._parsed = [one for one in found if not isinstance(one, odd)]
-        damaged = sum(isinstance(one, dialect.MAVLink_bad_data) for one in found)
-        if self._channel.whole and parser.buf_len():  # the rest will not come
-            parser.buf, parser.buf_index = bytearray(), 0
-            parser.expected_length = _HEADER
-            damaged += 1
-        return damaged
-
-
-def _is_valid(judge: Signatures, message: Message) -> bool:
-    frame = message.get_msgbuf()
-    return judge.valid(frame, message.get_srcSystem(), message.get_srcComponent())
+            valid = [f for f in frames if judge.valid(f.data, f.system, f.component)]
+            refused, frames = len(frames) - len(valid), valid
+        self._frames = frames
+        for frame in frames:
+            if self._counts(frame.system):
+                self._channel.accept()
+                break
+        odd = finder.damaged or refused
+        counts = _COUNTS.pack(min(finder.damaged, _MOST), refused) if odd else _NONE
+        return b"".join([*[frame.data for frame in frames], counts])

@@ -146,11 +146,13 @@ class UdpChannel(_Socket):
         super().__init__(address)
         self._peers: dict[Place, None] = {}
         self._sender: Place | None = None
+        self._accepted: Place | None = None
 
     def open(self) -> None:
         """Take the port, or call the other end."""
         made = self._make(socket.SOCK_DGRAM)
         self._peers.clear()
+        self._accepted = None
         if self._address.kind == "udpin":
             made.bind(self._place)
         else:
@@ -168,6 +170,9 @@ class UdpChannel(_Socket):
         """Send to the sender of the last datagram, too."""
         if self._address.kind == "udpout" or self._sender is None:
             return
+        if self._sender == self._accepted:
+            return
+        self._accepted = self._sender
         self._peers.pop(self._sender, None)
         self._peers[self._sender] = None
         if len(self._peers) > PEERS:

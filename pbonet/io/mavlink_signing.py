@@ -16,8 +16,8 @@ from pathlib import Path
 
 from pbonet.errors import DeviceError
 
-SIGNED = 0x01
-"""The flag of a frame that is signed."""
+from .mavlink_frames import SIGNED, V2
+
 LENGTH = 13
 _TIME = slice(-12, -6)
 _YEAR_2015_S = 1_420_070_400
@@ -72,7 +72,7 @@ class Signatures:
 
     def valid(self, frame: bytes, system: int, component: int) -> bool:
         """Return whether a frame was made with the key, and is new."""
-        if frame[0] != 0xFD or not frame[2] & SIGNED:  # noqa: PLR2004 - of MAVLink 2
+        if frame[0] != V2 or not frame[2] & SIGNED:
             return False
         digest = hashlib.sha256(self._secret + frame[:-6]).digest()[:6]
         if not hmac.compare_digest(digest, bytes(frame[-6:])):

@@ -54,7 +54,7 @@ class ParameterServer:
                 self.values[k] = m.param_value
                 changed.append(f"{self._names[k]} = {m.param_value:g}")
             self._send(k)  # what holds, which refuses another value
-        if link.all_of("PARAM_REQUEST_LIST"):
+        if link.has("PARAM_REQUEST_LIST"):
             self._next = 0
         end = min(self._next + BURST, len(self._names))
         for k in range(self._next, end):

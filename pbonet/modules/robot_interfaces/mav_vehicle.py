@@ -195,9 +195,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
 
     def _newest(self, name: str) -> Any:  # noqa: ANN401
         """Return the newest message of a kind that the autopilot itself has sent."""
-        found = self._link.all_of(name)
-        own = [m for m in found if m.get_srcComponent() == self.params.component]
-        return own[-1] if own else None
+        return self._link.newest(name, self.params.component)
 
     def _take_status(self) -> None:
         m = self._newest("SYS_STATUS")
