@@ -214,9 +214,8 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         link, mav = self._link, self._link.mav
         if self._beat.due(now):
             link.send(mav.heartbeat_encode(GCS, 8, 0, 0, 4, 3))
-        self._missing.difference_update([
-            n for n, m in WANTED.items() if link.all_of(m)
-        ])
+        if self._missing:
+            self._missing -= {n for n in self._missing if link.has(WANTED[n])}
         if self._sync.due(now):
             link.send(mav.timesync_encode(0, now))
             for number in self._missing if self._heard_ns else ():
