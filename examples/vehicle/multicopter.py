@@ -170,7 +170,9 @@ class Multicopter(PortBasedObject[Craft], module_class="robot interface"):
         ahead = np.array((cos(self._yaw), sin(self._yaw), 0.0))
         right = np.cross(down, ahead)
         right /= np.linalg.norm(right)
-        body = np.column_stack((np.cross(right, down), right, down))
+        body: Matrix = np.column_stack((np.cross(right, down), right, down)).astype(
+            np.float64
+        )
         self._wanted = k.mass * float(push @ self._body()[:, 2])
         self._turn_to(quaternion_of(body))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from pbonet.errors import DeviceError, ParameterError
 from pbonet.outside import Outside
@@ -21,7 +21,7 @@ from .optional_packages import from_extra
 from .policy import require_devices
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 Message = Any
 """A message of pymavlink: attributes as the protocol names them."""
@@ -44,7 +44,7 @@ class MavLink:
         component: Our component id.
         peer: The system id of the other end; 0 for any.
         key: File of the passphrase with which frames are signed; empty for none.
-            Frames must be signed unless nobody else can reach the link.
+            Frames must be signed unless no other machine can reach the link.
         retry: Seconds between two attempts to open it.
         work: Most reads of one poll.
 
@@ -90,6 +90,7 @@ class MavLink:
         self._extras = {n: bytes((one.crc_extra,)) for n, one in kinds.items()}
         self.mav: Any = self._dialect.MAVLink(None, system, component)
         self._unpacker: Any = self._dialect.MAVLink(None)
+        self._checksum = _checksum_of(self._dialect)
         self._signatures = self._sign(key)
         self._channel = make_channel(parse_address(address))
         self._begin()
@@ -187,10 +188,8 @@ class MavLink:
 
     def _begin(self) -> None:
         """Forget the beginning of a frame that will not be completed."""
-        checksum = self._dialect.x25crc
-        crc = getattr(self._dialect, "mcrf4xx", None) or (lambda x: checksum(x).crc)
         whole = self._channel.whole
-        self._finder = FrameFinder(self._extras, crc, whole=whole)
+        self._finder = FrameFinder(self._extras, self._checksum, whole=whole)
 
     def _lose(self, error: OSError, now_ns: int) -> None:
         self.close()
@@ -248,3 +247,15 @@ class MavLink:
         odd = finder.damaged or refused
         counts = _COUNTS.pack(min(finder.damaged, _MOST), refused) if odd else _NONE
         return b"".join([*[frame.data for frame in frames], counts])
+
+
+def _checksum_of(dialect: Any) -> Callable[[bytes], int]:  # noqa: ANN401
+    """Return pymavlink's check sum: that of fastcrc, or slower without that package."""
+    fast: Any = getattr(dialect, "mcrf4xx", None)
+    if fast is not None:
+        return cast("Callable[[bytes], int]", fast)
+
+    def slow(data: bytes) -> int:
+        return int(dialect.x25crc(data).crc)
+
+    return slow

@@ -1,4 +1,4 @@
-"""What carries the bytes of a MAVLink link: UDP, TCP or a serial line, never waiting.
+"""Channels for the bytes of a MAVLink link: UDP, TCP or a serial line, never waiting.
 
 An address is one word: ``udpin:HOST:PORT`` waits there for others, ``udpout:HOST:PORT``
 and ``tcp:HOST:PORT`` call them, ``serial:/dev/ttyACM0:57600`` is a line.
@@ -41,7 +41,7 @@ class Address(NamedTuple):
 
     @property
     def private(self) -> bool:
-        """Whether nobody else can reach it: a serial line, or this machine alone."""
+        """Whether no other machine can reach it: a serial line, or the loopback."""
         return self.kind == "serial" or ipaddress.ip_address(self.place).is_loopback
 
 

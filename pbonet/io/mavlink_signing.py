@@ -2,8 +2,8 @@
 
 A signed frame ends with the number of its link, a time of 48 bits in steps of 10 us
 since 2015, and the first six bytes of SHA-256 over the key and all before them. A frame
-that is not newer than the last one of its sender is refused, so that nobody plays
-recorded ones again.
+that is not newer than the last one of its sender is refused, so that recorded
+ones count for nothing.
 """
 
 from __future__ import annotations

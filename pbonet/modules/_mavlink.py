@@ -29,7 +29,7 @@ X, V, ACC = 0x007, 0x038, 0x1C0
 """Bits of a position's type mask: set, the value does not count."""
 YAW, YAW_RATE = 0x400, 0x800
 RATES = 0x07
-"""Those of an attitude's: the three rates."""
+"""Bits of an attitude's type mask: the three rates."""
 GCS = 6
 """The type of a ground station in its heartbeat."""
 

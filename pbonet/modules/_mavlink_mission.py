@@ -192,7 +192,8 @@ class Upload(_Transfer):
         for kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
             for m in link.all_of(kind):
                 if self.result < 0 and m.seq < len(self._items):
-                    item = item_message(link, self._to, m.seq, self._items[m.seq])
+                    seq = int(m.seq)
+                    item = item_message(link, self._to, seq, self._items[seq])
                     self._repeat(item, now_ns)
                     self._last_asked |= m.seq == len(self._items) - 1
         for m in link.all_of("MISSION_ACK"):
@@ -236,8 +237,9 @@ class MissionServer:
         for kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
             for m in self._asked(kind, ours):
                 to = m.get_srcSystem(), m.get_srcComponent()
-                if m.seq < len(self.items):
-                    link.send(item_message(link, to, m.seq, self.items[m.seq]))
+                seq = int(m.seq)
+                if seq < len(self.items):
+                    link.send(item_message(link, to, seq, self.items[seq]))
                 else:
                     link.send(mav.mission_ack_encode(*to, OUT_OF_ORDER))
         for m in self._asked("MISSION_CLEAR_ALL", ours):

@@ -78,7 +78,7 @@ class MavMission(PortBasedObject[Plan], module_class="robot interface"):
         self.count = 0
 
     def _watch(self) -> None:
-        """Take what the vehicle tells of its mission."""
+        """Take what the vehicle says about its mission."""
         for m in self._link.all_of("MISSION_CURRENT"):
             self.now = m.seq
         for m in self._link.all_of("MISSION_ITEM_REACHED"):

@@ -12,7 +12,7 @@ PX4 = 12
 
 
 class Wishes(Params):
-    """What the vehicle is to have, and what is read."""
+    """Parameters that are read, and values that the vehicle is to have."""
 
     watch: A[tuple[str, ...], param("none", "parameters whose values go to PARAM")]
     want: A[str, param("none", "NAME=VALUE ... that the vehicle is to have")] = ""

@@ -1,4 +1,4 @@
-"""What an operator commands a MAVLink vehicle: arming and modes."""
+"""Commands of an operator to a MAVLink vehicle: arming and modes."""
 
 from typing import Annotated as A
 

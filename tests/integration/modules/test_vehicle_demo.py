@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from contextlib import ExitStack
 from pathlib import Path
+
+from watching import wait_for
+
+from pbonet import Subsystem
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "vehicle"
 spec = importlib.util.spec_from_file_location("vehicle_demo", EXAMPLE / "demo.py")
@@ -35,3 +40,28 @@ def test_another_vehicle_is_called_at_its_address() -> None:
         assert "ADDRESS   udpin:localhost:14550\n" in text
         assert "14561" not in text
         assert (folder / "pilot.job").is_file()
+
+
+def test_after_a_loss_nothing_is_sent_before_the_task_is_turned_on_again() -> None:
+    told = {"domain": f"lost{os.getpid()}", "embed": True, "libraries": [EXAMPLE]}
+    craft = Subsystem(EXAMPLE / "craft.job", **told)
+    pilot = Subsystem(EXAMPLE / "pilot.job", **told)
+
+    def value(subsystem: Subsystem, name: str) -> float:
+        return float(subsystem.display(name)[0].values[0])
+
+    with ExitStack() as stack:
+        demo._started(craft, stack)
+        demo._started(pilot, stack)
+        wait_for(lambda: value(craft, "SETPOINT") == 84, "set-points")
+        craft.off("ground")
+        wait_for(lambda: value(pilot, "LINK_AGE") > 2.6, "the loss")
+        craft.on("ground")
+        wait_for(lambda: value(pilot, "LINK_AGE") < 1.0, "the vehicle again")
+        began = craft.status("ground").cycle
+        wait_for(lambda: craft.status("ground").cycle > began + 100, "a second")
+        assert value(craft, "SETPOINT") == 0
+        assert pilot.status("vehicle").state == "ON"
+        pilot.off("vehicle")
+        pilot.on("vehicle")
+        wait_for(lambda: value(craft, "SETPOINT") == 84, "set-points again")
