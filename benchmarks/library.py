@@ -121,6 +121,9 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "dmp": lambda: {"params": {"file": samples()}},
     "tbuf_send": lambda: {"params": {"link": "x"}},
     "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
+    "mav_ground": lambda: {"nparam": 1},
+    "mav_params": lambda: {"nparam": 1},
+    "mav_mission": lambda: {"nparam": 1},
     "gait": lambda: {"nfeet": 4},
     "kalman": lambda: {"nx": 2, "nz": 1, "nu": 1},
     "lqr": lambda: {"n": 2, "m": 1},
@@ -164,6 +167,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
 }
 """Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
+CRAFT = Path(built_in).parent / "robot_interfaces" / "mav_craft.rmod"
 RMODS = {
     "fk_jac": PANDA / "hand.rmod",
     "computed_torque": PANDA / "torque.rmod",
@@ -173,6 +177,8 @@ RMODS = {
     "whole_body": QUADRUPED / "posture.rmod",
     "whole_body_dyn": QUADRUPED / "torque.rmod",
     "contact": QUADRUPED / "touch.rmod",
+    "mav_params": CRAFT,  # a part without its task is nothing: that is measured
+    "mav_mission": CRAFT,
 }
 """Modules that are measured as an example configures them."""
 BARE: dict[str, Callable[[Any], Callable[[], object]]] = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import termios
 from contextlib import suppress
 from importlib import import_module
@@ -143,6 +144,17 @@ class SerialLine:
             return os.write(self._descriptor(), data)
         except BlockingIOError:
             return 0
+
+    def wait(self, seconds: float) -> None:
+        """Wait until bytes have arrived, at most so long; not in a cycle.
+
+        Raises:
+            DeviceError: The line is not open, or the device is gone.
+        """
+        self._ask(self._wait, seconds, default=None)
+
+    def _wait(self, seconds: float) -> None:
+        select.select([self._descriptor()], [], [], seconds)
 
     def discard_input(self) -> None:
         """Forget the bytes that have arrived and were not read.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 
-OUTPUT_DEVICES = frozenset({"MujocoRobot", "SerialLine", "SimulatedArm"})
+OUTPUT_DEVICES = frozenset({"MavLink", "MujocoRobot", "SerialLine", "SimulatedArm"})
 """Classes of `pbonet.io` by which something outside is moved."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from msgspec import Struct
@@ -196,6 +197,11 @@ class TaskContext:
         """Folders of modules, in which a file that a parameter names is looked for."""
         self.on_illegal: IllegalHook | None = None
         """How the runtime raises or withdraws the task's entries in the flag."""
+
+    @cached_property
+    def shared(self) -> dict[str, object]:
+        """Objects that the parts of a combination use together, such as a device."""
+        return {}
 
     @property
     def sigmask(self) -> int:

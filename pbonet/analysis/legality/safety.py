@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from .records import Configuration, Task
 
-RECEIVER = "tbuf_receive"
-"""The module of the library that writes what comes over a link."""
+RECEIVERS = frozenset({"tbuf_receive", "mav_ground", "mav_vehicle"})
+"""Modules of the library that write what comes over a link."""
 
 
 def check_safety(configuration: Configuration) -> Iterator[Problem]:
@@ -54,7 +54,7 @@ def _way(configuration: Configuration, task: Task, variable: str) -> str:
     for writer in configuration.running:
         if variable not in writer.outputs:
             continue
-        if writer.rmod.module == RECEIVER:
+        if not RECEIVERS.isdisjoint(writer.rmod.module.split("+")):
             return f"over the link that {writer.name} receives"
         machines = configuration.machines
         here, there = machines.get(task.rtpu), machines.get(writer.rtpu)

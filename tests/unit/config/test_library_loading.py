@@ -403,6 +403,7 @@ def test_all_output_devices_are_known():
     found = {
         kind.__name__
         for kind in kinds
-        if isinstance(kind, type) and {"write_nowait", "command"} & {*vars(kind)}
+        if isinstance(kind, type)
+        and {"write_nowait", "command", "send"} & {*vars(kind)}
     }
     assert found == OUTPUT_DEVICES

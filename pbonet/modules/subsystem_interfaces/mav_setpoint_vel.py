@@ -1,0 +1,34 @@
+"""A velocity as a set-point of a MAVLink vehicle."""
+
+from typing import Annotated as A, Literal
+
+from pbonet import InVar, OutVar, Params, PortBasedObject, Vector, param
+from pbonet.modules._mavlink import ACC, POSITION, YAW, YAW_RATE, X
+
+
+class Heading(Params):
+    """Where the vehicle points."""
+
+    heading: A[
+        Literal["free", "fixed"], param("none", "left to the vehicle, or YAW")
+    ] = "free"
+    yaw: A[float, param("rad", "the heading if it is fixed; 0 is north")] = 0.0
+
+
+class MavSetpointVel(PortBasedObject[Heading], module_class="subsystem interface"):
+    """setpoint = the velocity v_des, and a heading; for `mav_vehicle`."""
+
+    v_des: A[Vector, InVar("X^_DES", "3", "m/s", "desired velocity, NED")]
+    setpoint: A[Vector, OutVar("SETPOINT", "13", "mixed", "kind, mask, eleven values")]
+
+    def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only
+        free = self.params.heading == "free"
+        self.setpoint[:] = 0.0
+        self.setpoint[0] = POSITION
+        self.setpoint[1] = X | ACC | YAW_RATE | (YAW if free else 0)
+        self.setpoint[5:8] = self.v_des
+        self.setpoint[11] = 0.0 if free else self.params.yaw
+
+    def off(self) -> None:
+        if not self.task.handover:
+            self.setpoint[:] = 0.0

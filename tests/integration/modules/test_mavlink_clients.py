@@ -1,0 +1,310 @@
+"""MAVLink modules with other programs at the other end: MAVSDK twice, and MAVProxy."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mavsdk_grpc as mavsdk
+import numpy as np
+import pytest
+from mavsdk_grpc import telemetry_server
+from mavsdk_grpc.mission_raw import MissionItem
+from mavsdk_grpc.offboard import PositionNedYaw
+from pymavlink.dialects.v20 import common
+from watching import wait_for
+
+import pbonet.modules
+from pbonet.modules.subsystem_interfaces.mav_ground import MavGround
+from pbonet.testing import Bench
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Iterator
+
+CRAFT = Path(pbonet.modules.__file__).parent / "robot_interfaces" / "mav_craft.rmod"
+PARTS = ("vehicle", "params", "mission")
+OFFBOARD, LAND, HOLD = 6 << 16, 4 << 16 | 6 << 24, 4 << 16 | 3 << 24
+LIMIT = 60.0
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@contextmanager
+def running(bench: Any, each: Callable[[Any], None]) -> Iterator[list[str]]:
+    """Step a bench at 100 Hz of real time in a thread; yields what it says."""
+    said: list[str] = []
+    ends = threading.Event()
+
+    def run() -> None:
+        last = time.monotonic()
+        while not ends.wait(0.01):
+            now = time.monotonic()
+            bench.step(now - last)
+            last = now
+            each(bench)
+            said.extend(one.text for one in bench.notices() if one.text)
+
+    bench.on()
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield said
+    finally:
+        ends.set()
+        thread.join()
+        bench.kill()
+
+
+def mission_text() -> str:
+    rows = [
+        f"{k} {int(k == 0)} 3 16 {k / 3} 0.1 {-k / 7} 0.25 {47.4 + k * 1e-5:.7f} "
+        f"{8.5 - k * 1e-5:.7f} {k / 9} 1"
+        for k in range(20)
+    ]
+    return "\n".join(["QGC WPL 110", *rows, ""])
+
+
+async def first(stream: AsyncIterator[Any], wanted: Callable[[Any], bool]) -> Any:
+    async with asyncio.timeout(LIMIT):
+        async for one in stream:
+            if wanted(one):
+                return one
+    return None
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(LIMIT):
+        while not holds():  # noqa: ASYNC110 - a thread makes it true
+            await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def client(url: str, *ids: str) -> AsyncIterator[Any]:
+    """MAVSDK in a process of its own, which is killed at the end, as `kill -9` does."""
+    port = free_port(socket.SOCK_STREAM)
+    program = Path(mavsdk.__file__).parent / "bin" / "mavsdk_server"
+    words = [program, "-p", str(port), *ids, url]
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)  # noqa: ASYNC220
+    try:
+        system = mavsdk.System(mavsdk_server_address="127.0.0.1", port=port)
+        async with asyncio.timeout(LIMIT):
+            await system.connect()
+        yield system
+    finally:
+        process.kill()
+        process.wait()
+
+
+def bits(one: Any) -> bytes:
+    """Return an item as it travels."""
+    numbers = one.param1, one.param2, one.param3, one.param4, one.z
+    whole = one.seq, one.frame, one.command, one.autocontinue, one.x, one.y
+    return struct.pack("<5f6i", *numbers, *whole)
+
+
+def follow(air: Any) -> None:
+    """Be a vehicle that is at once where and what it is asked to be."""
+    out = air.outputs
+    air.inputs.armed, air.inputs.in_mode = out.arm, out.mode
+    if out.setpoint[0] == 84:
+        air.inputs.x = out.setpoint[2:5]
+
+
+def test_mavsdk_steers_a_subsystem() -> None:
+    port = free_port()
+    params = {
+        "address": f"udpout:127.0.0.1:{port}",
+        "params": ("SPEED_MAX=3", "GAIN=1.5"),
+    }
+    at = {"nparam": 2, "lla": [0.8, 0.15, 400.0], "battery": 15.2, "fix": 3}
+    air = Bench(MavGround, {**at, "att": [1.0, 0, 0, 0]}, params=params)
+
+    async def fly(said: list[str]) -> None:
+        async with client(f"udpin://127.0.0.1:{port}") as station:
+            await steer(station)
+        await until(lambda: air.outputs.mode == HOLD)
+        assert any("no station for 2.5" in one for one in said)
+
+    async def steer(station: Any) -> None:
+        seen = station.telemetry
+        await first(station.core.connection_state(), lambda one: one.is_connected)
+        await first(seen.attitude_quaternion(), lambda one: one.w == 1.0)
+        await first(seen.battery(), lambda one: abs(one.voltage_v - 15.2) < 1e-3)
+        at = await first(seen.position(), lambda _: True)
+        assert at.latitude_deg == pytest.approx(45.8366236)
+        assert await station.param.get_param_float("GAIN") == 1.5
+        await station.param.set_param_float("GAIN", 2.25)
+        assert await station.param.get_param_float("GAIN") == 2.25
+        everything = (await station.param.get_all_params()).float_params
+        assert {one.name: one.value for one in everything} == {
+            "SPEED_MAX": 3.0,
+            "GAIN": 2.25,
+        }
+        assert air.outputs.param.tolist() == [3.0, 2.25]
+        await exchange_missions(station)
+        await station.action.arm()
+        await first(seen.armed(), bool)
+        await station.offboard.set_position_ned(PositionNedYaw(1.0, 2.0, -3.0, 30.0))
+        await station.offboard.start()
+        await first(seen.flight_mode(), lambda one: str(one) == "OFFBOARD")
+        await first(
+            seen.position_velocity_ned(),
+            lambda one: one.position.down_m == -3.0 and one.position.east_m == 2.0,
+        )
+        assert air.outputs.setpoint[11] == pytest.approx(0.5235988)
+        await station.action.land()
+        await first(seen.flight_mode(), lambda one: str(one) == "LAND")
+        assert air.outputs.mode == LAND
+        await station.offboard.start()
+
+    async def exchange_missions(station: Any) -> None:
+        given = [
+            MissionItem(k, 6, 16, int(k == 0), 1, k / 3, 0.1, -k / 7, 0.25,
+                        473977000 + k * 123, 85456000 - k * 321, k / 9, 0)
+            for k in range(20)
+        ]  # fmt: skip
+        await station.mission_raw.upload_mission(given)
+        assert [one.z for one in air.module._mission.items] == [
+            np.float32(k / 9) for k in range(20)
+        ]
+        got = await station.mission_raw.download_mission()
+        assert [bits(one) for one in got] == [bits(one) for one in given]
+
+    with running(air, follow) as said:
+        asyncio.run(fly(said))
+
+
+def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
+    """Its vehicle's side has the component 191, and begins when it hears a vehicle."""
+    port = free_port()
+    (tmp_path / "plan.waypoints").write_text(mission_text())
+    rmod = tmp_path / "craft.rmod"
+    rmod.write_text(
+        CRAFT.read_text().replace("EOF", "LOCAL")
+        + f"mav_vehicle.ADDRESS udpout:127.0.0.1:{port}\nmav_vehicle.WAIT 0\n"
+        + "mav_params.WATCH SPEED GAIN\nmav_params.WANT GAIN=2.25\n"
+        + "mav_mission.FILE plan.waypoints\n"
+        + "".join(f"mav_{one}.COMPONENT 191\n" for one in PARTS)
+        + "EOF\n"
+    )
+    base = Bench.of(rmod, {"nparam": 2}, library=[tmp_path])
+    parser: Any = common.MAVLink(None, 200, 1)
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def awake(_: Any) -> None:
+        beat = parser.heartbeat_encode(2, 12, 0, 0, 4, 3).pack(parser)
+        other.sendto(beat, ("127.0.0.1", port))
+
+    async def fly() -> None:
+        ids = "--sysid", "1", "--compid", "1"
+        async with client(f"udpin://127.0.0.1:{port}", *ids) as craft:
+            await serve(craft)
+        await until(lambda: base.illegal)
+        assert base["LINK_AGE"] >= 2.5
+
+    async def serve(craft: Any) -> None:
+        given = asyncio.create_task(
+            first(craft.mission_raw_server.incoming_mission(), lambda _: True)
+        )
+        await craft.param_server.provide_param_float("SPEED", 3.0)
+        await craft.param_server.provide_param_float("GAIN", 1.5)
+        await craft.action_server.set_armable(True, True)
+        told = telemetry_server
+        place = told.PositionNed(1.0, 2.0, -3.0), told.VelocityNed(0.5, 0.25, -1.0)
+        await craft.telemetry_server.publish_position_velocity_ned(
+            told.PositionVelocityNed(*place)
+        )
+        await craft.telemetry_server.publish_battery(told.Battery(16.0, 50.0))
+        await until(lambda: base["X_MEZ"].tolist() == [1.0, 2.0, -3.0])
+        await until(lambda: base["BATT"] == 16.0)
+        assert base["X^_MEZ"].tolist() == [0.5, 0.25, -1.0]
+        await until(lambda: base["PARAM"].tolist() == [3.0, 2.25])
+        assert await craft.param_server.retrieve_param_float("GAIN") == 2.25
+        await until(lambda: base["WP_COUNT"] == 20)  # read back, equal to the bit
+        given.cancel()
+        base["ARM_CMD"] = 1
+        vehicle = base.module.parts[0]
+        asked = vehicle._commands._asked
+        await until(lambda: vehicle._was_armed and 400 not in asked)
+
+    try:
+        with running(base, awake) as said:
+            asyncio.run(fly())
+    finally:
+        other.close()
+    assert not [one for one in said if "command 400" in one], "it was accepted"
+
+
+class Proxy:
+    """MAVProxy on a link, in a folder of its own."""
+
+    def __init__(self, port: int, folder: Path) -> None:
+        self._log = folder / "out.log"
+        program = Path(sys.executable).with_name("mavproxy.py")
+        modules = "--default-modules=mode,param,wp,arm,cmdlong"
+        words = [sys.executable, program, f"--master=udpin:127.0.0.1:{port}", modules]
+        words += [f"--state-basedir={folder}", f"--logfile={folder / 'x.tlog'}"]
+        with self._log.open("w") as out:
+            self.process = subprocess.Popen(
+                words, stdin=subprocess.PIPE, stdout=out, stderr=out, cwd=folder
+            )
+
+    def __call__(self, text: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{text}\n".encode())
+        self.process.stdin.flush()
+
+    def says(self, text: str) -> bool:
+        return text in self._log.read_text(errors="replace")
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+def test_mavproxy_steers_a_subsystem(tmp_path: Path) -> None:
+    pytest.importorskip("MAVProxy", reason="pip install --group mavproxy")
+    port = free_port()
+    air = Bench(
+        MavGround,
+        {"nparam": 2, "lla": [0.8, 0.15, 400.0], "att": [1.0, 0, 0, 0]},
+        params={
+            "address": f"udpout:127.0.0.1:{port}",
+            "params": ("SPEED_MAX=3", "GAIN=1.5"),
+        },
+    )
+    first_line, rows = mission_text().split("\n", 1)
+    plan = "\n".join((first_line, rows.replace(" ", "\t")))
+    (tmp_path / "plan.txt").write_text(plan)
+    with running(air, follow):
+        proxy = Proxy(port, tmp_path)
+        try:
+            wait_for(lambda: proxy.says("Received 2 parameters"), "its parameters")
+            proxy("param set GAIN 2.5")
+            wait_for(lambda: air.outputs.param[1] == 2.5, "the parameter")
+            proxy("arm throttle")
+            wait_for(lambda: air.outputs.arm == 1, "arming")
+            proxy("long DO_SET_MODE 1 4 6")
+            wait_for(lambda: air.outputs.mode == LAND, "the mode")
+            proxy("wp load plan.txt")
+            wait_for(lambda: len(air.module._mission.items) == 20, "the mission")
+            proxy("wp save back.txt")
+            wait_for(lambda: proxy.says("Saved 20 waypoints to back.txt"), "it again")
+            rows = (tmp_path / "back.txt").read_text().splitlines()[1:]
+            heights = [float(row.split()[10]) for row in rows]
+            assert heights == pytest.approx([k / 9 for k in range(20)], abs=1e-5)
+        finally:
+            proxy.close()
+        wait_for(lambda: air.outputs.age > 2.5, "that it is missed")
