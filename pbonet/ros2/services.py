@@ -273,7 +273,7 @@ def fill_list(message: Any, values: list[Any]) -> None:  # noqa: ANN401
     """Set a ParameterValue to a list."""
     import numpy as np
 
-    inner: Any = type(values[0]) if values else float
+    inner = cast("type[object]", type(values[0])) if values else float
     if inner not in _LISTS or any(type(one) is not inner for one in values):
         inner = float if all(isinstance(v, int | float) for v in values) else str
     message.type, field = _LISTS[inner]
