@@ -178,6 +178,51 @@ def test_a_stretched_leg_is_named_and_its_force_stays_finite() -> None:
     assert "the leg of rf_foot is stretched" in notice.text
 
 
+def bent(*legs: float) -> np.ndarray:
+    return np.array([angle for leg in legs for angle in (0.0, leg, -2.0 * leg)])
+
+
+def limit_of_touch() -> float:
+    """Return the bend at which a foot's smallest lever is SIGMA."""
+    ref = Reference(QUADRUPED / "quadruped.urdf", FEET)
+
+    def lever(bend: float) -> float:
+        place, _ = ref.state(BODY, np.zeros(6), bent(*[bend] * 4), np.zeros(12))
+        return float(np.linalg.svd(ref.levers(place), compute_uv=False).min())
+
+    low, high = 0.0, BEND
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if lever(middle) < 0.02 else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("which", ["stretched", "at the limit"])
+def test_legs_that_tremble_are_warned_of_once(which: str) -> None:
+    """However the axes that are not felt turn, and how often they are felt again."""
+    bend = 0.0 if which == "stretched" else limit_of_touch()
+    bench = standing(force=[[0.0, 0.0, 30.0]] * 4, q=bent(*[bend] * 4))
+    rng = np.random.default_rng(4)
+    bench.on()
+    for _ in range(300):
+        bench.inputs.q = bent(*[bend] * 4) + 1e-4 * rng.normal(size=12)
+        bench.step()
+    told = [notice.text for notice in bench.notices()]
+    assert 1 <= len(told) <= 4, "each foot once"
+    assert all(foot in told[-1] for foot in FEET)
+
+
+def test_a_leg_that_is_stretched_again_is_told_again() -> None:
+    bench = standing(force=[[0.0, 0.0, 30.0]] * 4)
+    bench.on()
+    for bend in (0.0, BEND, 0.0):
+        bench.inputs.q = bent(BEND, bend, BEND, BEND)
+        bench.step()
+    told = [notice.text for notice in bench.notices()]
+    assert len(told) == 2
+    assert all("the leg of lh_foot is stretched" in text for text in told)
+
+
 SENSORS = [
     ("x", (1, 3), "X_MEZ of the base is not a pose"),
     ("v", (4,), "X^_MEZ of the base along the turn about y is not finite"),
