@@ -46,9 +46,9 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
     frames FEET, in the axes of the world; J are the joints' columns of their Jacobian.
     Where a leg is so stretched that the joints feel less than SIGMA metres of a
     direction, its force fades in that direction, and a warning names the foot: once,
-    until no leg is near that any more. A foot
-    touches from TOUCH upwards, until its force is below LEAVE. The first force is the
-    one in the table. A measurement that is not finite ends in ERROR.
+    until no leg is near that any more. A foot touches from TOUCH upwards, until its
+    force is below LEAVE. The first force is the one in the table. A measurement that is
+    not finite ends in ERROR.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]

@@ -26,6 +26,7 @@ BEND = float(np.arccos(0.75))
 STAND = np.array([0.0, BEND, -2.0 * BEND] * 4)
 BODY = np.column_stack((np.eye(3), [0.0, 0.0, 0.32]))
 HIGH = np.column_stack((np.eye(3), [0.0, 0.0, 3.0]))
+AT = np.column_stack((np.eye(3), [0.0, 0.0, 0.1]))
 HELD = np.array([0.0, 0.8727, 3.2642, 0.0, 0.4762, 4.0572] * 2)
 """Torques with which it stands, from quadruped.svar."""
 
@@ -339,6 +340,39 @@ def test_a_base_stands_where_the_table_says_that_it_was_seen(cart: Any) -> None:
     bench.on()
     assert bench.outputs.x == pytest.approx(where, abs=1e-9)
     assert cart().outputs.x[:, 3] == pytest.approx([0.0, 0.0, 0.1])
+
+
+def test_a_base_goes_on_at_a_handover_and_rests_after_off(cart: Any) -> None:
+    bench = cart(w_ref=[5.0, 4.0])
+    bench.step(n=500)
+    bench.off(handover=True)
+    names = ("x", "v", "w", "gyr")
+    seen = {name: getattr(bench.outputs, name).copy() for name in names}
+    assert seen["w"] == pytest.approx([5.0, 4.0], abs=0.2)
+    assert np.hypot(*seen["v"][:2]) > 0.3
+    successor = cart(w_ref=[5.0, 4.0], **seen)
+    for name, value in seen.items():
+        assert getattr(successor.outputs, name) == pytest.approx(value, abs=1e-9)
+    before = successor.outputs.x.copy()
+    for _ in range(50):
+        successor.step()
+        assert successor.outputs.w == pytest.approx(seen["w"], abs=0.1)
+        assert successor.outputs.v[:2] == pytest.approx(seen["v"][:2], abs=0.05)
+    moved = np.linalg.norm(successor.outputs.x[:, 3] - before[:, 3])
+    assert moved == pytest.approx(0.1 * np.linalg.norm(seen["v"][:3]), rel=0.1)
+    successor.off()
+    assert not np.concatenate([getattr(successor.outputs, n) for n in names[1:]]).any()
+    successor.on()
+    assert successor.outputs.w == pytest.approx([0.0, 0.0])
+
+
+def test_a_successor_whose_rates_are_old_slows_down_from_what_it_took(
+    cart: Any,
+) -> None:
+    bench = cart(w=[4.0, 4.0], v=[0.4, 0, 0, 0, 0, 0], x=AT, params={"slow": (8.0,)})
+    bench.illegal = True
+    bench.step(n=125)
+    assert bench.outputs.w == pytest.approx([2.0, 2.0], abs=0.3)
 
 
 def test_a_rate_that_is_no_number_is_an_error_with_its_wheel(cart: Any) -> None:
