@@ -34,7 +34,7 @@ class Robot(Params):
     slow: A[PerElement, param("rad/s^2", "deceleration in `stable`", gt=0)] = (20.0,)
     push: A[
         tuple[float, float, float],
-        param("N", "force on the base, for PUSH_TIME after it is set, and after `on`"),
+        param("N", "force on the base, for PUSH_TIME after it is set while ON"),
     ] = (0.0, 0.0, 0.0)
     push_time: A[float, param("s", "how long PUSH acts", ge=0)] = 0.2
 
@@ -49,7 +49,8 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
     torque that is fresh, or while the configuration is illegal, each joint slows down
     by SLOW, and its drive holds it there by HOLD and DAMP, beginning with the torque
     that acted: the robot stays in its posture. While the task is OFF no time passes for
-    the robot. `set` of PUSH pushes its base, along the axes of the world.
+    the robot. `set` of PUSH pushes its base, along the axes of the world; `on` does
+    not repeat that.
     """
 
     ndof: A[int, OutConst("NDOF", "1", "none", "degrees of freedom, without the base")]
@@ -101,7 +102,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         if not fault_of(self.x):
             robot.place_base(self.x, self.v)
         robot.sense_base(self.x, self.v)
-        self._pushing = self.params.push_time
+        self._pushing = 0.0
         robot.command(self.tau)
         self._follow()
         self._hold()

@@ -138,6 +138,28 @@ def test_a_push_changes_the_momentum_by_its_force_times_its_time() -> None:
     assert momentum() == pytest.approx(4.0, rel=1e-3), "it lasts 0.2 s"
 
 
+@pytest.mark.parametrize("how", ["off", "handover", "error"])
+def test_a_push_is_not_repeated_when_it_is_turned_on_again(how: str) -> None:
+    bench = quad(x=HIGH, t_ref=np.zeros(12), tau=np.zeros(12))
+    bench.set("push", "0 20 0")
+    bench.step(n=10)
+    if how == "error":
+        bench.inputs.t_ref = np.full(12, np.nan)
+        with pytest.raises(MethodError):
+            bench.step()
+        bench.inputs.t_ref = np.zeros(12)
+        bench.clear()
+    else:
+        bench.off(handover=how == "handover")
+    bench.on()
+    speed = bench.outputs.v[1]
+    bench.step(n=20)
+    assert bench.outputs.v[1] == pytest.approx(speed, abs=0.01)
+    bench.set("push", "0 20 0")
+    bench.step(n=20)
+    assert bench.outputs.v[1] > speed + 0.03, "a new one pushes"
+
+
 def test_without_a_fresh_torque_it_stays_in_its_posture() -> None:
     bench = quad()
     bench.step(n=10)
