@@ -43,14 +43,16 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
     """tau = t_ref, within what the joints bear; the rest is what MuJoCo makes of it.
 
     Any robot whose base moves freely, with any number of legs and joints that turn or
-    slide. It begins where the table says that it was seen last; while X_MEZ is no pose,
-    its base begins where the file puts it. A torque acts from the cycle in which it is
-    read to the next one, as with real drives; T_MEZ is what acted until now. Without a
-    torque that is fresh, or while the configuration is illegal, each joint slows down
-    by SLOW, and its drive holds it there by HOLD and DAMP, beginning with the torque
-    that acted: the robot stays in its posture. While the task is OFF no time passes for
-    the robot. `set` of PUSH pushes its base, along the axes of the world; `on` does
-    not repeat that.
+    slide. Joints are in the order of pinocchio; where a branch begins with a fixed
+    joint in the URDF file, MODEL must have a body of that joint's name and without a
+    joint there, or legs can be exchanged. It begins where the table says that it was
+    seen last; while X_MEZ is no pose, its base begins where the file puts it. A torque
+    acts from the cycle in which it is read to the next one, as with real drives; T_MEZ
+    is what acted until now. Without a torque that is fresh, or while the configuration
+    is illegal, each joint slows down by SLOW, and its drive holds it there by HOLD and
+    DAMP, beginning with the torque that acted: the robot stays in its posture. While
+    the task is OFF no time passes for the robot. `set` of PUSH pushes its base, along
+    the axes of the world; `on` does not repeat that.
     """
 
     ndof: A[int, OutConst("NDOF", "1", "none", "degrees of freedom, without the base")]

@@ -10,7 +10,7 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.io import MujocoRobot
+from pbonet.io import MujocoRobot, RobotModel
 from pbonet.modules._dh import rotation
 from pbonet.modules.kinematics.diff_drive import DiffDrive
 from pbonet.modules.robot_interfaces.mujoco_base import MujocoBase
@@ -118,6 +118,39 @@ def test_joints_are_in_the_order_that_pinocchio_has(tmp_path: Path) -> None:
     mujoco.mj_mulM(robot._model, robot._data, full, np.array([0.0] * 6 + [-3, 2, 4]))
     full += robot._data.qfrc_bias - robot._data.qfrc_passive
     assert robot._data.qfrc_applied[6:] == pytest.approx(full[6:], abs=1e-9)
+
+
+MOUNTED = """<mujoco><worldbody><body name="base">
+<body name="z_mount"><body><joint name="legA"/><geom size="0.1"/></body></body>
+<body name="a_mount"><body><joint name="legB"/><geom size="0.1"/></body></body>
+</body></worldbody></mujoco>"""
+LINK = (
+    '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+    'ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/>'
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+)
+
+
+def test_bodies_named_as_fixed_joints_give_branches_pinocchio_s_order(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("pinocchio", reason="pip install 'pbonet[robot]'")
+    joints = (
+        ("z_mount", "fixed", "base", "za"),
+        ("legA", "revolute", "za", "a"),
+        ("a_mount", "fixed", "base", "yb"),
+        ("legB", "revolute", "yb", "b"),
+    )
+    parts = [LINK.format(name) for name in ("base", "za", "a", "yb", "b")]
+    parts += [JOINT.format(*joint) for joint in joints]
+    urdf = f'<robot name="two">{"".join(parts)}</robot>'
+    (tmp_path / "two.urdf").write_text(urdf)
+    (tmp_path / "two.xml").write_text(MOUNTED)
+    robot = MujocoRobot("two.xml", [tmp_path])
+    assert robot.joints == RobotModel("two.urdf", [tmp_path]).joints == ("legB", "legA")
 
 
 def test_a_push_changes_the_momentum_by_its_force_times_its_time() -> None:
