@@ -1,6 +1,6 @@
 """Inverse kinematics of a whole robot: body and feet at once, by placo."""
 
-from math import sqrt
+from math import hypot, sqrt
 from typing import Annotated as A
 
 import numpy as np
@@ -16,7 +16,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import RobotModel
-from pbonet.modules._dh import difference, fault_of, rotation, shorten
+from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
 from pbonet.modules._legs import must_have_feet
 from pbonet.modules._placo_motion import PlacoMotion
 from pbonet.modules._told_once import ToldOnce
@@ -26,11 +26,6 @@ STILL = 1e-9
 """m/s that counts as no speed."""
 OPEN = 1e-6
 """m^2; the weight of the body's own turn, where the feet leave it open."""
-
-
-def norm(v: Vector) -> float:
-    """Return the length of a vector."""
-    return sqrt(float(v @ v))
 
 
 def fit(points: Matrix, places: Matrix, turn: Matrix) -> Matrix:
@@ -175,15 +170,16 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         k, pose, goal = self.params, self._body, self._goal
         gain = min(k.gain, 1.0 / dt)
         limit, turns = min(max(self._limit, STILL), k.linear), k.angular / k.linear
-        body = gain * difference(self.x_body, pose[:3])
-        shorten(body[:3], limit)
-        shorten(body[3:], limit * turns)
-        goal[:3, :3] = rotation(body[3:] * dt) @ pose[:3, :3]
-        goal[:3, 3] = pose[:3, 3] + body[:3] * dt
+        # plain Python is faster for vectors of three than numpy's calls would be
+        x, y, z, *turn = [gain * one for one in displacement(self.x_body, pose)]
+        x, y, z = shortened(x, y, z, limit)
+        a, b, c = shortened(*turn, limit * turns)
+        goal[:3, :3] = rotation_by(a * dt, b * dt, c * dt) @ pose[:3, :3]
+        goal[:3, 3] = pose[:3, 3] + (x * dt, y * dt, z * dt)
         self._body_task.T_world_frame = goal
         feet = gain * (self.x_feet - self._feet)
         speed = np.sqrt((feet * feet).sum(axis=1))
-        fast = max(float(speed.max()), norm(body[:3]), norm(body[3:]) / turns)
+        fast = max(float(speed.max()), hypot(x, y, z), hypot(a, b, c) / turns)
         self._limit = min(limit, fast) + k.accel * dt
         feet *= (limit / np.maximum(speed, limit))[:, None]
         np.add(self._feet, feet * dt, out=self._places)

@@ -89,7 +89,7 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
         model = self._model
         model.move(self.x, self.v, self.q, self.qd)
         model.levers(self._frames, self._levers)
-        momentum, drift = model.momentum(), model.drift()
+        momentum, drift = model.momentum()
         if self._begins:
             self._begins = False
             self._r = self._levers @ self.force.ravel()
