@@ -81,25 +81,21 @@ class FloatingModel:
         self.v[:3], self.v[3:RATES] = velocity[:3] @ turned, velocity[3:] @ turned
         self.v[RATES:] = qd
 
-    def momentum(self) -> Floats:
-        """Return the generalized momenta M v of the joints, N*m*s."""
+    def momentum(self) -> tuple[Floats, Floats]:
+        """Return the generalized momenta of the joints, N*m*s, and their drift, N*m.
+
+        The momenta are M v. The drift, C^T v - g - d qd, is what changes them beside
+        the torques and forces from outside: C v are the torques of velocity, g those of
+        gravity, d viscous friction.
+        """
         pin, model, data = self._pin, self._model, self._data
         weight = np.array(pin.computeGeneralizedGravity(model, data, self.q))
         moved = pin.rnea(model, data, self.q, self._still, self.v)
         momentum: Floats = moved[RATES:] - weight[RATES:]
-        return momentum
-
-    def drift(self) -> Floats:
-        """Return C^T v - g - d qd of the joints, N*m.
-
-        It is what changes their momenta beside the torques and forces from outside: C v
-        are the torques of velocity, g those of gravity, d viscous friction.
-        """
-        pin, model, data = self._pin, self._model, self._data
         found = pin.computeCoriolisMatrix(model, data, self.q, self.v).T @ self.v
-        found -= pin.computeGeneralizedGravity(model, data, self.q)
+        found -= weight
         drift: Floats = found[RATES:] - self.joints.damping * self.v[RATES:]
-        return drift
+        return momentum, drift
 
     def levers(self, frames: Iterable[int], out: Floats) -> None:
         """Write how forces at the origins of frames act at the joints, [n, 3 frames].

@@ -34,7 +34,9 @@ class MujocoRobot:
     Torques act at the joints themselves, within the limits that the file gives them;
     actuators of the file are off. Joints are in the order in which bodies are nested,
     from the base, and branches by the names of their first joints, as pinocchio has
-    them.
+    them. One exception: a branch that begins with a fixed joint has that joint's name
+    in pinocchio, and MuJoCo knows no such name. In an MJCF file, begin it with a body
+    that has this name and no joint; from URDF such branches can be in another order.
 
     Args:
         file: Its MJCF or URDF file, as for `find_file`.

@@ -1,6 +1,6 @@
 """Inverse kinematics of a whole robot: body and feet at once, by placo."""
 
-from math import sqrt
+from math import hypot, sqrt
 from typing import Annotated as A
 
 import numpy as np
@@ -16,11 +16,31 @@ from pbonet import (
     param,
 )
 from pbonet.io import RobotModel
-from pbonet.modules._dh import difference, fault_of, rotation, shorten
+from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
 from pbonet.modules._legs import must_have_feet
 from pbonet.modules._placo_motion import PlacoMotion
 from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
+
+STILL = 1e-9
+"""m/s that counts as no speed."""
+OPEN = 1e-6
+"""m^2; the weight of the body's own turn, where the feet leave it open."""
+
+
+def fit(points: Matrix, places: Matrix, turn: Matrix) -> Matrix:
+    """Return the pose that takes points nearest to places, [R p] (Kabsch 1976).
+
+    Args:
+        points: In the frame whose pose is wanted, [n, 3], m.
+        places: Where they are to be, [n, 3], m.
+        turn: The pose's orientation about axes that the points leave open.
+    """
+    middle, there = points.mean(axis=0), places.mean(axis=0)
+    u, _, vh = np.linalg.svd((places - there).T @ (points - middle) + OPEN * turn)
+    u[:, 2] *= np.sign(np.linalg.det(u @ vh))
+    turned = u @ vh
+    return np.column_stack((turned, there - turned @ middle))
 
 
 class Pursuit(Params):
@@ -33,6 +53,9 @@ class Pursuit(Params):
         50.0
     )
     linear: A[float, param("m/s", "largest speed of body and feet", gt=0)] = 1.0
+    accel: A[
+        float, param("m/s^2", "how fast the largest of their speeds may grow", gt=0)
+    ] = 10.0
     angular: A[float, param("rad/s", "largest angular speed of the body", gt=0)] = 3.0
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
     grip: A[float, param("none", "weight of a foot, the body's is 1", gt=0)] = 100.0
@@ -48,11 +71,13 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
     and velocity that the URDF file gives each joint. The poses of body and feet are
     those at Q_REF itself, in the frame in which their goals are given: with the places
     of `gait`, the body's own when it is level. Feet weigh GRIP times as much as the
-    body, and rows of positions are counted in LENGTH. Q_REF goes on from where it
-    stands when the module is turned on, with the body in its goal, and goals far away
-    are approached at LINEAR and ANGULAR. Goals that cannot be reached are taken as near
-    as the joints allow; a warning names the frame, and joints that stand at a limit.
-    Goals that are not finite, or a program without a solution, leave Q_REF where it is.
+    body, and rows of positions are counted in LENGTH. When the module is turned on,
+    Q_REF goes on from where it is, as fast as Q^_REF; the body is where the feet then
+    fit their goals best, turned as its own goal where they leave that open. Goals far
+    away are approached at LINEAR and ANGULAR, which speeds reach by ACCEL. Goals that
+    cannot be reached are taken as near as the joints allow; a warning names the frame,
+    and joints that stand at a limit. Goals that are not finite, or a program without a
+    solution, leave Q_REF where it is.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -87,14 +112,14 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
     def on(self) -> None:
         self._told.clear()
         self._motion.q[:] = self.q_ref
-        self._begins = True
+        self._begins, self._limit = True, 0.0
 
     def cycle(self, dt: float) -> None:
         if why := self._fault():
             self._hold("goal", why)
             return
         if self._begins:
-            self._begin()
+            self._begin(dt)
         self._aim(dt)
         step = self._motion.step(dt)
         if step is None:
@@ -109,15 +134,28 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         if not self.task.handover:
             self.qd_ref[:] = 0.0
 
-    def _begin(self) -> None:
-        """Put the body where it is to be, and the joints where Q_REF is."""
+    def _begin(self, dt: float) -> None:
+        """Put the joints where Q_REF is, and the body where the feet fit their goals.
+
+        The speed from which the motion goes on is that of the feet before the body, as
+        Q^_REF moves them.
+        """
         robot = self._motion.robot
-        self._motion.show()
-        self._body[:3] = self.x_body
+        later = self._feet_from_body(self.q_ref + dt * self.qd_ref)
+        feet = self._feet_from_body(self.q_ref)
+        self._limit = float(np.sqrt(((later - feet) ** 2).sum(axis=1).max())) / dt
+        self._body[:3] = fit(feet, self.x_feet, self.x_body[:, :3])
         robot.set_T_world_frame(self.params.body, self._body)
-        robot.update_kinematics()
         self._begins = False
         self._read_frames()
+
+    def _feet_from_body(self, q: Vector) -> Matrix:
+        """Return the places of the feet in the body's frame, [nfeet, 3]."""
+        self._motion.q[:] = q
+        self._motion.show()
+        self._read_frames()
+        found: Matrix = (self._feet - self._body[:3, 3]) @ self._body[:3, :3]
+        return found
 
     def _read_frames(self) -> None:
         """Read the poses of body and feet from placo."""
@@ -131,15 +169,19 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         """Set the tasks to what body and feet are to reach in this cycle."""
         k, pose, goal = self.params, self._body, self._goal
         gain = min(k.gain, 1.0 / dt)
-        body = gain * difference(self.x_body, pose[:3])
-        shorten(body[:3], k.linear)
-        shorten(body[3:], k.angular)
-        goal[:3, :3] = rotation(body[3:] * dt) @ pose[:3, :3]
-        goal[:3, 3] = pose[:3, 3] + body[:3] * dt
+        limit, turns = min(max(self._limit, STILL), k.linear), k.angular / k.linear
+        # plain Python is faster for vectors of three than numpy's calls would be
+        x, y, z, *turn = [gain * one for one in displacement(self.x_body, pose)]
+        x, y, z = shortened(x, y, z, limit)
+        a, b, c = shortened(*turn, limit * turns)
+        goal[:3, :3] = rotation_by(a * dt, b * dt, c * dt) @ pose[:3, :3]
+        goal[:3, 3] = pose[:3, 3] + (x * dt, y * dt, z * dt)
         self._body_task.T_world_frame = goal
         feet = gain * (self.x_feet - self._feet)
         speed = np.sqrt((feet * feet).sum(axis=1))
-        feet *= (k.linear / np.maximum(speed, k.linear))[:, None]
+        fast = max(float(speed.max()), hypot(x, y, z), hypot(a, b, c) / turns)
+        self._limit = min(limit, fast) + k.accel * dt
+        feet *= (limit / np.maximum(speed, limit))[:, None]
         np.add(self._feet, feet * dt, out=self._places)
         for task, place in zip(self._feet_tasks, self._places, strict=True):
             task.target_world = place
@@ -165,7 +207,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def _hold(self, kind: str, text: str) -> None:
         """Leave Q_REF unchanged, and report the reason once."""
-        self.qd_ref[:] = 0.0
+        self.qd_ref[:], self._limit = 0.0, 0.0
         self._told.warn(kind, f"{text}; Q_REF does not change")
 
     def _fault(self) -> str:

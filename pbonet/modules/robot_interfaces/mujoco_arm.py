@@ -28,7 +28,9 @@ class Arm(Params):
 class MujocoArm(PortBasedObject[Arm], module_class="robot interface"):
     """tau = t_ref, within what the arm bears; q and qd are what MuJoCo makes of it.
 
-    Any arm that stands on its base and whose joints turn or slide. A torque acts from
+    Any arm that stands on its base and whose joints turn or slide. They are in the
+    order of pinocchio, unless branches begin with fixed joints: those need an MJCF file
+    with a body of that joint's name and without a joint there. A torque acts from
     the cycle in which it is read to the next one, as with real drives. Without a torque
     that is fresh, or while the configuration is illegal, the arm slows down by SLOW,
     stops, and is held where it stands by its own model of the dynamics. While the

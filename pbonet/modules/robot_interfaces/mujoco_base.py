@@ -32,9 +32,11 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
     castor, four of mecanum. Joints that are not named as wheels turn without a torque.
     X_FIX is where the base really is, as a camera or a laser would see it, and GYR what
     a gyroscope on it shows. The base begins where the table says that it was seen last,
-    or, while X_FIX is no pose, where the file puts it, with its wheels at rest. Without
-    rates that are fresh, or while the configuration is illegal, the wheels slow down by
-    SLOW and stay. While the task is OFF the brakes are on: no time passes for the base.
+    or, while X_FIX is no pose, where the file puts it; it and its wheels move as the
+    table says, and so go on at a handover. Without rates that are fresh, or while the
+    configuration is illegal, the wheels slow down by SLOW and stop. Their drives hold
+    rates and not places: on a slope the base then creeps. While the task is OFF the
+    brakes are on: no time passes for the base.
     """
 
     w_ref: A[
@@ -47,6 +49,10 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         OutVar("GYR", "3", "rad/s", "angular velocity in the base's axes", new=True),
     ]
     x: A[Matrix, OutVar("X_FIX", "3,4", "mixed", "pose of the base, [R p]", new=True)]
+    v: A[
+        Vector,
+        OutVar("X^_FIX", "6", "mixed", "its velocity, m/s and rad/s", new=True),
+    ]
 
     def init(self) -> None:
         k = self.params
@@ -55,7 +61,6 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         )
         self._wheels = self._find_wheels()
         self._q, self._torque = np.zeros(self._robot.n), np.zeros(self._robot.n)
-        self._velocity = np.zeros(6)
         self._take_drives()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
@@ -65,12 +70,13 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
     def on(self) -> None:
         # A simulated base stands where the table says that it was seen last; that of a
         # real one would be overwritten here by what its sensors say.
-        robot = self._robot
-        robot.place(self._q, np.zeros(robot.n))
+        robot, rates = self._robot, np.zeros(self._robot.n)
+        rates[self._wheels] = self.w
+        robot.place(self._q, rates)
         if not fault_of(self.x):
-            robot.place_base(self.x, np.zeros(6))
-        self._wish = np.zeros(len(self.w))
+            robot.place_base(self.x, self.v)
         self._measure()
+        self._wish = self.w.copy()
 
     def cycle(self, dt: float) -> None:
         if not np.isfinite(self.w_ref).all():
@@ -82,7 +88,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         self._drive()
 
     def stable(self, dt: float) -> None:
-        """Stop the wheels, and hold them."""
+        """Slow the wheels down, to a rate of zero."""
         self._sense(dt)
         step = self._slow * dt
         self._wish -= self._wish.clip(-step, step)
@@ -91,7 +97,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
     def off(self) -> None:
         self._q[:] = self._robot.q
         if not self.task.handover:
-            self.w[:], self.gyr[:] = 0.0, 0.0
+            self.w[:], self.gyr[:], self.v[:] = 0.0, 0.0, 0.0
 
     def _sense(self, dt: float) -> None:
         self._robot.advance(dt)
@@ -101,7 +107,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         robot = self._robot
         self.w[:] = robot.qd[self._wheels]
         self.gyr[:] = robot.turn
-        robot.sense_base(self.x, self._velocity)
+        robot.sense_base(self.x, self.v)
 
     def _drive(self) -> None:
         self._torque[self._wheels] = self._gain * (self._wish - self.w)

@@ -34,7 +34,7 @@ class Robot(Params):
     slow: A[PerElement, param("rad/s^2", "deceleration in `stable`", gt=0)] = (20.0,)
     push: A[
         tuple[float, float, float],
-        param("N", "force on the base, for PUSH_TIME after it is set, and after `on`"),
+        param("N", "force on the base, for PUSH_TIME after it is set while ON"),
     ] = (0.0, 0.0, 0.0)
     push_time: A[float, param("s", "how long PUSH acts", ge=0)] = 0.2
 
@@ -43,13 +43,16 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
     """tau = t_ref, within what the joints bear; the rest is what MuJoCo makes of it.
 
     Any robot whose base moves freely, with any number of legs and joints that turn or
-    slide. It begins where the table says that it was seen last; while X_MEZ is no pose,
-    its base begins where the file puts it. A torque acts from the cycle in which it is
-    read to the next one, as with real drives; T_MEZ is what acted until now. Without a
-    torque that is fresh, or while the configuration is illegal, each joint slows down
-    by SLOW, and its drive holds it there by HOLD and DAMP, beginning with the torque
-    that acted: the robot stays in its posture. While the task is OFF no time passes for
-    the robot. `set` of PUSH pushes its base, along the axes of the world.
+    slide. Joints are in the order of pinocchio; where a branch begins with a fixed
+    joint in the URDF file, MODEL must have a body of that joint's name and without a
+    joint there, or legs can be exchanged. It begins where the table says that it was
+    seen last; while X_MEZ is no pose, its base begins where the file puts it. A torque
+    acts from the cycle in which it is read to the next one, as with real drives; T_MEZ
+    is what acted until now. Without a torque that is fresh, or while the configuration
+    is illegal, each joint slows down by SLOW, and its drive holds it there by HOLD and
+    DAMP, beginning with the torque that acted: the robot stays in its posture. While
+    the task is OFF no time passes for the robot. `set` of PUSH pushes its base, along
+    the axes of the world; `on` does not repeat that.
     """
 
     ndof: A[int, OutConst("NDOF", "1", "none", "degrees of freedom, without the base")]
@@ -101,7 +104,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         if not fault_of(self.x):
             robot.place_base(self.x, self.v)
         robot.sense_base(self.x, self.v)
-        self._pushing = self.params.push_time
+        self._pushing = 0.0
         robot.command(self.tau)
         self._follow()
         self._hold()

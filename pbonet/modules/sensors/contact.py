@@ -20,6 +20,9 @@ from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
 
+WELL_FELT = 1.2
+"""Square of a lever, that of SIGMA being 1, from which a leg is not stretched now."""
+
 
 class Touch(Params):
     """The robot, and what counts as a touch."""
@@ -42,9 +45,10 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
     What pushes the base does not appear there. The forces f act at the origins of the
     frames FEET, in the axes of the world; J are the joints' columns of their Jacobian.
     Where a leg is so stretched that the joints feel less than SIGMA metres of a
-    direction, its force fades in that direction, and a warning names the foot. A foot
-    touches from TOUCH upwards, until its force is below LEAVE. The first force is the
-    one in the table. A measurement that is not finite ends in ERROR.
+    direction, its force fades in that direction, and a warning names the foot: once,
+    until no leg is near that any more. A foot touches from TOUCH upwards, until its
+    force is below LEAVE. The first force is the one in the table. A measurement that is
+    not finite ends in ERROR.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -66,6 +70,7 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
         self._frames = [self._model.frame(name) for name in k.feet]
         self._levers = np.zeros((self.ndof, 3 * n))
         self._told = ToldOnce(self.task)
+        self._stretched: set[int] = set()
         self._check()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
@@ -74,6 +79,7 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
 
     def on(self) -> None:
         self._told.clear()
+        self._stretched.clear()
         self._begins = True
 
     def cycle(self, dt: float) -> None:
@@ -83,7 +89,7 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
         model = self._model
         model.move(self.x, self.v, self.q, self.qd)
         model.levers(self._frames, self._levers)
-        momentum, drift = model.momentum(), model.drift()
+        momentum, drift = model.momentum()
         if self._begins:
             self._begins = False
             self._r = self._levers @ self.force.ravel()
@@ -108,20 +114,30 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
         limit = self.params.sigma**2
         missing = np.maximum(1.0 - squares / limit, 0.0)
         damped = np.maximum(squares, 0.0) + missing * limit
-        self._warn_stretched(missing, axes)
+        self._warn_stretched(squares / limit, axes)
         felt = axes.T @ (self._levers.T @ self._r)
         forces: Vector = axes @ (felt / damped)
         return forces
 
-    def _warn_stretched(self, missing: Vector, axes: Matrix) -> None:
-        """Report once which foot the joints do not feel in some direction."""
-        if not missing[0] > 0.0:
+    def _warn_stretched(self, felt: Vector, axes: Matrix) -> None:
+        """Report once which feet the joints do not feel in some direction.
+
+        Args:
+            felt: Square of the lever along each axis, and that of SIGMA is 1.
+            axes: The axes, in the space of all feet's forces.
+        """
+        if felt[0] >= WELL_FELT:
             self._told.clear()
+            self._stretched.clear()
+        if not felt[0] < 1.0:
             return
-        foot = self.params.feet[int(np.argmax(np.abs(axes[:, 0]))) // 3]
+        share = (axes[:, felt < 1.0] ** 2).sum(axis=1).reshape(-1, 3).sum(axis=1)
+        # axes of legs that are stretched alike belong to all of them
+        self._stretched.update(np.flatnonzero(share > 0.5 * share.max()).tolist())
+        feet = " and of ".join(self.params.feet[k] for k in sorted(self._stretched))
         self._told.warn(
-            foot,
-            f"the leg of {foot} is stretched or singular: its force is not felt in one "
+            feet,
+            f"the leg of {feet} is stretched or singular: its force is not felt in one "
             "direction, and fades there",
         )
 

@@ -219,7 +219,7 @@ def test_a_simulated_base_drives_and_is_located(tmp_path, monkeypatch) -> None:
         f"OUTCONST none\nINVAR V_DES W_MEZ\nOUTVAR W_REF X_MEZ V_MEZ\n{ends}"
         "LOCAL\nRADIUS 0.1\nTRACK 0.4\nEOF\n",
         "base": "MODULE mujoco_base\nDESC x\nINCONST none\nOUTCONST none\nINVAR W_REF\n"
-        f"OUTVAR W_MEZ GYR X_FIX\n{ends}CRITICAL\nLOCAL\nMODEL {CART}\n"
+        f"OUTVAR W_MEZ GYR X_FIX X^_FIX\n{ends}CRITICAL\nLOCAL\nMODEL {CART}\n"
         "WHEELS left right\nGAIN 1.5\nEOF\n",
         "located": "MODULE ekf_odom\nDESC x\nINCONST none\nOUTCONST none\n"
         f"INVAR V_MEZ GYR X_FIX\nOUTVAR X_MEZ X_COV\n{ends}EOF\n",

@@ -178,6 +178,51 @@ def test_a_stretched_leg_is_named_and_its_force_stays_finite() -> None:
     assert "the leg of rf_foot is stretched" in notice.text
 
 
+def bent(*legs: float) -> np.ndarray:
+    return np.array([angle for leg in legs for angle in (0.0, leg, -2.0 * leg)])
+
+
+def limit_of_touch() -> float:
+    """Return the bend at which a foot's smallest lever is SIGMA."""
+    ref = Reference(QUADRUPED / "quadruped.urdf", FEET)
+
+    def lever(bend: float) -> float:
+        place, _ = ref.state(BODY, np.zeros(6), bent(*[bend] * 4), np.zeros(12))
+        return float(np.linalg.svd(ref.levers(place), compute_uv=False).min())
+
+    low, high = 0.0, BEND
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if lever(middle) < 0.02 else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("which", ["stretched", "at the limit"])
+def test_legs_that_tremble_are_warned_of_once(which: str) -> None:
+    """However the axes that are not felt turn, and how often they are felt again."""
+    bend = 0.0 if which == "stretched" else limit_of_touch()
+    bench = standing(force=[[0.0, 0.0, 30.0]] * 4, q=bent(*[bend] * 4))
+    rng = np.random.default_rng(4)
+    bench.on()
+    for _ in range(300):
+        bench.inputs.q = bent(*[bend] * 4) + 1e-4 * rng.normal(size=12)
+        bench.step()
+    told = [notice.text for notice in bench.notices()]
+    assert 1 <= len(told) <= 4, "each foot once"
+    assert all(foot in told[-1] for foot in FEET)
+
+
+def test_a_leg_that_is_stretched_again_is_told_again() -> None:
+    bench = standing(force=[[0.0, 0.0, 30.0]] * 4)
+    bench.on()
+    for bend in (0.0, BEND, 0.0):
+        bench.inputs.q = bent(BEND, bend, BEND, BEND)
+        bench.step()
+    told = [notice.text for notice in bench.notices()]
+    assert len(told) == 2
+    assert all("the leg of lh_foot is stretched" in text for text in told)
+
+
 SENSORS = [
     ("x", (1, 3), "X_MEZ of the base is not a pose"),
     ("v", (4,), "X^_MEZ of the base along the turn about y is not finite"),
@@ -250,14 +295,16 @@ def test_a_step_of_the_whole_body_is_that_of_the_normal_equations(
     feet = np.array([ref.place(place, foot)[:, 3] for foot in ref.feet])
     goal, wish = x.copy(), 1e-3 * rng.normal(size=(legs, 3))
     bench = posture(
-        params={"urdf": urdf, "feet": feet_of(legs), "body": "body"},
+        params={"urdf": urdf, "feet": feet_of(legs), "accel": 1e6},
         library=[tmp_path],
         ndof=n,
         x_body=goal,
-        x_feet=feet + wish,
+        x_feet=feet,
         q_ref=q,
     )
-    assert bench.outputs.q_ref == pytest.approx(q, abs=1e-12), "`on` changes nothing"
+    bench.step()
+    assert bench.outputs.q_ref == pytest.approx(q, abs=1e-9), "it is where it is to be"
+    bench.inputs.x_feet, q = feet + wish, bench.outputs.q_ref.copy()
     bench.step()
     rows = [5.0 * ref.jacobian(place, ref.body)[:3], ref.jacobian(place, ref.body)[3:]]
     rows += [50.0 * ref.jacobian(place, foot)[:3] for foot in ref.feet]
@@ -283,6 +330,77 @@ def test_body_and_feet_arrive_and_no_joint_jumps() -> None:
     for foot, wanted in zip(ref.feet, places, strict=True):
         assert ref.place(place, foot)[:, 3] == pytest.approx(wanted, abs=1e-9)
     assert bench.notices() == []
+
+
+def rates(bench: Bench[WholeBody], cycles: int) -> np.ndarray:
+    """Return Q^_REF as it is, and after each of so many cycles."""
+    found = [bench.outputs.qd_ref.copy()]
+    for _ in range(cycles):
+        bench.step()
+        found.append(bench.outputs.qd_ref.copy())
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("shift", "turn"),
+    [
+        ((0.04, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, -0.02, -0.04), (0.0, 0.05, 0.0)),
+        ((0.0, 0.0, 0.0), (0.1, 0.0, -0.1)),
+    ],
+)
+def test_a_body_whose_goal_is_elsewhere_goes_there_from_where_it_is(
+    shift: tuple[float, ...], turn: tuple[float, ...]
+) -> None:
+    """Its feet stay, its speed grows by ACCEL, and no joint jumps."""
+    goal = BODY.copy()
+    goal[:, 3] += shift
+    goal[:, :3] = rotation(np.array(turn))
+    bench = posture(x_body=goal)
+    assert bench.outputs.q_ref == pytest.approx(STAND, abs=1e-12)
+    bench.step()
+    assert bench.outputs.q_ref == pytest.approx(STAND, abs=1e-9), "taken over as it is"
+    ref = Reference(QUADRUPED / "quadruped.urdf", FEET)
+    own = np.linalg.norm(PLACES - PLACES[0], axis=1)
+    for _ in range(6):
+        assert np.abs(np.diff(rates(bench, 40), axis=0)).max() < 1.0, "rad/s a cycle"
+        place, _ = ref.state(goal, np.zeros(6), bench.outputs.q_ref, np.zeros(12))
+        feet = np.array([ref.place(place, foot)[:, 3] for foot in ref.feet])
+        between = np.linalg.norm(feet - feet[0], axis=1)
+        assert between == pytest.approx(own, abs=5e-4), "the feet stay"
+    assert feet == pytest.approx(PLACES, abs=1e-4), "the body is in its goal"
+    assert bench.notices() == []
+
+
+def test_a_motion_that_is_handed_over_goes_on_as_fast_as_it_was() -> None:
+    goal, bench = BODY.copy(), posture()
+    for k in range(200):
+        goal[:, 3] = BODY[:, 3] + [0.0, 0.0, -0.1 * DT * k]
+        bench.inputs.x_body = goal
+        bench.step()
+    bench.off(handover=True)
+    before = bench.outputs.qd_ref.copy()
+    assert np.abs(before).max() > 0.3
+    goal[2, 3] -= 0.1 * DT
+    told = {"q_ref": bench.outputs.q_ref, "qd_ref": before, "x_body": goal}
+    successor = posture(**told)
+    successor.step()
+    assert successor.outputs.qd_ref == pytest.approx(before, abs=0.02)
+
+
+def test_a_goal_that_jumps_is_approached_by_accel_and_linear() -> None:
+    bench = posture(params={"accel": 2.0, "linear": 0.1})
+    bench.step(n=3)
+    goal = BODY.copy()
+    goal[2, 3] -= 0.1
+    bench.inputs.x_body = goal
+    speeds = []
+    for _ in range(100):
+        was = bench.module._body[2, 3]
+        bench.step()
+        speeds.append((was - bench.module._body[2, 3]) / DT)
+    assert np.diff(speeds).max() < 2.0 * DT * 1.05
+    assert max(speeds) == pytest.approx(0.1, rel=0.02)
 
 
 def test_a_foot_out_of_reach_is_named_and_comes_back() -> None:

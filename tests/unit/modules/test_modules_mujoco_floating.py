@@ -10,7 +10,7 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.io import MujocoRobot
+from pbonet.io import MujocoRobot, RobotModel
 from pbonet.modules._dh import rotation
 from pbonet.modules.kinematics.diff_drive import DiffDrive
 from pbonet.modules.robot_interfaces.mujoco_base import MujocoBase
@@ -26,6 +26,7 @@ BEND = float(np.arccos(0.75))
 STAND = np.array([0.0, BEND, -2.0 * BEND] * 4)
 BODY = np.column_stack((np.eye(3), [0.0, 0.0, 0.32]))
 HIGH = np.column_stack((np.eye(3), [0.0, 0.0, 3.0]))
+AT = np.column_stack((np.eye(3), [0.0, 0.0, 0.1]))
 HELD = np.array([0.0, 0.8727, 3.2642, 0.0, 0.4762, 4.0572] * 2)
 """Torques with which it stands, from quadruped.svar."""
 
@@ -119,6 +120,39 @@ def test_joints_are_in_the_order_that_pinocchio_has(tmp_path: Path) -> None:
     assert robot._data.qfrc_applied[6:] == pytest.approx(full[6:], abs=1e-9)
 
 
+MOUNTED = """<mujoco><worldbody><body name="base">
+<body name="z_mount"><body><joint name="legA"/><geom size="0.1"/></body></body>
+<body name="a_mount"><body><joint name="legB"/><geom size="0.1"/></body></body>
+</body></worldbody></mujoco>"""
+LINK = (
+    '<link name="{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+    'ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/>'
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+)
+
+
+def test_bodies_named_as_fixed_joints_give_branches_pinocchio_s_order(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("pinocchio", reason="pip install 'pbonet[robot]'")
+    joints = (
+        ("z_mount", "fixed", "base", "za"),
+        ("legA", "revolute", "za", "a"),
+        ("a_mount", "fixed", "base", "yb"),
+        ("legB", "revolute", "yb", "b"),
+    )
+    parts = [LINK.format(name) for name in ("base", "za", "a", "yb", "b")]
+    parts += [JOINT.format(*joint) for joint in joints]
+    urdf = f'<robot name="two">{"".join(parts)}</robot>'
+    (tmp_path / "two.urdf").write_text(urdf)
+    (tmp_path / "two.xml").write_text(MOUNTED)
+    robot = MujocoRobot("two.xml", [tmp_path])
+    assert robot.joints == RobotModel("two.urdf", [tmp_path]).joints == ("legB", "legA")
+
+
 def test_a_push_changes_the_momentum_by_its_force_times_its_time() -> None:
     bench = quad(x=HIGH, t_ref=np.zeros(12), tau=np.zeros(12))
     robot = bench.module._robot
@@ -135,6 +169,28 @@ def test_a_push_changes_the_momentum_by_its_force_times_its_time() -> None:
     assert momentum() == pytest.approx(2.0, rel=1e-3)
     bench.step(n=100)
     assert momentum() == pytest.approx(4.0, rel=1e-3), "it lasts 0.2 s"
+
+
+@pytest.mark.parametrize("how", ["off", "handover", "error"])
+def test_a_push_is_not_repeated_when_it_is_turned_on_again(how: str) -> None:
+    bench = quad(x=HIGH, t_ref=np.zeros(12), tau=np.zeros(12))
+    bench.set("push", "0 20 0")
+    bench.step(n=10)
+    if how == "error":
+        bench.inputs.t_ref = np.full(12, np.nan)
+        with pytest.raises(MethodError):
+            bench.step()
+        bench.inputs.t_ref = np.zeros(12)
+        bench.clear()
+    else:
+        bench.off(handover=how == "handover")
+    bench.on()
+    speed = bench.outputs.v[1]
+    bench.step(n=20)
+    assert bench.outputs.v[1] == pytest.approx(speed, abs=0.01)
+    bench.set("push", "0 20 0")
+    bench.step(n=20)
+    assert bench.outputs.v[1] > speed + 0.03, "a new one pushes"
 
 
 def test_without_a_fresh_torque_it_stays_in_its_posture() -> None:
@@ -339,6 +395,39 @@ def test_a_base_stands_where_the_table_says_that_it_was_seen(cart: Any) -> None:
     bench.on()
     assert bench.outputs.x == pytest.approx(where, abs=1e-9)
     assert cart().outputs.x[:, 3] == pytest.approx([0.0, 0.0, 0.1])
+
+
+def test_a_base_goes_on_at_a_handover_and_rests_after_off(cart: Any) -> None:
+    bench = cart(w_ref=[5.0, 4.0])
+    bench.step(n=500)
+    bench.off(handover=True)
+    names = ("x", "v", "w", "gyr")
+    seen = {name: getattr(bench.outputs, name).copy() for name in names}
+    assert seen["w"] == pytest.approx([5.0, 4.0], abs=0.2)
+    assert np.hypot(*seen["v"][:2]) > 0.3
+    successor = cart(w_ref=[5.0, 4.0], **seen)
+    for name, value in seen.items():
+        assert getattr(successor.outputs, name) == pytest.approx(value, abs=1e-9)
+    before = successor.outputs.x.copy()
+    for _ in range(50):
+        successor.step()
+        assert successor.outputs.w == pytest.approx(seen["w"], abs=0.1)
+        assert successor.outputs.v[:2] == pytest.approx(seen["v"][:2], abs=0.05)
+    moved = np.linalg.norm(successor.outputs.x[:, 3] - before[:, 3])
+    assert moved == pytest.approx(0.1 * np.linalg.norm(seen["v"][:3]), rel=0.1)
+    successor.off()
+    assert not np.concatenate([getattr(successor.outputs, n) for n in names[1:]]).any()
+    successor.on()
+    assert successor.outputs.w == pytest.approx([0.0, 0.0])
+
+
+def test_a_successor_whose_rates_are_old_slows_down_from_what_it_took(
+    cart: Any,
+) -> None:
+    bench = cart(w=[4.0, 4.0], v=[0.4, 0, 0, 0, 0, 0], x=AT, params={"slow": (8.0,)})
+    bench.illegal = True
+    bench.step(n=125)
+    assert bench.outputs.w == pytest.approx([2.0, 2.0], abs=0.3)
 
 
 def test_a_rate_that_is_no_number_is_an_error_with_its_wheel(cart: Any) -> None:
