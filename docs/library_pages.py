@@ -188,9 +188,9 @@ def _measured_page(modules: Mapping[str, Mapping[str, Any]]) -> str:
         "Other programs ran beside it, as many as the load average says: that inflates "
         "p99 and the longest.",
         f"Goals: p99 at most a fifth of the period (200 {US} at 1 kHz); p50 at most "
-        f"5 {US} above the bare call of the module's library; no memory that "
-        "grows (300 blocks or 256 KiB are taken for what is kept once). A row says which "
-        "of them (p99, overhead, memory) its module misses.",
+        f"5 {US} above the bare call of the module's library; no memory that grows ("
+        "300 blocks or 256 KiB are taken for what is kept once). A row says which of "
+        "them (p99, overhead, memory) its module misses.",
         "",
         *_table(
             "| module | sizes | period | p50 | p99 | longest | the library's call, p50 "
