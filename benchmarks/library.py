@@ -404,7 +404,7 @@ def faults(found: Mapping[str, Any]) -> list[str]:
         missed.append("overhead")
     grown = found.get("growth", {"blocks": 0, "kib": 0})
     if grown["blocks"] > BLOCKS or grown["kib"] > KIB:
-        missed.append("growth")
+        missed.append("memory")
     return missed
 
 
@@ -430,10 +430,12 @@ def machine() -> str:
 
 
 def save(measured: Mapping[str, Mapping[str, Any]]) -> None:
-    """Keep figures in the file, with the machine that they are of."""
+    """Keep figures in the file, with their machine and the goals that they miss."""
     kept: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
     told = machine()
     kept |= {name: {**found, "machine": told} for name, found in measured.items()}
+    for found in kept.values():
+        found["missed"] = faults(found)
     text = json.dumps(dict(sorted(kept.items())), indent=1)
     FILE.write_text(f"{text}\n", encoding="utf-8")
 

@@ -164,11 +164,13 @@ def _measured_page(modules: Mapping[str, Mapping[str, Any]]) -> str:
         (
             f"`{name}`",
             str(found.get("size", "")),
+            f"{1e6 / found['hz']:.0f}" if "hz" in found else "",
             f"{found['p50']:.1f}" if "p50" in found else _plain(found["missing"]),
             f"{found['p99']:.0f}" if "p99" in found else "",
             str(found.get("max", "")),
             f"{found['bare']:.1f}" if "bare" in found else "",
             _growth(found.get("growth")),
+            ", ".join(found["missed"]),
             found["machine"].rpartition(" ")[2],
         )
         for name, found in sorted(modules.items())
@@ -186,12 +188,13 @@ def _measured_page(modules: Mapping[str, Mapping[str, Any]]) -> str:
         "Other programs ran beside it, as many as the load average says: that inflates "
         "p99 and the longest.",
         f"Goals: p99 at most a fifth of the period (200 {US} at 1 kHz); p50 at most "
-        f"5 {US} above the bare call of the module's library; no memory that "
-        "grows.",
+        f"5 {US} above the bare call of the module's library; no memory that grows ("
+        "300 blocks or 256 KiB are taken for what is kept once). A row says which of "
+        "them (p99, overhead, memory) its module misses.",
         "",
         *_table(
-            "| module | sizes | p50 | p99 | longest | the library's call, p50 | memory "
-            "not given back after the cycles | load |",
+            "| module | sizes | period | p50 | p99 | longest | the library's call, p50 "
+            "| memory not given back after the cycles | goal missed | load |",
             rows,
         ),
     ])

@@ -75,8 +75,8 @@ class FloatingModel:
             qd: Joint velocities.
         """
         turned = pose[:, :3]
-        self.q[:3] = pose[:, 3]
-        self.q[3:BASE] = self._pin.Quaternion(turned).coeffs()
+        pin = self._pin  # its Quaternion(turned) keeps 64 bytes each time
+        self.q[:BASE] = pin.SE3ToXYZQUAT(pin.SE3(turned, pose[:, 3]))
         self.q[BASE:] = q
         self.v[:3], self.v[3:RATES] = velocity[:3] @ turned, velocity[3:] @ turned
         self.v[RATES:] = qd

@@ -7,10 +7,11 @@ same every time, in real time, in simulation and in replay.
 
 from __future__ import annotations
 
-import re
+from contextlib import suppress
 from importlib import import_module
 from math import ceil
 from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import ParseError, iterparse
 
 import numpy as np
 
@@ -178,8 +179,8 @@ class MujocoRobot:
                 got=" ".join(str(error).split()),
                 remedy="correct it, or name another file",
             ) from None
-        for name in _INCLUDE.findall(self.path.read_text(encoding="utf-8")):
-            find_file(str(self.path.parent.absolute() / name))
+        for path in _included(self.path.absolute()):
+            find_file(str(path))  # so that a replay names it if it has changed
         self._check(model, floats=floats)
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= off.mjDSBL_ACTUATION | off.mjDSBL_AUTORESET
@@ -217,6 +218,32 @@ class MujocoRobot:
             )
 
 
+def _included(model: Path) -> list[Path]:
+    """Return the files that a model includes, and those that they include.
+
+    MuJoCo looks for them beside the model, and then beside the file that names them. A
+    name without a file is left out: MuJoCo did not need it.
+    """
+    found = [model]
+    for path in found:
+        for name in _include_names(path):
+            places = (model.parent / name, path.parent / name)
+            place = next((one for one in places if one.is_file()), model)
+            if place not in found:
+                found.append(place)
+    return found[1:]
+
+
+def _include_names(path: Path) -> list[str]:
+    """Return what a file includes, as far as it is XML: MuJoCo takes more than that."""
+    names: list[str] = []
+    with suppress(ParseError, LookupError, ValueError):
+        for _, element in iterparse(path, ("start",)):  # noqa: S314 - MuJoCo read it
+            if element.tag == "include":
+                names.append(element.get("file", ""))
+    return names
+
+
 def _nested(model: Any) -> list[int]:  # noqa: ANN401 - as above
     """Return the numbers of the joints: outwards, branches by names."""
     children: dict[int, list[int]] = {}
@@ -238,6 +265,5 @@ def _nested(model: Any) -> list[int]:  # noqa: ANN401 - as above
     return found
 
 
-_INCLUDE = re.compile(r"""<include\s[^>]*?file\s*=\s*["']([^"']+)""")
 _ABSURD = 1e4
 """rad/s or m/s that no joint of a robot has."""

@@ -10,7 +10,9 @@ bytes, the lower first:
 3     the buttons that are held, a bit each, the first one the lowest
 ====  ==========================================================================
 
-x points to the right, y to the person, z down; 350 is a full push.
+x points to the right, y to the person, z down; 350 is a full push. A cap that is pushed
+reports about a hundred times a second, and a last time with zeros when it is let go. At
+rest it reports nothing, and a button that is held does not either.
 """
 
 from __future__ import annotations
@@ -88,8 +90,11 @@ class SpaceMouse:
     Args:
         path: Its device file; empty: that of the first one that is plugged in.
         retry: Seconds between two attempts to open it.
-        silence: Seconds without a report after which it rests. A cap that is pushed
-            reports a hundred times a second or so; a wireless one may be out of reach.
+        silence: Seconds without a report of a pushed cap after which it is out of
+            reach: it rests, and no button is held until the next report of buttons.
+        held: Seconds without a report after which no button of a cap at rest is held
+            either: a wireless device may be out of reach. What was let go meanwhile was
+            not heard, so that again a report of buttons is waited for.
         work: Reports that one poll reads at most.
 
     Attributes:
@@ -102,14 +107,16 @@ class SpaceMouse:
         *,
         retry: float = 1.0,
         silence: float = 0.25,
+        held: float = 2.0,
         work: int = 64,
     ) -> None:
         self.fault: DeviceError | None = None
         self._path, self._work = path, work
         self._outside = Outside(f"SpaceMouse {path}".rstrip())
         self._retry_ns, self._silence_ns = round(retry * 1e9), round(silence * 1e9)
+        self._held_ns = round(held * 1e9)
         self._next_try_ns: int | None = None
-        self._heard_ns = 0
+        self._heard_ns = self._alive_ns = 0
         self._fd: int | None = None
         self._opened = False
         self._axes, self._buttons = list(_AT_REST), 0
@@ -127,8 +134,10 @@ class SpaceMouse:
             self.close()
             self.fault = self._lost(error)
             self._next_try_ns = now_ns + self._retry_ns
-        if now_ns - self._heard_ns > self._silence_ns:
-            self._axes[:] = _AT_REST
+        if now_ns - self._heard_ns > self._silence_ns and any(self._axes):
+            self._axes[:], self._buttons = _AT_REST, 0
+        if now_ns - self._alive_ns > self._held_ns:
+            self._buttons = 0
         return Cap(tuple(self._axes), self._buttons)
 
     def close(self) -> None:
@@ -161,10 +170,11 @@ class SpaceMouse:
         """Take one report; what is none of these changes nothing."""
         kind, data = report[0], report[1:]
         if kind == _KEYS and data:
+            self._alive_ns = now_ns
             self._buttons = int.from_bytes(data[:4], "little") & _BITS
         if kind not in {_PUSH, _TURN} or len(data) < _THREE.size:
             return
-        self._heard_ns = now_ns
+        self._heard_ns = self._alive_ns = now_ns
         first = 0 if kind == _PUSH else _THREE.size // 2
         count = 6 if kind == _PUSH and len(data) >= _SIX.size else 3
         numbers = struct.unpack_from(f"<{count}h", data)

@@ -11,14 +11,20 @@ from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
 from pbonet.io import from_extra
 from pbonet.modules._linear_plant import LinearPlant
+from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import PerElement, spread
 
 NONE = 1e20
 """A limit that is none."""
 EXACT = 1e-9
 """How far a limit may be exceeded, in the units of U and Z."""
-SOLVED, TOO_LONG = 1, -4
+SOLVED, SOFTLY, NO_SOLUTION, TOO_LONG = 1, 2, -1, -4
 """Outcomes of daqp."""
+_BEYOND = "beyond"
+SOFT = 8
+"""The mark of a limit that daqp may exceed."""
+GIVES = 1e-6
+"""How much such a limit gives, so that exceeding it costs a million times the rest."""
 
 
 class Plan(Params):
@@ -34,11 +40,11 @@ class Plan(Params):
     z_lower: A[PerElement, param("mixed", "smallest state; -1e20: no limit")] = (-NONE,)
     z_upper: A[PerElement, param("mixed", "largest state; 1e20: no limit")] = (NONE,)
     horizon: A[int, param("cycles", "how far ahead the plan goes", ge=1, le=200)] = 20
-    iterations: A[int, param("none", "most steps of the solver", ge=1, le=1000)] = 50
+    iterations: A[int, param("none", "most steps of each plan", ge=1, le=10000)] = 500
     infeasible: A[
-        Literal["hold", "error"],
-        param("none", "without a plan U stays as it is, or the task ends in ERROR"),
-    ] = "hold"
+        Literal["least", "error"],
+        param("none", "exceed limits of the state that cannot be kept, or ERROR"),
+    ] = "least"
 
 
 class MpcLinear(PortBasedObject[Plan], module_class="controller"):
@@ -53,9 +59,13 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
 
     The quadratic program is solved by daqp, a dual active-set method (Arnström,
     Bemporad and Axehill 2022), from the last solution on, in at most ITERATIONS steps.
-    INFEASIBLE says what happens when no command keeps all limits, none is found in
-    time, or an input is not finite: a warning says which. In its first cycle the module
-    keeps the U that is there, and then changes it by RATE at most.
+    LOWER, UPPER and RATE are always kept. When no command keeps the limits of the state
+    as well, say after a knock, INFEASIBLE least plans anew, in as many steps again, so
+    that they are exceeded as little as possible within the HORIZON, which is best
+    longer than U takes from LOWER to UPPER; a warning names the state. INFEASIBLE error
+    ends the task in ERROR then. It also ends so, and U gets old, when no plan is found
+    in time or an input is not finite. In its first cycle the module keeps the U that is
+    there, and then changes it by RATE at most.
     """
 
     z_ref: A[Vector, InVar("Z_REF", "n", "mixed", "reference state")]
@@ -70,7 +80,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         self._take_plan()
 
     def on(self) -> None:
-        self._begins, self._told = True, False
+        self._begins, self._told = True, ToldOnce(self.task)
 
     def cycle(self, dt: float) -> None:
         if self._begins:
@@ -78,16 +88,25 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
             return
         error = self.z - self.z_ref
         if not all(map(isfinite, error.tolist())):
-            self._without(self._not_finite())
-            return
+            self.task.fail(self._not_finite())
         self._limit(dt)
-        self._program.update(f=self._pull @ error, bupper=self._high, blower=self._low)
-        plan, _, outcome, _ = self._program.solve()
-        if outcome != SOLVED:
-            self._without(self._why(outcome))
-            return
-        self._told = False
+        pull = self._pull @ error
+        plan, outcome = self._solve(self._program, pull)
+        if outcome == NO_SOLUTION and self.params.infeasible == "least":
+            plan, outcome = self._solve(self._soft, pull)
+        if outcome == SOLVED:
+            self._told.clear()
+        elif outcome != SOFTLY:
+            self.task.fail(self._why(outcome))
+        else:
+            self._tell(plan)
         self.u[:] = plan[: len(self.u)]
+
+    def _solve(self, program: Any, pull: Vector) -> tuple[Vector, int]:  # noqa: ANN401
+        """Return the commands of a program within the limits of now and the outcome."""
+        program.update(f=pull, bupper=self._high, blower=self._low)
+        plan, _, outcome, _ = program.solve()
+        return plan, outcome
 
     def _limit(self, dt: float) -> None:
         """Set the limits of the program that are others in this cycle."""
@@ -111,14 +130,6 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
             np.subtract(self._z_low, rest, out=self._low[2 * k :])
             np.subtract(self._z_high, rest, out=self._high[2 * k :])
 
-    def _without(self, why: str) -> None:
-        """Do what INFEASIBLE says."""
-        if self.params.infeasible == "error":
-            self.task.fail(why)
-        elif not self._told:
-            self.task.warn(f"{why}; U does not change")
-            self._told = True
-
     def _not_finite(self) -> str:
         names = {"Z_MEZ": self.z, "Z_REF": self.z_ref}
         bad = [
@@ -129,24 +140,29 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         return f"{' and '.join(bad) or 'Z_MEZ - Z_REF'} is not finite"
 
     def _why(self, outcome: int) -> str:
-        """Return why there is no plan; the state that would leave its limits furthest.
-
-        It is that of the plan with the present command.
-        """
+        """Return why there is no plan."""
         if outcome == TOO_LONG:
-            return f"no plan was found in {self.params.iterations} steps"
-        kept = np.tile(self.u, self.params.horizon)
-        states = self._free @ self.z + self._forced @ kept
+            return f"no plan was found in {self.params.iterations} steps: ITERATIONS"
+        if outcome == NO_SOLUTION and self._bounded.size:
+            state, text = self._worst(np.tile(self.u, self.params.horizon))
+            return f"no command keeps Z[{state}] {text} with this U"
+        return f"daqp found no plan, outcome {outcome}"
+
+    def _tell(self, plan: Vector) -> None:
+        """Warn of the state that a plan leaves furthest outside, once."""
+        if not self._told.of(_BEYOND):
+            state, text = self._worst(plan)
+            self._told.warn(_BEYOND, f"no command keeps Z[{state}] {text} at best")
+
+    def _worst(self, plan: Vector) -> tuple[int, str]:
+        """Return the state that leaves its limits furthest, and how far it gets."""
+        states = self._free @ self.z + self._forced @ plan
         beyond = np.maximum(self._z_low - states, states - self._z_high)
-        if not beyond.size:
-            return "no command keeps LOWER, UPPER and RATE"
         worst = int(np.argmax(beyond))
         step, place = divmod(worst, self._bounded.size)
-        state = self._bounded[place]
-        return (
-            f"no command keeps Z[{state}] within {self._z_low[worst]:g} to "
-            f"{self._z_high[worst]:g}: with this U it is {states[worst]:g} after "
-            f"{step + 1} cycles"
+        return int(self._bounded[place]), (
+            f"within {self._z_low[worst]:g} to {self._z_high[worst]:g}: after "
+            f"{step + 1} cycle{'s' * (step > 0)} it is {states[worst]:g}"
         )
 
     # -- when the task is created, or a parameter is set ------------------------------
@@ -204,15 +220,19 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         self._z_high = np.tile(high[self._bounded], k.horizon)
 
     def _make(self, square: Matrix, rows: Matrix) -> None:
-        """Set the quadratic program up; its first limits are those of the commands."""
+        """Set both quadratic programs up; first come the limits of the commands."""
         with from_extra("mpc", "model predictive control"):
             daqp: Any = import_module("daqp")
-        self._program = daqp.Model()
-        self._program.settings = {
-            "iter_limit": self.params.iterations, "primal_tol": EXACT,
-        }  # fmt: skip
         none = np.full(self._count + len(rows), NONE)
-        self._program.setup(square, np.zeros(self._count), rows, none, -none)
+        sense = np.zeros(len(none), dtype=np.int32)
+        self._program, self._soft = daqp.Model(), daqp.Model()
+        for program in self._program, self._soft:
+            program.settings = {
+                "iter_limit": self.params.iterations, "primal_tol": EXACT,
+                "rho_soft": GIVES,
+            }  # fmt: skip
+            program.setup(square, np.zeros(self._count), rows, none, -none, sense)
+            sense[2 * self._count :] = SOFT
 
 
 def predict(a: Matrix, b: Matrix, horizon: int) -> tuple[Matrix, Matrix]:

@@ -24,7 +24,9 @@ class Deadman(PortBasedObject[Grip], module_class="teleoperation"):
     """y = z while the button is held, else RELEASED, or what y was.
 
     Button 1 is the lowest bit of BUTTONS. A button counts as not held when BUTTONS is
-    older than MAXAGE, and when z is not finite, which is reported. It must be let go
+    older than MAXAGE, and when z is not finite, which is reported. The module that
+    writes BUTTONS must see that a silent device holds no button; for `spacemouse` that
+    takes up to its HELD. The button must be let go
     before it counts again; so too when the module is turned on with the button held.
     RELEASE value is for velocities, RELEASE hold for positions: there `limits`, after
     this module, makes the way to z smooth. Without the button, y is new; with it, y has

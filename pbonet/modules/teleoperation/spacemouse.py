@@ -27,6 +27,7 @@ class Feel(Params):
     ] = (-2, -1, -3, -5, -4, -6)
     linear: A[float, param("m/s", "speed of a full push", ge=0)] = 0.1
     angular: A[float, param("rad/s", "rate of a full turn", ge=0)] = 0.5
+    held: A[float, param("s", "how long a button of a silent cap is held", gt=0)] = 2.0
     dead: A[float, param("none", "share of an axis that is at rest", ge=0, lt=1)] = 0.05
 
 
@@ -38,8 +39,12 @@ class Spacemouse(PortBasedObject[Feel], module_class="teleoperation"):
     about, x, y and z of the base; as it is, x points away from the person, and z up.
     The buttons that are held are the bits of BUTTONS, the left one the lowest. When the
     device is lost, all are 0, a warning says so, and it is looked for once a second
-    until it is back. Without a report for 0.25 s the velocity is 0 too. `deadman`
-    passes it on only while a button is held; `otg_cart` or `ik_placo` take it on.
+    until it is back. `deadman` passes the velocity on only while a button is held;
+    `otg_cart` or `ik_placo` take it on.
+
+    A wireless device may be out of reach. When a pushed cap is silent for 0.25 s, all
+    are 0. A cap at rest is always silent, so that its buttons count as held for HELD
+    more. After that, press the button anew: nobody heard whether it was let go.
     """
 
     v: A[Vector, OutVar("X^_CMD", "6", "mixed", "velocity, m/s and rad/s", new=True)]
@@ -50,11 +55,11 @@ class Spacemouse(PortBasedObject[Feel], module_class="teleoperation"):
     def init(self) -> None:
         self._fault = False
         self._take_axes()
-        self._device = Device(self.params.device)
+        self._device = Device(self.params.device, held=self.params.held)
         self._poll()  # a missing device is reported at once
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
-        keep(name, {"device"})
+        keep(name, {"device", "held"})
         self._take_axes()
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only

@@ -27,7 +27,9 @@ class Shown(Params):
     """The motion that was shown, and how it is made again."""
 
     file: A[str, param("none", ".csv or .npz file, in a folder of modules")]
-    duration: A[float, param("s", "of the motion; 0: as it was shown", ge=0)] = 0.0
+    duration: A[
+        float, param("s", "0: as shown; a new one counts from the next on", ge=0)
+    ] = 0.0
     stiffness: A[float, param("none", "K, with times in DURATION", gt=0)] = 400.0
     count: A[int, param("none", "bumps that the shape is made of", ge=2, le=200)] = 30
 
@@ -44,7 +46,7 @@ class Dmp(PortBasedObject[Shown], module_class="trajectory"):
 
     The goal may change at any time: y and its velocity go on without a jump. While
     there is none, because Y_DES is not finite, y comes to rest where it stood. At the
-    end of DURATION the signal FINISH is sent, and the spring alone remains.
+    end of DURATION the signal FINISH is sent; x, and f with it, go on fading.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Y")]
@@ -122,7 +124,9 @@ def bumps(count: int) -> tuple[Vector, Vector]:
 
 def shape(x: float, centers: Vector, widths: Vector) -> Vector:
     """Return how much each bump counts at a phase."""
-    heights = np.exp(-widths * (x - centers) ** 2)
+    heights = -widths * (x - centers) ** 2
+    heights -= heights.max()  # one of them is 1, however far x is from the last center
+    np.exp(heights, out=heights)
     heights *= x / heights.sum()
     found: Vector = heights
     return found

@@ -7,6 +7,7 @@ a SpaceMouse Wireless (six numbers).
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import socket
 
@@ -17,6 +18,7 @@ from pbonet import State
 from pbonet.errors import MethodError
 from pbonet.io import no_devices, space_mouse
 from pbonet.io.space_mouse import SpaceMouse
+from pbonet.modules.teleoperation.deadman import Deadman
 from pbonet.modules.teleoperation.spacemouse import Spacemouse
 from pbonet.outside import Player, Tape, use
 from pbonet.testing import Bench
@@ -95,13 +97,66 @@ def test_reports_of_six_numbers_and_others_are_told_apart(cap) -> None:
     found.close()
 
 
-def test_without_reports_it_rests(cap) -> None:
+REST_AXES, SECOND = (0.0,) * 6, 10**9
+
+
+def test_a_pushed_one_that_is_silent_is_out_of_reach(cap) -> None:
+    """What was let go meanwhile is not heard: a push alone holds no button again."""
     found = mouse(cap)
     cap.send(PUSHED, LEFT)
-    assert found.poll(10**9).axes[0] == 1.0
-    assert found.poll(10**9 + 250_000_000).axes[0] == 1.0
-    assert found.poll(10**9 + 250_000_001) == ((0.0,) * 6, 1)
+    assert found.poll(SECOND).axes[0] == 1.0
+    assert found.poll(SECOND + 250_000_000).axes[0] == 1.0
+    assert found.poll(SECOND + 250_000_001) == (REST_AXES, 0)
+    cap.send(PUSHED)
+    again = found.poll(2 * SECOND)
+    assert (again.axes[0], again.buttons) == (1.0, 0)
+    cap.send(PUSHED, LEFT)
+    assert found.poll(2 * SECOND + 1).buttons == 1
     found.close()
+
+
+def test_one_at_rest_holds_its_button_for_a_while(cap) -> None:
+    found = mouse(cap)
+    cap.send(PUSHED, LEFT, *REST)
+    assert found.poll(SECOND) == (REST_AXES, 1)
+    assert found.poll(3 * SECOND) == (REST_AXES, 1), "the person waits"
+    cap.send(PUSHED, *REST)
+    assert found.poll(3 * SECOND) == (REST_AXES, 1), "and goes on"
+    assert found.poll(5 * SECOND) == (REST_AXES, 1)
+    assert found.poll(5 * SECOND + 1) == (REST_AXES, 0), "too long"
+    cap.send(PUSHED)
+    assert found.poll(5 * SECOND + 2).buttons == 0, "pressed anew, it counts"
+    cap.send(LEFT)
+    assert found.poll(5 * SECOND + 3).buttons == 1
+    found.close()
+
+
+@pytest.mark.parametrize(("reports", "most"), [((PUSHED,), 0.3), (REST, 1.1)])
+def test_out_of_reach_with_its_button_held_it_opens_the_dead_man_s_switch(
+    cap, reports, most
+) -> None:
+    bench = module(cap, held=1.0)
+    grip = Bench(Deadman, ndof=6, z=[1.0] * 6, freq=50)
+    bench.on()
+    grip.on()
+    grip.step()
+    cap.send(LEFT, *reports)
+
+    def held() -> bool:
+        bench.step()
+        grip.inputs.buttons = bench.outputs.buttons
+        grip.step()
+        return bool(grip.outputs.y.any())
+
+    assert held()
+    count = sum(itertools.takewhile(bool, (held() for _ in range(200))))
+    assert most - 0.1 <= count / 50 <= most
+    assert not any(held() for _ in range(100))
+    cap.send(NONE)
+    assert not held()
+    cap.send(LEFT)
+    assert held()
+    bench.kill()
 
 
 @pytest.mark.parametrize(

@@ -121,6 +121,32 @@ def test_without_a_goal_it_comes_to_rest_and_says_so_once(shown) -> None:
     assert bench.state is State.ON
 
 
+@pytest.mark.parametrize("count", [150, 200])
+def test_it_stays_at_its_goal_after_the_motion(shown, count) -> None:
+    """The phase is then far from all bumps, which are narrow when there are many."""
+    params = {"duration": 1.0, "count": count}
+    bench = dmp(shown, y_des=WAY, params=params)
+    seen = run(bench, round(3.0 / DT))
+    assert np.isfinite(seen).all()
+    assert seen[-1] == pytest.approx(WAY, abs=1e-5)
+    assert bench.outputs.y_dot == pytest.approx(0.0, abs=1e-4)
+    assert bench.state is State.ON
+
+
+def test_a_new_duration_counts_from_the_next_on(shown) -> None:
+    bench = dmp(shown, y_des=WAY)
+    same = dmp(shown, y_des=WAY)
+    bench.step(n=100)
+    bench.set("duration", "0.4")
+    seen = run(bench, 100)
+    same.step(n=100)
+    assert seen == pytest.approx(run(same, 100), abs=1e-12)
+    bench.off()
+    bench.outputs.y = [0.0, 0.0]
+    bench.on()
+    assert run(bench, 110)[-1] == pytest.approx(WAY, abs=0.02)
+
+
 def test_what_shapes_the_motion_is_read_once(shown) -> None:
     bench = dmp(shown)
     with pytest.raises(MethodError, match="count is read when the task is created"):

@@ -88,6 +88,24 @@ def test_every_module_is_measured(pages) -> None:
         assert all("MAXC: " in section for section in sections), path
 
 
+def test_a_goal_that_is_missed_is_marked_in_the_table(pages) -> None:
+    """It follows from the period, the library's call and the memory of its row."""
+    library = importlib.import_module("benchmarks.library")
+    found = pages.measured()
+    assert {name: one["missed"] for name, one in found.items()} == {
+        name: library.faults(one) for name, one in found.items()
+    }
+    page = pages.pages()[pages.MEASURED.with_suffix(".md")]
+    rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    assert {cells[0].strip("| `"): cells[8].strip() for cells in rows} == {
+        name: ", ".join(one["missed"]) for name, one in found.items()
+    }
+    slow = {"p50": 9.0, "p99": 201.0, "hz": 1000.0, "bare": 3.9}
+    assert library.faults(slow) == ["p99", "overhead"]
+    fast = {"p50": 9.0, "p99": 199.0, "hz": 1000.0, "bare": 4.1}
+    assert library.faults(fast) == []
+
+
 def test_laws_are_shown_as_they_are_written(pages) -> None:
     (text,) = [text for path, text in pages.pages().items() if path.stem == "signals"]
     assert "y = gain \\* z + bias." in text

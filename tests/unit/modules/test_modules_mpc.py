@@ -123,23 +123,28 @@ def test_within_limits_it_is_the_least_cost(z, before, params, speed) -> None:
     assert bench.notices() == []
 
 
+def move(
+    bench: Bench[Any], cycles: int, state: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states and commands of a mass that moves as it is told."""
+    states, commands = [state], [float(bench.outputs.u[0])]
+    for _ in range(cycles):
+        bench.inputs.z = states[-1]
+        bench.step()
+        commands.append(u := float(bench.outputs.u[0]))
+        place, speed = states[-1]
+        place += DT * speed + DT**2 / 2 * u
+        states.append(np.array([place, speed + DT * u]))
+    return np.array(states), np.array(commands)
+
+
 def test_it_brings_the_mass_to_its_place_within_all_limits() -> None:
     params = {"z_lower": (-9.0, -0.5), "z_upper": (9.0, 0.5), "rate": (100.0,)}
     bench = mpc(z_ref=[1.0, 0.0], params=params)
-    state, seen, speeds = np.zeros(2), [0.0], []
-    for _ in range(2000):
-        bench.inputs.z = state
-        bench.step()
-        u = float(bench.outputs.u[0])
-        state = np.array([
-            state[0] + DT * state[1] + DT**2 / 2 * u,
-            state[1] + DT * u,
-        ])
-        seen.append(u)
-        speeds.append(state[1])
-    assert state == pytest.approx([1.0, 0.0], abs=1e-3)
-    assert max(speeds) == pytest.approx(0.5, abs=1e-6), "it uses what it may"
-    assert np.abs(np.diff(seen)).max() <= 100.0 * DT + 1e-8
+    states, commands = move(bench, 2000, np.zeros(2))
+    assert states[-1] == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert states[:, 1].max() == pytest.approx(0.5, abs=1e-6), "it uses what it may"
+    assert np.abs(np.diff(commands)).max() <= 100.0 * DT + 1e-8
     assert bench.notices() == []
 
 
@@ -155,47 +160,68 @@ def test_a_command_beyond_its_limits_returns_at_its_rate() -> None:
 FAST = {"z_lower": (-9.0, -0.5), "z_upper": (9.0, 0.5)}
 
 
-def test_without_a_plan_the_command_stays_and_the_state_is_named() -> None:
-    bench = mpc(u=[3.0], z=[0.0, 0.7], params=FAST)
-    bench.step(n=5)
-    assert bench.outputs.u == pytest.approx([3.0], abs=1e-12)
+@pytest.mark.parametrize(
+    ("knock", "rate"), [(0.15, 400.0), (0.15, 100.0), (2.0, 400.0)]
+)
+def test_after_a_knock_it_returns_within_its_limits(knock, rate) -> None:
+    """It brakes as hard as LOWER and RATE let it, and then goes on to its place."""
+    bench = mpc(z_ref=[1.0, 0.0], params={**FAST, "rate": (rate,)})
+    states, _ = move(bench, 60, np.zeros(2))
+    assert states[-1, 1] == pytest.approx(0.5, abs=1e-6)
+    assert bench.notices() == []
+    states, commands = move(bench, 1500, states[-1] + [0.0, knock])
+    speeds = states[:, 1]
+    outside = np.flatnonzero(speeds > 0.5 + 1e-6)
+    assert (np.diff(speeds)[outside] < 0.0).all(), "it brakes all the while"
+    full, most = commands[0], speeds[0]
+    for cycle in range(len(outside) // 2):
+        full = max(full - rate * DT, -20.0)
+        assert commands[cycle + 1] == pytest.approx(full, abs=1e-6), "as it can"
+    assert len(outside) == outside[-1] + 1 < 80, "once, and not again"
+    assert speeds.min() >= -0.5 - 1e-6
+    assert commands.min() >= -20.0 - 1e-6
+    assert np.abs(np.diff(commands)).max() <= rate * DT + 1e-6
+    assert states[-1] == pytest.approx([1.0, 0.0], abs=1e-3)
     (notice,) = bench.notices()
+    wanted = f"after 1 cycle it is {most - rate * DT**2:g} at best"
     assert "no command keeps Z[1] within -0.5 to 0.5" in notice.text
-    assert "with this U it is 1 after 20 cycles" in notice.text
-    assert "U does not change" in notice.text
-    bench.inputs.z = [0.0, 0.3]
-    bench.step()
-    assert bench.outputs.u[0] < 3.0, "and it goes on by itself"
+    assert wanted in notice.text
     assert bench.state is State.ON
+
+
+def test_each_time_the_limits_cannot_be_kept_it_says_so() -> None:
+    bench = mpc(u=[3.0], params=FAST)
+    for _ in range(2):
+        bench.inputs.z = [0.0, 0.7]
+        bench.step(n=5)
+        assert len(bench.notices()) == 1
+        bench.inputs.z = [0.0, 0.0]
+        bench.step(n=50)
+
+
+def fails(bench: Bench[Any], text: str) -> None:
+    """See a task end in ERROR, its command as it was."""
+    before = bench.outputs.u.copy()
+    with pytest.raises(MethodError, match=text):
+        bench.step()
+    assert bench.state is State.ERROR
+    assert bench.outputs.u == pytest.approx(before, abs=1e-12)
 
 
 def test_without_a_plan_the_task_ends_where_that_is_declared() -> None:
     bench = mpc(u=[3.0], z=[0.0, 0.7], params={**FAST, "infeasible": "error"})
-    with pytest.raises(MethodError, match=r"no command keeps Z\[1\]"):
-        bench.step()
-    assert bench.state is State.ERROR
-    assert bench.outputs.u == pytest.approx([3.0], abs=1e-12)
+    fails(bench, r"no command keeps Z\[1\] within -0.5 to 0.5: after 20 cycles it is 1")
 
 
 def test_a_plan_that_is_not_found_in_time_is_none() -> None:
     bench = mpc(u=[1.0], z=[-3.0, 0.45], params={**FAST, "iterations": 1})
-    bench.step()
-    assert bench.outputs.u == pytest.approx([1.0], abs=1e-12)
-    (notice,) = bench.notices()
-    assert "no plan was found in 1 steps" in notice.text
+    fails(bench, "no plan was found in 1 steps: ITERATIONS")
 
 
-def test_a_state_that_is_no_number_is_named_and_forgotten() -> None:
-    bench = mpc(u=[1.0], z=[0.1, np.nan])
-    bench.step(n=3)
-    assert bench.outputs.u == pytest.approx([1.0], abs=1e-12)
-    (notice,) = bench.notices()
-    assert "Z_MEZ[1] is not finite" in notice.text
-    bench.inputs.z = [0.1, 0.0]
-    bench.step()
-    fresh = mpc(u=[1.0], z=[0.1, 0.0])
-    fresh.step()
-    assert bench.outputs.u == pytest.approx(fresh.outputs.u, abs=1e-9)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_state_that_is_no_number_is_named(bad) -> None:
+    bench = mpc(u=[1.0], z=[0.1, bad])
+    fails(bench, r"Z_MEZ\[1\] is not finite")
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from pbonet import State
 from pbonet.errors import MethodError
 from pbonet.io import RobotModel
 from pbonet.modules.robot_interfaces.mujoco_arm import MujocoArm
+from pbonet.outside import Player, Tape, files_read, use
 from pbonet.testing import Bench
 
 mujoco = pytest.importorskip("mujoco", reason="pip install 'pbonet[mujoco]'")
@@ -186,6 +187,51 @@ def test_a_model_that_is_no_arm_is_refused(
     text: str, word: str, tmp_path: Path
 ) -> None:
     assert word in said(tmp_path, text)
+
+
+def files_noted(folder: Path) -> list[str]:
+    """Return the files that a task's tape names for a model with one joint."""
+    tape = Tape()
+    former = use(tape)
+    try:
+        values = {"params": {"model": "arm.xml"}, "library": [folder], "ndof": 1}
+        Bench(MujocoArm, **values)
+        player = Player()
+        player.feed(tape.take())
+    finally:
+        use(former)
+    return [
+        str(Path(one.path).relative_to(folder.absolute())) for one in files_read(player)
+    ]
+
+
+def test_included_files_are_noted_and_those_that_they_include(tmp_path: Path) -> None:
+    """MuJoCo looks beside the model first: the joint is in the file there."""
+    (tmp_path / "parts").mkdir()
+    joint, names = "<joint name='elbow'/>", ("parts/one.xml", "two.xml", "three.xml")
+    one, two, three = (f"<include file='{name}'/>" for name in names)
+    (tmp_path / "arm.xml").write_text(f"<mujoco>{one}</mujoco>")
+    (tmp_path / "parts" / "one.xml").write_text(f"<mujoco>{two}{three}</mujoco>")
+    (tmp_path / "two.xml").write_text(BODY.format(joint, ""))
+    (tmp_path / "parts" / "two.xml").write_text("<mujoco")
+    (tmp_path / "parts" / "three.xml").write_text("<mujoco><asset/></mujoco>")
+    wanted = ["arm.xml", "parts/one.xml", "two.xml", "parts/three.xml"]
+    assert files_noted(tmp_path) == wanted
+
+
+@pytest.mark.parametrize(
+    ("head", "encoding"),
+    [
+        ("<!-- <include file='gone.xml'/> -->", "utf-8"),
+        ("<?xml version='1.0' encoding='ISO-8859-1'?><!-- Größe -->", "latin-1"),
+        ("<!-- Größe -->", "latin-1"),
+        ("<!-- no -- XML -->", "utf-8"),
+    ],
+)
+def test_what_mujoco_reads_is_not_refused(head, encoding, tmp_path: Path) -> None:
+    text = head + BODY.format("<joint name='elbow'/>", "")
+    (tmp_path / "arm.xml").write_text(text, encoding=encoding)
+    assert files_noted(tmp_path) == ["arm.xml"]
 
 
 def test_actuators_of_the_file_do_nothing(tmp_path: Path) -> None:
