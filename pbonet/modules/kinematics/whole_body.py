@@ -171,9 +171,9 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         gain = min(k.gain, 1.0 / dt)
         limit, turns = min(max(self._limit, STILL), k.linear), k.angular / k.linear
         # plain Python is faster for vectors of three than numpy's calls would be
-        x, y, z, *turn = [gain * one for one in displacement(self.x_body, pose)]
+        x, y, z, a, b, c = (gain * one for one in displacement(self.x_body, pose))
         x, y, z = shortened(x, y, z, limit)
-        a, b, c = shortened(*turn, limit * turns)
+        a, b, c = shortened(a, b, c, limit * turns)
         goal[:3, :3] = rotation_by(a * dt, b * dt, c * dt) @ pose[:3, :3]
         goal[:3, 3] = pose[:3, 3] + (x * dt, y * dt, z * dt)
         self._body_task.T_world_frame = goal
