@@ -37,7 +37,8 @@ def fit(points: Matrix, places: Matrix, turn: Matrix) -> Matrix:
         turn: The pose's orientation about axes that the points leave open.
     """
     middle, there = points.mean(axis=0), places.mean(axis=0)
-    u, _, vh = np.linalg.svd((places - there).T @ (points - middle) + OPEN * turn)
+    both: Matrix = (places - there).T @ (points - middle) + OPEN * turn
+    u, _, vh = np.linalg.svd(both)
     u[:, 2] *= np.sign(np.linalg.det(u @ vh))
     turned = u @ vh
     return np.column_stack((turned, there - turned @ middle))
