@@ -82,6 +82,7 @@ def test_every_module_is_measured(pages) -> None:
     missing = [name for name in NAMES if name not in found]
     assert missing == [], "run python -m benchmarks.library --grow 20000 --save NAME"
     assert sorted(found) == NAMES
+    assert [one for one in NAMES if "memory" in found[one]["missed"]] == []
     assert all("cores of" in one["machine"] for one in found.values())
     for path, text in pages.pages().items():
         sections = text.split("\n## ")[1:] if path.parent.name == "library" else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from urdf_walkers import feet_of, write_walker
 
 from pbonet import State
 from pbonet.errors import MethodError
+from pbonet.io import FloatingModel
 from pbonet.modules._dh import rotation
 from pbonet.modules.controllers.whole_body_dyn import WholeBodyDyn
 from pbonet.modules.kinematics.whole_body import WholeBody
@@ -617,6 +619,18 @@ def test_a_value_that_is_none_ends_in_error_and_no_torque(
     bench.on()
     bench.step()
     assert bench.outputs.tau == pytest.approx(before, abs=1e-9), "and it goes on"
+
+
+def test_a_posture_keeps_no_memory() -> None:
+    """10,000 of them kept 640 KiB: a quaternion of pinocchio each."""
+    model, path = FloatingModel("quadruped.urdf", [QUADRUPED]), Path("/proc/self/statm")
+    pages = []
+    for count in (1000, 10000):
+        for _ in range(count):
+            model.move(BODY, np.zeros(6), STAND, np.zeros(12))
+        pages.append(int(path.read_text().split()[1]))
+    assert model.q[:7] == pytest.approx([0.0, 0.0, 0.32, 0.0, 0.0, 0.0, 1.0])
+    assert (pages[1] - pages[0]) * resource.getpagesize() < 256 * 1024
 
 
 def test_gains_are_set_while_the_robot_stands() -> None:
