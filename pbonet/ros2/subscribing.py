@@ -32,9 +32,14 @@ LONGEST: Final = 1 << 20
 _NAMES: Final = ("name", "joint_names")
 """Fields of messages that name joints."""
 _COLUMNS: Final = ("positions", "velocities", "accelerations")
+_SHOWN: Final = 10
+"""Numbers that a warning shows."""
 _SENDERS: Final = 100
 """Senders of a topic whose numbers are kept."""
 _LONG_AGO_NS: Final = 3600_000_000_000
+_AHEAD_NS: Final = 100_000_000
+"""Nanoseconds by which a header's stamp may be ahead of this machine's clock. By as
+much a delay is hidden."""
 
 
 class Selection:
@@ -71,12 +76,19 @@ class Selection:
         """Copy the numbers of a message.
 
         Raises:
-            ProtocolError: It has fewer, or not all joints.
+            ProtocolError: It has fewer, not all joints, or one that is not finite.
         """
         order = self._joints.order(message)
         at = 0
         for one in self._sources:
-            to[at : at + one.size] = field_paths.numbers(message, one, order)
+            place = to[at : at + one.size]
+            place[:] = field_paths.numbers(message, one, order)
+            if not np.isfinite(place).all():
+                raise ProtocolError(
+                    f"{one.leaf.path} is not finite, and the message was not used",
+                    got=" ".join(f"{value:g}" for value in place[:_SHOWN]),
+                    remedy="its sender must send finite numbers, or nothing",
+                )
             at += one.size
 
 
@@ -239,13 +251,16 @@ class Incoming:
         """Detach from the link."""
         self._writer.close()
 
-    def take(self, sample: zenoh.Sample) -> None:
+    def take(self, sample: zenoh.Sample, arrived: int) -> None:
         """Write a message to the link.
+
+        Args:
+            sample: The message.
+            arrived: When it came, by `now_ns`; it may have waited since.
 
         Raises:
             ProtocolError: It is too long, or no such message.
         """
-        arrived = now_ns()
         if len(sample.payload) > LONGEST:
             raise ProtocolError(
                 "a message is too long, and was not read",
@@ -257,18 +272,19 @@ class Incoming:
             self._count(Attachment.unpack(sample.attachment.to_bytes()))
         message = self._types.decode(self.about.type, sample.payload.to_bytes())
         self._record.read(message, self._writer.value)
-        self._writer.write(arrived - self._age(message))
+        self._writer.write(arrived - self._age(message, arrived))
 
-    def _age(self, message: Any) -> int:  # noqa: ANN401
-        """Return how long ago a message's content was made, in nanoseconds."""
+    def _age(self, message: Any, arrived: int) -> int:  # noqa: ANN401
+        """Return how old a message's content was at its arrival, in nanoseconds."""
         if not self._by_header:
             return 0
-        age = time.time_ns() - nanoseconds(message.header.stamp)
-        if not -_LONG_AGO_NS < age < _LONG_AGO_NS:
+        waited = now_ns() - arrived
+        age = time.time_ns() - waited - nanoseconds(message.header.stamp)
+        if not -_AHEAD_NS < age < _LONG_AGO_NS:
             raise ProtocolError(
                 "the header's stamp is not of this time, and the message was not used",
                 expected="nanoseconds since 1970 by a clock that agrees with this one",
-                got=f"{age * 1e-9:.0f} s ago",
+                got=f"{abs(age) * 1e-9:.1f} s {'ago' if age > 0 else 'ahead'}",
                 remedy="synchronize the clocks, or say stamp = 'arrival'",
             )
         return max(age, 0)

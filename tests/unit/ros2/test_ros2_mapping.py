@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from pbonet.ros2.repeated_warnings import Warnings
 from pbonet.ros2.subscribing import LONGEST, Incoming, reading
 from pbonet.ros2.topics_file import Publish, Subscribe, by_names, read_topics
 from pbonet.ros2.wire_format import Attachment
+from pbonet.svar import now_ns
 
 pytest.importorskip("rosbags")
 STAMP = 1_700_000_000_123_456_789
@@ -171,6 +173,35 @@ def test_what_does_not_fit_is_told(types, name, fields, said) -> None:
         filled(types, name, fields)
 
 
+@pytest.mark.parametrize(
+    ("name", "variable", "fits", "not_fitting"),
+    [
+        ("UInt8", "COUNT[0]", [0, 255], [256, 300, -1]),
+        ("Int64", "X[0]", [-(2.0**63), 7.9], [2.0**63, np.nan, np.inf]),
+        ("Float32", "X[0]", [3e38, np.nan, np.inf], [1e300, -1e300]),
+        ("Bool", "COUNT[0]", [0, 300], []),
+        ("UInt8MultiArray", "COUNT", [3], [-3]),
+        ("Float32MultiArray", "T_MEZ", [3, np.inf], []),
+    ],
+)
+def test_a_number_that_does_not_fit_is_not_sent(
+    types, name, variable, fits, not_fitting
+) -> None:
+    """It would be another number: 300 is 44 in a uint8."""
+    about = Publish(topic="t", type=f"std_msgs/msg/{name}", fields={"data": variable})
+    filling = Filling(types, about, VARIABLES, "here")
+    one = VARIABLES[variable.partition("[")[0]]
+    for number in (*fits, *not_fitting):
+        values = {one.name: np.full(one.nelem, number, one.dtype)}
+        if number in not_fitting:
+            with pytest.raises(ProtocolError, match=r"does not fit data.*expected"):
+                filling.encode(values, STAMP)
+            continue
+        data = decoded(types, about.type, filling.encode(values, STAMP)).data
+        got = data if np.isscalar(data) and not isinstance(data, bytes) else data[0]
+        np.testing.assert_allclose(got, bool(number) if name == "Bool" else number, 0.2)
+
+
 @pytest.mark.parametrize("constants", [{"name": 3}, {"nothing": 1}, {"name": [1]}])
 def test_constants_must_fit(types, constants) -> None:
     with pytest.raises(ConfigError, match="the constant"):
@@ -292,13 +323,14 @@ class Link:
         self.end = Incoming(types, self.about, form, Warnings(self.told.append))
         self.number = 0
 
-    def take(self, message, *, step=1, raw=None):
+    def take(self, message, *, step=1, raw=None, waited=0.0):
         self.number += step
         name = self.about.type
         data = raw if raw is not None else self.types.encode(name, message)
         note = Attachment(self.number, 0, bytes(16)).pack()
         payload, attached = (Bytes(one) for one in (data, note))
-        self.end.take(SimpleNamespace(payload=payload, attachment=attached))
+        sample = SimpleNamespace(payload=payload, attachment=attached)
+        self.end.take(sample, now_ns() - round(waited * 1e9))
 
 
 @pytest.fixture
@@ -320,6 +352,49 @@ def test_a_message_is_a_record_with_the_age_of_its_header(types, link) -> None:
         with pytest.raises(ProtocolError, match="not of this time"):
             link.take(message)
         assert not reader.read(), "so its age grows"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_refused(types, link, bad) -> None:
+    """A task that copies it would go into ERROR, and any node can send it."""
+    message = joint_state(types, [], position=[1, 2])
+    set_stamp(message.header.stamp, time.time_ns())
+    with tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        message.position = np.array([1.0, bad])
+        with pytest.raises(ProtocolError, match=r"is not finite.*got 1 "):
+            link.take(message)
+        assert not reader.read()
+        message.position = np.array([1.0, 2.0, bad])
+        link.take(message)
+        assert reader.read(), "that one is not wanted"
+
+
+@pytest.mark.parametrize("stamp", ["arrival", "header"])
+def test_the_age_of_a_message_that_has_waited_begins_at_its_arrival(
+    types, stamp
+) -> None:
+    link = Link(types, JOINTS, fields=["position[0:2]"], stamp=stamp)
+    message = joint_state(types, [], position=[1, 2])
+    set_stamp(message.header.stamp, time.time_ns() - 9_000_000_000)
+    with contextlib.closing(link.end), tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        link.take(message, waited=5.0)
+        assert reader.read()
+        least = 5.0 if stamp == "arrival" else 9.0
+        assert least <= reader.age_ns() * 1e-9 < least + 3.0
+
+
+def test_a_stamp_ahead_of_our_clock_is_refused(types, link) -> None:
+    """Each delay would be hidden behind the other clock's lead."""
+    message = joint_state(types, [], position=[1, 2])
+    with tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        set_stamp(message.header.stamp, time.time_ns() + 50_000_000)
+        link.take(message)
+        assert reader.read()
+        assert reader.age_ns() >= 0
+        set_stamp(message.header.stamp, time.time_ns() + 60_000_000_000)
+        with pytest.raises(ProtocolError, match=r"s ahead.*synchronize the clocks"):
+            link.take(message)
+        assert not reader.read()
 
 
 def test_what_was_not_read_is_counted_and_told_once(types, link) -> None:
