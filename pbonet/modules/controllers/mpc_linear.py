@@ -60,7 +60,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
     The quadratic program is solved by daqp, a dual active-set method (Arnström,
     Bemporad and Axehill 2022), from the last solution on, in at most ITERATIONS steps.
     LOWER, UPPER and RATE are always kept. When no command keeps the limits of the state
-    as well, say after a knock, INFEASIBLE least plans anew, in as many steps again, so
+    as well, say after a knock, INFEASIBLE least plans again, in as many steps again, so
     that they are exceeded as little as possible within the HORIZON, which is best
     longer than U takes from LOWER to UPPER; a warning names the state. INFEASIBLE error
     ends the task in ERROR then. It also ends so, and U gets old, when no plan is found
@@ -99,7 +99,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         elif outcome != SOFTLY:
             self.task.fail(self._why(outcome))
         else:
-            self._tell(plan)
+            self._warn_beyond(plan)
         self.u[:] = plan[: len(self.u)]
 
     def _solve(self, program: Any, pull: Vector) -> tuple[Vector, int]:  # noqa: ANN401
@@ -148,7 +148,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
             return f"no command keeps Z[{state}] {text} with this U"
         return f"daqp found no plan, outcome {outcome}"
 
-    def _tell(self, plan: Vector) -> None:
+    def _warn_beyond(self, plan: Vector) -> None:
         """Warn of the state that a plan leaves furthest outside, once."""
         if not self._told.of(_BEYOND):
             state, text = self._worst(plan)

@@ -43,8 +43,8 @@ class Spacemouse(PortBasedObject[Feel], module_class="teleoperation"):
     `otg_cart` or `ik_placo` take it on.
 
     A wireless device may be out of reach. When a pushed cap is silent for 0.25 s, all
-    are 0. A cap at rest is always silent, so that its buttons count as held for HELD
-    more. After that, press the button anew: nobody heard whether it was let go.
+    are 0. A cap at rest is always silent, and its buttons count as held for HELD
+    more. After that, press the button again: a release may have been lost.
     """
 
     v: A[Vector, OutVar("X^_CMD", "6", "mixed", "velocity, m/s and rad/s", new=True)]
