@@ -23,6 +23,7 @@ class Sent(Params):
 
     link: A[str, param("none", "name of the link that `pbonet ros2 bridge` writes")]
     points: A[int, param("none", "most points, as `points` of the topic", ge=1)] = 64
+    maxage: A[float, param("s", "an older one is not begun; 0: any is", ge=0)] = 0.5
 
 
 class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
@@ -32,10 +33,11 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
     time after the arrival, by cubic Hermite pieces. A point without a velocity gets
     that of second-order differences, the last one rests. Points at time 0 are left out.
     A new trajectory replaces the old one at once; one without points stops y where it
-    stands, as `stable` does. A trajectory with times that do not grow, or without
-    positions, is warned of and not followed. At its end the signal FINISH is sent. If
-    Y is the goal of `otg`, that limits velocity, acceleration and jerk. In a simulation
-    nothing comes.
+    stands, as `stable` does. A trajectory with times that do not grow, without
+    positions, or older than `maxage` is warned of and not followed. What comes while
+    the task is OFF or runs `stable` is not followed later. At its end the signal FINISH
+    is sent. If Y is the goal of `otg`, that limits velocity, acceleration and jerk. In
+    a simulation nothing comes.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of joints")]
@@ -50,13 +52,11 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
             self._link = tbuf.Reader(self.params.link, form)
 
     def on(self) -> None:
-        if self._link is not None:
-            self._link.read()  # what came before is over
         self._rest()
 
     def cycle(self, dt: float) -> None:
         if self._link is not None and self._link.read():
-            self._begin(self._link.value)
+            self._take(self._link)
         if self._rests:
             return
         self._time += dt
@@ -68,7 +68,7 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
             self.task.signal(Signal.FINISH)
 
     def stable(self, dt: float) -> None:  # noqa: ARG002
-        """Stop, and forget the trajectory."""
+        """Stop, and forget the trajectory, and each one that comes."""
         self._rest()
 
     def off(self) -> None:
@@ -80,15 +80,32 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
             link.close()
 
     def _rest(self) -> None:
+        """Stop; what came before is over."""
+        if self._link is not None:
+            self._link.read()
+        self._stop()
+
+    def _stop(self) -> None:
         self._rests = True
         self.y_dot[:] = 0.0
+
+    def _take(self, link: tbuf.Reader) -> None:
+        """Begin the trajectory that has come, unless it comes too late."""
+        age, limit = (link.age_ns() or 0) * 1e-9, self.params.maxage
+        if limit and age > limit and np.isfinite(link.value[:, 0]).any():
+            self.task.warn(
+                f"link {self.params.link}: a trajectory was not followed, because it "
+                f"is {age:.3g} s old (MAXAGE {limit:g}); check the network and clocks"
+            )
+            return
+        self._begin(link.value)
 
     def _begin(self, rows: Vector) -> None:
         """Take the points of a trajectory, with where y stands before them."""
         n = self.ndof
         there = rows[np.isfinite(rows[:, 0])]
         if len(there) == 0:
-            self._rest()
+            self._stop()
             return
         there = there[there[:, 0] > 0.0]
         times = np.concatenate(([0.0], there[:, 0]))

@@ -7,6 +7,7 @@ from pbonet import Signal, State, tbuf, xm
 from pbonet.io import no_devices
 from pbonet.modules.trajectories.ros_trajectory import RosTrajectory
 from pbonet.modules.trajectories.traj_play import hermite
+from pbonet.svar import now_ns
 from pbonet.testing import Bench
 
 NAN = float("nan")
@@ -34,11 +35,11 @@ def bench():
 def send():
     with tbuf.Writer("way", ("f8", (POINTS, 7))) as writer:
 
-        def put(*points):
+        def put(*points, age=0.0):
             writer.value[:] = NAN
             for row, point in zip(writer.value, points, strict=False):
                 row[: len(point)] = point
-            writer.write()
+            writer.write(now_ns() - round(age * 1e9))
 
         yield put
 
@@ -124,6 +125,37 @@ def test_what_came_while_it_was_off_is_not_followed(bench, send):
     bench.on()
     steps(bench, 20)
     assert bench.outputs.y.tolist() == [1.0, 2.0]
+
+
+def test_what_came_while_it_ran_stable_is_not_followed(bench, send):
+    """The robot would start by itself as soon as the fault is over."""
+    send((1.0, 3.0, 4.0))
+    steps(bench, 50)
+    bench.module.stable(0.01)
+    stands = bench.outputs.y.copy()
+    send((0.1, 5.0, 6.0))
+    bench.module.stable(0.01)
+    steps(bench, 20)
+    assert (bench.outputs.y == stands).all()
+    assert not bench.outputs.y_dot.any()
+    assert bench.task.nwarnings == 0
+    send((0.1, 3.0, 4.0))
+    steps(bench, 11)
+    assert bench.outputs.y.tolist() == [3.0, 4.0]
+
+
+def test_one_that_comes_too_late_is_not_followed_and_one_that_stops_is(bench, send):
+    send((0.2, 3.0, 4.0))
+    steps(bench, 10)
+    send((0.1, 9.0, 9.0), age=2.0)
+    steps(bench, 5)
+    assert bench.task.nwarnings == 1
+    assert "s old (MAXAGE 0.5)" in bench.task.errmsg
+    assert 1.0 < bench.outputs.y[0] < 3.0
+    stands = bench.outputs.y.copy()
+    send(age=2.0)
+    steps(bench, 20)
+    assert (bench.outputs.y == stands).all()
 
 
 def test_a_simulation_opens_no_link(shared_memory):
