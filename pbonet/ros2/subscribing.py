@@ -32,6 +32,8 @@ LONGEST: Final = 1 << 20
 _NAMES: Final = ("name", "joint_names")
 """Fields of messages that name joints."""
 _COLUMNS: Final = ("positions", "velocities", "accelerations")
+_SHOWN: Final = 10
+"""Numbers that a warning shows."""
 _SENDERS: Final = 100
 """Senders of a topic whose numbers are kept."""
 _LONG_AGO_NS: Final = 3600_000_000_000
@@ -71,12 +73,19 @@ class Selection:
         """Copy the numbers of a message.
 
         Raises:
-            ProtocolError: It has fewer, or not all joints.
+            ProtocolError: It has fewer, not all joints, or one that is not finite.
         """
         order = self._joints.order(message)
         at = 0
         for one in self._sources:
-            to[at : at + one.size] = field_paths.numbers(message, one, order)
+            place = to[at : at + one.size]
+            place[:] = field_paths.numbers(message, one, order)
+            if not np.isfinite(place).all():
+                raise ProtocolError(
+                    f"{one.leaf.path} is not finite, and the message was not used",
+                    got=" ".join(f"{value:g}" for value in place[:_SHOWN]),
+                    remedy="its sender must send finite numbers, or nothing",
+                )
             at += one.size
 
 

@@ -34,10 +34,10 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
     that of second-order differences, the last one rests. Points at time 0 are left out.
     A new trajectory replaces the old one at once; one without points stops y where it
     stands, as `stable` does. A trajectory with times that do not grow, without
-    positions, or older than `maxage` is warned of and not followed. What comes while
-    the task is OFF or runs `stable` is not followed later. At its end the signal FINISH
-    is sent. If Y is the goal of `otg`, that limits velocity, acceleration and jerk. In
-    a simulation nothing comes.
+    positions, with numbers that are not finite, or older than `maxage` is warned of and
+    not followed. What comes while the task is OFF or runs `stable` is not followed
+    later. At its end the signal FINISH is sent. If Y is the goal of `otg`, that limits
+    velocity, acceleration and jerk. In a simulation nothing comes.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of joints")]
@@ -110,15 +110,20 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         there = there[there[:, 0] > 0.0]
         times = np.concatenate(([0.0], there[:, 0]))
         points = np.vstack((self.y, there[:, 1 : 1 + n]))
-        if len(there) == 0 or (np.diff(times) <= 0).any() or np.isnan(points).any():
+        given = there[:, 1 + n : 1 + 2 * n]
+        if (
+            len(there) == 0
+            or (np.diff(times) <= 0).any()
+            or not np.isfinite(points).all()
+            or np.isinf(given).any()
+        ):
             self.task.warn(
                 f"link {self.params.link}: a trajectory was not followed, because its "
-                "times do not grow or positions are missing"
+                "times do not grow, positions are missing, or numbers are not finite"
             )
             return
         rates = np.gradient(points, times, axis=0, edge_order=1)
         rates[0], rates[-1] = self.y_dot, 0.0
-        given = there[:, 1 + n : 1 + 2 * n]
         rates[1:] = np.where(np.isnan(given), rates[1:], given)
         self._times, self._points, self._rates = times, points, rates
         self._time, self._rests = 0.0, False

@@ -11,6 +11,7 @@ from pbonet.svar import now_ns
 from pbonet.testing import Bench
 
 NAN = float("nan")
+INF = float("inf")
 POINTS = 4
 
 
@@ -107,6 +108,8 @@ def test_one_without_points_stops(bench, send):
         [(0.1,)],
         [(0.0, 3.0, 3.0)],
         [(0.1, NAN, 1.0)],
+        [(0.1, INF, 1.0)],
+        [(0.1, 3.0, 1.0, -INF, 0.0)],
     ],
 )
 def test_one_that_cannot_be_is_warned_of_and_the_old_one_goes_on(bench, send, points):

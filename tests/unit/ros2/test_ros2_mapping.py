@@ -322,6 +322,21 @@ def test_a_message_is_a_record_with_the_age_of_its_header(types, link) -> None:
         assert not reader.read(), "so its age grows"
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_refused(types, link, bad) -> None:
+    """A task that copies it would go into ERROR, and any node can send it."""
+    message = joint_state(types, [], position=[1, 2])
+    set_stamp(message.header.stamp, time.time_ns())
+    with tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        message.position = np.array([1.0, bad])
+        with pytest.raises(ProtocolError, match=r"is not finite.*got 1 "):
+            link.take(message)
+        assert not reader.read()
+        message.position = np.array([1.0, 2.0, bad])
+        link.take(message)
+        assert reader.read(), "that one is not wanted"
+
+
 def test_what_was_not_read_is_counted_and_told_once(types, link) -> None:
     message = joint_state(types, [], position=[1, 2])
     set_stamp(message.header.stamp, time.time_ns())
