@@ -37,6 +37,9 @@ _SHOWN: Final = 10
 _SENDERS: Final = 100
 """Senders of a topic whose numbers are kept."""
 _LONG_AGO_NS: Final = 3600_000_000_000
+_AHEAD_NS: Final = 100_000_000
+"""Nanoseconds by which a header's stamp may be ahead of this machine's clock. By as
+much a delay is hidden."""
 
 
 class Selection:
@@ -273,11 +276,11 @@ class Incoming:
         if not self._by_header:
             return 0
         age = time.time_ns() - nanoseconds(message.header.stamp)
-        if not -_LONG_AGO_NS < age < _LONG_AGO_NS:
+        if not -_AHEAD_NS < age < _LONG_AGO_NS:
             raise ProtocolError(
                 "the header's stamp is not of this time, and the message was not used",
                 expected="nanoseconds since 1970 by a clock that agrees with this one",
-                got=f"{age * 1e-9:.0f} s ago",
+                got=f"{abs(age) * 1e-9:.1f} s {'ago' if age > 0 else 'ahead'}",
                 remedy="synchronize the clocks, or say stamp = 'arrival'",
             )
         return max(age, 0)

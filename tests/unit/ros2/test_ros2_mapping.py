@@ -337,6 +337,20 @@ def test_what_is_not_finite_is_refused(types, link, bad) -> None:
         assert reader.read(), "that one is not wanted"
 
 
+def test_a_stamp_ahead_of_our_clock_is_refused(types, link) -> None:
+    """Each delay would be hidden behind the other clock's lead."""
+    message = joint_state(types, [], position=[1, 2])
+    with tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        set_stamp(message.header.stamp, time.time_ns() + 50_000_000)
+        link.take(message)
+        assert reader.read()
+        assert reader.age_ns() >= 0
+        set_stamp(message.header.stamp, time.time_ns() + 60_000_000_000)
+        with pytest.raises(ProtocolError, match="s ahead.*synchronize the clocks"):
+            link.take(message)
+        assert not reader.read()
+
+
 def test_what_was_not_read_is_counted_and_told_once(types, link) -> None:
     message = joint_state(types, [], position=[1, 2])
     set_stamp(message.header.stamp, time.time_ns())
