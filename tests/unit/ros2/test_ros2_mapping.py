@@ -346,7 +346,7 @@ def test_a_stamp_ahead_of_our_clock_is_refused(types, link) -> None:
         assert reader.read()
         assert reader.age_ns() >= 0
         set_stamp(message.header.stamp, time.time_ns() + 60_000_000_000)
-        with pytest.raises(ProtocolError, match="s ahead.*synchronize the clocks"):
+        with pytest.raises(ProtocolError, match=r"s ahead.*synchronize the clocks"):
             link.take(message)
         assert not reader.read()
 
