@@ -317,10 +317,23 @@ class StopOrders:
             )
 
     def holds_agent(self, name: str) -> bool:
-        """Return the same of the machine of an agent, as that said last."""
+        """Return the same of the machine of an agent."""
+        return any(self.holds(machine) for machine in self._machines_of(name))
+
+    def _machines_of(self, name: str) -> set[str]:
+        """Return the machine of an RTPU, as its agent said last and as orders know it.
+
+        Orders also know it of one that has ended, and after a restart of this agent.
+        """
         with self._guard:
-            peer = self._peers.get(name)
-        return peer is not None and self.holds(peer.machine)
+            found = {
+                order.machines[name]
+                for order in self._orders
+                if name in order.machines and not order.due.get(name, 1.0)
+            }
+            if peer := self._peers.get(name):
+                found.add(peer.machine)
+        return found
 
     def refuses(self, subsystem: str, machine: str) -> bool:
         """Return whether a machine has not carried out a stop of a subsystem.
@@ -343,9 +356,9 @@ class StopOrders:
 
         That is the case while its machine has not carried out a stop of the subsystem.
         """
-        with self._guard:
-            peer = self._peers.get(name) if self._orders else None
-        return peer is not None and self.refuses(subsystem, peer.machine)
+        if not self._orders:
+            return False
+        return any(self.refuses(subsystem, one) for one in self._machines_of(name))
 
     def _repeat(self, order: _Order, name: str) -> None:
         request: Order = (

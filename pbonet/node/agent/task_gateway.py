@@ -30,6 +30,7 @@ from pbonet.xm.net import (
     codec,
     key_expressions,
     messages as m,
+    resource_messages as r,
 )
 
 from .stop_orders import parted
@@ -192,7 +193,7 @@ class TaskGateway:
         if not letter.rtpu:
             return msgspec.msgpack.encode(self._client.rtpus())
         request = self._request(letter)
-        if not letter.wait:
+        if not letter.wait:  # it settles or detaches: it gives back, and takes nothing
             self._client.post(letter.rtpu, request)
             return b""
         result = self.call(letter.rtpu, request, object, timeout=letter.timeout)
@@ -203,13 +204,22 @@ class TaskGateway:
     ) -> object:
         """Return the result of a task's request.
 
+        What a wait took from one that has missed a stop meanwhile is not used; the task
+        gives it back.
+
         Raises:
             UnreachableError: It is not there, or missed a stop of the task's subsystem.
             PbonetError: It refuses.
         """
+        self._must_not_be_apart(rtpu, request)
+        found = self._client.call(rtpu, request, result, timeout=timeout)
+        if isinstance(request, r.Take):
+            self._must_not_be_apart(rtpu, request)
+        return found
+
+    def _must_not_be_apart(self, rtpu: str, request: m.Request) -> None:
         if request.subsystem and self._parts(request.subsystem, rtpu):
             raise parted(rtpu)
-        return self._client.call(rtpu, request, result, timeout=timeout)
 
     def _request(self, letter: Letter) -> XmRequest:
         request = self._codec.request(letter.data)

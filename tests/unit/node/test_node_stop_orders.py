@@ -160,6 +160,10 @@ def test_what_is_left_is_for_the_next_agent(orders, agents, notes):
         assert later.left() == left
         assert later.due() == {"arm1": [("s1", "arm")]}
         assert later.refuses("arm", key_expressions.machine("boot-arm1"))
+        assert later.parts("arm", "arm1"), "before its first greeting, too"
+        assert later.holds_agent("arm1")
+        assert not later.parts("leg", "arm1")
+        assert not later.parts("arm", "arm2")
         later.met(info("arm1", age=0.0))
         assert agents.orders.get(timeout=60)[0] == "arm1"
         agents.answers.release()
@@ -200,8 +204,15 @@ def test_the_end_of_one_that_has_missed_an_order_changes_nothing(orders, agents)
     orders.ended("arm1")
     assert orders.due() == {"arm1": [("s1", "arm")]}
     assert orders.refuses("arm", key_expressions.machine("boot-arm1"))
+    assert orders.parts("arm", "arm1"), "messages, too"
+    assert orders.holds_agent("arm1"), "and links"
+    assert not orders.parts("leg", "arm1")
     orders.met(info("arm1", "arm"))
     assert agents.orders.get(timeout=60)[0] == "arm1"
+    assert orders.parts("arm", "arm1"), "until it has carried it out"
+    agents.answers.release()
+    wait_for(lambda: not orders.due(), "the order")
+    assert not orders.parts("arm", "arm1")
 
 
 def test_only_one_that_is_seen_and_does_not_answer_has_ended():
@@ -482,6 +493,34 @@ def test_a_task_here_uses_nothing_of_such_a_machine(orders, tmp_path):
         wait_for(lambda: notes, "the report")
         assert notes[0].code == "NOT_DELIVERED"
         assert "it missed a stop" in notes[0].text
+    finally:
+        channel.close()
+        gate.stop()
+
+
+def test_what_a_wait_took_of_such_a_machine_is_given_back(orders, tmp_path):
+    """The stop came while the task here waited; the answer came after it."""
+    orders.met(info("arm1", "arm"))
+    path, posted = tmp_path / "post", Queue()
+
+    def call(*_, timeout):  # noqa: ARG001
+        orders.lost("arm1")
+        orders.add(stop())
+        return r.Took(code=1)
+
+    gate = TaskGateway(Session(), "d", "arm0", path, print, parts=orders.parts)
+    gate._client = SimpleNamespace(
+        call=call,
+        post=lambda rtpu, request: posted.put((rtpu, request)),
+        announce=Session().declare_token,
+    )
+    channel = RemoteChannel(str(path), "arm0", "arm")
+    try:
+        with pytest.raises(UnreachableError, match="it missed a stop"):
+            channel.call("arm1", r.Take(handle=1, take="t", wait=1e6), r.Took)
+        channel.post("arm1", r.Settle(take="t", keep=False))
+        rtpu, request = posted.get(timeout=60)
+        assert (rtpu, request.take, request.keep) == ("arm1", "t", False)
     finally:
         channel.close()
         gate.stop()
