@@ -7,7 +7,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from pbonet.errors import ConfigError, SvarError, SvarMissingError
+from pbonet.errors import ConfigError, PbonetError, SvarError, SvarMissingError
 from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 
 from . import field_paths
@@ -297,6 +297,10 @@ class TablePublisher:
                 self._warnings.warn_of(self._name, error)
                 self._leave()
                 self._ended.wait(_AGAIN)
+            except Exception as error:  # noqa: BLE001 - other topics go on
+                self._warnings.failed(self._name, error)
+                self._leave()
+                self._ended.wait(_AGAIN)
         self._leave()
 
     def _attach(self) -> None:
@@ -317,12 +321,24 @@ class TablePublisher:
         moved = self._sleep(table, before)
         now = now_ns()
         for one in self._outgoing:
-            one.turn(now)
+            self._publish(one, now)
         if moved:
             steps = [n - before.get(uid, n) for uid, n in self._numbers().items()]
             self._measure(now, max(steps, default=0))
         elif not _is_there(table):
             self._leave()
+
+    def _publish(self, one: Outgoing, now: int) -> None:
+        """Publish a topic if it is time; the others go on whatever it does."""
+        name = one.publisher.end.name
+        try:
+            one.turn(now)
+        except SvarError:
+            raise
+        except PbonetError as error:
+            self._warnings.warn_of(name, error)
+        except Exception as error:  # noqa: BLE001 - see above
+            self._warnings.failed(name, error)
 
     def _numbers(self) -> dict[int, int]:
         """Return the number of the newest commit that was copied, by register."""

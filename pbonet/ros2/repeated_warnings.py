@@ -6,6 +6,8 @@ import threading
 import time
 from typing import TYPE_CHECKING, Final
 
+from pbonet.lazy import logger
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -50,6 +52,11 @@ class Warnings:
     def warn_of(self, about: str, error: PbonetError) -> None:
         """Show an error."""
         self.warn(about, error.what, str(error).partition(error.what)[2])
+
+    def failed(self, about: str, error: Exception) -> None:
+        """Show a failure that is a fault of pbonet, and log where it was."""
+        logger("pbonet.ros2").error("%s failed", about, exc_info=error)
+        self.warn(about, "it failed inside pbonet", f": {error}")
 
     def over(self, about: str, what: str) -> None:
         """Show this at once when it happens again."""

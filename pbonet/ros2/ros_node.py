@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 
 from pbonet.errors import PbonetError, ProtocolError
-from pbonet.lazy import logger
+from pbonet.svar import now_ns
 from pbonet.xm.net import direct
 
 from .wire_format import Attachment, End, Kind, Node, Qos, parse_token, tokens_of
@@ -65,6 +65,51 @@ class Publisher:
         self._put(data, attachment=attachment)
 
 
+class _Newest:
+    """The newest message and when it came, for one thread that takes it."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._got: tuple[zenoh.Sample, int] | None = None
+        self._over = False
+
+    def put(self, sample: zenoh.Sample) -> None:
+        """Replace the one that waits; zenoh's own thread calls it."""
+        arrived = now_ns()
+        with self._changed:
+            self._got = sample, arrived
+            self._changed.notify()
+
+    def take(self) -> tuple[zenoh.Sample, int] | None:
+        """Wait for a message; None at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._over or self._got is not None)
+            got, self._got = self._got, None
+            return None if self._over else got
+
+    def end(self) -> None:
+        """Wake the thread for the last time."""
+        with self._changed:
+            self._over = True
+            self._changed.notify()
+
+
+class _Requests(queue.Queue["tuple[Callable[[Any], Any], End, Any] | None"]):
+    """Requests that wait for one thread."""
+
+    def __init__(self) -> None:
+        super().__init__(_WAITING)
+
+    def end(self) -> None:
+        """Let the thread end; if all places are taken, the first request is dropped."""
+        while True:
+            with contextlib.suppress(queue.Full):
+                self.put_nowait(None)
+                return
+            with contextlib.suppress(queue.Empty):
+                self.get_nowait()
+
+
 class RosNode:
     """A node with all that it has.
 
@@ -87,9 +132,9 @@ class RosNode:
         self.ends: list[End] = []
         self._declared: list[Any] = []
         self._threads: list[threading.Thread] = []
-        self._requests: queue.Queue[tuple[Callable[[Any], Any], End, Any] | None] = (
-            queue.Queue(_WAITING)
-        )
+        self._ends: list[Callable[[], None]] = []
+        """What lets each of the threads end."""
+        self._requests = _Requests()
 
     def open(self) -> None:
         """Show the node, and begin to answer and to look for others."""
@@ -100,15 +145,15 @@ class RosNode:
                 tokens_of(self.node.domain), direct(self._on_token), history=True
             ),
         ]
-        self._start(self._work, "ros services")
+        self._work(self._requests, "ros services")
 
     def close(self) -> None:
         """Undeclare everything, and close the session."""
         for one in reversed(self._declared):
             with contextlib.suppress(zenoh.ZError):
                 one.undeclare()
-        with contextlib.suppress(queue.Full):
-            self._requests.put_nowait(None)
+        for end in self._ends:
+            end()
         with contextlib.suppress(zenoh.ZError):
             self.session.close()  # type: ignore[no-untyped-call]
         for thread in self._threads:
@@ -131,7 +176,7 @@ class RosNode:
         topic: str,
         kind: str,
         qos: Qos,
-        take: Callable[[zenoh.Sample], None],
+        take: Callable[[zenoh.Sample, int], None],
         max_hz: float,
     ) -> End:
         """Declare a subscriber; only the newest message waits, all others are dropped.
@@ -140,43 +185,56 @@ class RosNode:
             topic: The topic.
             kind: Its type.
             qos: Its quality of service.
-            take: Called with messages, in a thread of its own.
+            take: Called with messages and when each arrived (`now_ns`), in a thread of
+                its own.
             max_hz: How often a second at most.
         """
         end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
-        handlers: Any = zenoh.handlers
-        session: Any = self.session
-        subscriber = session.declare_subscriber(end.key, handlers.RingChannel(1))
+        newest = _Newest()
+        self._ends.append(newest.end)
+        self._declared.append(
+            self.session.declare_subscriber(end.key, direct(newest.put))
+        )
         self._declare(end)
 
         def run() -> None:
             pause = 1.0 / max_hz
             while True:
                 began = time.monotonic()
-                try:
-                    sample = subscriber.recv()
-                except zenoh.ZError:
-                    return  # the session was closed
-                self._safely(end.name, partial(take, sample))
+                if (got := newest.take()) is None:
+                    return
+                self._safely(end.name, partial(take, *got))
                 if (left := began + pause - time.monotonic()) > 0:
                     time.sleep(left)
 
         self._start(run, f"ros {topic}")
         return end
 
-    def serve(self, name: str, kind: str, answer: Callable[[Any], Any]) -> None:
+    def serve(
+        self,
+        name: str,
+        kind: str,
+        answer: Callable[[Any], Any],
+        *,
+        at_once: bool = False,
+    ) -> None:
         """Declare a service.
 
         Args:
             name: Its name.
             kind: Its type, such as ``rcl_interfaces/srv/GetParameters``.
             answer: Returns the response to a request; one at a time is called.
+            at_once: Whether it waits for no other service: it has its own thread.
         """
         end = self._end(Kind.SERVICE, name, kind, _SERVICE_QOS)
+        requests = self._requests
+        if at_once:
+            requests = _Requests()
+            self._work(requests, f"ros {name}")
 
         def take(query: zenoh.Query) -> None:
             try:
-                self._requests.put_nowait((answer, end, query))
+                requests.put_nowait((answer, end, query))
             except queue.Full:
                 _refuse(query, f"{end.name}: too many requests wait; ask again")
 
@@ -227,10 +285,16 @@ class RosNode:
 
     # -- services ---------------------------------------------------------------------
 
-    def _work(self) -> None:
-        while (item := self._requests.get()) is not None:
-            answer, end, query = item
-            self._safely(end.name, partial(self._reply, answer, end, query))
+    def _work(self, requests: _Requests, name: str) -> None:
+        """Start a thread that answers requests."""
+
+        def run() -> None:
+            while (item := requests.get()) is not None:
+                answer, end, query = item
+                self._safely(end.name, partial(self._reply, answer, end, query))
+
+        self._ends.append(requests.end)
+        self._start(run, name)
 
     def _reply(
         self,
@@ -248,7 +312,11 @@ class RosNode:
             except ProtocolError as error:
                 query.reply_err(str(error))
                 return
-            response = self.types.encode(f"{end.type}_Response", answer(request))
+            try:
+                response = self.types.encode(f"{end.type}_Response", answer(request))
+            except Exception as error:
+                query.reply_err(f"{end.name} failed: {error}")
+                raise
             back = asked._replace(stamp_ns=time.time_ns())
             query.reply(end.key, response, encoding=_CDR, attachment=back.pack())
 
@@ -261,8 +329,7 @@ class RosNode:
         except zenoh.ZError as error:
             self.warnings.warn(name, "it could not be sent", f": {error}")
         except Exception as error:  # noqa: BLE001 - no message ends the node
-            logger("pbonet.ros2").exception("%s failed inside pbonet", name)
-            self.warnings.warn(name, "it failed inside pbonet", f": {error}")
+            self.warnings.failed(name, error)
 
 
 def _refuse(query: Any, text: str) -> None:  # noqa: ANN401 - as above

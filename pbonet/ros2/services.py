@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 _PACKAGE: Final = "rcl_interfaces"
 _WAITS: Final = {"sigwait"}
 """Commands that would keep all others waiting."""
+_AT_ONCE: Final = {"stop"}
+"""Commands that wait for no other."""
 _SCALARS: Final = {
     bool: (1, "bool"),
     int: (2, "integer"),
@@ -90,7 +92,12 @@ class Services:
         """Offer everything from now on."""
         for command in offered():
             name = command.name.replace(" ", "_")
-            self._node.serve(name, COMMAND, self._answering(command))
+            self._node.serve(
+                name,
+                COMMAND,
+                self._answering(command),
+                at_once=command.name in _AT_ONCE,
+            )
         for name, answer in (
             ("ListParameters", self._list),
             ("GetParameters", self._get),

@@ -251,13 +251,16 @@ class Incoming:
         """Detach from the link."""
         self._writer.close()
 
-    def take(self, sample: zenoh.Sample) -> None:
+    def take(self, sample: zenoh.Sample, arrived: int) -> None:
         """Write a message to the link.
+
+        Args:
+            sample: The message.
+            arrived: When it came, by `now_ns`; it may have waited since.
 
         Raises:
             ProtocolError: It is too long, or no such message.
         """
-        arrived = now_ns()
         if len(sample.payload) > LONGEST:
             raise ProtocolError(
                 "a message is too long, and was not read",
@@ -269,13 +272,14 @@ class Incoming:
             self._count(Attachment.unpack(sample.attachment.to_bytes()))
         message = self._types.decode(self.about.type, sample.payload.to_bytes())
         self._record.read(message, self._writer.value)
-        self._writer.write(arrived - self._age(message))
+        self._writer.write(arrived - self._age(message, arrived))
 
-    def _age(self, message: Any) -> int:  # noqa: ANN401
-        """Return how long ago a message's content was made, in nanoseconds."""
+    def _age(self, message: Any, arrived: int) -> int:  # noqa: ANN401
+        """Return how old a message's content was at its arrival, in nanoseconds."""
         if not self._by_header:
             return 0
-        age = time.time_ns() - nanoseconds(message.header.stamp)
+        waited = now_ns() - arrived
+        age = time.time_ns() - waited - nanoseconds(message.header.stamp)
         if not -_AHEAD_NS < age < _LONG_AGO_NS:
             raise ProtocolError(
                 "the header's stamp is not of this time, and the message was not used",

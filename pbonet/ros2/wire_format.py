@@ -23,6 +23,7 @@ MOST_DOMAIN: Final = 232
 """The largest domain id of ROS 2."""
 NAME: Final = re.compile(r"/?[A-Za-z_~][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 """A topic, service or node; without the first slash it belongs to the node."""
+_NUMBER: Final = re.compile(r"[0-9]{1,20}")
 _ATTACHMENT: Final = struct.Struct("<qqB16s")
 _GID: Final = 16
 _VOLATILE: Final = 2
@@ -168,7 +169,8 @@ def parse_token(key: str) -> Node | End | None:
     if len(parts) not in {_NODE_PARTS, _END_PARTS} or parts[0] != ADMIN:
         return None
     _, domain, session, nid, number, kind, _, namespace, name, *end = parts
-    if not (domain + nid + number).isdigit() or kind not in set(Kind):
+    numbers = (domain, nid, number)
+    if not all(map(_NUMBER.fullmatch, numbers)) or kind not in set(Kind):
         return None
     node = Node(int(domain), session, name, namespace.replace("%", "/"), int(nid))
     if not end:

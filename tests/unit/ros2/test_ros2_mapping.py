@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from pbonet.ros2.repeated_warnings import Warnings
 from pbonet.ros2.subscribing import LONGEST, Incoming, reading
 from pbonet.ros2.topics_file import Publish, Subscribe, by_names, read_topics
 from pbonet.ros2.wire_format import Attachment
+from pbonet.svar import now_ns
 
 pytest.importorskip("rosbags")
 STAMP = 1_700_000_000_123_456_789
@@ -292,13 +294,14 @@ class Link:
         self.end = Incoming(types, self.about, form, Warnings(self.told.append))
         self.number = 0
 
-    def take(self, message, *, step=1, raw=None):
+    def take(self, message, *, step=1, raw=None, waited=0.0):
         self.number += step
         name = self.about.type
         data = raw if raw is not None else self.types.encode(name, message)
         note = Attachment(self.number, 0, bytes(16)).pack()
         payload, attached = (Bytes(one) for one in (data, note))
-        self.end.take(SimpleNamespace(payload=payload, attachment=attached))
+        sample = SimpleNamespace(payload=payload, attachment=attached)
+        self.end.take(sample, now_ns() - round(waited * 1e9))
 
 
 @pytest.fixture
@@ -335,6 +338,20 @@ def test_what_is_not_finite_is_refused(types, link, bad) -> None:
         message.position = np.array([1.0, 2.0, bad])
         link.take(message)
         assert reader.read(), "that one is not wanted"
+
+
+@pytest.mark.parametrize("stamp", ["arrival", "header"])
+def test_the_age_of_a_message_that_has_waited_begins_at_its_arrival(
+    types, stamp
+) -> None:
+    link = Link(types, JOINTS, fields=["position[0:2]"], stamp=stamp)
+    message = joint_state(types, [], position=[1, 2])
+    set_stamp(message.header.stamp, time.time_ns() - 9_000_000_000)
+    with contextlib.closing(link.end), tbuf.Reader("ros2:x", ("f8", 2)) as reader:
+        link.take(message, waited=5.0)
+        assert reader.read()
+        least = 5.0 if stamp == "arrival" else 9.0
+        assert least <= reader.age_ns() * 1e-9 < least + 3.0
 
 
 def test_a_stamp_ahead_of_our_clock_is_refused(types, link) -> None:

@@ -1,0 +1,208 @@
+"""A node's threads: what waits, what does not, and what outlives a fault."""
+
+from __future__ import annotations
+
+import os
+import threading
+from queue import Queue
+from types import SimpleNamespace
+
+import pytest
+from watching import wait_for
+
+from pbonet.config.model import Variable
+from pbonet.ros2 import ros_node
+from pbonet.ros2.message_types import COMMAND, MessageTypes
+from pbonet.ros2.publishing import Filling, Outgoing, TablePublisher
+from pbonet.ros2.repeated_warnings import Warnings
+from pbonet.ros2.ros_node import RosNode
+from pbonet.ros2.services import Services
+from pbonet.ros2.topics_file import Publish
+from pbonet.ros2.wire_format import Attachment, Node, Qos
+from pbonet.svar import Table, now_ns
+
+pytest.importorskip("rosbags")
+NUMBER = "std_msgs/msg/Float64"
+
+
+@pytest.fixture(scope="module")
+def types():
+    return MessageTypes()
+
+
+class Session:
+    """Stands for zenoh: keeps what is declared, for the test to call."""
+
+    def __init__(self):
+        self.called = {}
+        self.info = SimpleNamespace(zid=lambda: "abc")
+
+    def liveliness(self):
+        return self
+
+    def close(self):
+        pass
+
+    def declare_token(self, _key):
+        return SimpleNamespace(undeclare=lambda: None)
+
+    def declare_subscriber(self, key, handler, **_):
+        self.called[key.split("/")[1]] = handler
+        return SimpleNamespace(undeclare=lambda: None)
+
+    declare_queryable = declare_subscriber
+
+
+class Query:
+    """Stands for a request of zenoh."""
+
+    def __init__(self, data):
+        self.payload = SimpleNamespace(to_bytes=lambda: data)
+        note = Attachment(1, 0, bytes(16)).pack()
+        self.attachment = SimpleNamespace(to_bytes=lambda: note)
+        self.answers = Queue()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def reply(self, *_, **__):
+        self.answers.put("")
+
+    def reply_err(self, text):
+        self.answers.put(text)
+
+
+@pytest.fixture
+def told():
+    return []
+
+
+@pytest.fixture
+def node(types, told, monkeypatch):
+    monkeypatch.setattr(ros_node, "direct", lambda call: call)
+    made = RosNode(Session(), Node(7, "", "arm"), types, Warnings(told.append))
+    made.open()
+    yield made
+    made.close()
+    assert not any(thread.is_alive() for thread in made._threads)
+
+
+def test_a_message_has_the_time_at_which_it_came_not_at_which_it_is_taken(node) -> None:
+    taken, busy = Queue(), threading.Semaphore(0)
+
+    def take(sample, arrived):
+        taken.put((sample, arrived))
+        assert busy.acquire(timeout=60)
+
+    node.subscribe("speed", NUMBER, Qos(), take, 1000.0)
+    comes = node.session.called["arm"]
+    comes("first")
+    assert taken.get(timeout=60)[0] == "first"
+    for name in ("second", "third"):
+        comes(name)
+    until = now_ns()
+    busy.release(3)
+    sample, arrived = taken.get(timeout=60)
+    assert sample == "third", "the newest"
+    assert arrived <= until, "it came before the first one was done"
+    assert taken.empty()
+
+
+@pytest.fixture
+def ask(node, types):
+    def send(service):
+        request = types.new(f"{COMMAND}_Request")
+        query = Query(types.encode(f"{COMMAND}_Request", request))
+        node.session.called[service](query)
+        return query.answers
+
+    return send
+
+
+def test_a_stop_waits_for_no_other_service(node, types, ask) -> None:
+    """Also when so many requests wait that others are refused."""
+    begun, goes_on = threading.Semaphore(0), threading.Semaphore(0)
+
+    def slow(_):
+        begun.release()
+        assert goes_on.acquire(timeout=60)
+        return types.new(f"{COMMAND}_Response")
+
+    node.serve("/slow", COMMAND, slow)
+    stops = lambda _: types.new(f"{COMMAND}_Response")  # noqa: E731
+    node.serve("/stop", COMMAND, stops, at_once=True)
+    waiting = [ask("slow")]
+    assert begun.acquire(timeout=60)
+    waiting += [ask("slow") for _ in range(ros_node._WAITING)]
+    assert "too many requests" in ask("slow").get(timeout=60)
+    assert ask("stop").get(timeout=60) == ""
+    assert waiting[0].empty()
+    goes_on.release(len(waiting))
+    assert {one.get(timeout=60) for one in waiting} == {""}
+
+
+def test_of_all_commands_stop_alone_is_at_once() -> None:
+    served = {}
+    node = SimpleNamespace(
+        types=None,
+        serve=lambda name, *_, at_once=False: served.update({name: at_once}),
+    )
+    services = Services.__new__(Services)
+    services._node = node
+    services.open()
+    assert {name for name, at_once in served.items() if at_once} == {"stop"}
+
+
+def test_a_request_that_fails_is_answered(node, ask, told) -> None:
+    """The one that asks would wait until its time is over."""
+
+    def fails(_):
+        raise ZeroDivisionError("no way")
+
+    node.serve("/fails", COMMAND, fails)
+    assert ask("fails").get(timeout=60) == "/fails failed: no way"
+    wait_for(lambda: told, "the warning")
+    assert told == ["/fails: it failed inside pbonet: no way"]
+
+
+def test_a_topic_that_cannot_be_published_stops_no_other(types, told) -> None:
+    variables = [Variable(name=name, type="double") for name in ("A", "B")]
+    got = Queue()
+
+    def broken(*_):
+        raise RuntimeError("no session")
+
+    puts = {"A": broken, "B": lambda _, stamp: got.put(stamp)}
+    warnings = Warnings(told.append)
+    outgoing = [
+        Outgoing(
+            Filling(
+                types,
+                Publish(topic=name, type=NUMBER, fields={"data": name}),
+                {one.name: one for one in variables},
+                "here",
+            ),
+            SimpleNamespace(put=put, end=SimpleNamespace(name=f"/{name}")),
+            1000.0,
+            warnings,
+        )
+        for name, put in puts.items()
+    ]
+    table = Table.create("d.arm", variables)
+    local = table.local("one", os.getpid(), outvar=["A", "B"])
+    local.claim()
+    publisher = TablePublisher("d.arm", Table.layout_of(variables), outgoing, warnings)
+    publisher.start()
+    try:
+        for value in range(1, 4):
+            for name in puts:
+                local.array(name)[:] = value
+            local.commit()
+            assert got.get(timeout=60)
+        assert "/A: it failed inside pbonet: no session" in told
+    finally:
+        publisher.stop()
+        table.destroy()
