@@ -17,7 +17,7 @@ import zenoh
 from pbonet.errors import PbonetError, XmError
 from pbonet.node.wire import process_setup
 from pbonet.tbuf import READER, WRITER, In, Out, layout, parts, places
-from pbonet.xm.net import direct
+from pbonet.xm.net import VALUES_PRIORITY, direct
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,7 +54,7 @@ class Sender:
         self._end.hold(raw, raw, raw)
         self._publisher = session.declare_publisher(
             key,
-            priority=zenoh.Priority.REAL_TIME,
+            priority=VALUES_PRIORITY,
             congestion_control=zenoh.CongestionControl.DROP,
             reliability=zenoh.Reliability.BEST_EFFORT,
         )

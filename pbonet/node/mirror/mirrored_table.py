@@ -20,7 +20,7 @@ from pbonet.node.rtpu import lock_to_carry, remove_unused, table_name
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Table
 from pbonet.svar.mirror import Mirror, packets
-from pbonet.xm.net import direct, key_expressions
+from pbonet.xm.net import VALUES_PRIORITY, direct, key_expressions
 
 from . import remote_handover
 from .packet_queue import PacketQueue
@@ -265,7 +265,7 @@ class MirroredTable:
         self._publisher = session.declare_publisher(
             key("news", owner.machine),
             congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME,
+            priority=VALUES_PRIORITY,
             allowed_destination=zenoh.Locality.REMOTE,
         )
         self._declared += [

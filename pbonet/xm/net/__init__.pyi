@@ -63,3 +63,4 @@ from .resource_messages import (
 )
 from .rpc import Client as Client, Declared as Declared
 from .run_folder import NAME as NAME, check_name as check_name, machine as machine
+from .session import VALUES_PRIORITY as VALUES_PRIORITY

@@ -53,8 +53,13 @@ gives up before that."""
 ACCEPT_PENDING = 1000
 """Most connections without a greeting; more are closed at once. This leaves room for
 agents and masters beside hundreds of connections that say nothing."""
+VALUES_PRIORITY = zenoh.Priority.INTERACTIVE_HIGH
+"""Of what is outdated by the next one of its kind: table packets and records of links.
+In zenoh each priority has a queue of its own for each link. `REAL_TIME`, the only one
+before this, is for signs of life alone: in a common queue without room for a packet
+they would be dropped like it, and an agent that is busy would seem to be lost."""
 BATCHES = 1
-"""Batches of table packets that may wait for a link. In an interruption a second one
+"""Batches of such values that may wait for a link. In an interruption a second one
 would fill with half a second of old values, which come before all that is new."""
 RETRY_MS = 200
 """Longest pause between attempts to reach a lost agent, in milliseconds."""
@@ -404,7 +409,7 @@ def _config(
                 "tx": {
                     "lease": LEASE_MS if listen else SILENT_MS,
                     "keep_alive": 4,
-                    "queue": {"size": {"real_time": BATCHES}},
+                    "queue": {"size": {"interactive_high": BATCHES}},
                 },
                 **(_tls(key_folder) if key_folder else {}),
             },
