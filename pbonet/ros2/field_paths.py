@@ -232,23 +232,41 @@ class _Search:
 def setter(message: Any, leaf: Leaf) -> Callable[[NDArray[Any]], None]:  # noqa: ANN401
     """Return a function that writes numbers to a leaf of a message.
 
-    Lists of messages on the way are there already (`grow`).
+    Lists of messages on the way are there already (`grow`). The function raises a
+    `ProtocolError` if a number does not fit the leaf's type, and writes nothing.
     """
     *way, (last, _) = leaf.steps
     owner = _walk(message, way)
-    if leaf.field.size is None:
-        kind = np.dtype(dtype_of(leaf.field.type))
+    dtype = np.dtype(dtype_of(leaf.field.type))
 
-        def one(values: NDArray[Any]) -> None:
-            setattr(owner, last, kind.type(values[0]).item())
-
-        return one
-    dtype = dtype_of(leaf.field.type)
+    def one(values: NDArray[Any]) -> None:
+        setattr(owner, last, _cast(values[:1], dtype, leaf).item())
 
     def several(values: NDArray[Any]) -> None:
-        setattr(owner, last, values.astype(dtype))
+        setattr(owner, last, _cast(values, dtype, leaf))
 
-    return several
+    return one if leaf.field.size is None else several
+
+
+def _cast(values: NDArray[Any], dtype: np.dtype[Any], leaf: Leaf) -> NDArray[Any]:
+    """Return numbers in another type, which would wrap what does not fit."""
+    if dtype.kind == "b" or np.can_cast(values.dtype, dtype) or not values.size:
+        return values.astype(dtype)
+    numbers = values
+    if dtype.kind == "f":  # it has infinities of its own
+        least, most = (float(one) for one in (np.finfo(dtype).min, np.finfo(dtype).max))
+        numbers = values[np.isfinite(values)]
+    else:
+        least, most = np.iinfo(dtype).min, np.iinfo(dtype).max
+    wrong = [n for n in numbers.tolist() if not least <= n <= most]
+    if wrong:
+        raise ProtocolError(
+            f"a number does not fit {leaf.path}, and the message was not sent",
+            expected=f"{leaf.field.type}, {least:g} to {most:g}",
+            got=f"{wrong[0]:g}",
+            remedy="publish it as a message with a wider type",
+        )
+    return values.astype(dtype)
 
 
 def grow(types: MessageTypes, message: Any, leaf: Leaf) -> None:  # noqa: ANN401

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from functools import cache
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from . import publishing, topics_file
 from .message_types import MessageTypes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -28,7 +29,11 @@ if TYPE_CHECKING:
 
 
 def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
-    """Write a run as a bag: what a bridge would have published, at the same times.
+    """Write a run as a bag, with the topics of a bridge.
+
+    Of each topic it has every message, so more than the bridge has published: one for
+    each cycle that wrote a variable of it, at the end of that cycle, whatever `max_hz`
+    says, and also while a variable was too old.
 
     Args:
         log: The run.
@@ -41,6 +46,7 @@ def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
     Raises:
         ConfigError: The topics do not fit the variables of the run.
         LogError: The bag is there already, or cannot be written.
+        ProtocolError: A number does not fit the type of its field.
         DeviceError: rosbags is not installed.
     """
     with from_extra("ros2", "a bag of ROS 2"):
@@ -52,6 +58,7 @@ def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
     made = publishing.fillings(types, topics.publish, variables, str(log.path))
     node = topics.node or str(log.about.get("subsystem", "pbonet"))
     counts: dict[str, int] = {}
+    arrays = cache(log.arrays)
     plugin = rosbag2.StoragePlugin.MCAP
     try:
         with rosbag2.Writer(out, version=9, storage_plugin=plugin) as bag:
@@ -60,7 +67,7 @@ def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
             for about, filling in made:
                 name = full_name(node, about.topic)
                 counts[name] = 0
-                streams.append(_messages(log, filling, len(ends)))
+                streams.append(_messages(log, arrays, filling, len(ends)))
                 ends.append(bag.add_connection(name, about.type, typestore=types.store))
             for time_ns, which, data in heapq.merge(*streams, key=itemgetter(0)):
                 bag.write(ends[which], time_ns, data)
@@ -94,7 +101,10 @@ def _recorded(log: Log) -> dict[str, Variable]:
 
 
 def _messages(
-    log: Log, filling: Filling, which: int
+    log: Log,
+    arrays: Callable[[str], dict[str, NDArray[Any]]],
+    filling: Filling,
+    which: int,
 ) -> Iterator[tuple[int, int, bytes]]:
     """Yield a topic's messages, with their time in nanoseconds since 1970.
 
@@ -107,9 +117,9 @@ def _messages(
     for task in log.tasks:
         own = names.intersection(log.variables(task))
         if own:
-            arrays = log.arrays(task)
-            times.append(arrays["end_ns"] + log.epoch_ns)
-            columns.append({n: arrays[n].reshape(len(times[-1]), -1) for n in own})
+            loaded = arrays(task)
+            times.append(loaded["end_ns"] + log.epoch_ns)
+            columns.append({n: loaded[n].reshape(len(times[-1]), -1) for n in own})
     if not times:
         return
     places = np.concatenate([np.arange(len(one)) for one in times])

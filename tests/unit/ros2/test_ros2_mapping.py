@@ -173,6 +173,35 @@ def test_what_does_not_fit_is_told(types, name, fields, said) -> None:
         filled(types, name, fields)
 
 
+@pytest.mark.parametrize(
+    ("name", "variable", "fits", "not_fitting"),
+    [
+        ("UInt8", "COUNT[0]", [0, 255], [256, 300, -1]),
+        ("Int64", "X[0]", [-(2.0**63), 7.9], [2.0**63, np.nan, np.inf]),
+        ("Float32", "X[0]", [3e38, np.nan, np.inf], [1e300, -1e300]),
+        ("Bool", "COUNT[0]", [0, 300], []),
+        ("UInt8MultiArray", "COUNT", [3], [-3]),
+        ("Float32MultiArray", "T_MEZ", [3, np.inf], []),
+    ],
+)
+def test_a_number_that_does_not_fit_is_not_sent(
+    types, name, variable, fits, not_fitting
+) -> None:
+    """It would be another number: 300 is 44 in a uint8."""
+    about = Publish(topic="t", type=f"std_msgs/msg/{name}", fields={"data": variable})
+    filling = Filling(types, about, VARIABLES, "here")
+    one = VARIABLES[variable.partition("[")[0]]
+    for number in (*fits, *not_fitting):
+        values = {one.name: np.full(one.nelem, number, one.dtype)}
+        if number in not_fitting:
+            with pytest.raises(ProtocolError, match=r"does not fit data.*expected"):
+                filling.encode(values, STAMP)
+            continue
+        data = decoded(types, about.type, filling.encode(values, STAMP)).data
+        got = data if np.isscalar(data) and not isinstance(data, bytes) else data[0]
+        np.testing.assert_allclose(got, bool(number) if name == "Bool" else number, 0.2)
+
+
 @pytest.mark.parametrize("constants", [{"name": 3}, {"nothing": 1}, {"name": [1]}])
 def test_constants_must_fit(types, constants) -> None:
     with pytest.raises(ConfigError, match="the constant"):

@@ -9,6 +9,8 @@ import pytest
 from made_logs import written
 
 from pbonet.log import Log
+from pbonet.ros2 import rosbag2
+from pbonet.ros2.topics_file import Publish, Topics
 
 reader = pytest.importorskip("rosbags.highlevel")
 
@@ -47,3 +49,23 @@ def test_topics_of_two_tasks_by_a_file(tmp_path, call) -> None:
     status, _, told = call("log", "export", tmp_path / "r.mcap", *words)
     assert status == 1
     assert "the bag cannot be written" in told
+
+
+def test_a_task_is_loaded_once_however_many_topics_it_has(tmp_path) -> None:
+    log = Log(written(tmp_path / "r.mcap", tasks=("one", "two"), count=20))
+    loads, arrays = [], log.arrays
+    log.arrays = lambda task: loads.append(task) or arrays(task)
+    topics = Topics(
+        publish=[
+            Publish(
+                topic=f"t{k}",
+                type="std_msgs/msg/Float64",
+                fields={"data": f"Y[{k}]"},
+                max_hz=1.0,
+            )
+            for k in range(3)
+        ]
+    )
+    counts = rosbag2.export(log, tmp_path / "bag", topics)
+    assert sorted(loads) == ["one", "two"]
+    assert set(counts.values()) == {40}, "each cycle, whatever max_hz says"
