@@ -51,12 +51,13 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     """Telemetry of the vehicle out, set-points and commands to it in; SI units, NED.
 
     ARM_CMD and MODE_CMD are sent when they change while the task is ON, until the
-    vehicle answers; what they are at `on` is not sent. SETPOINT is sent RATE times a
-    second while it is fresh. Without a heartbeat for LOST_AFTER the vehicle is lost:
-    the illegal-configuration flag is up, and no set-point or command is sent until the
-    task is turned off and on again, also when the vehicle is back; its autopilot does
-    what it is set to without set-points. Nothing here disarms by itself. In `stable`,
-    telemetry goes on and no set-points are sent.
+    vehicle answers; what they are at `on` is not sent. A change while the vehicle is
+    not there is not sent later either, and a warning says so. SETPOINT is sent RATE
+    times a second while it is fresh. Without a heartbeat for LOST_AFTER the vehicle is
+    lost: the illegal-configuration flag is up, and no set-point or command is sent
+    until the task is turned off and on again, also when the vehicle is back; its
+    autopilot does what it is set to without set-points. Nothing here disarms by itself.
+    In `stable`, telemetry goes on and no set-points are sent.
 
     The outputs have the time at which the vehicle measured attitude and position, the
     older of both, by its own clock (TIMESYNC); before it answers, that of arrival.
@@ -119,9 +120,9 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the clock tells
         self._exchange()
+        self._send_changes()
         if self._lost or not self._heard_ns:
             return
-        self._send_changes()
         if not self.task.stale("setpoint") and self._setpoints.due(self.task.now):
             message = setpoint_message(
                 self._link, self.params.component, self.setpoint, self._boot_ms()
@@ -132,8 +133,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     def stable(self, dt: float) -> None:  # noqa: ARG002
         """Go on without set-points."""
         self._exchange()
-        if self._heard_ns and not self._lost:
-            self._send_changes()
+        self._send_changes()
 
     def kill(self) -> None:
         if link := getattr(self, "_link", None):
@@ -231,16 +231,24 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         """Send ARM_CMD and MODE_CMD where they have changed."""
         if self.arm != self._was_armed:
             self._was_armed = self.arm
-            self._ask(ARM, float(bool(self.arm)))
+            self._ask("ARM_CMD", ARM, float(bool(self.arm)))
         if self.mode != self._was_mode:
             self._was_mode = self.mode
             if self._autopilot == PX4:  # its main mode, then the mode within that
-                self._ask(MODE, 1.0, self.mode >> 16 & 0xFF, self.mode >> 24)
+                values = self.mode >> 16 & 0xFF, self.mode >> 24
+                self._ask("MODE_CMD", MODE, 1.0, *values)
             else:
-                self._ask(MODE, 1.0, self.mode)
+                self._ask("MODE_CMD", MODE, 1.0, self.mode)
 
-    def _ask(self, command: int, *values: float) -> None:
-        self._commands.ask(self._command(command, *values), self.task.now)
+    def _ask(self, variable: str, command: int, *values: float) -> None:
+        """Send a command; one for a vehicle that is not there is not kept for later."""
+        if self._heard_ns and not self._lost:
+            self._commands.ask(self._command(command, *values), self.task.now)
+            return
+        self.task.warn(
+            f"vehicle {self.params.system} is not there: the change of {variable} is "
+            "not sent, also later; change it again when LINK_AGE is small"
+        )
 
     def _command(self, command: int, *values: float) -> Any:  # noqa: ANN401
         filled = [*values, *[0.0] * (7 - len(values))]

@@ -280,6 +280,30 @@ def test_a_lost_vehicle_gets_no_set_point_until_the_task_is_turned_on_again(
     base.kill()
 
 
+@pytest.mark.parametrize("flag", [False, True])
+def test_a_change_while_no_vehicle_is_there_is_never_sent(
+    wire: Wire, flag: bool
+) -> None:
+    base = vehicle(wire.port)
+    base.illegal = flag  # the same in `stable`
+    base.step(STEP)
+    base.inputs.arm, base.inputs.mode = 1, OFFBOARD
+    base.step(STEP, 2)
+    said = [one for one in texts(base) if "is not there" in one]
+    assert len(said) == 2, "ARM_CMD and MODE_CMD, each once"
+    base.step(600.0)
+    for _ in range(50):
+        wire.receive()
+        wire.send(wire.beat())
+        base.step(STEP)
+        asked = [m for m in wire.receive() if m.get_type() == "COMMAND_LONG"]
+        assert {m.command for m in asked} <= {511}
+    base.inputs.arm = 0
+    base.step(STEP, 2)
+    assert 400 in {getattr(m, "command", 0) for m in wire.receive()}
+    base.kill()
+
+
 def test_old_set_points_are_not_sent_and_others_not_while_the_flag_is_up(
     wire: Wire,
 ) -> None:
