@@ -1,7 +1,7 @@
 """A vehicle on a MAVLink link, for ground stations: pbonet is the vehicle."""
 
 from collections.abc import Callable
-from math import asin, atan2, cos, degrees, radians, tau
+from math import asin, atan2, cos, degrees, isfinite, radians, tau
 from typing import Annotated as A, Any, Literal, NamedTuple
 
 from pbonet import InVar, OutVar, Params, PortBasedObject, Vector, param
@@ -75,7 +75,7 @@ class Vehicle(Params):
 class Pending(NamedTuple):
     """A command that the vehicle has to follow before it is acknowledged."""
 
-    follows: Callable[[], bool]
+    wanted: int
     until_ns: int
     system: int
     component: int
@@ -87,10 +87,10 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
     Units and axes as of `mav_vehicle`, whose ports these are seen from the other end: a
     vehicle's controller reads SETPOINT, ARM_CMD and MODE_CMD. SETPOINT has the time of
     arrival; without a new one for SILENT its kind is 0, which asks for nothing. A
-    command is accepted when ARMED or MODE is as it says, and denied after 1 s. PARAM
-    are numbers that stations change by their names in PARAMS. When no station was heard
-    for LOST_AFTER and ARMED is 1, MODE_CMD becomes HOLD_MODE or LAND_MODE, as LOST
-    says.
+    command is accepted when ARMED or MODE is as it says, and denied after 1 s; another
+    value takes the place of one that is not yet followed. PARAM are numbers that
+    stations change by their names in PARAMS. When no station was heard for LOST_AFTER
+    and ARMED is 1, MODE_CMD becomes HOLD_MODE or LAND_MODE, as LOST says.
 
     It keeps a mission. While MODE is MISSION_MODE and ARMED is 1, SETPOINT is the place
     of its item WP_NOW: of waypoints and take-offs, for the time that they say; landing
@@ -206,42 +206,58 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
                 if self._is_for_us(m):
                     self._take_command(m, now)
         for command, one in list(self._pending.items()):
-            if one.follows():
+            if one.wanted == (
+                int(bool(self.armed)) if command == ARM else self.in_mode
+            ):
                 self._answer(command, ACCEPTED, one.system, one.component)
             elif now > one.until_ns:
                 self._answer(command, DENIED, one.system, one.component)
 
     def _take_command(self, m: Any, now: int) -> None:  # noqa: ANN401
         sender = m.get_srcSystem(), m.get_srcComponent()
-        if m.command in self._pending:  # it is sent again until it is answered
-            self._acknowledge(m.command, IN_PROGRESS, *sender)
-            return
-        follows: Callable[[], bool] | None = None
         result = UNSUPPORTED
-        if m.command == ARM:
-            self.arm = wanted = int(m.param1 > 0.5)  # noqa: PLR2004
-            follows = lambda: bool(self.armed) == bool(wanted)  # noqa: E731
-        elif m.command in {MODE, LAND}:
-            self.mode = mode = self._mode_of(m)
-            follows = lambda: self.in_mode == mode  # noqa: E731
+        if m.command in {ARM, MODE, LAND}:
+            wanted = self._wanted_by(m)
+            if wanted is not None:
+                self._follow(m.command, wanted, sender, now)
+                return
+            result = DENIED
         elif m.command in {INTERVAL, REQUEST, CAPABILITIES}:
             result = self._take_request(m)
-        if follows is None:
-            self._acknowledge(m.command, result, *sender)
-        else:
-            self._pending[m.command] = Pending(follows, now + TRIED_NS, *sender)
+        self._acknowledge(m.command, result, *sender)
 
-    def _mode_of(self, m: Any) -> int:  # noqa: ANN401
+    def _follow(
+        self, command: int, wanted: int, sender: tuple[int, int], now: int
+    ) -> None:
+        """Ask the vehicle for it, in place of another value that is pending."""
+        old = self._pending.get(command)
+        if old is not None and old.wanted == wanted:  # sent again until it is answered
+            self._acknowledge(command, IN_PROGRESS, *sender)
+            return
+        if old is not None and (old.system, old.component) != sender:
+            self._acknowledge(command, DENIED, old.system, old.component)
+        if command == ARM:
+            self.arm = wanted
+        else:
+            self.mode = wanted
+        self._pending[command] = Pending(wanted, now + TRIED_NS, *sender)
+
+    def _wanted_by(self, m: Any) -> int | None:  # noqa: ANN401
+        """Return what ARM_CMD or MODE_CMD becomes; None: the command asks for none."""
+        if m.command == ARM:
+            return _whole(m.param1, 1)
         if m.command == LAND:
             return self.params.land_mode
-        main = int(m.param2) & 0x7FFFFFFF
         if self.params.autopilot != PX4:
-            return main
-        return (main & 0xFF) << 16 | (int(m.param3) & 0x7F) << 24
+            return _whole(m.param2, 0x7FFFFFFF)
+        main, sub = _whole(m.param2, 0xFF), _whole(m.param3, 0x7F)
+        return None if main is None or sub is None else main << 16 | sub << 24
 
     def _take_request(self, m: Any) -> int:  # noqa: ANN401
         """Send a message once, or change its rate; return the result."""
-        number = 148 if m.command == CAPABILITIES else int(m.param1)
+        number = 148 if m.command == CAPABILITIES else _whole(m.param1, 0xFFFFFF)
+        if number is None or (m.command == INTERVAL and not isfinite(m.param2)):
+            return DENIED
         if number not in self._kinds:
             return UNSUPPORTED
         if m.command != INTERVAL:
@@ -456,6 +472,11 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
                 remedy="change NELEM of the variable, or PARAMS",
             )
         return names, values
+
+
+def _whole(value: float, most: int) -> int | None:
+    """Return a number of a command; None: it is not whole, or out of range."""
+    return int(value) if 0 <= value <= most and value == int(value) else None
 
 
 def _degrees(lla: Vector) -> tuple[int, int, int]:

@@ -11,7 +11,7 @@ import random
 import socket
 import tty
 from collections.abc import Iterator
-from math import nan, pi, radians
+from math import inf, nan, pi, radians
 from pathlib import Path
 from typing import Any
 
@@ -482,6 +482,79 @@ def test_stations_choose_messages_and_their_rates() -> None:
     )
     air.step(STEP)
     assert "AUTOPILOT_VERSION" in station.names()
+    air.kill()
+
+
+class Station:
+    """A station at `mav_ground`, and its commands."""
+
+    def __init__(self, air: Any, system: int = 255) -> None:
+        self.air, self.wire = air, Wire(system, 190)
+        self.wire.peer = "127.0.0.1", int(air.module.params.address.rpartition(":")[2])
+
+    def ask(self, command: int, *values: float) -> list[tuple[int, int]]:
+        filled = [*values, *[0.0] * (7 - len(values))]
+        mav = self.wire.mav
+        self.wire.send(mav.command_long_encode(1, 1, command, 0, *filled))
+        self.air.step(STEP)
+        return self.answers()
+
+    def answers(self) -> list[tuple[int, int]]:
+        me = self.wire.mav.srcSystem
+        return [(m.command, m.result) for m in self.wire.receive()
+                if m.get_type() == "COMMAND_ACK" and m.target_system == me]  # fmt: skip
+
+
+def test_another_value_replaces_a_command_that_is_not_yet_followed() -> None:
+    air = ground(free_port())
+    one, other = Station(air), Station(air, 254)
+    assert one.ask(400, 1) == []
+    assert one.ask(400, 1) == [(400, 5)], "the same again"
+    assert other.ask(176, 1, 4, 3) == []
+    assert one.ask(400, 0) == [(400, 0)], "disarmed as it is"
+    assert air.outputs.arm == 0
+    air.inputs.armed = 1  # it had begun to arm
+    assert one.ask(400, 0) == []
+    air.inputs.armed = 0
+    air.step(STEP)
+    assert one.answers() == [(400, 0)]
+    assert one.ask(176, 1, 4, 6) == []
+    assert air.outputs.mode == 100925440
+    assert other.answers() == [(176, 2)], "what it asked for is given up"
+    air.inputs.in_mode = 100925440
+    air.step(STEP)
+    assert (one.answers(), other.answers()) == ([(176, 0)], [])
+    air.kill()
+
+
+@pytest.mark.parametrize(
+    ("command", "values"),
+    [
+        (400, (nan,)),
+        (400, (0.7,)),
+        (400, (2.0,)),
+        (176, (1, nan, 0)),
+        (176, (1, 4, nan)),
+        (176, (1, inf, 0)),
+        (176, (1, 260, 0)),
+        (176, (1, 4.5, 0)),
+        (511, (31, nan)),
+        (511, (31, inf)),
+        (511, (nan, 1000)),
+        (512, (nan,)),
+        (512, (-inf,)),
+    ],
+)
+def test_commands_with_numbers_that_are_none_are_denied(
+    command: int, values: tuple[float, ...]
+) -> None:
+    air = ground(free_port())
+    air.off()
+    air.inputs.armed, air.inputs.in_mode = 1, 7
+    air.on()
+    assert Station(air).ask(command, *values) == [(command, 2)]
+    assert air.state is State.ON
+    assert (air.outputs.arm, air.outputs.mode) == (1, 7)
     air.kill()
 
 
