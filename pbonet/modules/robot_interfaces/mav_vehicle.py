@@ -59,8 +59,11 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     autopilot does what it is set to without set-points. Nothing here disarms by itself.
     In `stable`, telemetry goes on and no set-points are sent.
 
-    The outputs have the time at which the vehicle measured attitude and position, the
-    older of both, by its own clock (TIMESYNC); before it answers, that of arrival.
+    The outputs have the time at which the vehicle measured attitude, position and, once
+    it has come, LLA_MEZ, the oldest of them, by its own clock (TIMESYNC); before it
+    answers, that of arrival. They are too old for any limit until attitude and position
+    have come since `on`. MODE and ARMED come with the heartbeat, so LINK_AGE is their
+    age; BATT and GPS_FIX have none of their own.
     """
 
     mav_type: A[int, OutConst("MAV_TYPE", "1", "none", "type of the vehicle, or 0")]
@@ -113,6 +116,10 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         self._heard_ns = 0
         self._began_ns = self.task.now
         self._stamps: dict[str, int] = {}
+        self._needed = {"attitude", "position"}
+        if self.lla.any():  # it came before, and is old until it comes again
+            self._needed.add("global")
+        self._quaternions = self._says_old = False
         self._missing = set(WANTED)
         self._was_armed, self._was_mode = self.arm, self.mode
         self._commands.clear()
@@ -157,8 +164,8 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self.task.illegal(
                 f"vehicle {self.params.system}: no heartbeat for {self.age:.3g} s"
             )
-        if self._stamps:
-            self.task.stamp_ns = min(self._stamps.values())
+        if self._needed <= self._stamps.keys():
+            self.task.stamp_ns = max(min(self._stamps.values()), 1)
 
     def _take_heartbeat(self, now: int) -> None:
         for beat in self._link.all_of("HEARTBEAT"):
@@ -172,9 +179,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     def _take_telemetry(self, now: int) -> None:
         if (m := self._newest("ATTITUDE_QUATERNION")) is not None:
             self._take_attitude(m, (m.q1, m.q2, m.q3, m.q4), now)
-        elif (m := self._newest("ATTITUDE")) is not None and (
-            "quaternion" not in self._stamps
-        ):
+        elif (m := self._newest("ATTITUDE")) is not None and (not self._quaternions):
             self._take_attitude(m, _quaternion(m.roll, m.pitch, m.yaw), now)
         if (m := self._newest("LOCAL_POSITION_NED")) is not None and finite(
             m.x, m.y, m.z, m.vx, m.vy, m.vz
@@ -184,14 +189,15 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self._stamps["position"] = self._time_of(m, now)
         if (m := self._newest("GLOBAL_POSITION_INT")) is not None:
             self.lla[:] = radians(m.lat * 1e-7), radians(m.lon * 1e-7), m.alt * 1e-3
+            self._stamps["global"] = self._time_of(m, now)
+            self._needed.add("global")
 
     def _take_attitude(self, m: Any, q: tuple[float, ...], now: int) -> None:  # noqa: ANN401
         rates = m.rollspeed, m.pitchspeed, m.yawspeed
         if finite(*q, *rates):
             self.att[:], self.rates[:] = q, rates
-            kind = "quaternion" if m.get_type() == "ATTITUDE_QUATERNION" else "angles"
-            self._stamps.pop("angles", None)
-            self._stamps[kind] = self._time_of(m, now)
+            self._quaternions |= m.get_type() == "ATTITUDE_QUATERNION"
+            self._stamps["attitude"] = self._time_of(m, now)
 
     def _newest(self, name: str) -> Any:  # noqa: ANN401
         """Return the newest message of a kind that the autopilot itself has sent."""

@@ -174,19 +174,31 @@ def test_telemetry_arrives_in_si_units_and_is_as_old_as_it_is(pair: Pair) -> Non
     assert 0.0 < base.output_age <= 0.05 + 2 * STEP, "20 Hz, and what the way takes"
 
 
-def test_the_age_is_that_of_the_older_of_attitude_and_position(wire: Wire) -> None:
+def test_the_age_is_that_of_the_oldest_measurement_that_has_come(wire: Wire) -> None:
     base = vehicle(wire.port)
     base.step(STEP)
     wire.receive()
-    wire.send(wire.beat(), wire.mav.attitude_quaternion_encode(0, 1, 0, 0, 0, 0, 0, 0))
-    base.step(STEP)
-    assert base.output_age == pytest.approx(0.0, abs=1e-6)
-    wire.send(wire.mav.local_position_ned_encode(0, 1, 2, 3, 0, 0, 0))
-    base.step(STEP)
-    for _ in range(30):  # the position stops
-        wire.send(wire.mav.attitude_quaternion_encode(0, 1, 0, 0, 0, 0, 0, 0))
-        base.step(STEP)
-    assert base.output_age == pytest.approx(30 * STEP, abs=1e-6)
+    attitude = wire.mav.attitude_quaternion_encode(0, 1, 0, 0, 0, 0, 0, 0)
+    position = wire.mav.local_position_ned_encode(0, 1, 2, 3, 0, 0, 0)
+    place = wire.mav.global_position_int_encode(0, 5 * 10**8, 10**8, 0, 0, 0, 0, 0, 0)
+
+    def age(*messages: Any, steps: int = 1) -> float:
+        for _ in range(steps):
+            wire.send(wire.beat(), *messages)
+            base.step(STEP)
+        return float(base.output_age)
+
+    assert age(attitude) > 1.0, "X_MEZ was never measured"
+    assert age(position) == pytest.approx(STEP, abs=1e-6)
+    assert age(attitude, steps=30) == pytest.approx(30 * STEP, abs=1e-6)
+    assert age(attitude, position) == pytest.approx(0.0, abs=1e-6)
+    assert age(attitude, position, place) == pytest.approx(0.0, abs=1e-6)
+    assert age(attitude, position, steps=50) == pytest.approx(50 * STEP, abs=1e-6)
+    base.off()
+    base.on()
+    assert age(attitude) > 1.0, "the position is that of the time before `off`"
+    assert age(attitude, position) > 1.0, "LLA_MEZ is"
+    assert age(place) == pytest.approx(STEP, abs=1e-6)
     base.kill()
 
 
