@@ -1,5 +1,6 @@
 """The robot interface of a vehicle that speaks MAVLink, such as PX4 or ArduPilot."""
 
+from collections import deque
 from math import cos, radians, sin
 from typing import Annotated as A, Any
 
@@ -29,6 +30,8 @@ WANTED = {
 WARNING = 4
 """The severity from which a text of the vehicle is a warning."""
 UNKNOWN_MV = 65535
+ODD_NS = 60_000_000_000
+"""A measurement that is older than this is worth a warning."""
 FIXED = {"address", "system", "component", "station", "key", "telemetry", "wait"}
 """Parameters that are read when the task is created."""
 
@@ -98,6 +101,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         self._owner, self._link = Owner(self.task, link), link
         self._owner.poll()  # what is wrong is said at once
         self._clock, self._commands = PeerClock(), Commands()
+        self._asked_ns = deque[int](maxlen=2)  # an answer takes a second at most
         self._beat, self._sync = Every(1.0), Every(1.0)
         self._setpoints = Every(k.rate)
         self._autopilot = 0
@@ -151,9 +155,9 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         now, link = self.task.now, self._link
         self._owner.poll()
         self._take_heartbeat(now)
+        self._keep_up(now)
         self._take_telemetry(now)
         self._take_status()
-        self._keep_up(now)
         for problem in self._commands.run(link, now):
             self.task.warn(f"vehicle {self.params.system}: {problem}")
         self._owner.count(self.bad)
@@ -224,14 +228,18 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self._missing -= {n for n in self._missing if link.has(WANTED[n])}
         if self._sync.due(now):
             link.send(mav.timesync_encode(0, now))
+            self._asked_ns.append(now)
             for number in self._missing if self._heard_ns else ():
                 gap_us = 1e6 / self.params.telemetry
                 link.send(self._command(INTERVAL, number, gap_us))
         for m in link.all_of("TIMESYNC"):
-            if m.tc1:
-                self._clock.learn(m.tc1, m.ts1, now)
-            else:
+            if not m.tc1:
                 link.send(mav.timesync_encode(now, m.ts1))
+            elif m.get_srcComponent() == self.params.component and (
+                m.ts1 in self._asked_ns
+            ):
+                self._asked_ns.remove(m.ts1)
+                self._clock.learn(m.tc1, m.ts1, now)
 
     def _send_changes(self) -> None:
         """Send ARM_CMD and MODE_CMD where they have changed."""
@@ -263,7 +271,15 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         )
 
     def _time_of(self, m: Any, now: int) -> int:  # noqa: ANN401
-        return self._clock.ours(m.time_boot_ms * 1_000_000, now)
+        ours = self._clock.ours(m.time_boot_ms * 1_000_000, now)
+        if now - ours > ODD_NS and not self._says_old:
+            self._says_old = True
+            self.task.warn(
+                f"vehicle {self.params.system}: what it measures is "
+                f"{(now - ours) * 1e-9:.3g} s old by its own clock (TIMESYNC); it has "
+                "started again, or its times are of another clock"
+            )
+        return ours
 
     def _boot_ms(self) -> int:
         return self.task.now // 1_000_000 & 0xFFFFFFFF

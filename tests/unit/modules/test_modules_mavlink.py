@@ -808,6 +808,45 @@ def test_the_clock_of_the_other_end() -> None:
     assert clock.ours(15 * MS, 2_020 * MS) == 2_005 * MS
 
 
+@pytest.mark.parametrize("age_s", [1, 59, 61, 300, 100_000])
+def test_what_is_old_by_a_known_clock_stays_old(age_s: int) -> None:
+    clock = PeerClock()
+    clock.learn(10**15, 10**9, 10**9)
+    now = 200 * 10**9
+    assert clock.ours(10**15 - 10**9 + now - age_s * 10**9, now) == now - age_s * 10**9
+
+
+def test_a_vehicle_that_starts_again_is_old_until_it_answers(wire: Wire) -> None:
+    base = vehicle(wire.port)
+
+    def age(clock_ms: int, boot_ms: int, *, answers: bool, component: int = 1) -> float:
+        for m in wire.receive():
+            if m.get_type() == "TIMESYNC" and m.tc1 == 0 and answers:
+                one = Wire(1, component)
+                wire.send(one.pack(one.mav.timesync_encode(clock_ms * MS, m.ts1)))
+        wire.send(
+            wire.beat(),
+            wire.mav.attitude_quaternion_encode(boot_ms, 1, 0, 0, 0, 0, 0, 0),
+            wire.mav.local_position_ned_encode(boot_ms, 1, 2, 3, 0, 0, 0),
+        )
+        base.step(STEP)
+        return float(base.output_age)
+
+    base.step(STEP)
+    assert age(100_000, 100_000, answers=True) < 0.05
+    assert age(0, 1_000, answers=False) > 1.0, "it has started again"
+    assert [one for one in texts(base) if "by its own clock" in one]
+    base.step(1.0)
+    assert age(2_000, 2_000, answers=True) < 0.05
+    base.step(1.0)
+    old = age(33_000, 3_010, answers=True, component=191)
+    assert old < 0.1, "the clock of a camera is none of the autopilot's"
+    wire.send(wire.mav.timesync_encode(30_000 * MS, 1))  # nobody has asked for it
+    base.step(STEP)
+    assert age(0, 3_030, answers=False) < 0.1
+    base.kill()
+
+
 # -- set-points and commands ----------------------------------------------------------
 
 
