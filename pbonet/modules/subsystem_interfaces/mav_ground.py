@@ -19,7 +19,15 @@ from pbonet.modules._mavlink import (
     V,
     setpoint_of,
 )
-from pbonet.modules._mavlink_mission import Item, MissionServer
+from pbonet.modules._mavlink_mission import (
+    AMSL,
+    ENU,
+    NED,
+    TAKEOFF,
+    WAYPOINT,
+    Item,
+    MissionServer,
+)
 from pbonet.modules._mavlink_parameters import LONGEST, ParameterServer
 from pbonet.modules._values import keep
 
@@ -28,8 +36,6 @@ AUTOPILOT = 1
 PX4 = 12
 ARM, MODE, LAND, INTERVAL, REQUEST, CAPABILITIES = 400, 176, 21, 511, 512, 520
 """Commands that stations send."""
-WAYPOINT, TAKEOFF = 16, 22
-"""Commands of a mission's items, beside LAND."""
 EARTH = 6_371_000.0
 """Its radius, m."""
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
@@ -92,10 +98,15 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
     stations change by their names in PARAMS. When no station was heard for LOST_AFTER
     and ARMED is 1, MODE_CMD becomes HOLD_MODE or LAND_MODE, as LOST says.
 
+    Telemetry has the time at which its inputs were measured.
+
     It keeps a mission. While MODE is MISSION_MODE and ARMED is 1, SETPOINT is the place
-    of its item WP_NOW: of waypoints and take-offs, for the time that they say; landing
-    makes MODE_CMD LAND_MODE, other items are passed over, and after the last one
-    MODE_CMD is HOLD_MODE.
+    of its item WP_NOW, with the age of the position; its kind is 0 while that is older
+    than SILENT. Waypoints are held for the time that they say, a take-off rises where
+    it begins; both are in a frame NED, ENU, or with degrees and a height above the sea
+    or the point of departure, and a mission with others is refused. Landing makes
+    MODE_CMD LAND_MODE, other items are passed over, and after the last one MODE_CMD is
+    HOLD_MODE.
     """
 
     att: A[Vector, InVar("ATT_MEZ", "4", "none", "attitude w x y z")]
@@ -152,6 +163,9 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         self._began_ns = self.task.now
         self._lost = False
         self._reached_ns = 0
+        self._flown: Item | None = None
+        self._start = 0.0, 0.0
+        self._blind = False
         self.setpoint[:] = 0.0
         self.arm, self.mode = self.armed, self.in_mode  # nothing is asked for yet
         self.param[:] = self._parameters.values
@@ -163,6 +177,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         if self.armed and self.in_mode == self.params.mission_mode:
             self._fly_mission(now)
         else:
+            self._flown = None
             self._take_setpoint(now)
         self.item = self._mission.current
         self._take_commands(now)
@@ -317,11 +332,15 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         if one.command == LAND:
             self.mode = self.params.land_mode
             return
-        goal = self._place_of(one)
-        if goal is None:
+        if one.command not in {WAYPOINT, TAKEOFF}:
             self._pass_item()
             return
-        self._asked_ns = now
+        if not self._sees(one, now):
+            return
+        if one is not self._flown:
+            self._flown, self._reached_ns = one, 0
+            self._start = float(self.x[0]), float(self.x[1])
+        goal = self._place_of(one)
         self.setpoint[:] = 0.0
         self.setpoint[0], self.setpoint[1] = POSITION, V | ACC | YAW | YAW_RATE
         self.setpoint[2:5] = goal
@@ -330,29 +349,49 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
             self._reached_ns = 0
             return
         self._reached_ns = self._reached_ns or now
-        if now - self._reached_ns >= one.p1 * 1e9:
+        hold = one.p1 if one.command == WAYPOINT else 0.0  # of a take-off, the pitch
+        if now - self._reached_ns >= hold * 1e9:
             self._pass_item()
 
     def _pass_item(self) -> None:
         mission, link = self._mission, self._link
         link.send(link.mav.mission_item_reached_encode(mission.current))
         mission.current += 1
-        self._reached_ns = 0
+        self._flown = None
 
-    def _place_of(self, one: Item) -> tuple[float, float, float] | None:
-        """Return the place of an item, NED; None if it has none."""
-        north, east, down = self.x.tolist()
+    def _sees(self, one: Item, now: int) -> bool:
+        """Return whether the position that an item needs is new; else ask for nothing.
+
+        Its age is that of the set-point.
+        """
+        ports = ("x",) if one.frame in {NED, ENU} else ("x", "lla")
+        age = max(map(self.task.age, ports))
+        old = age > self.params.silent or any(map(self.task.stale, ports))
+        if old:
+            self.setpoint[:] = 0.0
+            if not self._blind:
+                self._say(f"the position is {age:.3g} s old: the vehicle holds")
+        else:
+            self._asked_ns = now - round(age * 1e9)
+        self._blind = old
+        return not old
+
+    def _place_of(self, one: Item) -> tuple[float, float, float]:
+        """Return the place of an item, NED."""
+        x, y = one.x * 1e-4, one.y * 1e-4
+        if one.frame == NED:
+            north, east, down = x, y, one.z
+        elif one.frame == ENU:
+            north, east, down = y, x, -one.z
+        else:
+            lat, lon, alt = self.lla.tolist()
+            north = self.x[0] + EARTH * (radians(one.x * 1e-7) - lat)
+            east = self.x[1] + EARTH * cos(lat) * (radians(one.y * 1e-7) - lon)
+            above = self.x[2] + alt if one.frame in AMSL else 0.0
+            down = above - one.z  # else above the point of departure
         if one.command == TAKEOFF:
-            return north, east, -one.z
-        if one.command != WAYPOINT:
-            return None
-        if one.frame == 1:  # MAV_FRAME_LOCAL_NED
-            return one.x * 1e-4, one.y * 1e-4, one.z
-        lat, lon, alt = self.lla.tolist()
-        north += EARTH * (radians(one.x * 1e-7) - lat)
-        east += EARTH * cos(lat) * (radians(one.y * 1e-7) - lon)
-        above = one.frame in {3, 6}  # the point of departure
-        return north, east, -one.z if above else down + alt - one.z
+            north, east = self._start
+        return float(north), float(east), float(down)
 
     # -- what stations see ------------------------------------------------------------
 
@@ -379,8 +418,11 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         """Say something at the stations."""
         self._link.send(self._link.mav.statustext_encode(severity, text.encode()[:50]))
 
-    def _boot_ms(self) -> int:
-        return (self.task.now - self._boot_ns) // 1_000_000 & 0xFFFFFFFF
+    def _boot_ms(self, *ports: str) -> int:
+        """Return when the oldest of some inputs was measured, since the boot."""
+        up_ns = self.task.now - self._boot_ns
+        age = max(map(self.task.age, ports))
+        return (up_ns - round(min(age * 1e9, up_ns))) // 1_000_000 & 0xFFFFFFFF
 
     def _heartbeat(self) -> Any:  # noqa: ANN401
         k = self.params
@@ -404,23 +446,23 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         speed = round(100.0 * (north * north + east * east) ** 0.5)
         course = round(degrees(atan2(east, north) % tau) * 100) % 36000
         return self._link.mav.gps_raw_int_encode(
-            self._boot_ms() * 1000, self.fix, lat, lon, alt, 65535, 65535,
+            self._boot_ms("lla", "v") * 1000, self.fix, lat, lon, alt, 65535, 65535,
             min(speed, 65534), course, 255,
         )  # fmt: skip
 
     def _attitude(self) -> Any:  # noqa: ANN401
         return self._link.mav.attitude_quaternion_encode(
-            self._boot_ms(), *self.att.tolist(), *self.rates.tolist()
+            self._boot_ms("att", "rates"), *self.att.tolist(), *self.rates.tolist()
         )
 
     def _angles(self) -> Any:  # noqa: ANN401
         return self._link.mav.attitude_encode(
-            self._boot_ms(), *_angles(self.att), *self.rates.tolist()
+            self._boot_ms("att", "rates"), *_angles(self.att), *self.rates.tolist()
         )
 
     def _local(self) -> Any:  # noqa: ANN401
         return self._link.mav.local_position_ned_encode(
-            self._boot_ms(), *self.x.tolist(), *self.v.tolist()
+            self._boot_ms("x", "v"), *self.x.tolist(), *self.v.tolist()
         )
 
     def _global(self) -> Any:  # noqa: ANN401
@@ -431,7 +473,13 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         heading = round(degrees(_angles(self.att)[2] % tau) * 100) % 36000
         above = round(-1e3 * float(self.x[2]))
         return self._link.mav.global_position_int_encode(
-            self._boot_ms(), lat, lon, alt, above, *speeds, heading
+            self._boot_ms("lla", "x", "v", "att"),
+            lat,
+            lon,
+            alt,
+            above,
+            *speeds,
+            heading,
         )
 
     def _current(self) -> Any:  # noqa: ANN401

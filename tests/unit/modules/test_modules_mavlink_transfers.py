@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import random
 import struct
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from test_modules_mavlink import STEP, Wire, free_port, ground, texts
 
 import pbonet.modules
 from pbonet.errors import MethodError, ParameterError
-from pbonet.modules._mavlink_mission import exact, read_mission
+from pbonet.modules._mavlink_mission import Item, exact, read_mission
 from pbonet.modules._mavlink_parameters import ParameterClient
 from pbonet.modules.robot_interfaces.mav_mission import MavMission
 from pbonet.modules.robot_interfaces.mav_params import MavParams, wishes
@@ -220,7 +221,7 @@ def test_a_station_writes_reads_and_clears_the_mission() -> None:
 def test_a_mission_is_flown_item_by_item() -> None:
     air = ground(free_port())
     text = """QGC WPL 110
-0 1 1 22 0 0 0 0 0 0 3 1
+0 1 1 22 0 0 0 0 0 0 -3 1
 1 0 1 16 0.5 0 0 0 4 0 -3 1
 2 0 1 178 0 0 0 0 0 0 0 1
 3 0 1 16 0 0 0 0 4 4 -3 1
@@ -241,6 +242,115 @@ def test_a_mission_is_flown_item_by_item() -> None:
     assert [4.0, 0.0, -3.0] in goals
     assert goals[-1] == [4.0, 4.0, -3.0]
     assert (air.outputs.mode, air.outputs.item) == (100925440, 4), "it lands"
+    air.kill()
+
+
+HERE = 458366236, 85943669  # 0.8 and 0.15 rad, where `ground` is
+
+
+def flown(frame: int, command: int, x: int, y: int, z: float, ages: Any = ()) -> Any:
+    """Return a vehicle in a mission of one item, 5 m above its point of departure."""
+    air = ground(free_port())
+    air.module._mission.items = [Item(frame, command, 0, 1, 0, 0, 0, nan, x, y, z)]
+    air.inputs.armed, air.inputs.in_mode = 1, MISSION
+    air.inputs.x = [10.0, 20.0, -5.0]
+    air.ages.update(dict(ages))
+    air.step(STEP)
+    return air
+
+
+@pytest.mark.parametrize(
+    ("frame", "command", "place", "z", "goal"),
+    [
+        (1, 16, (50_000, 60_000), -7.0, (5.0, 6.0, -7.0)),
+        (4, 16, (60_000, 50_000), 7.0, (5.0, 6.0, -7.0)),
+        (0, 16, HERE, 402.0, (10.0, 20.0, -7.0)),
+        (5, 16, HERE, 402.0, (10.0, 20.0, -7.0)),
+        (3, 16, HERE, 7.0, (10.0, 20.0, -7.0)),
+        (6, 16, HERE, 7.0, (10.0, 20.0, -7.0)),
+        (0, 22, HERE, 415.0, (10.0, 20.0, -20.0)),
+        (3, 22, (0, 0), 20.0, (10.0, 20.0, -20.0)),
+        (1, 22, (0, 0), -20.0, (10.0, 20.0, -20.0)),
+    ],
+)
+def test_items_are_flown_in_their_frames(
+    frame: int, command: int, place: tuple[int, int], z: float, goal: tuple[float, ...]
+) -> None:
+    air = flown(frame, command, *place, z)
+    assert air.outputs.setpoint[2:5] == pytest.approx(goal, abs=0.05)
+    if command == 22:
+        air.inputs.x = [11.0, 18.0, -6.0]  # the wind
+        air.inputs.lla = [0.8, 0.15, 401.0]
+        air.step(STEP)
+        assert air.outputs.setpoint[2:5] == pytest.approx(goal, abs=0.05)
+    air.kill()
+
+
+@pytest.mark.parametrize(
+    ("frame", "x", "z", "result"),
+    [
+        (8, 0, 1.0, 2),
+        (11, 0, 1.0, 2),
+        (2, 0, 1.0, 2),
+        (3, 0, nan, 5),
+        (3, 0, inf, 5),
+        (3, 2_000_000_000, 1.0, 5),
+        (3, 450_000_000, 1.0, 0),
+        (1, 2_000_000_000, 1.0, 0),
+    ],
+)
+def test_a_mission_that_cannot_be_flown_is_refused(
+    frame: int, x: int, z: float, result: int
+) -> None:
+    port, station = free_port(), Wire(255, 190)
+    air, mav = ground(port), station.mav
+    last = Item(frame, 16, 0, 1, 0, nan, nan, nan, x, 0, z)
+    station.send(mav.mission_count_encode(1, 1, 2), to=port)
+    air.step(STEP)
+    for seq, item in enumerate((Item(2, 178, 1, 1, nan, 0, 0, 0, 0, 0, nan), last)):
+        station.send(mav.mission_item_int_encode(1, 1, seq, *item), to=port)
+        air.step(STEP)
+    acks = [m.type for m in station.receive() if m.get_type() == "MISSION_ACK"]
+    assert acks == [result]
+    assert len(air.module._mission.items) == (0 if result else 2)
+    air.kill()
+
+
+def test_a_mission_is_as_old_as_its_position() -> None:
+    air = flown(1, 16, 0, 0, -3.0, {"x": 0.3, "lla": 9.0})
+    assert air.outputs.setpoint[0] == 84, "a place in NED needs no LLA_MEZ"
+    assert air.output_age == pytest.approx(0.3, abs=1e-6)
+    air.ages["x"] = 0.6
+    air.step(STEP, 5)
+    assert not air.outputs.setpoint.any()
+    assert texts(air) == ["the position is 0.6 s old: the vehicle holds"]
+    air.ages["x"] = 0.0
+    air.step(STEP)
+    assert air.outputs.setpoint[0] == 84
+    air.kill()
+    air = flown(3, 16, *HERE, 3.0, {"lla": 0.6})
+    assert not air.outputs.setpoint.any()
+    air.kill()
+
+
+def test_telemetry_has_the_time_of_the_oldest_input() -> None:
+    port, station = free_port(), Wire(255, 190)
+    air = ground(port)
+    station.send(station.beat(type=6), to=port)
+    air.step(1.0)
+    air.ages.update(x=0.25, rates=0.5, lla=0.75)
+    station.receive()
+    air.step(1.0)
+    got = {m.get_type(): m for m in station.receive()}
+    assert got["LOCAL_POSITION_NED"].time_boot_ms == pytest.approx(1750, abs=1)
+    assert got["ATTITUDE_QUATERNION"].time_boot_ms == pytest.approx(1500, abs=1)
+    assert got["ATTITUDE"].time_boot_ms == pytest.approx(1500, abs=1)
+    assert got["GLOBAL_POSITION_INT"].time_boot_ms == pytest.approx(1250, abs=1)
+    assert got["GPS_RAW_INT"].time_usec == pytest.approx(1_250_000, abs=1000)
+    air.ages["x"] = 1e9  # never, or long before the boot
+    air.step(1.0)
+    got = {m.get_type(): m for m in station.receive()}
+    assert got["LOCAL_POSITION_NED"].time_boot_ms == 0
     air.kill()
 
 
