@@ -115,16 +115,22 @@ class _Transfer:
 
     Args:
         link: The link.
+        to: System and component of the other end.
     """
 
-    def __init__(self, link: MavLink) -> None:
-        self._link = link
+    def __init__(self, link: MavLink, to: tuple[int, int]) -> None:
+        self._link, self._to = link, to
         self._again: Any = None
         self._next_ns = self._left = 0
 
     def _repeat(self, message: Any, now_ns: int) -> None:  # noqa: ANN401
         self._again, self._left = message, TRIES
         self._next_ns = now_ns
+
+    def _from_there(self, m: Any) -> bool:  # noqa: ANN401
+        """Return whether a message is of the other end, and for this one."""
+        sender = m.get_srcSystem(), m.get_srcComponent()
+        return sender == self._to and self._link.is_addressed(m)
 
     def _send_again(self, now_ns: int) -> bool:
         """Send what is due; False: the other end does not answer any more."""
@@ -158,8 +164,8 @@ class Download(_Transfer):
         count: int = -1,
         judge: Callable[[Item], int] = lambda _: ACCEPTED,
     ) -> None:
-        super().__init__(link)
-        self._to, self._count, self._judge = to, count, judge
+        super().__init__(link, to)
+        self._count, self._judge = count, judge
         self.items: list[Item] = []
         self.result = -1
         """-1 while it goes on; else as `ACCEPTED`."""
@@ -192,9 +198,6 @@ class Download(_Transfer):
         self.items.append(item)
         self._next_item(now_ns)
 
-    def _from_there(self, m: Any) -> bool:  # noqa: ANN401
-        return (m.get_srcSystem(), m.get_srcComponent()) == self._to
-
     def _next_item(self, now_ns: int) -> None:
         mav, seq = self._link.mav, len(self.items)
         if seq < self._count:
@@ -216,28 +219,30 @@ class Upload(_Transfer):
     def __init__(
         self, link: MavLink, to: tuple[int, int], items: list[Item], now_ns: int
     ) -> None:
-        super().__init__(link)
-        self._to, self._items = to, items
+        super().__init__(link, to)
+        self._items = items
         self._last_asked = False
         self.result = -1
         self._repeat(link.mav.mission_count_encode(*to, len(items)), now_ns)
 
     def run(self, now_ns: int) -> None:
         """Answer what has come."""
-        link = self._link
         for kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-            for m in link.all_of(kind):
+            for m in self._all_from_there(kind):
                 if self.result < 0 and m.seq < len(self._items):
                     seq = int(m.seq)
-                    item = item_message(link, self._to, seq, self._items[seq])
+                    item = item_message(self._link, self._to, seq, self._items[seq])
                     self._repeat(item, now_ns)
                     self._last_asked |= m.seq == len(self._items) - 1
-        for m in link.all_of("MISSION_ACK"):
+        for m in self._all_from_there("MISSION_ACK"):
             ended = self._last_asked or m.type  # or it answers an earlier one
             if self.result < 0 and m.mission_type == 0 and ended:
                 self.result = m.type
         if self.result < 0 and not self._send_again(now_ns):
             self.result = FAILED
+
+    def _all_from_there(self, kind: str) -> list[Any]:
+        return [m for m in self._link.all_of(kind) if self._from_there(m)]
 
 
 def item_message(link: MavLink, to: tuple[int, int], seq: int, one: Item) -> Any:  # noqa: ANN401

@@ -241,6 +241,46 @@ def test_attitude_set_points_keep_their_mask(pair: Pair) -> None:
     assert got == pytest.approx([82, 7, 1, 0, 0, 0, 0, 0, 0, 0.5, 0, 0, 0])
 
 
+@pytest.mark.parametrize(
+    ("sender", "system", "component", "ends"),
+    [
+        (1, 255, 190, True),
+        (1, 0, 0, True),
+        (1, 254, 190, False),
+        (1, 255, 191, False),
+        (100, 255, 190, False),
+    ],
+)
+def test_only_answers_to_us_of_the_autopilot_end_a_command(
+    wire: Wire, sender: int, system: int, component: int, ends: bool
+) -> None:
+    base = vehicle(wire.port)
+    base.step(STEP)
+    wire.receive()
+    wire.send(wire.beat())
+    base.step(STEP)
+    base.inputs.arm = 1
+    base.step(STEP, 2)
+    wire.receive()
+    ack = wire.mav.command_ack_encode(400, 0, 0, 0, system, component)
+    wire.send(Wire(1, sender).pack(ack))
+    base.step(STEP)
+    base.step(0.6)
+    asked = [m for m in wire.receive() if getattr(m, "command", 0) == 400]
+    assert bool(asked) != ends
+    base.kill()
+
+
+def test_a_flood_of_empty_datagrams_hides_nothing(wire: Wire) -> None:
+    base = vehicle(wire.port)
+    base.step(STEP)
+    wire.receive()
+    wire.send(*[b""] * 50, wire.beat(custom_mode=4))
+    base.step(STEP)
+    assert base.outputs.in_mode == 4
+    base.kill()
+
+
 def test_what_the_vehicle_does_not_follow_is_refused_and_said(pair: Pair) -> None:
     pair.run(1.5)
     pair.base.inputs.arm = 1

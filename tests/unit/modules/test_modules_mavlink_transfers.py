@@ -14,7 +14,8 @@ from test_modules_mavlink import STEP, Wire, free_port, ground, texts
 
 import pbonet.modules
 from pbonet.errors import MethodError, ParameterError
-from pbonet.modules._mavlink_mission import Item, exact, read_mission
+from pbonet.io import MavLink
+from pbonet.modules._mavlink_mission import Item, Upload, exact, read_mission
 from pbonet.modules._mavlink_parameters import ParameterClient
 from pbonet.modules.robot_interfaces.mav_mission import MavMission
 from pbonet.modules.robot_interfaces.mav_params import MavParams, wishes
@@ -245,13 +246,38 @@ def test_a_mission_is_flown_item_by_item() -> None:
     air.kill()
 
 
+@pytest.mark.parametrize(
+    ("sender", "system", "ends"),
+    [(1, 255, True), (1, 0, True), (1, 254, False), (100, 255, False)],
+)
+def test_only_an_answer_to_us_of_the_vehicle_ends_an_upload(
+    sender: int, system: int, ends: bool
+) -> None:
+    port, wire = free_port(), Wire()
+    link = MavLink(f"udpin:127.0.0.1:{port}", 255, 190, peer=1)
+    link.poll(1)
+    upload = Upload(link, (1, 1), read_mission(mission_text(1), ""), 1)
+    mav = wire.mav
+    wire.send(mav.mission_request_int_encode(255, 190, 0), to=port)
+    link.poll(1)
+    upload.run(1)
+    ack = mav.mission_ack_encode(system, 190 if system else 0, 0)
+    wire.send(Wire(1, sender).pack(ack), to=port)
+    link.poll(1)
+    upload.run(1)
+    assert (upload.result == 0) == ends
+    link.close()
+
+
 HERE = 458366236, 85943669  # 0.8 and 0.15 rad, where `ground` is
 
 
-def flown(frame: int, command: int, x: int, y: int, z: float, ages: Any = ()) -> Any:
+def flown(
+    frame: int, command: int, place: tuple[int, int], z: float, ages: Any = ()
+) -> Any:
     """Return a vehicle in a mission of one item, 5 m above its point of departure."""
     air = ground(free_port())
-    air.module._mission.items = [Item(frame, command, 0, 1, 0, 0, 0, nan, x, y, z)]
+    air.module._mission.items = [Item(frame, command, 0, 1, 0, 0, 0, nan, *place, z)]
     air.inputs.armed, air.inputs.in_mode = 1, MISSION
     air.inputs.x = [10.0, 20.0, -5.0]
     air.ages.update(dict(ages))
@@ -276,7 +302,7 @@ def flown(frame: int, command: int, x: int, y: int, z: float, ages: Any = ()) ->
 def test_items_are_flown_in_their_frames(
     frame: int, command: int, place: tuple[int, int], z: float, goal: tuple[float, ...]
 ) -> None:
-    air = flown(frame, command, *place, z)
+    air = flown(frame, command, place, z)
     assert air.outputs.setpoint[2:5] == pytest.approx(goal, abs=0.05)
     if command == 22:
         air.inputs.x = [11.0, 18.0, -6.0]  # the wind
@@ -317,7 +343,7 @@ def test_a_mission_that_cannot_be_flown_is_refused(
 
 
 def test_a_mission_is_as_old_as_its_position() -> None:
-    air = flown(1, 16, 0, 0, -3.0, {"x": 0.3, "lla": 9.0})
+    air = flown(1, 16, (0, 0), -3.0, {"x": 0.3, "lla": 9.0})
     assert air.outputs.setpoint[0] == 84, "a place in NED needs no LLA_MEZ"
     assert air.output_age == pytest.approx(0.3, abs=1e-6)
     air.ages["x"] = 0.6
@@ -328,7 +354,7 @@ def test_a_mission_is_as_old_as_its_position() -> None:
     air.step(STEP)
     assert air.outputs.setpoint[0] == 84
     air.kill()
-    air = flown(3, 16, *HERE, 3.0, {"lla": 0.6})
+    air = flown(3, 16, HERE, 3.0, {"lla": 0.6})
     assert not air.outputs.setpoint.any()
     air.kill()
 
