@@ -144,6 +144,26 @@ def test_nothing_is_given_while_the_flag_is_up(tmp_path: Path) -> None:
     both.close()
 
 
+class Ends:
+    """A client of parameters, and a vehicle with one of a type."""
+
+    def __init__(self, kind: int, *, bytewise: bool = False) -> None:
+        self.sent: list[Any] = []
+        self._kind, self._here = kind, list[Any]()
+        self.peer, self.mav, self.send = 1, Wire().mav, self.sent.append
+        link: Any = self
+        self.client = ParameterClient(link, 1)
+        self.client.bytewise = bytewise
+
+    def all_of(self, _: str) -> list[Any]:
+        return self._here
+
+    def answer(self, told: float) -> None:
+        m = self.mav.param_value_encode(b"N", told, self._kind, 1, 0)
+        m._header.srcComponent = 1
+        self._here = [m]
+
+
 @pytest.mark.parametrize(
     ("bytewise", "kind", "value", "sent"),
     [
@@ -155,38 +175,49 @@ def test_nothing_is_given_while_the_flag_is_up(tmp_path: Path) -> None:
 def test_whole_numbers_travel_as_the_autopilot_has_them(
     bytewise: bool, kind: int, value: float, sent: float
 ) -> None:
-    wire = Wire()
-    sent_messages: list[Any] = []
-    here: list[Any] = []
-
-    class Link:
-        peer, mav = 1, wire.mav
-
-        def all_of(self, _: str) -> list[Any]:
-            return here
-
-        def send(self, message: Any) -> None:
-            sent_messages.append(message)
-
-    link: Any = Link()
-    client = ParameterClient(link, 1)
-    client.bytewise, client.wanted = bytewise, {"N": value}
-
-    def answer(told: float) -> None:
-        m = wire.mav.param_value_encode(b"N", told, kind, 1, 0)
-        m._header.srcComponent = 1
-        here[:] = [m]
-
+    ends = Ends(kind, bytewise=bytewise)
+    client = ends.client
+    client.wanted = {"N": value}
     client.run(0)
-    assert sent_messages[-1].get_type() == "PARAM_REQUEST_READ"
-    answer(0.0)
+    assert ends.sent[-1].get_type() == "PARAM_REQUEST_READ"
+    ends.answer(0.0)
     client.run(10**9)
-    assert sent_messages[-1].get_type() == "PARAM_SET"
-    assert sent_messages[-1].param_value == pytest.approx(sent)
+    assert ends.sent[-1].get_type() == "PARAM_SET"
+    assert ends.sent[-1].param_value == pytest.approx(sent)
     assert client.left == 1
-    answer(sent_messages[-1].param_value)
+    ends.answer(ends.sent[-1].param_value)
     client.run(2 * 10**9)
     assert client.left == 0
+
+
+@pytest.mark.parametrize("bytewise", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [(1, 300), (1, -1), (2, 128), (3, 65536), (4, -32769), (5, -1), (6, 2**31)],
+)
+def test_a_wish_out_of_its_range_is_dropped_and_said_once(
+    bytewise: bool, kind: int, value: float
+) -> None:
+    ends = Ends(kind, bytewise=bytewise)
+    client = ends.client
+    client.wanted = {"N": float(value)}
+    ends.answer(0.0)
+    (said,) = client.run(0)
+    assert "parameter N is not set" in said
+    assert (client.run(10**9), client.left, client.wanted) == ([], 0, {})
+    assert "PARAM_SET" not in [m.get_type() for m in ends.sent]
+
+
+def test_a_value_that_is_no_number_is_not_taken() -> None:
+    ends = Ends(9)
+    ends.client.watched = ("N",)
+    ends.answer(nan)
+    ends.client.run(0)
+    assert (ends.client.known, ends.client.left) == ({}, 1)
+    whole = Ends(6, bytewise=True)  # -1 has the bytes of a NaN
+    whole.answer(nan)
+    whole.client.run(0)
+    assert "N" in whole.client.known
 
 
 def test_a_station_writes_reads_and_clears_the_mission() -> None:
@@ -398,7 +429,15 @@ def test_what_is_no_mission_is_refused(text: str) -> None:
 
 def test_wishes_are_names_and_values() -> None:
     assert wishes("A=1 B=2.5") == {"A": 1.0, "B": 2.5}
-    for text in ("A", "=1", "A=x", "A_NAME_THAT_IS_LONG=1"):
+    for text in (
+        "A",
+        "=1",
+        "A=x",
+        "A_NAME_THAT_IS_LONG=1",
+        "A=nan",
+        "A=-inf",
+        "A=1e40",
+    ):
         with pytest.raises(ParameterError, match="sets no parameter"):
             wishes(text)
 
