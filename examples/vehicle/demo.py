@@ -74,7 +74,7 @@ class Result(NamedTuple):
 
 
 def fly(
-    address: str = "", domain: str = "", *, embed: bool = True
+    address: str = "", domain: str = "", *, embed: bool = True, port: int = 0
 ) -> tuple[Log, list[Log]]:
     """Fly the square; return the pilot's log, and those of all.
 
@@ -82,15 +82,16 @@ def fly(
         address: Of a vehicle that is there; empty for the simulated one.
         domain: Where agents may run already; by default a new one.
         embed: Whether agents of its own are started.
+        port: Of the link with the simulated one; by default that of the example.
     """
     told: dict[str, Any] = {"domain": domain or f"vehicle{os.getpid()}", "embed": embed}
     with ExitStack() as stack:
-        folder = HERE
         systems: list[Subsystem] = []
+        folder = _on_port(port, stack) if port else HERE
         if address:
-            folder = _with_address(address, stack)
+            folder = _with_address(stack, vehicle=address)
         else:
-            craft = Subsystem(HERE / "craft.job", libraries=[HERE], **told)
+            craft = Subsystem(folder / "craft.job", libraries=[folder], **told)
             systems.append(_started(craft, stack))
         pilot = Subsystem(folder / "pilot.job", libraries=[folder], **told)
         _started(pilot, stack)
@@ -99,14 +100,21 @@ def fly(
     return logs[0], logs
 
 
-def _with_address(address: str, stack: ExitStack) -> Path:
-    """Return a copy of the example whose pilot calls another vehicle."""
+def _with_address(stack: ExitStack, **addresses: str) -> Path:
+    """Return a copy of the example in which modules have other addresses, by name."""
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "vehicle"
     shutil.copytree(HERE, folder)
-    rmod = folder / "vehicle.rmod"
-    text = re.sub(r"(?m)^ADDRESS .*", f"ADDRESS   {address}", rmod.read_text())
-    rmod.write_text(text)
+    for name, address in addresses.items():
+        rmod = folder / f"{name}.rmod"
+        text = re.sub(r"(?m)^ADDRESS .*", f"ADDRESS   {address}", rmod.read_text())
+        rmod.write_text(text)
     return folder
+
+
+def _on_port(port: int, stack: ExitStack) -> Path:
+    """Return a copy of the example whose link has another port."""
+    calls, waits = f"udpout:localhost:{port}", f"udpin:localhost:{port}"
+    return _with_address(stack, vehicle=calls, ground=waits)
 
 
 def _started(subsystem: Subsystem, stack: ExitStack) -> Subsystem:

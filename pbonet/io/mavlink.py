@@ -75,7 +75,7 @@ class MavLink:
         with from_extra("mavlink", "MAVLink"):
             self._dialect = import_module("pymavlink.dialects.v20.common")
         self.address = address
-        self.system, self.peer = system, peer
+        self.system, self.component, self.peer = system, component, peer
         self.fault: DeviceError | None = None
         self.damaged = self.refused = self.unsent = 0
         self.foreign: dict[int, int] = {}
@@ -129,6 +129,12 @@ class MavLink:
             if component in {0, one.component}:
                 return self._unpack(one)
         return None
+
+    def is_addressed(self, message: Message) -> bool:
+        """Return whether a message is for this end, or for all."""
+        return message.target_system in {0, self.system} and (
+            message.target_component in {0, self.component}
+        )
 
     def has(self, name: str) -> bool:
         """Return whether the last poll received a message of a kind."""
@@ -230,10 +236,14 @@ class MavLink:
         return system == self.peer if self.peer else system != self.system
 
     def _receive(self) -> bytes:
-        """Return the valid frames of one read, and the counts of others."""
+        """Return the valid frames of one read, and the counts of others.
+
+        It is empty when nothing is there; after an empty datagram there may be more.
+        """
         data = self._channel.receive()
+        self._frames = []
         if not data:
-            return b""
+            return b"" if data is None else _NONE
         finder, refused = self._finder, 0
         frames = finder.feed(data)
         if (judge := self._signatures) is not None:

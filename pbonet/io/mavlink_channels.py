@@ -82,8 +82,8 @@ class Channel(Protocol):
     def open(self) -> None:
         """Begin."""
 
-    def receive(self) -> bytes:
-        """Return what one read gives; empty: nothing is there."""
+    def receive(self) -> bytes | None:
+        """Return what one read gives; None: nothing is there."""
         ...
 
     def accept(self) -> None:
@@ -158,12 +158,12 @@ class UdpChannel(_Socket):
         else:
             made.connect(self._place)
 
-    def receive(self) -> bytes:
-        """Return the next datagram."""
+    def receive(self) -> bytes | None:
+        """Return the next datagram, which may be empty."""
         try:
             data, self._sender = self._open_socket().recvfrom(LONGEST)
         except (BlockingIOError, ConnectionRefusedError):  # the latter: not there yet
-            return b""
+            return None
         return data
 
     def accept(self) -> None:
@@ -209,12 +209,12 @@ class TcpChannel(_Socket):
         if code not in {0, errno.EINPROGRESS}:
             raise OSError(code, os.strerror(code))
 
-    def receive(self) -> bytes:
+    def receive(self) -> bytes | None:
         """Return what has arrived."""
         try:
             data = self._open_socket().recv(LONGEST)
         except BlockingIOError:
-            return b""
+            return None
         if not data:
             raise OSError(errno.ECONNRESET, "the other end has closed the connection")
         return data
@@ -249,9 +249,9 @@ class SerialChannel:
         self._line.open()
         self._unsent = b""
 
-    def receive(self) -> bytes:
+    def receive(self) -> bytes | None:
         """Return what has arrived."""
-        return self._line.read_available(LONGEST)
+        return self._line.read_available(LONGEST) or None
 
     def accept(self) -> None:
         """There is one other end."""

@@ -3,6 +3,9 @@
 Both ends ask each other for the time (TIMESYNC). Of the last answers the one with the
 shortest round trip counts, and is taken to be made when it was asked for: so a time of
 the other end never seems later than it was, and by at most a round trip too early.
+
+When the other end starts again, its times seem to be long past until it answers once
+more: too old, and never newer than they are.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ class PeerClock:
 
     def __init__(self) -> None:
         self._answers: deque[tuple[int, int]] = deque(maxlen=_KEPT)
+        self._last_ns = 0
 
     @property
     def known(self) -> bool:
@@ -37,19 +41,18 @@ class PeerClock:
         if not 0 <= round_trip <= _LONGEST_NS:
             return
         ahead = theirs_ns - asked_ns
-        if self._answers and abs(ahead - self._ahead()) > _LONGEST_NS:
+        jumped = self._answers and abs(ahead - self._ahead()) > _LONGEST_NS
+        if jumped or theirs_ns < self._last_ns:
             self._answers.clear()  # it has started again
+        self._last_ns = theirs_ns
         self._answers.append((round_trip, ahead))
 
     def ours(self, theirs_ns: int, now_ns: int) -> int:
-        """Return our time of a time of the other end; `now_ns` while that is unknown.
+        """Return our time of a time of the other end, at most `now_ns`.
 
-        A time that lies ahead, or more than a minute back, is none of this clock.
+        It is `now_ns` only as long as the other end has never answered.
         """
-        if not self._answers:
-            return now_ns
-        ours = theirs_ns - self._ahead()
-        return min(ours, now_ns) if abs(now_ns - ours) < 60 * _LONGEST_NS else now_ns
+        return min(theirs_ns - self._ahead(), now_ns) if self._answers else now_ns
 
     def _ahead(self) -> int:
         return min(self._answers)[1]

@@ -137,9 +137,10 @@ class Commands:
     def run(self, link: MavLink, now_ns: int) -> Iterator[str]:
         """Send what is due; yield what was refused, or not answered."""
         for answer in link.all_of("COMMAND_ACK"):
-            if answer.result == IN_PROGRESS:
+            if answer.result == IN_PROGRESS or not self._answers(link, answer):
                 continue
-            if self._asked.pop(answer.command, None) and answer.result:
+            del self._asked[answer.command]
+            if answer.result:
                 yield f"command {answer.command} was refused: result {answer.result}"
         for number, asked in list(self._asked.items()):
             if now_ns < asked.next_ns:
@@ -153,6 +154,15 @@ class Commands:
             self._asked[number] = _Asked(
                 asked.message, now_ns + self._retry_ns, asked.tries + 1
             )
+
+    def _answers(self, link: MavLink, answer: Any) -> bool:  # noqa: ANN401
+        """Return whether it is for this end, and of the component that was asked."""
+        asked = self._asked.get(answer.command)
+        return (
+            asked is not None
+            and answer.get_srcComponent() == asked.message.target_component
+            and link.is_addressed(answer)
+        )
 
 
 IN_PROGRESS = 5

@@ -7,6 +7,7 @@ messages change nothing.
 from __future__ import annotations
 
 import struct
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pbonet.errors import ParameterError
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 MOST = 500
 """Items of one mission."""
-ACCEPTED, FAILED, TOO_MANY, OUT_OF_ORDER = 0, 1, 4, 13
+ACCEPTED, FAILED, BAD_FRAME, TOO_MANY, INVALID, OUT_OF_ORDER = 0, 1, 2, 4, 5, 13
 """Results of a mission's handshake."""
 RETRY_NS: Final = 400_000_000
 TRIES: Final = 30
@@ -26,6 +27,11 @@ _FIRST_LINE = "QGC WPL 110"
 _COLUMNS = 12
 _GLOBAL = {0, 3, 5, 6, 10, 11}
 """Frames whose x and y are degrees."""
+WAYPOINT, TAKEOFF = 16, 22
+"""Commands of items that have a place."""
+NED, ENU = 1, 4
+"""Frames that are flown here, with `AMSL` and `RELATIVE`; not bodies and terrain."""
+AMSL, RELATIVE = {0, 5}, {3, 6}
 
 
 class Item(NamedTuple):
@@ -50,6 +56,22 @@ def item_of(m: Any) -> Item:  # noqa: ANN401 - a message
         *(m.frame, m.command, m.current, m.autocontinue),
         *(m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z),
     )
+
+
+def judge_item(one: Item) -> int:
+    """Return whether an item can be flown, as `ACCEPTED`.
+
+    Only values that are used count: stations send NaN for others.
+    """
+    if one.command not in {WAYPOINT, TAKEOFF}:
+        return ACCEPTED
+    if one.frame not in {NED, ENU, *AMSL, *RELATIVE}:
+        return BAD_FRAME
+    hold = one.p1 if one.command == WAYPOINT else 0.0
+    on_earth = abs(one.x) <= 90e7 and abs(one.y) <= 180e7  # noqa: PLR2004
+    if not isfinite(one.z) or not isfinite(hold):
+        return INVALID
+    return ACCEPTED if one.frame in {NED, ENU} or on_earth else INVALID
 
 
 def read_mission(text: str, where: str) -> list[Item]:
@@ -93,16 +115,22 @@ class _Transfer:
 
     Args:
         link: The link.
+        to: System and component of the other end.
     """
 
-    def __init__(self, link: MavLink) -> None:
-        self._link = link
+    def __init__(self, link: MavLink, to: tuple[int, int]) -> None:
+        self._link, self._to = link, to
         self._again: Any = None
         self._next_ns = self._left = 0
 
     def _repeat(self, message: Any, now_ns: int) -> None:  # noqa: ANN401
         self._again, self._left = message, TRIES
         self._next_ns = now_ns
+
+    def _from_there(self, m: Any) -> bool:  # noqa: ANN401
+        """Return whether a message is of the other end, and for this one."""
+        sender = m.get_srcSystem(), m.get_srcComponent()
+        return sender == self._to and self._link.is_addressed(m)
 
     def _send_again(self, now_ns: int) -> bool:
         """Send what is due; False: the other end does not answer any more."""
@@ -125,13 +153,19 @@ class Download(_Transfer):
         to: System and component of the other end.
         count: How many items there are, if that is known: then it is asked for them
             at once, and told whether all came.
+        judge: Called with each item; other than `ACCEPTED` ends the download with it.
     """
 
     def __init__(
-        self, link: MavLink, to: tuple[int, int], now_ns: int, count: int = -1
+        self,
+        link: MavLink,
+        to: tuple[int, int],
+        now_ns: int,
+        count: int = -1,
+        judge: Callable[[Item], int] = lambda _: ACCEPTED,
     ) -> None:
-        super().__init__(link)
-        self._to, self._count = to, count
+        super().__init__(link, to)
+        self._count, self._judge = count, judge
         self.items: list[Item] = []
         self.result = -1
         """-1 while it goes on; else as `ACCEPTED`."""
@@ -151,13 +185,18 @@ class Download(_Transfer):
                 self._next_item(now_ns)
         for m in self._link.all_of("MISSION_ITEM_INT"):
             if m.seq == len(self.items) < self._count and self._from_there(m):
-                self.items.append(item_of(m))
-                self._next_item(now_ns)
+                self._take(item_of(m), now_ns)
         if self.result < 0 and not self._send_again(now_ns):
             self.result = FAILED
 
-    def _from_there(self, m: Any) -> bool:  # noqa: ANN401
-        return (m.get_srcSystem(), m.get_srcComponent()) == self._to
+    def _take(self, item: Item, now_ns: int) -> None:
+        refused = self._judge(item)
+        if refused:
+            self.result = refused
+            self._link.send(self._link.mav.mission_ack_encode(*self._to, refused))
+            return
+        self.items.append(item)
+        self._next_item(now_ns)
 
     def _next_item(self, now_ns: int) -> None:
         mav, seq = self._link.mav, len(self.items)
@@ -180,28 +219,30 @@ class Upload(_Transfer):
     def __init__(
         self, link: MavLink, to: tuple[int, int], items: list[Item], now_ns: int
     ) -> None:
-        super().__init__(link)
-        self._to, self._items = to, items
+        super().__init__(link, to)
+        self._items = items
         self._last_asked = False
         self.result = -1
         self._repeat(link.mav.mission_count_encode(*to, len(items)), now_ns)
 
     def run(self, now_ns: int) -> None:
         """Answer what has come."""
-        link = self._link
         for kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
-            for m in link.all_of(kind):
+            for m in self._all_from_there(kind):
                 if self.result < 0 and m.seq < len(self._items):
                     seq = int(m.seq)
-                    item = item_message(link, self._to, seq, self._items[seq])
+                    item = item_message(self._link, self._to, seq, self._items[seq])
                     self._repeat(item, now_ns)
                     self._last_asked |= m.seq == len(self._items) - 1
-        for m in link.all_of("MISSION_ACK"):
+        for m in self._all_from_there("MISSION_ACK"):
             ended = self._last_asked or m.type  # or it answers an earlier one
             if self.result < 0 and m.mission_type == 0 and ended:
                 self.result = m.type
         if self.result < 0 and not self._send_again(now_ns):
             self.result = FAILED
+
+    def _all_from_there(self, kind: str) -> list[Any]:
+        return [m for m in self._link.all_of(kind) if self._from_there(m)]
 
 
 def item_message(link: MavLink, to: tuple[int, int], seq: int, one: Item) -> Any:  # noqa: ANN401
@@ -258,13 +299,18 @@ class MissionServer:
                 self._link.send(self._link.mav.mission_ack_encode(*to, TOO_MANY))
             elif self._upload is None or self._upload.items:
                 # one that is repeated because the first request was lost is none more
-                self._upload = Download(self._link, to, now_ns, m.count)
+                self._upload = Download(self._link, to, now_ns, m.count, judge_item)
         if self._upload is None:
             return
         self._upload.run(now_ns)
         if self._upload.result == ACCEPTED:
             self.items, self.current = self._upload.items, 0
             self._say(f"a mission of {len(self.items)} items")
+        elif self._upload.result > 0:
+            self._say(
+                f"no mission: item {len(self._upload.items)} has result "
+                f"{self._upload.result}"
+            )
         if self._upload.result >= 0:
             self._upload = None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -77,6 +78,15 @@ _FORMS: Final = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 """Types of whole numbers, as `struct` calls them."""
 
 
+_RANGES: Final = {
+    1: (0, 0xFF), 2: (-0x80, 0x7F), 3: (0, 0xFFFF), 4: (-0x8000, 0x7FFF),
+    5: (0, 0xFFFFFFFF), 6: (-0x80000000, 0x7FFFFFFF),
+}  # fmt: skip
+"""What those types hold."""
+LARGEST: Final = 3.4028234663852886e38
+"""The largest number that travels."""
+
+
 class Told(NamedTuple):
     """A parameter as the vehicle has it."""
 
@@ -133,14 +143,37 @@ class ParameterClient:
         unread = self.count - self._indices() if self.count else 1
         return len(open_) + (unread if self._all else 0)
 
-    def run(self, now_ns: int) -> None:
-        """Take what has come, and ask for what is missing when it is time."""
+    def run(self, now_ns: int) -> list[str]:
+        """Take what has come, and ask for what is missing when it is time.
+
+        Returns:
+            Why wishes were dropped.
+        """
         for m in self._link.all_of("PARAM_VALUE"):
             if m.get_srcComponent() == self._component:
                 self._take(m)
         if now_ns >= self._next_ns and self.left:
             self._next_ns = now_ns + self._retry_ns
+            dropped = self._drop_wrong()
             self._ask()
+            return dropped
+        return []
+
+    def _drop_wrong(self) -> list[str]:
+        """Drop wishes that the vehicle's types cannot hold; return what to say."""
+        dropped = list[str]()
+        for name, value in list(self.wanted.items()):
+            told = self.known.get(name)
+            if told is None or told.type not in _RANGES:
+                continue
+            least, most = _RANGES[told.type]
+            if not least <= round(value) <= most:
+                del self.wanted[name]
+                dropped.append(
+                    f"parameter {name} is not set: {value:g} is not within the range "
+                    f"of its type, {least} to {most}"
+                )
+        return dropped
 
     def _take(self, m: Any) -> None:  # noqa: ANN401
         form = _FORMS.get(m.param_type)
@@ -148,6 +181,8 @@ class ParameterClient:
         if self.bytewise and form:
             raw = struct.pack("<f", value)
             value = struct.unpack_from(f"<{form}", raw)[0]
+        if not isfinite(value):
+            return
         self.known[name_of(m.param_id)] = Told(value, m.param_type, m.param_index)
         self.count = m.param_count
 

@@ -75,6 +75,7 @@ def must_be_stopped(
             f"all tasks have ended, but {count} failed as they did: "
             + " ".join(stopped.failed),
             failed,
+            remedy="see that what they control is safe, and correct them",
         )
     count = "an RTPU" if len(errors) == 1 else f"{len(errors)} RTPUs"
     done = (

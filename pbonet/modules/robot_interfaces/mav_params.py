@@ -5,7 +5,7 @@ from typing import Annotated as A
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
 from pbonet.modules._mavlink import link_of
-from pbonet.modules._mavlink_parameters import LONGEST, ParameterClient
+from pbonet.modules._mavlink_parameters import LARGEST, LONGEST, ParameterClient
 from pbonet.modules._values import keep
 
 PX4 = 12
@@ -28,7 +28,8 @@ class MavParams(PortBasedObject[Wishes], module_class="robot interface"):
 
     `set want NAME=VALUE ...` changes parameters of the vehicle; PARAM_LEFT is how many
     are not yet confirmed or read. `set known all` reads every parameter, and `get
-    known` gives them. Whole numbers are rounded. A part of the task of `mav_vehicle`,
+    known` gives them. Whole numbers are rounded; a wish that is out of the range of the
+    parameter's type is dropped, with a warning. A part of the task of `mav_vehicle`,
     after it; while the flag is up it goes on reading, and sets nothing.
     """
 
@@ -80,7 +81,8 @@ class MavParams(PortBasedObject[Wishes], module_class="robot interface"):
         for m in self._link.all_of("HEARTBEAT"):
             if m.get_srcComponent() == self.params.component:
                 client.bytewise = m.autopilot == PX4
-        client.run(self.task.now)
+        for problem in client.run(self.task.now):
+            self.task.warn(problem)
         self.left = client.left
         for k, name in enumerate(client.watched):
             if (told := client.known.get(name)) is not None:
@@ -100,10 +102,11 @@ def wishes(text: str) -> dict[str, float]:
             found[name] = float(value)
         except ValueError:
             name = ""
-        if not 0 < len(name) <= LONGEST:
+        if not 0 < len(name) <= LONGEST or not abs(found[name]) <= LARGEST:
             raise ParameterError(
                 "this sets no parameter of a vehicle",
-                expected=f"NAME=VALUE, with a name of at most {LONGEST} characters",
+                expected=f"NAME=VALUE, with a name of at most {LONGEST} characters "
+                "and a number that is finite in 32 bits",
                 got=one,
                 remedy="correct it, as in MPC_XY_VEL_MAX=3.0",
             )

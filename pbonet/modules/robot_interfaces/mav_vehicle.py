@@ -1,5 +1,6 @@
 """The robot interface of a vehicle that speaks MAVLink, such as PX4 or ArduPilot."""
 
+from collections import deque
 from math import cos, radians, sin
 from typing import Annotated as A, Any
 
@@ -29,6 +30,8 @@ WANTED = {
 WARNING = 4
 """The severity from which a text of the vehicle is a warning."""
 UNKNOWN_MV = 65535
+ODD_NS = 60_000_000_000
+"""A measurement that is older than this is worth a warning."""
 FIXED = {"address", "system", "component", "station", "key", "telemetry", "wait"}
 """Parameters that are read when the task is created."""
 
@@ -51,15 +54,19 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     """Telemetry of the vehicle out, set-points and commands to it in; SI units, NED.
 
     ARM_CMD and MODE_CMD are sent when they change while the task is ON, until the
-    vehicle answers; what they are at `on` is not sent. SETPOINT is sent RATE times a
-    second while it is fresh. Without a heartbeat for LOST_AFTER the vehicle is lost:
-    the illegal-configuration flag is up, and no set-point or command is sent until the
-    task is turned off and on again, also when the vehicle is back; its autopilot does
-    what it is set to without set-points. Nothing here disarms by itself. In `stable`,
-    telemetry goes on and no set-points are sent.
+    vehicle answers; what they are at `on` is not sent. A change while the vehicle is
+    not there is not sent later either, and a warning says so. SETPOINT is sent RATE
+    times a second while it is fresh. Without a heartbeat for LOST_AFTER the vehicle is
+    lost: the illegal-configuration flag is up, and no set-point or command is sent
+    until the task is turned off and on again, also when the vehicle is back; its
+    autopilot does what it is set to without set-points. Nothing here disarms by itself.
+    In `stable`, telemetry goes on and no set-points are sent.
 
-    The outputs have the time at which the vehicle measured attitude and position, the
-    older of both, by its own clock (TIMESYNC); before it answers, that of arrival.
+    The outputs have the time at which the vehicle measured attitude, position and, once
+    it has come, LLA_MEZ, the oldest of them, by its own clock (TIMESYNC); before it
+    answers, that of arrival. They are too old for any limit until attitude and position
+    have come since `on`. MODE and ARMED come with the heartbeat, so LINK_AGE is their
+    age; BATT and GPS_FIX have none of their own.
     """
 
     mav_type: A[int, OutConst("MAV_TYPE", "1", "none", "type of the vehicle, or 0")]
@@ -94,6 +101,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         self._owner, self._link = Owner(self.task, link), link
         self._owner.poll()  # what is wrong is said at once
         self._clock, self._commands = PeerClock(), Commands()
+        self._asked_ns = deque[int](maxlen=2)  # an answer takes a second at most
         self._beat, self._sync = Every(1.0), Every(1.0)
         self._setpoints = Every(k.rate)
         self._autopilot = 0
@@ -112,6 +120,10 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         self._heard_ns = 0
         self._began_ns = self.task.now
         self._stamps: dict[str, int] = {}
+        self._needed = {"attitude", "position"}
+        if self.lla.any():  # it came before, and is old until it comes again
+            self._needed.add("global")
+        self._quaternions = self._says_old = False
         self._missing = set(WANTED)
         self._was_armed, self._was_mode = self.arm, self.mode
         self._commands.clear()
@@ -119,9 +131,9 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the clock tells
         self._exchange()
+        self._send_changes()
         if self._lost or not self._heard_ns:
             return
-        self._send_changes()
         if not self.task.stale("setpoint") and self._setpoints.due(self.task.now):
             message = setpoint_message(
                 self._link, self.params.component, self.setpoint, self._boot_ms()
@@ -132,8 +144,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     def stable(self, dt: float) -> None:  # noqa: ARG002
         """Go on without set-points."""
         self._exchange()
-        if self._heard_ns and not self._lost:
-            self._send_changes()
+        self._send_changes()
 
     def kill(self) -> None:
         if link := getattr(self, "_link", None):
@@ -144,9 +155,9 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         now, link = self.task.now, self._link
         self._owner.poll()
         self._take_heartbeat(now)
+        self._keep_up(now)
         self._take_telemetry(now)
         self._take_status()
-        self._keep_up(now)
         for problem in self._commands.run(link, now):
             self.task.warn(f"vehicle {self.params.system}: {problem}")
         self._owner.count(self.bad)
@@ -157,8 +168,8 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self.task.illegal(
                 f"vehicle {self.params.system}: no heartbeat for {self.age:.3g} s"
             )
-        if self._stamps:
-            self.task.stamp_ns = min(self._stamps.values())
+        if self._needed <= self._stamps.keys():
+            self.task.stamp_ns = max(min(self._stamps.values()), 1)
 
     def _take_heartbeat(self, now: int) -> None:
         for beat in self._link.all_of("HEARTBEAT"):
@@ -172,9 +183,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     def _take_telemetry(self, now: int) -> None:
         if (m := self._newest("ATTITUDE_QUATERNION")) is not None:
             self._take_attitude(m, (m.q1, m.q2, m.q3, m.q4), now)
-        elif (m := self._newest("ATTITUDE")) is not None and (
-            "quaternion" not in self._stamps
-        ):
+        elif (m := self._newest("ATTITUDE")) is not None and (not self._quaternions):
             self._take_attitude(m, _quaternion(m.roll, m.pitch, m.yaw), now)
         if (m := self._newest("LOCAL_POSITION_NED")) is not None and finite(
             m.x, m.y, m.z, m.vx, m.vy, m.vz
@@ -184,14 +193,15 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self._stamps["position"] = self._time_of(m, now)
         if (m := self._newest("GLOBAL_POSITION_INT")) is not None:
             self.lla[:] = radians(m.lat * 1e-7), radians(m.lon * 1e-7), m.alt * 1e-3
+            self._stamps["global"] = self._time_of(m, now)
+            self._needed.add("global")
 
     def _take_attitude(self, m: Any, q: tuple[float, ...], now: int) -> None:  # noqa: ANN401
         rates = m.rollspeed, m.pitchspeed, m.yawspeed
         if finite(*q, *rates):
             self.att[:], self.rates[:] = q, rates
-            kind = "quaternion" if m.get_type() == "ATTITUDE_QUATERNION" else "angles"
-            self._stamps.pop("angles", None)
-            self._stamps[kind] = self._time_of(m, now)
+            self._quaternions |= m.get_type() == "ATTITUDE_QUATERNION"
+            self._stamps["attitude"] = self._time_of(m, now)
 
     def _newest(self, name: str) -> Any:  # noqa: ANN401
         """Return the newest message of a kind that the autopilot itself has sent."""
@@ -218,29 +228,41 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self._missing -= {n for n in self._missing if link.has(WANTED[n])}
         if self._sync.due(now):
             link.send(mav.timesync_encode(0, now))
+            self._asked_ns.append(now)
             for number in self._missing if self._heard_ns else ():
                 gap_us = 1e6 / self.params.telemetry
                 link.send(self._command(INTERVAL, number, gap_us))
         for m in link.all_of("TIMESYNC"):
-            if m.tc1:
-                self._clock.learn(m.tc1, m.ts1, now)
-            else:
+            if not m.tc1:
                 link.send(mav.timesync_encode(now, m.ts1))
+            elif m.get_srcComponent() == self.params.component and (
+                m.ts1 in self._asked_ns
+            ):
+                self._asked_ns.remove(m.ts1)
+                self._clock.learn(m.tc1, m.ts1, now)
 
     def _send_changes(self) -> None:
         """Send ARM_CMD and MODE_CMD where they have changed."""
         if self.arm != self._was_armed:
             self._was_armed = self.arm
-            self._ask(ARM, float(bool(self.arm)))
+            self._ask("ARM_CMD", ARM, float(bool(self.arm)))
         if self.mode != self._was_mode:
             self._was_mode = self.mode
             if self._autopilot == PX4:  # its main mode, then the mode within that
-                self._ask(MODE, 1.0, self.mode >> 16 & 0xFF, self.mode >> 24)
+                values = self.mode >> 16 & 0xFF, self.mode >> 24
+                self._ask("MODE_CMD", MODE, 1.0, *values)
             else:
-                self._ask(MODE, 1.0, self.mode)
+                self._ask("MODE_CMD", MODE, 1.0, self.mode)
 
-    def _ask(self, command: int, *values: float) -> None:
-        self._commands.ask(self._command(command, *values), self.task.now)
+    def _ask(self, variable: str, command: int, *values: float) -> None:
+        """Send a command; one for a vehicle that is not there is not kept for later."""
+        if self._heard_ns and not self._lost:
+            self._commands.ask(self._command(command, *values), self.task.now)
+            return
+        self.task.warn(
+            f"vehicle {self.params.system} is not there: the change of {variable} is "
+            "not sent, also later; change it again when LINK_AGE is small"
+        )
 
     def _command(self, command: int, *values: float) -> Any:  # noqa: ANN401
         filled = [*values, *[0.0] * (7 - len(values))]
@@ -249,7 +271,15 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         )
 
     def _time_of(self, m: Any, now: int) -> int:  # noqa: ANN401
-        return self._clock.ours(m.time_boot_ms * 1_000_000, now)
+        ours = self._clock.ours(m.time_boot_ms * 1_000_000, now)
+        if now - ours > ODD_NS and not self._says_old:
+            self._says_old = True
+            self.task.warn(
+                f"vehicle {self.params.system}: what it measures is "
+                f"{(now - ours) * 1e-9:.3g} s old by its own clock (TIMESYNC); it has "
+                "started again, or its times are of another clock"
+            )
+        return ours
 
     def _boot_ms(self) -> int:
         return self.task.now // 1_000_000 & 0xFFFFFFFF

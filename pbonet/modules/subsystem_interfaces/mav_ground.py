@@ -1,7 +1,7 @@
 """A vehicle on a MAVLink link, for ground stations: pbonet is the vehicle."""
 
 from collections.abc import Callable
-from math import asin, atan2, cos, degrees, radians, tau
+from math import asin, atan2, cos, degrees, isfinite, radians, tau
 from typing import Annotated as A, Any, Literal, NamedTuple
 
 from pbonet import InVar, OutVar, Params, PortBasedObject, Vector, param
@@ -19,7 +19,15 @@ from pbonet.modules._mavlink import (
     V,
     setpoint_of,
 )
-from pbonet.modules._mavlink_mission import Item, MissionServer
+from pbonet.modules._mavlink_mission import (
+    AMSL,
+    ENU,
+    NED,
+    TAKEOFF,
+    WAYPOINT,
+    Item,
+    MissionServer,
+)
 from pbonet.modules._mavlink_parameters import LONGEST, ParameterServer
 from pbonet.modules._values import keep
 
@@ -28,8 +36,6 @@ AUTOPILOT = 1
 PX4 = 12
 ARM, MODE, LAND, INTERVAL, REQUEST, CAPABILITIES = 400, 176, 21, 511, 512, 520
 """Commands that stations send."""
-WAYPOINT, TAKEOFF = 16, 22
-"""Commands of a mission's items, beside LAND."""
 EARTH = 6_371_000.0
 """Its radius, m."""
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
@@ -75,7 +81,7 @@ class Vehicle(Params):
 class Pending(NamedTuple):
     """A command that the vehicle has to follow before it is acknowledged."""
 
-    follows: Callable[[], bool]
+    wanted: int
     until_ns: int
     system: int
     component: int
@@ -87,15 +93,20 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
     Units and axes as of `mav_vehicle`, whose ports these are seen from the other end: a
     vehicle's controller reads SETPOINT, ARM_CMD and MODE_CMD. SETPOINT has the time of
     arrival; without a new one for SILENT its kind is 0, which asks for nothing. A
-    command is accepted when ARMED or MODE is as it says, and denied after 1 s. PARAM
-    are numbers that stations change by their names in PARAMS. When no station was heard
-    for LOST_AFTER and ARMED is 1, MODE_CMD becomes HOLD_MODE or LAND_MODE, as LOST
-    says.
+    command is accepted when ARMED or MODE is as it says, and denied after 1 s; another
+    value takes the place of one that is not yet followed. PARAM are numbers that
+    stations change by their names in PARAMS. When no station was heard for LOST_AFTER
+    and ARMED is 1, MODE_CMD becomes HOLD_MODE or LAND_MODE, as LOST says.
+
+    Telemetry has the time at which its inputs were measured.
 
     It keeps a mission. While MODE is MISSION_MODE and ARMED is 1, SETPOINT is the place
-    of its item WP_NOW: of waypoints and take-offs, for the time that they say; landing
-    makes MODE_CMD LAND_MODE, other items are passed over, and after the last one
-    MODE_CMD is HOLD_MODE.
+    of its item WP_NOW, with the age of the position; its kind is 0 while that is older
+    than SILENT. Waypoints are held for the time that they say, a take-off rises where
+    it begins; both are in a frame NED, ENU, or with degrees and a height above the sea
+    or the point of departure, and a mission with others is refused. Landing makes
+    MODE_CMD LAND_MODE, other items are passed over, and after the last one MODE_CMD is
+    HOLD_MODE.
     """
 
     att: A[Vector, InVar("ATT_MEZ", "4", "none", "attitude w x y z")]
@@ -152,6 +163,9 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         self._began_ns = self.task.now
         self._lost = False
         self._reached_ns = 0
+        self._flown: Item | None = None
+        self._start = 0.0, 0.0
+        self._blind = False
         self.setpoint[:] = 0.0
         self.arm, self.mode = self.armed, self.in_mode  # nothing is asked for yet
         self.param[:] = self._parameters.values
@@ -163,6 +177,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         if self.armed and self.in_mode == self.params.mission_mode:
             self._fly_mission(now)
         else:
+            self._flown = None
             self._take_setpoint(now)
         self.item = self._mission.current
         self._take_commands(now)
@@ -206,42 +221,58 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
                 if self._is_for_us(m):
                     self._take_command(m, now)
         for command, one in list(self._pending.items()):
-            if one.follows():
+            if one.wanted == (
+                int(bool(self.armed)) if command == ARM else self.in_mode
+            ):
                 self._answer(command, ACCEPTED, one.system, one.component)
             elif now > one.until_ns:
                 self._answer(command, DENIED, one.system, one.component)
 
     def _take_command(self, m: Any, now: int) -> None:  # noqa: ANN401
         sender = m.get_srcSystem(), m.get_srcComponent()
-        if m.command in self._pending:  # it is sent again until it is answered
-            self._acknowledge(m.command, IN_PROGRESS, *sender)
-            return
-        follows: Callable[[], bool] | None = None
         result = UNSUPPORTED
-        if m.command == ARM:
-            self.arm = wanted = int(m.param1 > 0.5)  # noqa: PLR2004
-            follows = lambda: bool(self.armed) == bool(wanted)  # noqa: E731
-        elif m.command in {MODE, LAND}:
-            self.mode = mode = self._mode_of(m)
-            follows = lambda: self.in_mode == mode  # noqa: E731
+        if m.command in {ARM, MODE, LAND}:
+            wanted = self._wanted_by(m)
+            if wanted is not None:
+                self._follow(m.command, wanted, sender, now)
+                return
+            result = DENIED
         elif m.command in {INTERVAL, REQUEST, CAPABILITIES}:
             result = self._take_request(m)
-        if follows is None:
-            self._acknowledge(m.command, result, *sender)
-        else:
-            self._pending[m.command] = Pending(follows, now + TRIED_NS, *sender)
+        self._acknowledge(m.command, result, *sender)
 
-    def _mode_of(self, m: Any) -> int:  # noqa: ANN401
+    def _follow(
+        self, command: int, wanted: int, sender: tuple[int, int], now: int
+    ) -> None:
+        """Ask the vehicle for it, in place of another value that is pending."""
+        old = self._pending.get(command)
+        if old is not None and old.wanted == wanted:  # sent again until it is answered
+            self._acknowledge(command, IN_PROGRESS, *sender)
+            return
+        if old is not None and (old.system, old.component) != sender:
+            self._acknowledge(command, DENIED, old.system, old.component)
+        if command == ARM:
+            self.arm = wanted
+        else:
+            self.mode = wanted
+        self._pending[command] = Pending(wanted, now + TRIED_NS, *sender)
+
+    def _wanted_by(self, m: Any) -> int | None:  # noqa: ANN401
+        """Return what ARM_CMD or MODE_CMD becomes; None: the command asks for none."""
+        if m.command == ARM:
+            return _whole(m.param1, 1)
         if m.command == LAND:
             return self.params.land_mode
-        main = int(m.param2) & 0x7FFFFFFF
         if self.params.autopilot != PX4:
-            return main
-        return (main & 0xFF) << 16 | (int(m.param3) & 0x7F) << 24
+            return _whole(m.param2, 0x7FFFFFFF)
+        main, sub = _whole(m.param2, 0xFF), _whole(m.param3, 0x7F)
+        return None if main is None or sub is None else main << 16 | sub << 24
 
     def _take_request(self, m: Any) -> int:  # noqa: ANN401
         """Send a message once, or change its rate; return the result."""
-        number = 148 if m.command == CAPABILITIES else int(m.param1)
+        number = 148 if m.command == CAPABILITIES else _whole(m.param1, 0xFFFFFF)
+        if number is None or (m.command == INTERVAL and not isfinite(m.param2)):
+            return DENIED
         if number not in self._kinds:
             return UNSUPPORTED
         if m.command != INTERVAL:
@@ -301,11 +332,15 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         if one.command == LAND:
             self.mode = self.params.land_mode
             return
-        goal = self._place_of(one)
-        if goal is None:
+        if one.command not in {WAYPOINT, TAKEOFF}:
             self._pass_item()
             return
-        self._asked_ns = now
+        if not self._sees(one, now):
+            return
+        if one is not self._flown:
+            self._flown, self._reached_ns = one, 0
+            self._start = float(self.x[0]), float(self.x[1])
+        goal = self._place_of(one)
         self.setpoint[:] = 0.0
         self.setpoint[0], self.setpoint[1] = POSITION, V | ACC | YAW | YAW_RATE
         self.setpoint[2:5] = goal
@@ -314,29 +349,49 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
             self._reached_ns = 0
             return
         self._reached_ns = self._reached_ns or now
-        if now - self._reached_ns >= one.p1 * 1e9:
+        hold = one.p1 if one.command == WAYPOINT else 0.0  # of a take-off, the pitch
+        if now - self._reached_ns >= hold * 1e9:
             self._pass_item()
 
     def _pass_item(self) -> None:
         mission, link = self._mission, self._link
         link.send(link.mav.mission_item_reached_encode(mission.current))
         mission.current += 1
-        self._reached_ns = 0
+        self._flown = None
 
-    def _place_of(self, one: Item) -> tuple[float, float, float] | None:
-        """Return the place of an item, NED; None if it has none."""
-        north, east, down = self.x.tolist()
+    def _sees(self, one: Item, now: int) -> bool:
+        """Return whether the position that an item needs is new; else ask for nothing.
+
+        Its age is that of the set-point.
+        """
+        ports = ("x",) if one.frame in {NED, ENU} else ("x", "lla")
+        age = max(map(self.task.age, ports))
+        old = age > self.params.silent or any(map(self.task.stale, ports))
+        if old:
+            self.setpoint[:] = 0.0
+            if not self._blind:
+                self._say(f"the position is {age:.3g} s old: the vehicle holds")
+        else:
+            self._asked_ns = now - round(age * 1e9)
+        self._blind = old
+        return not old
+
+    def _place_of(self, one: Item) -> tuple[float, float, float]:
+        """Return the place of an item, NED."""
+        x, y = one.x * 1e-4, one.y * 1e-4
+        if one.frame == NED:
+            north, east, down = x, y, one.z
+        elif one.frame == ENU:
+            north, east, down = y, x, -one.z
+        else:
+            lat, lon, alt = self.lla.tolist()
+            north = self.x[0] + EARTH * (radians(one.x * 1e-7) - lat)
+            east = self.x[1] + EARTH * cos(lat) * (radians(one.y * 1e-7) - lon)
+            above = self.x[2] + alt if one.frame in AMSL else 0.0
+            down = above - one.z  # else above the point of departure
         if one.command == TAKEOFF:
-            return north, east, -one.z
-        if one.command != WAYPOINT:
-            return None
-        if one.frame == 1:  # MAV_FRAME_LOCAL_NED
-            return one.x * 1e-4, one.y * 1e-4, one.z
-        lat, lon, alt = self.lla.tolist()
-        north += EARTH * (radians(one.x * 1e-7) - lat)
-        east += EARTH * cos(lat) * (radians(one.y * 1e-7) - lon)
-        above = one.frame in {3, 6}  # the point of departure
-        return north, east, -one.z if above else down + alt - one.z
+            north, east = self._start
+        return float(north), float(east), float(down)
 
     # -- what stations see ------------------------------------------------------------
 
@@ -363,8 +418,11 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         """Say something at the stations."""
         self._link.send(self._link.mav.statustext_encode(severity, text.encode()[:50]))
 
-    def _boot_ms(self) -> int:
-        return (self.task.now - self._boot_ns) // 1_000_000 & 0xFFFFFFFF
+    def _boot_ms(self, *ports: str) -> int:
+        """Return when the oldest of some inputs was measured, since the boot."""
+        up_ns = self.task.now - self._boot_ns
+        age = max(map(self.task.age, ports))
+        return (up_ns - round(min(age * 1e9, up_ns))) // 1_000_000 & 0xFFFFFFFF
 
     def _heartbeat(self) -> Any:  # noqa: ANN401
         k = self.params
@@ -388,23 +446,23 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         speed = round(100.0 * (north * north + east * east) ** 0.5)
         course = round(degrees(atan2(east, north) % tau) * 100) % 36000
         return self._link.mav.gps_raw_int_encode(
-            self._boot_ms() * 1000, self.fix, lat, lon, alt, 65535, 65535,
+            self._boot_ms("lla", "v") * 1000, self.fix, lat, lon, alt, 65535, 65535,
             min(speed, 65534), course, 255,
         )  # fmt: skip
 
     def _attitude(self) -> Any:  # noqa: ANN401
         return self._link.mav.attitude_quaternion_encode(
-            self._boot_ms(), *self.att.tolist(), *self.rates.tolist()
+            self._boot_ms("att", "rates"), *self.att.tolist(), *self.rates.tolist()
         )
 
     def _angles(self) -> Any:  # noqa: ANN401
         return self._link.mav.attitude_encode(
-            self._boot_ms(), *_angles(self.att), *self.rates.tolist()
+            self._boot_ms("att", "rates"), *_angles(self.att), *self.rates.tolist()
         )
 
     def _local(self) -> Any:  # noqa: ANN401
         return self._link.mav.local_position_ned_encode(
-            self._boot_ms(), *self.x.tolist(), *self.v.tolist()
+            self._boot_ms("x", "v"), *self.x.tolist(), *self.v.tolist()
         )
 
     def _global(self) -> Any:  # noqa: ANN401
@@ -415,7 +473,13 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         heading = round(degrees(_angles(self.att)[2] % tau) * 100) % 36000
         above = round(-1e3 * float(self.x[2]))
         return self._link.mav.global_position_int_encode(
-            self._boot_ms(), lat, lon, alt, above, *speeds, heading
+            self._boot_ms("lla", "x", "v", "att"),
+            lat,
+            lon,
+            alt,
+            above,
+            *speeds,
+            heading,
         )
 
     def _current(self) -> Any:  # noqa: ANN401
@@ -456,6 +520,11 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
                 remedy="change NELEM of the variable, or PARAMS",
             )
         return names, values
+
+
+def _whole(value: float, most: int) -> int | None:
+    """Return a number of a command; None: it is not whole, or out of range."""
+    return int(value) if 0 <= value <= most and value == int(value) else None
 
 
 def _degrees(lla: Vector) -> tuple[int, int, int]:

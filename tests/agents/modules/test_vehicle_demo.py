@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import socket
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,8 +22,14 @@ sys.modules[spec.name] = demo
 spec.loader.exec_module(demo)
 
 
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
 def test_it_takes_off_flies_a_square_and_lands_and_its_logs_replay() -> None:
-    pilot, logs = demo.fly()
+    pilot, logs = demo.fly(port=free_port())
     result = demo.judge(pilot, logs)
     assert result.differs == []
     assert result.top > 2.9
@@ -35,7 +42,7 @@ def test_it_takes_off_flies_a_square_and_lands_and_its_logs_replay() -> None:
 
 def test_another_vehicle_is_called_at_its_address() -> None:
     with ExitStack() as stack:
-        folder = demo._with_address("udpin:localhost:14550", stack)
+        folder = demo._with_address(stack, vehicle="udpin:localhost:14550")
         text = (folder / "vehicle.rmod").read_text()
         assert "ADDRESS   udpin:localhost:14550\n" in text
         assert "14561" not in text
@@ -43,14 +50,14 @@ def test_another_vehicle_is_called_at_its_address() -> None:
 
 
 def test_after_a_loss_nothing_is_sent_before_the_task_is_turned_on_again() -> None:
-    told = {"domain": f"lost{os.getpid()}", "embed": True, "libraries": [EXAMPLE]}
-    craft = Subsystem(EXAMPLE / "craft.job", **told)
-    pilot = Subsystem(EXAMPLE / "pilot.job", **told)
-
     def value(subsystem: Subsystem, name: str) -> float:
         return float(subsystem.display(name)[0].values[0])
 
     with ExitStack() as stack:
+        folder = demo._on_port(free_port(), stack)
+        told = {"domain": f"lost{os.getpid()}", "embed": True, "libraries": [folder]}
+        craft = Subsystem(folder / "craft.job", **told)
+        pilot = Subsystem(folder / "pilot.job", **told)
         demo._started(craft, stack)
         demo._started(pilot, stack)
         wait_for(lambda: value(craft, "SETPOINT") == 84, "set-points")

@@ -317,8 +317,8 @@ def test_runs_are_compared_by_variable(tmp_path) -> None:
     writer.add(number, cycles(12, seed=0) + cycles(18, seed=5, since=12))
     writer.close()
     (row,) = text.diff(one, Log(tmp_path / "c.mcap"))
-    assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 12)
-    assert "12" in text.diff_text([row])
+    assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 13)
+    assert "13" in text.diff_text([row])
 
 
 def test_a_variable_s_series_has_the_values_of_all_its_writers(tmp_path) -> None:

@@ -39,7 +39,7 @@ REFUSED = {
     "get": [{"task": "nobody"}, {"task": "puma_pidg", "param": "no_such"}],
     "help": [{"command": "no_such"}],
     "kill": [{"task": ["nobody"]}, {"task": ["target", "qrdiff"], "text": "now"}],
-    "library": [{"text": ["no_such"]}, {"class_": "no_such"}, {"out": "NO_SUCH"}],
+    "library": [{"text": ["no_such"]}, {"class_": "no_such"}, {"out": "NO_SUCH_*"}],
     "network": [{"portname": "no name"}],
     "off": [{"task": ["nobody"]}, {"task": ["damped_ls"]}],
     "on": [{"task": ["target"]}, {"task": ["damped_ls", "qrint"]}],

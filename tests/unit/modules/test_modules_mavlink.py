@@ -11,7 +11,7 @@ import random
 import socket
 import tty
 from collections.abc import Iterator
-from math import nan, pi, radians
+from math import inf, nan, pi, radians
 from pathlib import Path
 from typing import Any
 
@@ -174,19 +174,31 @@ def test_telemetry_arrives_in_si_units_and_is_as_old_as_it_is(pair: Pair) -> Non
     assert 0.0 < base.output_age <= 0.05 + 2 * STEP, "20 Hz, and what the way takes"
 
 
-def test_the_age_is_that_of_the_older_of_attitude_and_position(wire: Wire) -> None:
+def test_the_age_is_that_of_the_oldest_measurement_that_has_come(wire: Wire) -> None:
     base = vehicle(wire.port)
     base.step(STEP)
     wire.receive()
-    wire.send(wire.beat(), wire.mav.attitude_quaternion_encode(0, 1, 0, 0, 0, 0, 0, 0))
-    base.step(STEP)
-    assert base.output_age == pytest.approx(0.0, abs=1e-6)
-    wire.send(wire.mav.local_position_ned_encode(0, 1, 2, 3, 0, 0, 0))
-    base.step(STEP)
-    for _ in range(30):  # the position stops
-        wire.send(wire.mav.attitude_quaternion_encode(0, 1, 0, 0, 0, 0, 0, 0))
-        base.step(STEP)
-    assert base.output_age == pytest.approx(30 * STEP, abs=1e-6)
+    attitude = wire.mav.attitude_quaternion_encode(0, 1, 0, 0, 0, 0, 0, 0)
+    position = wire.mav.local_position_ned_encode(0, 1, 2, 3, 0, 0, 0)
+    place = wire.mav.global_position_int_encode(0, 5 * 10**8, 10**8, 0, 0, 0, 0, 0, 0)
+
+    def age(*messages: Any, steps: int = 1) -> float:
+        for _ in range(steps):
+            wire.send(wire.beat(), *messages)
+            base.step(STEP)
+        return float(base.output_age)
+
+    assert age(attitude) > 1.0, "X_MEZ was never measured"
+    assert age(position) == pytest.approx(STEP, abs=1e-6)
+    assert age(attitude, steps=30) == pytest.approx(30 * STEP, abs=1e-6)
+    assert age(attitude, position) == pytest.approx(0.0, abs=1e-6)
+    assert age(attitude, position, place) == pytest.approx(0.0, abs=1e-6)
+    assert age(attitude, position, steps=50) == pytest.approx(50 * STEP, abs=1e-6)
+    base.off()
+    base.on()
+    assert age(attitude) > 1.0, "the position is that of the time before `off`"
+    assert age(attitude, position) > 1.0, "LLA_MEZ is"
+    assert age(place) == pytest.approx(STEP, abs=1e-6)
     base.kill()
 
 
@@ -227,6 +239,46 @@ def test_attitude_set_points_keep_their_mask(pair: Pair) -> None:
     pair.run(1.5)
     got = pair.air.outputs.setpoint
     assert got == pytest.approx([82, 7, 1, 0, 0, 0, 0, 0, 0, 0.5, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("sender", "system", "component", "ends"),
+    [
+        (1, 255, 190, True),
+        (1, 0, 0, True),
+        (1, 254, 190, False),
+        (1, 255, 191, False),
+        (100, 255, 190, False),
+    ],
+)
+def test_only_answers_to_us_of_the_autopilot_end_a_command(
+    wire: Wire, sender: int, system: int, component: int, ends: bool
+) -> None:
+    base = vehicle(wire.port)
+    base.step(STEP)
+    wire.receive()
+    wire.send(wire.beat())
+    base.step(STEP)
+    base.inputs.arm = 1
+    base.step(STEP, 2)
+    wire.receive()
+    ack = wire.mav.command_ack_encode(400, 0, 0, 0, system, component)
+    wire.send(Wire(1, sender).pack(ack))
+    base.step(STEP)
+    base.step(0.6)
+    asked = [m for m in wire.receive() if getattr(m, "command", 0) == 400]
+    assert bool(asked) != ends
+    base.kill()
+
+
+def test_a_flood_of_empty_datagrams_hides_nothing(wire: Wire) -> None:
+    base = vehicle(wire.port)
+    base.step(STEP)
+    wire.receive()
+    wire.send(*[b""] * 50, wire.beat(custom_mode=4))
+    base.step(STEP)
+    assert base.outputs.in_mode == 4
+    base.kill()
 
 
 def test_what_the_vehicle_does_not_follow_is_refused_and_said(pair: Pair) -> None:
@@ -277,6 +329,30 @@ def test_a_lost_vehicle_gets_no_set_point_until_the_task_is_turned_on_again(
     assert "SET_POSITION_TARGET_LOCAL_NED" in {one.get_type() for one in after}
     commands = {m.command for m in after if m.get_type() == "COMMAND_LONG"}
     assert commands <= {511}, "arming is asked for again only when it changes again"
+    base.kill()
+
+
+@pytest.mark.parametrize("flag", [False, True])
+def test_a_change_while_no_vehicle_is_there_is_never_sent(
+    wire: Wire, flag: bool
+) -> None:
+    base = vehicle(wire.port)
+    base.illegal = flag  # the same in `stable`
+    base.step(STEP)
+    base.inputs.arm, base.inputs.mode = 1, OFFBOARD
+    base.step(STEP, 2)
+    said = [one for one in texts(base) if "is not there" in one]
+    assert len(said) == 2, "ARM_CMD and MODE_CMD, each once"
+    base.step(600.0)
+    for _ in range(50):
+        wire.receive()
+        wire.send(wire.beat())
+        base.step(STEP)
+        asked = [m for m in wire.receive() if m.get_type() == "COMMAND_LONG"]
+        assert {m.command for m in asked} <= {511}
+    base.inputs.arm = 0
+    base.step(STEP, 2)
+    assert 400 in {getattr(m, "command", 0) for m in wire.receive()}
     base.kill()
 
 
@@ -458,6 +534,79 @@ def test_stations_choose_messages_and_their_rates() -> None:
     )
     air.step(STEP)
     assert "AUTOPILOT_VERSION" in station.names()
+    air.kill()
+
+
+class Station:
+    """A station at `mav_ground`, and its commands."""
+
+    def __init__(self, air: Any, system: int = 255) -> None:
+        self.air, self.wire = air, Wire(system, 190)
+        self.wire.peer = "127.0.0.1", int(air.module.params.address.rpartition(":")[2])
+
+    def ask(self, command: int, *values: float) -> list[tuple[int, int]]:
+        filled = [*values, *[0.0] * (7 - len(values))]
+        mav = self.wire.mav
+        self.wire.send(mav.command_long_encode(1, 1, command, 0, *filled))
+        self.air.step(STEP)
+        return self.answers()
+
+    def answers(self) -> list[tuple[int, int]]:
+        me = self.wire.mav.srcSystem
+        return [(m.command, m.result) for m in self.wire.receive()
+                if m.get_type() == "COMMAND_ACK" and m.target_system == me]  # fmt: skip
+
+
+def test_another_value_replaces_a_command_that_is_not_yet_followed() -> None:
+    air = ground(free_port())
+    one, other = Station(air), Station(air, 254)
+    assert one.ask(400, 1) == []
+    assert one.ask(400, 1) == [(400, 5)], "the same again"
+    assert other.ask(176, 1, 4, 3) == []
+    assert one.ask(400, 0) == [(400, 0)], "disarmed as it is"
+    assert air.outputs.arm == 0
+    air.inputs.armed = 1  # it had begun to arm
+    assert one.ask(400, 0) == []
+    air.inputs.armed = 0
+    air.step(STEP)
+    assert one.answers() == [(400, 0)]
+    assert one.ask(176, 1, 4, 6) == []
+    assert air.outputs.mode == 100925440
+    assert other.answers() == [(176, 2)], "what it asked for is given up"
+    air.inputs.in_mode = 100925440
+    air.step(STEP)
+    assert (one.answers(), other.answers()) == ([(176, 0)], [])
+    air.kill()
+
+
+@pytest.mark.parametrize(
+    ("command", "values"),
+    [
+        (400, (nan,)),
+        (400, (0.7,)),
+        (400, (2.0,)),
+        (176, (1, nan, 0)),
+        (176, (1, 4, nan)),
+        (176, (1, inf, 0)),
+        (176, (1, 260, 0)),
+        (176, (1, 4.5, 0)),
+        (511, (31, nan)),
+        (511, (31, inf)),
+        (511, (nan, 1000)),
+        (512, (nan,)),
+        (512, (-inf,)),
+    ],
+)
+def test_commands_with_numbers_that_are_none_are_denied(
+    command: int, values: tuple[float, ...]
+) -> None:
+    air = ground(free_port())
+    air.off()
+    air.inputs.armed, air.inputs.in_mode = 1, 7
+    air.on()
+    assert Station(air).ask(command, *values) == [(command, 2)]
+    assert air.state is State.ON
+    assert (air.outputs.arm, air.outputs.mode) == (1, 7)
     air.kill()
 
 
@@ -697,6 +846,45 @@ def test_the_clock_of_the_other_end() -> None:
     assert clock.ours(20_000 * MS, 1_200 * MS) == 1_200 * MS, "never in the future"
     clock.learn(10 * MS, 2_000 * MS, 2_010 * MS)  # it has started again
     assert clock.ours(15 * MS, 2_020 * MS) == 2_005 * MS
+
+
+@pytest.mark.parametrize("age_s", [1, 59, 61, 300, 100_000])
+def test_what_is_old_by_a_known_clock_stays_old(age_s: int) -> None:
+    clock = PeerClock()
+    clock.learn(10**15, 10**9, 10**9)
+    now = 200 * 10**9
+    assert clock.ours(10**15 - 10**9 + now - age_s * 10**9, now) == now - age_s * 10**9
+
+
+def test_a_vehicle_that_starts_again_is_old_until_it_answers(wire: Wire) -> None:
+    base = vehicle(wire.port)
+
+    def age(clock_ms: int, boot_ms: int, *, answers: bool, component: int = 1) -> float:
+        for m in wire.receive():
+            if m.get_type() == "TIMESYNC" and m.tc1 == 0 and answers:
+                one = Wire(1, component)
+                wire.send(one.pack(one.mav.timesync_encode(clock_ms * MS, m.ts1)))
+        wire.send(
+            wire.beat(),
+            wire.mav.attitude_quaternion_encode(boot_ms, 1, 0, 0, 0, 0, 0, 0),
+            wire.mav.local_position_ned_encode(boot_ms, 1, 2, 3, 0, 0, 0),
+        )
+        base.step(STEP)
+        return float(base.output_age)
+
+    base.step(STEP)
+    assert age(100_000, 100_000, answers=True) < 0.05
+    assert age(0, 1_000, answers=False) > 1.0, "it has started again"
+    assert [one for one in texts(base) if "by its own clock" in one]
+    base.step(1.0)
+    assert age(2_000, 2_000, answers=True) < 0.05
+    base.step(1.0)
+    old = age(33_000, 3_010, answers=True, component=191)
+    assert old < 0.1, "the clock of a camera is none of the autopilot's"
+    wire.send(wire.mav.timesync_encode(30_000 * MS, 1))  # nobody has asked for it
+    base.step(STEP)
+    assert age(0, 3_030, answers=False) < 0.1
+    base.kill()
 
 
 # -- set-points and commands ----------------------------------------------------------

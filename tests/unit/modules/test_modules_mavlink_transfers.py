@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import random
 import struct
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from test_modules_mavlink import STEP, Wire, free_port, ground, texts
 
 import pbonet.modules
 from pbonet.errors import MethodError, ParameterError
-from pbonet.modules._mavlink_mission import exact, read_mission
+from pbonet.io import MavLink
+from pbonet.modules._mavlink_mission import Item, Upload, exact, read_mission
 from pbonet.modules._mavlink_parameters import ParameterClient
 from pbonet.modules.robot_interfaces.mav_mission import MavMission
 from pbonet.modules.robot_interfaces.mav_params import MavParams, wishes
@@ -142,6 +144,26 @@ def test_nothing_is_given_while_the_flag_is_up(tmp_path: Path) -> None:
     both.close()
 
 
+class Ends:
+    """A client of parameters, and a vehicle with one of a type."""
+
+    def __init__(self, kind: int, *, bytewise: bool = False) -> None:
+        self.sent: list[Any] = []
+        self._kind, self._here = kind, list[Any]()
+        self.peer, self.mav, self.send = 1, Wire().mav, self.sent.append
+        link: Any = self
+        self.client = ParameterClient(link, 1)
+        self.client.bytewise = bytewise
+
+    def all_of(self, _: str) -> list[Any]:
+        return self._here
+
+    def answer(self, told: float) -> None:
+        m = self.mav.param_value_encode(b"N", told, self._kind, 1, 0)
+        m._header.srcComponent = 1
+        self._here = [m]
+
+
 @pytest.mark.parametrize(
     ("bytewise", "kind", "value", "sent"),
     [
@@ -153,38 +175,49 @@ def test_nothing_is_given_while_the_flag_is_up(tmp_path: Path) -> None:
 def test_whole_numbers_travel_as_the_autopilot_has_them(
     bytewise: bool, kind: int, value: float, sent: float
 ) -> None:
-    wire = Wire()
-    sent_messages: list[Any] = []
-    here: list[Any] = []
-
-    class Link:
-        peer, mav = 1, wire.mav
-
-        def all_of(self, _: str) -> list[Any]:
-            return here
-
-        def send(self, message: Any) -> None:
-            sent_messages.append(message)
-
-    link: Any = Link()
-    client = ParameterClient(link, 1)
-    client.bytewise, client.wanted = bytewise, {"N": value}
-
-    def answer(told: float) -> None:
-        m = wire.mav.param_value_encode(b"N", told, kind, 1, 0)
-        m._header.srcComponent = 1
-        here[:] = [m]
-
+    ends = Ends(kind, bytewise=bytewise)
+    client = ends.client
+    client.wanted = {"N": value}
     client.run(0)
-    assert sent_messages[-1].get_type() == "PARAM_REQUEST_READ"
-    answer(0.0)
+    assert ends.sent[-1].get_type() == "PARAM_REQUEST_READ"
+    ends.answer(0.0)
     client.run(10**9)
-    assert sent_messages[-1].get_type() == "PARAM_SET"
-    assert sent_messages[-1].param_value == pytest.approx(sent)
+    assert ends.sent[-1].get_type() == "PARAM_SET"
+    assert ends.sent[-1].param_value == pytest.approx(sent)
     assert client.left == 1
-    answer(sent_messages[-1].param_value)
+    ends.answer(ends.sent[-1].param_value)
     client.run(2 * 10**9)
     assert client.left == 0
+
+
+@pytest.mark.parametrize("bytewise", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [(1, 300), (1, -1), (2, 128), (3, 65536), (4, -32769), (5, -1), (6, 2**31)],
+)
+def test_a_wish_out_of_its_range_is_dropped_and_said_once(
+    bytewise: bool, kind: int, value: float
+) -> None:
+    ends = Ends(kind, bytewise=bytewise)
+    client = ends.client
+    client.wanted = {"N": float(value)}
+    ends.answer(0.0)
+    (said,) = client.run(0)
+    assert "parameter N is not set" in said
+    assert (client.run(10**9), client.left, client.wanted) == ([], 0, {})
+    assert "PARAM_SET" not in [m.get_type() for m in ends.sent]
+
+
+def test_a_value_that_is_no_number_is_not_taken() -> None:
+    ends = Ends(9)
+    ends.client.watched = ("N",)
+    ends.answer(nan)
+    ends.client.run(0)
+    assert (ends.client.known, ends.client.left) == ({}, 1)
+    whole = Ends(6, bytewise=True)  # -1 has the bytes of a NaN
+    whole.answer(nan)
+    whole.client.run(0)
+    assert "N" in whole.client.known
 
 
 def test_a_station_writes_reads_and_clears_the_mission() -> None:
@@ -220,7 +253,7 @@ def test_a_station_writes_reads_and_clears_the_mission() -> None:
 def test_a_mission_is_flown_item_by_item() -> None:
     air = ground(free_port())
     text = """QGC WPL 110
-0 1 1 22 0 0 0 0 0 0 3 1
+0 1 1 22 0 0 0 0 0 0 -3 1
 1 0 1 16 0.5 0 0 0 4 0 -3 1
 2 0 1 178 0 0 0 0 0 0 0 1
 3 0 1 16 0 0 0 0 4 4 -3 1
@@ -245,6 +278,140 @@ def test_a_mission_is_flown_item_by_item() -> None:
 
 
 @pytest.mark.parametrize(
+    ("sender", "system", "ends"),
+    [(1, 255, True), (1, 0, True), (1, 254, False), (100, 255, False)],
+)
+def test_only_an_answer_to_us_of_the_vehicle_ends_an_upload(
+    sender: int, system: int, ends: bool
+) -> None:
+    port, wire = free_port(), Wire()
+    link = MavLink(f"udpin:127.0.0.1:{port}", 255, 190, peer=1)
+    link.poll(1)
+    upload = Upload(link, (1, 1), read_mission(mission_text(1), ""), 1)
+    mav = wire.mav
+    wire.send(mav.mission_request_int_encode(255, 190, 0), to=port)
+    link.poll(1)
+    upload.run(1)
+    ack = mav.mission_ack_encode(system, 190 if system else 0, 0)
+    wire.send(Wire(1, sender).pack(ack), to=port)
+    link.poll(1)
+    upload.run(1)
+    assert (upload.result == 0) == ends
+    link.close()
+
+
+HERE = 458366236, 85943669  # 0.8 and 0.15 rad, where `ground` is
+
+
+def flown(
+    frame: int, command: int, place: tuple[int, int], z: float, ages: Any = ()
+) -> Any:
+    """Return a vehicle in a mission of one item, 5 m above its point of departure."""
+    air = ground(free_port())
+    air.module._mission.items = [Item(frame, command, 0, 1, 0, 0, 0, nan, *place, z)]
+    air.inputs.armed, air.inputs.in_mode = 1, MISSION
+    air.inputs.x = [10.0, 20.0, -5.0]
+    air.ages.update(dict(ages))
+    air.step(STEP)
+    return air
+
+
+@pytest.mark.parametrize(
+    ("frame", "command", "place", "z", "goal"),
+    [
+        (1, 16, (50_000, 60_000), -7.0, (5.0, 6.0, -7.0)),
+        (4, 16, (60_000, 50_000), 7.0, (5.0, 6.0, -7.0)),
+        (0, 16, HERE, 402.0, (10.0, 20.0, -7.0)),
+        (5, 16, HERE, 402.0, (10.0, 20.0, -7.0)),
+        (3, 16, HERE, 7.0, (10.0, 20.0, -7.0)),
+        (6, 16, HERE, 7.0, (10.0, 20.0, -7.0)),
+        (0, 22, HERE, 415.0, (10.0, 20.0, -20.0)),
+        (3, 22, (0, 0), 20.0, (10.0, 20.0, -20.0)),
+        (1, 22, (0, 0), -20.0, (10.0, 20.0, -20.0)),
+    ],
+)
+def test_items_are_flown_in_their_frames(
+    frame: int, command: int, place: tuple[int, int], z: float, goal: tuple[float, ...]
+) -> None:
+    air = flown(frame, command, place, z)
+    assert air.outputs.setpoint[2:5] == pytest.approx(goal, abs=0.05)
+    if command == 22:
+        air.inputs.x = [11.0, 18.0, -6.0]  # the wind
+        air.inputs.lla = [0.8, 0.15, 401.0]
+        air.step(STEP)
+        assert air.outputs.setpoint[2:5] == pytest.approx(goal, abs=0.05)
+    air.kill()
+
+
+@pytest.mark.parametrize(
+    ("frame", "x", "z", "result"),
+    [
+        (8, 0, 1.0, 2),
+        (11, 0, 1.0, 2),
+        (2, 0, 1.0, 2),
+        (3, 0, nan, 5),
+        (3, 0, inf, 5),
+        (3, 2_000_000_000, 1.0, 5),
+        (3, 450_000_000, 1.0, 0),
+        (1, 2_000_000_000, 1.0, 0),
+    ],
+)
+def test_a_mission_that_cannot_be_flown_is_refused(
+    frame: int, x: int, z: float, result: int
+) -> None:
+    port, station = free_port(), Wire(255, 190)
+    air, mav = ground(port), station.mav
+    last = Item(frame, 16, 0, 1, 0, nan, nan, nan, x, 0, z)
+    station.send(mav.mission_count_encode(1, 1, 2), to=port)
+    air.step(STEP)
+    for seq, item in enumerate((Item(2, 178, 1, 1, nan, 0, 0, 0, 0, 0, nan), last)):
+        station.send(mav.mission_item_int_encode(1, 1, seq, *item), to=port)
+        air.step(STEP)
+    acks = [m.type for m in station.receive() if m.get_type() == "MISSION_ACK"]
+    assert acks == [result]
+    assert len(air.module._mission.items) == (0 if result else 2)
+    air.kill()
+
+
+def test_a_mission_is_as_old_as_its_position() -> None:
+    air = flown(1, 16, (0, 0), -3.0, {"x": 0.3, "lla": 9.0})
+    assert air.outputs.setpoint[0] == 84, "a place in NED needs no LLA_MEZ"
+    assert air.output_age == pytest.approx(0.3, abs=1e-6)
+    air.ages["x"] = 0.6
+    air.step(STEP, 5)
+    assert not air.outputs.setpoint.any()
+    assert texts(air) == ["the position is 0.6 s old: the vehicle holds"]
+    air.ages["x"] = 0.0
+    air.step(STEP)
+    assert air.outputs.setpoint[0] == 84
+    air.kill()
+    air = flown(3, 16, HERE, 3.0, {"lla": 0.6})
+    assert not air.outputs.setpoint.any()
+    air.kill()
+
+
+def test_telemetry_has_the_time_of_the_oldest_input() -> None:
+    port, station = free_port(), Wire(255, 190)
+    air = ground(port)
+    station.send(station.beat(type=6), to=port)
+    air.step(1.0)
+    air.ages.update(x=0.25, rates=0.5, lla=0.75)
+    station.receive()
+    air.step(1.0)
+    got = {m.get_type(): m for m in station.receive()}
+    assert got["LOCAL_POSITION_NED"].time_boot_ms == pytest.approx(1750, abs=1)
+    assert got["ATTITUDE_QUATERNION"].time_boot_ms == pytest.approx(1500, abs=1)
+    assert got["ATTITUDE"].time_boot_ms == pytest.approx(1500, abs=1)
+    assert got["GLOBAL_POSITION_INT"].time_boot_ms == pytest.approx(1250, abs=1)
+    assert got["GPS_RAW_INT"].time_usec == pytest.approx(1_250_000, abs=1000)
+    air.ages["x"] = 1e9  # never, or long before the boot
+    air.step(1.0)
+    got = {m.get_type(): m for m in station.receive()}
+    assert got["LOCAL_POSITION_NED"].time_boot_ms == 0
+    air.kill()
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "",
@@ -262,7 +429,15 @@ def test_what_is_no_mission_is_refused(text: str) -> None:
 
 def test_wishes_are_names_and_values() -> None:
     assert wishes("A=1 B=2.5") == {"A": 1.0, "B": 2.5}
-    for text in ("A", "=1", "A=x", "A_NAME_THAT_IS_LONG=1"):
+    for text in (
+        "A",
+        "=1",
+        "A=x",
+        "A_NAME_THAT_IS_LONG=1",
+        "A=nan",
+        "A=-inf",
+        "A=1e40",
+    ):
         with pytest.raises(ParameterError, match="sets no parameter"):
             wishes(text)
 
