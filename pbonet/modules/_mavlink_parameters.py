@@ -82,7 +82,7 @@ _RANGES: Final = {
     1: (0, 0xFF), 2: (-0x80, 0x7F), 3: (0, 0xFFFF), 4: (-0x8000, 0x7FFF),
     5: (0, 0xFFFFFFFF), 6: (-0x80000000, 0x7FFFFFFF),
 }  # fmt: skip
-"""What those types hold."""
+"""The least and the most that those types hold."""
 LARGEST: Final = 3.4028234663852886e38
 """The largest number that travels."""
 
