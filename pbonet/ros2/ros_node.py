@@ -133,7 +133,7 @@ class RosNode:
         self._declared: list[Any] = []
         self._threads: list[threading.Thread] = []
         self._ends: list[Callable[[], None]] = []
-        """What lets each of the threads end."""
+        """Functions that let the threads end, one each."""
         self._requests = _Requests()
 
     def open(self) -> None:
