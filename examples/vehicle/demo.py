@@ -128,6 +128,7 @@ def _square(pilot: Subsystem) -> None:
     """Arm, fly the route, land."""
     pilot.spawn("route", "pilot0")
     _wait(pilot, "GPS_FIX", lambda fix: fix >= 3)  # noqa: PLR2004 - in three dimensions
+    _wait(pilot, "MODE", lambda mode: mode != 0)  # before its heartbeat nothing is sent
     pilot.set("mav_command", "arm", 1)
     _wait(pilot, "ARMED", lambda armed: armed == 1)
     pilot.set("mav_command", "mode", OFFBOARD)
