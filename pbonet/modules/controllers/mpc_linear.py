@@ -11,8 +11,8 @@ from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
 from pbonet.io import from_extra
 from pbonet.modules._linear_plant import LinearPlant
-from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules._warn_once import WarnOnce
 
 NONE = 1e20
 """A limit that is none."""
@@ -80,7 +80,7 @@ class MpcLinear(PortBasedObject[Plan], module_class="controller"):
         self._take_plan()
 
     def on(self) -> None:
-        self._begins, self._told = True, ToldOnce(self.task)
+        self._begins, self._told = True, WarnOnce(self.task)
 
     def cycle(self, dt: float) -> None:
         if self._begins:

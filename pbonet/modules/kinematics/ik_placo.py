@@ -18,8 +18,8 @@ from pbonet import (
 from pbonet.io import RobotModel
 from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
 from pbonet.modules._placo_motion import PlacoMotion
-from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
+from pbonet.modules._warn_once import WarnOnce
 
 
 class Pursuit(Params):
@@ -135,7 +135,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         self._frame = k.frame
         self._goal = np.eye(4)
         self._goal_pose, self._goal_place = self._goal[:3], self._goal[:3, 3]
-        self._told = ToldOnce(self.task)
+        self._told = WarnOnce(self.task)
         self._motion = PlacoMotion(self._model, k.damping, floats=False)
         self._task = self._motion.solver.add_frame_task(k.frame, self._goal)
         self._task.configure("hand", "soft", k.length**-2, 1.0)

@@ -19,8 +19,8 @@ from pbonet.io import RobotModel
 from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
 from pbonet.modules._legs import must_have_feet
 from pbonet.modules._placo_motion import PlacoMotion
-from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
+from pbonet.modules._warn_once import WarnOnce
 
 STILL = 1e-9
 """m/s that counts as no speed."""
@@ -93,7 +93,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         model.must_have(self.ndof)
         model.frame(k.body)
         must_have_feet(model, k.feet, n, "X_FEET_DES")
-        self._told = ToldOnce(self.task)
+        self._told = WarnOnce(self.task)
         self._motion = motion = PlacoMotion(model, k.damping, floats=True)
         self._body, self._feet = np.eye(4), np.zeros((n, 3))
         self._goal, self._places = np.eye(4), np.zeros((n, 3))

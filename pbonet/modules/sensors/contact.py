@@ -17,8 +17,8 @@ from pbonet import (
 from pbonet.errors import ParameterError
 from pbonet.io import FloatingModel
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
-from pbonet.modules._told_once import ToldOnce
 from pbonet.modules._values import keep
+from pbonet.modules._warn_once import WarnOnce
 
 WELL_FELT = 1.2
 """Square of a lever, that of SIGMA being 1, from which a leg is not stretched now."""
@@ -69,7 +69,7 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
         must_have_feet(self._model.joints, k.feet, n, "CONTACT")
         self._frames = [self._model.frame(name) for name in k.feet]
         self._levers = np.zeros((self.ndof, 3 * n))
-        self._told = ToldOnce(self.task)
+        self._told = WarnOnce(self.task)
         self._stretched: set[int] = set()
         self._check()
 

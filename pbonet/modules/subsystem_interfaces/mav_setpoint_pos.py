@@ -1,18 +1,10 @@
 """A position as a set-point of a MAVLink vehicle."""
 
-from typing import Annotated as A, Literal
+from typing import Annotated as A
 
-from pbonet import InVar, OutVar, Params, PortBasedObject, Vector, param
+from pbonet import InVar, OutVar, PortBasedObject, Vector
 from pbonet.modules._mavlink import ACC, POSITION, YAW, YAW_RATE, V
-
-
-class Heading(Params):
-    """Where the vehicle points."""
-
-    heading: A[
-        Literal["free", "fixed"], param("none", "left to the vehicle, or YAW")
-    ] = "free"
-    yaw: A[float, param("rad", "the heading if it is fixed; 0 is north")] = 0.0
+from pbonet.modules._mavlink_heading import Heading
 
 
 class MavSetpointPos(PortBasedObject[Heading], module_class="subsystem interface"):

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from pbonet import TaskContext
 
 
-class ToldOnce:
+class WarnOnce:
     """Warns of a lasting state once.
 
     Args:
