@@ -88,6 +88,10 @@ class Context(TaskContext):
         """Signals that the master did not want from this task, as bits."""
         return self._told.now("sigmask", int, 0)
 
+    def _wanted(self, bits: int) -> int:
+        """Return the signals; in a run the slot masks them, and asks nothing."""
+        return bits
+
 
 class Watch(PythonWatch):
     """Recorded criticality and deadline; a handler's settings have no effect.

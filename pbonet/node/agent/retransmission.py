@@ -5,6 +5,10 @@ TCP doubles its pause with each retransmission that is not acknowledged: after a
 limit `TCP_USER_TIMEOUT`, after which a connection ends, also shortens the pause that
 would exceed it. So while a connection retransmits, the limit is kept a moment ahead of
 now: then the kernel retransmits at that moment, and the limit is moved on before that.
+
+A connection on which nothing is confirmed for as long as a silent link is kept is shut
+down. zenoh writes out what waits before it closes a TLS link, and would do so until
+the cable is plugged in again, with the lost agent in sight all the time.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ import stat
 import struct
 import time
 from typing import TYPE_CHECKING
+
+from pbonet.xm.net import session
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -36,10 +42,10 @@ UNSENT = 8192
 end, and would be sent before all that is new."""
 _RTO_MIN_US = 45
 """The option for it, since Linux 6.15; else it is 200 ms, or `rto_min` of the route."""
-_INFO = struct.Struct("4B4xI24xI4xI52xI")
+_INFO = struct.Struct("4B4xI24xI4xI8xI40xI")
 """Of `TCP_INFO`: state, congestion state, time-outs without an acknowledgement, probes,
-time-out in us, segments that are sent again, ms since the last sending, and how many
-segments were ever sent again."""
+time-out in us, segments that are sent again, ms since the last sending and since the
+last confirmation, and how many segments were ever sent again."""
 _ESTABLISHED = 1
 _OPEN = 0
 
@@ -65,7 +71,7 @@ class Connection:
             one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
 
     def tend(self, now: float) -> bool:
-        """Set the limit; return whether this is still a connection.
+        """Set the limit, or end it; return whether this is still a connection.
 
         Args:
             now: `time.monotonic()`.
@@ -79,12 +85,15 @@ class Connection:
 
     def _limit(self, one: socket.socket, now: float) -> None:
         data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
-        (state, congestion, again, probes, pause_us, sent, ago_ms, ever) = _INFO.unpack(
-            data
+        (state, congestion, again, probes, pause_us, sent, ago_ms, silent_ms, ever) = (
+            _INFO.unpack(data)
         )
         if state != _ESTABLISHED:
             raise OSError
         self.is_busy = bool(again or probes)
+        if self.is_busy and silent_ms > session.LEASE_MS:
+            one.shutdown(socket.SHUT_RDWR)
+            raise OSError
         if probes:  # nothing could be sent, as while a device is down: try it now
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if again:

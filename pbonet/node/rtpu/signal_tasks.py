@@ -135,8 +135,8 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     except (NoAnswerError, StateError):
         pass  # it hangs in a method: force is what is left
     except TaskDiedError:
-        if (task.facts.subsystem, task.name) in rtpu.tombs:
-            raise  # it crashed in its `off` or `kill`
+        if _crashed(rtpu, task):
+            raise  # in its `off` or `kill`
         return []
     except PbonetError as error:
         failed = error
@@ -157,6 +157,11 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
         task=task.name,
     )
     return [text]
+
+
+def _crashed(rtpu: Rtpu, task: Task) -> bool:
+    """Return whether a task that has ended did so by itself."""
+    return (task.facts.subsystem, task.name) in rtpu.tombs
 
 
 def note(
@@ -292,22 +297,28 @@ async def _all_off(
             await control(rtpu, task, "off", max(share, LEAST))
             obeyed.append(task.name)
         except PbonetError as error:
-            _note_failure(failed, task, lifecycle.Event.OFF, error)
+            _note_failure(rtpu, failed, task, lifecycle.Event.OFF, error)
             if task.busy:  # else it is in ERROR, or has ended
                 _calm(task)
     return obeyed
 
 
 def _note_failure(
-    failed: dict[str, str], task: Task, event: lifecycle.Event, error: PbonetError
+    rtpu: Rtpu,
+    failed: dict[str, str],
+    task: Task,
+    event: lifecycle.Event,
+    error: PbonetError,
 ) -> bool:
     """Note what went wrong at an end, the first thing for each task.
 
     Returns:
         Whether it is a failure. It is none if the task hangs, which ends it by force,
-        or is in another state by now.
+        or is in another state by now, or has ended because another order said so.
     """
     if isinstance(error, (NoAnswerError, StateError)):
+        return False
+    if isinstance(error, TaskDiedError) and not _crashed(rtpu, task):
         return False
     place = error.place if isinstance(error, MethodError) else ""
     text = f"{event}: {error.what}" + f" ({place})" * bool(place)
@@ -345,7 +356,7 @@ async def _end(rtpu: Rtpu, task: Task, deadline: float, failed: dict[str, str]) 
             "kill", lambda n: rtpu_messages.Signal(n, "kill"), max(left, LEAST)
         )
     except PbonetError as error:
-        if _note_failure(failed, task, kill, error) and not task.gone.is_set():
+        if _note_failure(rtpu, failed, task, kill, error) and not task.gone.is_set():
             note(rtpu, task, kill, error)
     good_bye = task.state is State.NOT_CREATED and task.spawned.done()
     left = deadline - time.monotonic()

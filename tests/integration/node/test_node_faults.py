@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ from pbonet.node.wire import process_setup
 from pbonet.xm.net import messages as m
 
 DELETES_ITSELF = """
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated as A
 
@@ -175,6 +177,20 @@ def test_a_stop_says_which_tasks_failed_as_they_ended(arm):
     assert {one.task for one in arm.events("TASK_DIED")} == {*modules[2:]}
     assert {one.task for one in arm.events("SIGNAL_FAILED")} >= {*modules[:2]}
     assert "with an error: " in arm.wait_event("STOPPED").text
+
+
+def test_of_two_stops_at_once_none_says_that_the_other_made_tasks_fail(arm, nodes):
+    for name in ("slow", "slower"):
+        arm.spawn(name, "lingers", out=f"Y{len(name) - 4}")
+        arm.on(name)
+
+    def stop(_):
+        return nodes.client().call("arm0", m.Stop(subsystem="arm"), m.Stopped)
+
+    with ThreadPoolExecutor(2) as threads:
+        both = list(threads.map(stop, range(2)))
+    assert sorted(len(one.off) for one in both) == [0, 2]
+    assert [one.failed for one in both] == [{}, {}]
 
 
 def test_kill_says_that_the_task_crashed_in_it(arm):

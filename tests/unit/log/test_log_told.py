@@ -12,6 +12,9 @@ ASKS = ADDS.replace(
     "+ self.task.now * 1e-12",
     "+ self.task.crit / 7 + self.task.sigmask / 3",
 )
+WARNS = ASKS.replace(
+    "        self.age += dt", '        self.task.warn("again")\n        self.age += dt'
+)
 ON = ADDS.replace(
     "    def on(",
     "    def on(self) -> None:\n        self.y[0] = self.task.crit\n\n    def on_(",
@@ -58,6 +61,14 @@ def test_criticality_and_mask_are_told_again_as_they_changed(shop) -> None:
     (a,) = verify(path, ["a"])
     assert a.cycles == 6, "the mask was 0 until then"
     assert a.divergence is not None
+
+
+def test_a_warning_asks_nothing_of_the_record(shop) -> None:
+    made = shop(WARNS)
+    for crit, mask in ((5, 0), (7, 0), (7, 4), (0, 6)):
+        made.a.source.true, made.a.context.true = crit, mask
+        made.cycles(3)
+    assert all(one.good for one in verify(made.log()))
 
 
 def test_methods_are_told_again_too(shop) -> None:
