@@ -31,6 +31,8 @@ device, so that the same code runs in real time, in simulation and in replay. On
     A robot that MuJoCo simulates, behind the interface a real one would have.
 ``optional_packages``
     Packages that only some modules need.
+``drivers``
+    I/O devices by logical names, with one interface for all drivers.
 ``policy``
     Whether devices may be opened at all; the simulator says no.
 """

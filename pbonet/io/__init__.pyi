@@ -9,10 +9,14 @@ from .mavlink import MavLink as MavLink
 from .mavlink_clock import PeerClock as PeerClock
 from .mujoco_robot import MujocoRobot as MujocoRobot
 from .optional_packages import from_extra as from_extra
-from .policy import devices_allowed as devices_allowed, no_devices as no_devices
+from .policy import (
+    devices_allowed as devices_allowed,
+    no_devices as no_devices,
+    require_devices as require_devices,
+)
 from .puma560 import PUMA560 as PUMA560
 from .recorded import RecordedBall as RecordedBall
 from .robot_model import RobotModel as RobotModel, find_file as find_file
 from .sample_file import Samples as Samples, read_samples as read_samples
-from .serial_line import SerialLine as SerialLine
+from .serial_line import SerialLine as SerialLine, SerialPort as SerialPort
 from .space_mouse import SpaceMouse as SpaceMouse

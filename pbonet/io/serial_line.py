@@ -39,6 +39,140 @@ class _Port(Protocol):
     def reset_output_buffer(self) -> None: ...
 
 
+class SerialPort:
+    """A serial line of the machine, non-blocking; nothing of it is recorded.
+
+    Args:
+        path: The line's device file, such as ``/dev/ttyUSB0``.
+        baud: Bits a second.
+        bits: Data bits, 7 or 8.
+        parity: ``"N"``, ``"E"`` or ``"O"``.
+        stop: Stop bits, 1 or 2.
+        rtscts: Whether the line's handshake wires stop the flow of data.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        baud: int = 9600,
+        *,
+        bits: int = 8,
+        parity: Parity = "N",
+        stop: int = 1,
+        rtscts: bool = False,
+    ) -> None:
+        self.path = path
+        self._settings: dict[str, Any] = {
+            "baudrate": baud,
+            "bytesize": bits,
+            "parity": parity,
+            "stopbits": stop,
+            "rtscts": rtscts,
+            "timeout": 0,
+        }
+        self._port: _Port | None = None
+
+    def fileno(self) -> int:
+        """Return the descriptor.
+
+        Raises:
+            OSError: The line is closed.
+        """
+        if self._port is None:
+            raise OSError(errno.EBADF, "the line is closed")
+        return self._port.fd
+
+    def open(self) -> None:
+        """Open and configure the line.
+
+        Raises:
+            DeviceError: It is missing, not a serial line, forbidden, or taken; or
+                pyserial is not installed.
+        """
+        try:
+            serial = import_module("serial")
+        except ImportError:
+            raise DeviceError(
+                "serial lines need pyserial, which is not installed",
+                where=self.path,
+                remedy="pip install 'pbonet[devices]'",
+            ) from None
+        try:
+            port = serial.Serial(self.path, exclusive=True, **self._settings)
+        except (OSError, ValueError, termios.error) as error:
+            raise self._refused(error) from None
+        self._port = cast("_Port", port)
+        try:
+            _distinguish_hangup(self._port.fd)
+        except (OSError, termios.error) as error:
+            self.close()
+            raise self._refused(error) from None
+
+    def read(self, limit: int) -> bytes:
+        """Return the bytes that have arrived, at most `limit`; never waits.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        try:
+            data = os.read(self.fileno(), limit)
+        except BlockingIOError:
+            return b""
+        if not data and limit:
+            raise OSError(errno.EIO, "the line hung up")
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Hand over what the line takes now; return how many bytes.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        try:
+            return os.write(self.fileno(), data)
+        except BlockingIOError:
+            return 0
+
+    def wait(self, seconds: float) -> None:
+        """Wait until bytes have arrived, at most so long."""
+        select.select([self.fileno()], [], [], seconds)
+
+    def discard(self) -> None:
+        """Forget the bytes that have arrived and were not read.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        try:
+            termios.tcflush(self.fileno(), termios.TCIFLUSH)
+        except termios.error as error:
+            raise OSError(*error.args) from None
+
+    def close(self) -> None:
+        """Close the line and drop unsent output; closing twice is allowed."""
+        port, self._port = self._port, None
+        if port is None:
+            return
+        with suppress(OSError, termios.error):
+            port.reset_output_buffer()
+        with suppress(OSError, termios.error):
+            port.close()
+
+    def _refused(self, error: Exception) -> DeviceError:
+        number = getattr(error, "errno", None)
+        remedies = {
+            errno.ENOENT: "check cable and name; `ls /dev/tty*` lists the devices",
+            errno.EACCES: "add the user to the group that owns it, often `dialout`",
+            errno.EAGAIN: "another program has it open; end that program",
+        }
+        return DeviceError(
+            "the serial line cannot be opened",
+            where=self.path,
+            got=os.strerror(number) if number else str(error),
+            remedy=remedies.get(number or 0, "give the device file of a serial line"),
+        )
+
+
 class SerialLine:
     """One serial line, non-blocking in both directions.
 
@@ -64,15 +198,9 @@ class SerialLine:
         rtscts: bool = False,
     ) -> None:
         self.path = path
-        self._settings: dict[str, Any] = {
-            "baudrate": baud,
-            "bytesize": bits,
-            "parity": parity,
-            "stopbits": stop,
-            "rtscts": rtscts,
-            "timeout": 0,
-        }
-        self._port: _Port | None = None
+        self._port = SerialPort(
+            path, baud, bits=bits, parity=parity, stop=stop, rtscts=rtscts
+        )
         self._outside = Outside(f"serial line {path}")
         self._opened = False
 
@@ -91,28 +219,8 @@ class SerialLine:
         if self._opened:
             return
         require_devices(self.path)
-        self._outside.ask(self._open, default=None)
+        self._outside.ask(self._port.open, default=None)
         self._opened = True
-
-    def _open(self) -> None:
-        try:
-            serial = import_module("serial")
-        except ImportError:
-            raise DeviceError(
-                "serial lines need pyserial, which is not installed",
-                where=self.path,
-                remedy="pip install 'pbonet[devices]'",
-            ) from None
-        try:
-            port = serial.Serial(self.path, exclusive=True, **self._settings)
-        except (OSError, ValueError, termios.error) as error:
-            raise self._refused(error) from None
-        self._port = cast("_Port", port)
-        try:
-            _distinguish_hangup(self._port.fd)
-        except (OSError, termios.error) as error:
-            self._close()
-            raise self._refused(error) from None
 
     def read_available(self, limit: int = 256) -> bytes:
         """Return the bytes that have arrived, at most `limit`; never waits.
@@ -120,16 +228,7 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
-        return self._ask(self._read, limit, default=b"")
-
-    def _read(self, limit: int) -> bytes:
-        try:
-            data = os.read(self._descriptor(), limit)
-        except BlockingIOError:
-            return b""
-        if not data and limit:
-            raise OSError(errno.EIO, "the line hung up")
-        return data
+        return self._ask(self._port.read, limit, default=b"")
 
     def write_nowait(self, data: bytes) -> int:
         """Hand over as much of `data` as the line takes now; return how many bytes.
@@ -137,13 +236,7 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
-        return self._ask(self._write, data, default=len(data))
-
-    def _write(self, data: bytes) -> int:
-        try:
-            return os.write(self._descriptor(), data)
-        except BlockingIOError:
-            return 0
+        return self._ask(self._port.write, data, default=len(data))
 
     def wait(self, seconds: float) -> None:
         """Wait until bytes have arrived, at most so long; not in a cycle.
@@ -151,10 +244,7 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
-        self._ask(self._wait, seconds, default=None)
-
-    def _wait(self, seconds: float) -> None:
-        select.select([self._descriptor()], [], [], seconds)
+        self._ask(self._port.wait, seconds, default=None)
 
     def discard_input(self) -> None:
         """Forget the bytes that have arrived and were not read.
@@ -162,27 +252,12 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
-        self._ask(self._discard, default=None)
-
-    def _discard(self) -> None:
-        try:
-            termios.tcflush(self._descriptor(), termios.TCIFLUSH)
-        except termios.error as error:
-            raise OSError(*error.args) from None
+        self._ask(self._port.discard, default=None)
 
     def close(self) -> None:
         """Close the line and drop unsent output; closing twice is allowed."""
         self._opened = False
-        self._close()
-
-    def _close(self) -> None:
-        port, self._port = self._port, None
-        if port is None:
-            return
-        with suppress(OSError, termios.error):
-            port.reset_output_buffer()
-        with suppress(OSError, termios.error):
-            port.close()
+        self._port.close()
 
     def __enter__(self) -> Self:
         """Open the line."""
@@ -210,25 +285,6 @@ class SerialLine:
             return self._outside.ask(call, *args, default=default)
         except OSError as error:
             raise self._lost(error) from None
-
-    def _descriptor(self) -> int:
-        if self._port is None:
-            raise OSError(errno.EBADF, "the line is closed")
-        return self._port.fd
-
-    def _refused(self, error: Exception) -> DeviceError:
-        number = getattr(error, "errno", None)
-        remedies = {
-            errno.ENOENT: "check cable and name; `ls /dev/tty*` lists the devices",
-            errno.EACCES: "add the user to the group that owns it, often `dialout`",
-            errno.EAGAIN: "another program has it open; end that program",
-        }
-        return DeviceError(
-            "the serial line cannot be opened",
-            where=self.path,
-            got=os.strerror(number) if number else str(error),
-            remedy=remedies.get(number or 0, "give the device file of a serial line"),
-        )
 
     def _lost(self, error: OSError) -> DeviceError:
         self.close()

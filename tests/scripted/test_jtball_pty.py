@@ -61,12 +61,11 @@ def deliver(bench: Bench[JtBall], device: Magellan, cycles: int = 1) -> None:
 def wait_for_bytes(bench: Bench[JtBall], device: Magellan) -> None:
     """Wait until the module's end holds all that was said since the last call."""
     port = bench.module._ball._line._port  # type: ignore[union-attr]
-    assert port is not None
     give_up = time.monotonic() + 60.0
     count = bytearray(4)
     while int.from_bytes(count, "little") < device.said:
         assert time.monotonic() < give_up, "the terminal swallowed bytes"
-        fcntl.ioctl(port.fd, termios.FIONREAD, count)
+        fcntl.ioctl(port.fileno(), termios.FIONREAD, count)
     device.said = 0
 
 

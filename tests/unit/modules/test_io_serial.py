@@ -27,8 +27,7 @@ def pty() -> Iterator[tuple[int, str]]:
 def arrives(line: SerialLine, count: int) -> bytes:
     data = b""
     while len(data) < count:
-        assert line._port is not None
-        assert select.select([line._port.fd], [], [], 5.0)[0]
+        assert select.select([line._port.fileno()], [], [], 5.0)[0]
         data += line.read_available()
     return data
 
@@ -50,10 +49,9 @@ def test_bytes_pass_unchanged_both_ways(pty: tuple[int, str]) -> None:
 def test_settings_reach_the_line(pty: tuple[int, str]) -> None:
     _, name = pty
     with SerialLine(name, 19200, bits=7, parity="E", stop=2, rtscts=True) as line:
-        assert line._port is not None
-        _, _, flags, _, ispeed, ospeed, _ = termios.tcgetattr(line._port.fd)
+        _, _, flags, _, ispeed, ospeed, _ = termios.tcgetattr(line._port.fileno())
         # a pseudo-terminal keeps eight bits without parity, whatever it is told
-        assert (line._port.bytesize, line._port.parity) == (7, "E")  # type: ignore[attr-defined]
+        assert (line._port._port.bytesize, line._port._port.parity) == (7, "E")  # type: ignore[attr-defined]
     assert ispeed == ospeed == termios.B19200
     assert flags & termios.CSTOPB
     assert flags & termios.CRTSCTS
@@ -69,7 +67,7 @@ def test_no_more_is_read_than_asked_for(pty: tuple[int, str]) -> None:
     master, name = pty
     with SerialLine(name) as line:
         os.write(master, b"abcdef")
-        assert select.select([line._port.fd], [], [], 5.0)[0]  # type: ignore[union-attr]
+        assert select.select([line._port.fileno()], [], [], 5.0)[0]  # type: ignore[union-attr]
         assert line.read_available(4) == b"abcd"
         assert line.read_available(4) == b"ef"
 
@@ -163,7 +161,7 @@ def test_input_can_be_discarded(pty: tuple[int, str]) -> None:
     master, name = pty
     with SerialLine(name) as line:
         os.write(master, b"old")
-        assert select.select([line._port.fd], [], [], 5.0)[0]  # type: ignore[union-attr]
+        assert select.select([line._port.fileno()], [], [], 5.0)[0]  # type: ignore[union-attr]
         line.discard_input()
         assert line.read_available() == b""
         os.write(master, b"new")

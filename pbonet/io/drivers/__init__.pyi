@@ -1,0 +1,15 @@
+from . import database as database, port_claims as port_claims
+from .device import (
+    Device as Device,
+    MemoryDevice as MemoryDevice,
+    PortDevice as PortDevice,
+    Settings as Settings,
+    StreamDevice as StreamDevice,
+)
+from .entry import Entry as Entry
+from .modes import Mode as Mode, Opening as Opening, Wait as Wait
+from .opening import (
+    DRIVERS as DRIVERS,
+    driver as driver,
+    open_device as open_device,
+)

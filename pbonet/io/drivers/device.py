@@ -1,0 +1,374 @@
+"""The interface of all I/O devices.
+
+A driver is a class of objects with the methods of Stewart 1994, section 7.2.1: `read`,
+`write`, `status`, `control`, `mmap` and `close`, as its class allows. Its values are
+raw: units are the matter of the modules above it (section 7.3).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import DeviceError
+
+from .modes import Mode, Wait
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from types import TracebackType
+
+    from pbonet.outside import Outside
+
+    from .entry import Entry
+    from .modes import Opening
+    from .port_claims import Claim
+
+Kind = Literal["SIO", "PIO", "ADC", "DAC", "RCB", "SBS", "MEM"]
+"""The classes of devices: serial, parallel, converters from and to analogue values,
+robot control boards (a process image of several values), subsystems, and memory."""
+SIZES: Final = (8, 16, 32)
+"""Bits of an element in the user's buffer."""
+
+
+class Settings(Struct, frozen=True, forbid_unknown_fields=True):
+    """A driver's own settings, of ``[device.NAME.settings]``; a driver derives its."""
+
+
+class Device(ABC):
+    """An opened I/O device. `open_device` makes one.
+
+    A driver derives from one of `StreamDevice`, `PortDevice` and `MemoryDevice`.
+
+    Args:
+        entry: What the database says.
+        opening: What the user chose; it fits the class attributes below.
+        outside: Records what the device answers.
+    """
+
+    kind: ClassVar[Kind]
+    can: ClassVar[Mode] = Mode.RW
+    """The directions that the device has."""
+    waits: ClassVar[frozenset[Wait]]
+    """How it can wait."""
+    default_wait: ClassVar[Wait]
+    sizes: ClassVar[tuple[int, ...]] = SIZES
+    can_trunc_lsb: ClassVar[bool] = True
+    one_port: ClassVar[bool] = False
+    """Whether it is opened one port at a time."""
+    settings_type: ClassVar[type[Settings]] = Settings
+
+    def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
+        self.entry, self.opening, self.outside = entry, opening, outside
+        self.name = opening.name
+        self.settings: Any = settings_of(self.settings_type, entry, opening.name)
+        self._is_open = False
+        self._claim: Claim | None = None
+
+    def open(self, claim: Claim | None) -> None:
+        """Open the device; `open_device` calls this once.
+
+        Args:
+            claim: The claim on its ports, released with the device; None in a replay.
+
+        Raises:
+            DeviceError: It cannot be opened; the ports are given back.
+        """
+        self._claim = claim
+        try:
+            self.outside.ask(self.connect, default=None)
+        except BaseException:
+            self._release()
+            raise
+        self._is_open = True
+
+    def _release(self) -> None:
+        if self._claim is not None:
+            self._claim.release()
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Open the hardware. Not called in a replay; it returns nothing.
+
+        Raises:
+            DeviceError: It cannot be opened.
+        """
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Close the hardware; safe values of outputs are the module's matter."""
+
+    def close(self) -> None:
+        """Close the device and give its ports back; closing twice is allowed."""
+        if self._is_open:
+            self._is_open = False
+            if not self.outside.plays:
+                self.disconnect()
+            self._release()
+
+    def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
+        """Return what is known of the hardware.
+
+        Args:
+            command: ``PORTSIZE`` (bits of a port), ``PORTNUM`` (number of ports of the
+                logical device), or one of the driver.
+            port: For ``PORTSIZE``.
+
+        Raises:
+            DeviceError: The device has no such command, or does not answer.
+        """
+        if command == "PORTNUM":
+            return self.entry.ports
+        if command == "PORTSIZE":
+            return self.port_bits(port)
+        raise self._no_command(command)
+
+    def control(self, command: str, value: Any) -> None:  # noqa: ANN401
+        """Change a setting of the hardware, as ``SIO_SET``.
+
+        Raises:
+            DeviceError: The device has no such command, or refuses the value.
+        """
+        del value
+        raise self._no_command(command)
+
+    def port_bits(self, port: int) -> int:
+        """Return how many bits a port has."""
+        del port
+        return 8
+
+    def ask(self, call: Callable[..., Any], *args: object, default: Any) -> Any:  # noqa: ANN401
+        """Return what an open device answers, recorded; in a replay, the record.
+
+        Raises:
+            DeviceError: It is closed, or lost: then it is closed by this.
+        """
+        if not self._is_open:
+            raise DeviceError(
+                "the device is not open",
+                where=self.name,
+                remedy="open it in init, and again after it was lost",
+            )
+        try:
+            return self.outside.ask(call, *args, default=default)
+        except DeviceError:  # it was asked for what cannot be, and works
+            raise
+        except OSError as error:
+            self.close()
+            raise DeviceError(
+                "the device is gone",
+                where=f"{self.name} ({self.entry.address})",
+                got=error.strerror or str(error),
+                remedy="check cable and power, then open it again",
+            ) from None
+
+    def _no_command(self, command: str) -> DeviceError:
+        return DeviceError(
+            f"a device of class {self.kind} has no command {command}",
+            where=self.name,
+            expected="PORTSIZE, PORTNUM, or one that docs/devices.md lists",
+            remedy="see the page of the driver",
+        )
+
+    def __enter__(self) -> Self:
+        """Return the device itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the device."""
+        self.close()
+
+
+class StreamDevice(Device):
+    """A device that moves bytes, without ports of a fixed size: class SIO."""
+
+    kind: ClassVar[Kind] = "SIO"
+    waits = frozenset(Wait)
+    default_wait = Wait.ONE
+    one_port = True
+
+    @abstractmethod
+    def read(self, count: int) -> bytes:
+        """Return up to `count` bytes that have arrived; how it waits is the opening's.
+
+        Raises:
+            DeviceError: The device is gone, or not open for reading.
+        """
+
+    @abstractmethod
+    def write(self, data: bytes) -> int:
+        """Hand bytes over; return how many were taken.
+
+        Raises:
+            DeviceError: The device is gone, or not open for writing.
+        """
+
+
+class PortDevice(Device):
+    """A device with ports, each an integer of some bits: PIO, ADC, DAC and RCB.
+
+    A driver implements `read_ports` and `write_ports`, with values of its own width.
+    """
+
+    waits = frozenset({Wait.ALL})
+    default_wait = Wait.ALL
+
+    def read(self) -> list[int]:
+        """Return the value of each opened port, as elements of the chosen size.
+
+        They are unsigned numbers of that size; with SIGNED they are signed. Nothing is
+        returned (an empty list) if the device did not wait, and has nothing new.
+
+        Raises:
+            DeviceError: The device is gone, or not open for reading.
+        """
+        self.require(Mode.READ)
+        raw: Sequence[int] = self.ask(self.read_ports, default=None) or ()
+        begin = self.opening.start
+        return [
+            self.expand(value, self.port_bits(begin + k)) for k, value in enumerate(raw)
+        ]
+
+    def write(self, values: Sequence[int]) -> None:
+        """Write a value to each opened port, given as elements of the chosen size.
+
+        Raises:
+            DeviceError: The device is gone, or not open for writing; there is another
+                number of values.
+        """
+        self.require(Mode.WRITE)
+        o = self.opening
+        if len(values) != o.end - o.start + 1:
+            raise DeviceError(
+                "a value for each opened port is needed",
+                where=self.name,
+                expected=str(o.end - o.start + 1),
+                got=str(len(values)),
+                remedy="open only the ports that are written together",
+            )
+        raw = [
+            self.reduce(int(value), self.port_bits(o.start + k))
+            for k, value in enumerate(values)
+        ]
+        self.ask(self.write_ports, raw, default=None)
+
+    def read_ports(self) -> Sequence[int] | None:
+        """Return the raw values of the opened ports; None: nothing new."""
+        raise NotImplementedError
+
+    def write_ports(self, values: Sequence[int]) -> None:
+        """Write raw values to the opened ports."""
+        raise NotImplementedError
+
+    def require(self, mode: Mode) -> None:
+        """Return if the device was opened in this direction.
+
+        Raises:
+            DeviceError: It was not.
+        """
+        if mode not in self.opening.mode:
+            raise wrong_direction(self.name, mode, self.opening.mode)
+
+    def expand(self, value: int, bits: int) -> int:
+        """Return a port's value as an element of the chosen size."""
+        o = self.opening
+        return convert(value, bits, o.size, signed=o.signed, trunc_lsb=o.trunc_lsb)
+
+    def reduce(self, value: int, bits: int) -> int:
+        """Return an element of the chosen size as a port's value, without a sign."""
+        o = self.opening
+        raw = convert(value, o.size, bits, signed=o.signed, trunc_lsb=o.trunc_lsb)
+        return raw & ((1 << bits) - 1)
+
+
+class MemoryDevice(Device):
+    """A block of memory that is mapped: class MEM."""
+
+    kind: ClassVar[Kind] = "MEM"
+    waits = frozenset({Wait.ALL})
+    default_wait = Wait.ALL
+    one_port = True
+
+    @abstractmethod
+    def read(self, count: int, at: int = 0) -> bytes:
+        """Return `count` bytes from offset `at`.
+
+        Raises:
+            DeviceError: The device is gone, not open for reading, or shorter.
+        """
+
+    @abstractmethod
+    def write(self, data: bytes, at: int = 0) -> int:
+        """Write bytes from offset `at` on; return how many.
+
+        Raises:
+            DeviceError: The device is gone, not open for writing, or shorter.
+        """
+
+    @abstractmethod
+    def mmap(self) -> memoryview:
+        """Return the memory itself; no log has what is read there.
+
+        Raises:
+            DeviceError: This is a replay, or the device is gone.
+        """
+
+
+def convert(value: int, bits: int, size: int, *, signed: bool, trunc_lsb: bool) -> int:
+    """Return a value of `bits` bits as one of `size` bits.
+
+    By default an expanded value is padded with zeros, and a reduced one loses its
+    highest bits (Stewart 1994, section 7.2.1).
+
+    Args:
+        value: The value; what exceeds `bits` is cut off.
+        bits: How many bits it has.
+        size: How many bits the result has.
+        signed: Pad with the sign, and return a signed number.
+        trunc_lsb: A reduced value loses its lowest bits.
+    """
+    value &= (1 << bits) - 1
+    if signed and size > bits and value >> (bits - 1):
+        value |= (1 << size) - (1 << bits)
+    if size < bits:
+        value = value >> (bits - size) if trunc_lsb else value & ((1 << size) - 1)
+    if signed and value >> (size - 1):
+        value -= 1 << size
+    return value
+
+
+def settings_of(kind: type[Settings], entry: Entry, name: str) -> Settings:
+    """Return the driver's settings of a device.
+
+    Raises:
+        DeviceError: One is not known, or of another type.
+    """
+    try:
+        return msgspec.convert(entry.settings, kind)
+    except msgspec.ValidationError as error:
+        raise DeviceError(
+            "a setting of the device is wrong",
+            where=f"[device.{name}.settings]",
+            expected=" ".join(one.name for one in msgspec.structs.fields(kind)),
+            got=str(error),
+            remedy=f"see the driver {entry.driver} in docs/devices.md",
+        ) from None
+
+
+def wrong_direction(name: str, wanted: Mode, got: Mode) -> DeviceError:
+    """Return the error for a direction that a device was not opened in."""
+    return DeviceError(
+        "the device is not open in this direction",
+        where=name,
+        expected=str(wanted.name),
+        got=str(got.name),
+        remedy="name the mode when it is opened",
+    )

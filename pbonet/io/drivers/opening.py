@@ -1,0 +1,135 @@
+"""Opens devices by their logical names, and checks what is asked for at once."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from pbonet.errors import DeviceError
+from pbonet.io import require_devices
+from pbonet.outside import Outside
+
+from . import database, port_claims
+from .device import Device, wrong_direction
+from .entry import Entry
+from .modes import Mode, Opening, Wait
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+DRIVERS: Final[Mapping[str, str]] = {
+    "serial": "serial_driver:SerialDevice",
+    "tcp": "socket_driver:TcpDevice",
+    "udp": "socket_driver:UdpDevice",
+    "file": "file_driver:FileDevice",
+}
+"""Drivers by name: where each is."""
+
+
+def driver(entry: Entry, name: str) -> type[Device]:
+    """Return the driver of a device.
+
+    Raises:
+        DeviceError: There is none of that name.
+    """
+    found = DRIVERS.get(entry.driver)
+    if found is None:
+        raise DeviceError(
+            f"there is no driver {entry.driver}",
+            where=f"[device.{name}]",
+            expected=" ".join(sorted(DRIVERS)),
+            remedy="see docs/devices.md",
+        )
+    module, _, cls = found.partition(":")
+    made: type[Device] = getattr(import_module(f".{module}", __package__), cls)
+    return made
+
+
+def open_device(
+    name: str,
+    start: int = 0,
+    end: int | None = None,
+    *,
+    mode: Mode = Mode.NONE,
+    wait: Wait | None = None,
+    size: int = 32,
+    signed: bool = False,
+    trunc_lsb: bool = False,
+) -> Device:
+    """Open ports of a device, in ``init`` (iodOpen of Stewart 1994, section 7.2.1).
+
+    The ports are this opening's until it is closed, or its process ends.
+
+    Args:
+        name: The logical name: ``[device.NAME]`` of the agent's ``agent.toml``.
+        start: The first port.
+        end: The last port; by default the first one.
+        mode: Whether it is read, written, or both.
+        wait: How `read` and `write` wait; by default ALL, and ONE of streams.
+        size: Bits of an element: 8, 16 or 32.
+        signed: A value that is expanded keeps its sign.
+        trunc_lsb: A value that is reduced loses its lowest bits.
+
+    Raises:
+        DeviceError: There is no such device, it cannot what is asked for, a port is
+            taken, or the hardware cannot be opened.
+    """
+    outside = Outside(f"device {name} {start}")
+    if not outside.plays:
+        require_devices(name)
+    found = outside.ask(lambda: msgspec.to_builtins(database.entry(name)))
+    entry = msgspec.convert(found, Entry)
+    cls = driver(entry, name)
+    chosen = Opening(
+        name=name,
+        start=start,
+        end=start if end is None else end,
+        mode=mode,
+        wait=cls.default_wait if wait is None else wait,
+        size=size,
+        signed=signed,
+        trunc_lsb=trunc_lsb,
+    )
+    _check(cls, entry, chosen)
+    device = cls(entry, chosen, outside)
+    # A refusal is recorded and raised again; a claim is no answer, and is not recorded.
+    claims: list[port_claims.Claim] = []
+    outside.ask(lambda: claims.append(port_claims.claim(entry, chosen)), default=None)
+    device.open(claims[0] if claims else None)
+    return device
+
+
+def _check(cls: type[Device], entry: Entry, o: Opening) -> None:
+    """Refuse what the driver cannot do.
+
+    Raises:
+        DeviceError: It cannot.
+    """
+    if o.mode & ~cls.can:
+        raise wrong_direction(o.name, o.mode, cls.can)
+    wrong = {
+        f"wait {o.wait.value}": o.wait not in cls.waits,
+        f"size {o.size}": o.size not in cls.sizes,
+        "trunc_lsb": o.trunc_lsb and not cls.can_trunc_lsb,
+    }
+    able = [one.value for one in Wait if one in cls.waits], list(cls.sizes)
+    for what, is_so in wrong.items():
+        if is_so:
+            raise DeviceError(
+                f"the driver {entry.driver} cannot do this",
+                where=o.name,
+                expected=f"wait {' '.join(able[0])}; size {able[1]}",
+                got=what,
+                remedy="open it in another way",
+            )
+    last = entry.ports - 1 if entry.ports else o.end
+    if not 0 <= o.start <= o.end <= last or (cls.one_port and o.start != o.end):
+        raise DeviceError(
+            "the device has no such ports",
+            where=o.name,
+            expected=f"one of 0 to {last}" if cls.one_port else f"0 to {last}",
+            got=f"{o.start} to {o.end}",
+            remedy=f"see [device.{o.name}] in agent.toml",
+        )

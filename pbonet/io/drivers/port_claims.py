@@ -1,0 +1,156 @@
+"""Claims on the ports of a device: each port has one user on its machine.
+
+A file per physical device is locked at one byte for each port. The kernel drops such a
+lock with the process that holds it, so a task that was killed has no ports any more.
+The file also says who has a port, for `pbonet devices`.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import os
+import struct
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple
+
+from pbonet.errors import DeviceError
+from pbonet.xm.net import run_folder
+
+from . import database
+from .modes import Mode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from .entry import Entry
+    from .modes import Opening
+
+_FLOCK = struct.Struct("hhqqi4x")
+_RECORD = struct.Struct("<Ii56s")
+"""Mode, process, and RTPU/TASK of a port's user."""
+_RECORDS_AT = 1 << 20
+"""Where the records begin: beyond every port's byte."""
+MOST_PORTS = 1 << 16
+"""Greatest number of ports of a physical device."""
+
+
+class User(NamedTuple):
+    """The user of a port."""
+
+    port: int
+    """Of the logical device."""
+    owner: str
+    """RTPU/TASK, or empty for a program."""
+    mode: Mode
+    pid: int
+
+
+class Claim:
+    """The ports of one opening; they are given back by `release`.
+
+    Args:
+        fd: The locked file.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+
+    def release(self) -> None:
+        """Give the ports back."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
+
+
+def claim(entry: Entry, opening: Opening) -> Claim:
+    """Claim the ports of an opening for this process.
+
+    Raises:
+        DeviceError: One of them is taken; the error names its user.
+    """
+    first, last = entry.first + opening.start, entry.first + opening.end
+    if last >= MOST_PORTS:
+        raise _no_such(opening, last)
+    fd = os.open(_path(entry), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        lock = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, first, last - first + 1, 0)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
+        text = database.owner().encode()[:56]
+        record = _RECORD.pack(opening.mode.value, os.getpid(), text)
+        for port in range(first, last + 1):
+            os.pwrite(fd, record, _RECORDS_AT + port * _RECORD.size)
+    except OSError as error:
+        taken = error.errno in {errno.EAGAIN, errno.EACCES}
+        who = list(users(entry, range(opening.start, opening.end + 1))) if taken else []
+        os.close(fd)
+        raise _taken(opening, who) if taken else _unusable(opening, error) from None
+    except BaseException:
+        os.close(fd)
+        raise
+    return Claim(fd)
+
+
+def users(entry: Entry, ports: Iterable[int]) -> Iterator[User]:
+    """Yield the users of those ports of a logical device that are taken."""
+    try:
+        fd = os.open(_path(entry), os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return  # no port was ever claimed
+    try:
+        for port in ports:
+            at = entry.first + port
+            asked = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, at, 1, 0)
+            if _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))[0] == (
+                fcntl.F_UNLCK
+            ):
+                continue
+            data = os.pread(fd, _RECORD.size, _RECORDS_AT + at * _RECORD.size)
+            with suppress(struct.error, ValueError):
+                mode, pid, text = _RECORD.unpack(data)
+                owner = text.rstrip(b"\0").decode(errors="replace")
+                yield User(port, owner, Mode(mode), pid)
+    finally:
+        os.close(fd)
+
+
+def _path(entry: Entry) -> Path:
+    """Return the file of a physical device."""
+    folder = run_folder.folder() / "devices"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    name = f"{entry.driver} {os.path.realpath(entry.address)}"
+    return folder / hashlib.sha256(name.encode()).hexdigest()[:32]
+
+
+def _taken(opening: Opening, who: list[User]) -> DeviceError:
+    return DeviceError(
+        "a port of the device is taken",
+        where=opening.name,
+        expected=f"ports {opening.start} to {opening.end} free",
+        got=", ".join(
+            f"port {one.port}: {one.owner or 'a program'} (process {one.pid})"
+            for one in who
+        ),
+        remedy="let that task read it, and take the value from the table",
+    )
+
+
+def _no_such(opening: Opening, last: int) -> DeviceError:
+    return DeviceError(
+        "the device has no such ports",
+        where=opening.name,
+        expected=f"physical ports below {MOST_PORTS}",
+        got=str(last),
+        remedy=f"see [device.{opening.name}] in agent.toml",
+    )
+
+
+def _unusable(opening: Opening, error: OSError) -> DeviceError:
+    return DeviceError(
+        "the ports of the device cannot be claimed",
+        where=opening.name,
+        got=error.strerror or str(error),
+        remedy="see that the runtime folder can be written (PBONET_RUN_DIR)",
+    )

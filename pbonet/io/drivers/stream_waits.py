@@ -1,0 +1,58 @@
+"""How a stream device waits: the same rules over any non-blocking descriptor."""
+
+from __future__ import annotations
+
+import select
+from typing import TYPE_CHECKING
+
+from .modes import Wait
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def read_all(
+    fd: int, take: Callable[[int], bytes], count: int, wait: Wait, held: bytearray
+) -> bytes:
+    """Return up to `count` bytes by the rules of `wait`.
+
+    Args:
+        fd: The descriptor that becomes readable.
+        take: Returns up to so many bytes that have arrived; empty if none has.
+        count: How many bytes are wanted.
+        wait: ALL waits for all of them, ONE for one; NONE returns what is there, and
+            NOALL all of them or nothing.
+        held: Bytes that arrived and were not returned; kept between calls.
+
+    Raises:
+        OSError: The device is gone; bytes that came before stay in `held`.
+    """
+    need = {Wait.ALL: count, Wait.ONE: min(count, 1)}.get(wait, 0)
+    while True:
+        if len(held) < count:
+            held += take(count - len(held))
+        if len(held) >= need:
+            break
+        select.select([fd], [], [])
+    if wait is Wait.NOALL and len(held) < count:
+        return b""
+    data = bytes(held[:count])
+    del held[: len(data)]
+    return data
+
+
+def write_all(fd: int, give: Callable[[bytes], int], data: bytes, wait: Wait) -> int:
+    """Hand bytes over by the rules of `wait`; return how many were taken.
+
+    NOALL is for datagrams and buffers that take all or nothing: what `give` takes.
+
+    Raises:
+        OSError: The device is gone.
+    """
+    done = 0
+    need = {Wait.ALL: len(data), Wait.ONE: min(len(data), 1)}.get(wait, 0)
+    while True:
+        done += give(data[done:])
+        if done >= need:
+            return done
+        select.select([], [fd], [])

@@ -1,0 +1,302 @@
+"""Devices by logical names: what is checked at open, claims, and the first drivers."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import socket
+import subprocess
+import sys
+import termios
+import tty
+
+import pytest
+from watching import wait_for
+
+from pbonet.errors import DeviceError
+from pbonet.io import no_devices
+from pbonet.io.drivers import (
+    Entry,
+    Mode,
+    Opening,
+    PortDevice,
+    Wait,
+    database,
+    open_device,
+    port_claims,
+)
+from pbonet.io.drivers.device import convert
+from pbonet.io.drivers.serial_driver import SioParam
+from pbonet.outside import Outside, Player, Tape, using as recording
+
+HOLDS = """
+import sys, time
+from pbonet.io.drivers import Entry, Mode, database, open_device
+database.use({"m": Entry(driver="file", address=sys.argv[1], ports=8)}, "arm9/x")
+kept = [open_device("m", port, mode=Mode.READ) for port in (2, 3)]
+print("open", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.fixture(autouse=True)
+def run_dir(tmp_path, monkeypatch):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+
+
+@pytest.fixture
+def devices(tmp_path):
+    """A file of 64 bytes as `m`, with 8 ports, and a terminal as `line`."""
+    file = tmp_path / "memory"
+    file.write_bytes(bytes(range(64)))
+    master, slave = os.openpty()
+    tty.setraw(master)
+    name = os.ttyname(slave)
+    os.close(slave)
+    entries = {
+        "m": Entry(driver="file", address=str(file), ports=8),
+        "high": Entry(driver="file", address=str(file), first=4, ports=4),
+        "line": Entry(driver="serial", address=name, settings={"baud": 19200}),
+        "strange": Entry(driver="abacus", address="x"),
+        "wrong": Entry(driver="serial", address=name, settings={"boud": 9600}),
+        "gone": Entry(driver="serial", address=str(tmp_path / "ttyUSB7")),
+    }
+    with database.using(entries, "arm0/reads"):
+        yield {"file": file, "master": master}
+    os.close(master)
+
+
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        ({"name": "n"}, "there is no device n on this machine"),
+        ({"name": "lime"}, "did you mean line?"),
+        ({"name": "strange"}, "there is no driver abacus"),
+        ({"name": "wrong"}, "boud"),
+        ({"name": "gone", "mode": Mode.RW}, "No such file"),
+        ({"name": "m", "start": 8}, "the device has no such ports"),
+        ({"name": "m", "start": -1}, "the device has no such ports"),
+        ({"name": "m", "start": 1, "end": 2}, "one of 0 to 7"),
+        ({"name": "m", "wait": Wait.NONE}, "got wait none"),
+        ({"name": "m", "size": 12}, "got size 12"),
+        ({"name": "m", "trunc_lsb": True}, "got trunc_lsb"),
+    ],
+)
+@pytest.mark.usefixtures("devices")
+def test_what_cannot_be_is_refused_at_open(what, told):
+    with pytest.raises(DeviceError) as caught:
+        open_device(**what)
+    assert told in str(caught.value)
+    assert list(port_claims.users(database.entry("m"), range(8))) == []
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_port_has_one_user():
+    with open_device("m", 5, mode=Mode.READ):
+        with pytest.raises(DeviceError, match="a port of the device is taken") as one:
+            open_device("m", 5)
+        assert f"port 5: arm0/reads (process {os.getpid()})" in str(one.value)
+        with pytest.raises(DeviceError, match="a port of the device is taken"):
+            open_device("high", 1)  # the same physical port
+        open_device("high", 2).close()
+    open_device("m", 5).close()
+
+
+def test_the_ports_of_a_killed_process_are_free(devices):
+    other = subprocess.Popen(
+        [sys.executable, "-c", HOLDS, str(devices["file"])],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert other.stdout.readline() == "open\n"
+        (two, three) = port_claims.users(database.entry("m"), range(8))
+        assert (two.port, two.owner, two.mode, two.pid) == (
+            *(2, "arm9/x", Mode.READ), other.pid
+        )  # fmt: skip
+        with pytest.raises(DeviceError, match="arm9/x"):
+            open_device("m", three.port)
+    finally:
+        other.send_signal(signal.SIGKILL)
+        other.communicate()
+    open_device("m", 3).close()
+
+
+def test_memory_is_read_written_mapped_and_guarded(devices):
+    with open_device("m", 0, mode=Mode.RW) as m:
+        assert m.read(3, at=61) == bytes((61, 62, 63))
+        assert m.write(b"ab", at=4) == 2
+        assert m.mmap()[4:6] == b"ab"
+        with pytest.raises(DeviceError, match="no such bytes"):
+            m.read(4, at=61)
+        os.truncate(devices["file"], 16)
+        with pytest.raises(DeviceError, match="the device is gone"):
+            m.read(1)
+        with pytest.raises(DeviceError, match="the device is not open"):
+            m.read(1)
+    open_device("m", 0).close()  # it gave its port back
+
+
+@pytest.mark.usefixtures("devices")
+def test_directions_are_kept():
+    with open_device("m", 0, mode=Mode.READ) as m:
+        with pytest.raises(DeviceError, match="not open in this direction"):
+            m.write(b"a")
+        assert m.status("PORTNUM") == 8
+        with pytest.raises(DeviceError, match="no command SIO_GET"):
+            m.status("SIO_GET")
+
+
+@pytest.mark.parametrize(
+    ("wait", "there", "asked", "got"),
+    [
+        (Wait.NONE, b"", 4, b""),
+        (Wait.NONE, b"ab", 4, b"ab"),
+        (Wait.NOALL, b"ab", 4, b""),
+        (Wait.NOALL, b"abcde", 4, b"abcd"),
+        (Wait.ONE, b"ab", 4, b"ab"),
+        (Wait.ALL, b"abcde", 4, b"abcd"),
+    ],
+)
+def test_a_line_waits_as_it_was_opened(devices, wait, there, asked, got):
+    with open_device("line", mode=Mode.RW, wait=wait) as line:
+        os.write(devices["master"], there)
+        fd = line._line.fileno()
+        wait_for(lambda: waiting(fd) == len(there), "the bytes")
+        assert line.read(asked) == got
+        if len(got) < len(there):
+            os.write(devices["master"], b"xyz")
+            rest = there[len(got) :] + b"xyz"
+            wait_for(lambda: waiting(fd) >= 3, "more bytes")
+            assert line.read(len(rest)) == rest
+
+
+def waiting(fd):
+    return int.from_bytes(fcntl.ioctl(fd, termios.FIONREAD, bytes(4)), "little")
+
+
+def test_a_line_is_set_and_lost(devices):
+    with open_device("line", mode=Mode.RW, wait=Wait.NONE) as line:
+        assert line.status("SIO_GET") == SioParam(19200, 8, 1, "N")
+        line.control("SIO_SET", SioParam(9600, 7, 2, "E"))
+        assert line.status("SIO_GET").baud == 9600
+        with pytest.raises(DeviceError):
+            line.control("SIO_SET", SioParam(9600, 7, 2, "?"))
+        assert line.status("SIO_GET").parity == "E", "it works as before"
+        os.close(devices["master"])
+        with pytest.raises(DeviceError, match="the device is gone"):
+            line.read(1)
+    devices["master"] = os.dup(0)
+
+
+def test_lines_over_a_network():
+    server = socket.create_server(("127.0.0.1", 0))
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.bind(("127.0.0.1", 0))
+    entries = {
+        "tcp": Entry(driver="tcp", address=f"127.0.0.1:{server.getsockname()[1]}"),
+        "udp": Entry(driver="udp", address=f"127.0.0.1:{other.getsockname()[1]}"),
+    }
+    with server, other, database.using(entries):
+        with open_device("tcp", mode=Mode.RW) as tcp:
+            peer, _ = server.accept()
+            assert tcp.write(b"ask") == 3
+            assert peer.recv(9) == b"ask"
+            peer.sendall(b"answer")
+            assert tcp.read(9)[:1] == b"a"
+            peer.close()
+            with pytest.raises(DeviceError, match="the device is gone"):
+                [tcp.read(9) for _ in range(9)]
+        server.close()
+        with pytest.raises(DeviceError, match="the line cannot be opened"):
+            open_device("tcp", mode=Mode.RW)
+        with open_device("udp", mode=Mode.RW, wait=Wait.ALL) as udp:
+            udp.write(b"ask")
+            data, where = other.recvfrom(9)
+            assert data == b"ask"
+            other.sendto(b"one", where)
+            other.sendto(b"two", where)
+            assert udp.read(4) == b"onet"
+            assert udp.read(2) == b"wo"
+
+
+def test_what_was_read_replays_without_a_device(devices):
+    def run():
+        with open_device("m", 1, mode=Mode.READ) as m:
+            found = [m.read(2, at=at) for at in (3, 9)]
+        with open_device("line", mode=Mode.READ, wait=Wait.ALL) as line:
+            if not line.outside.plays:
+                os.write(devices["master"], b"hello")
+            found.append(line.read(5))
+        with pytest.raises(DeviceError) as caught:
+            open_device("gone", mode=Mode.READ)
+        return [*found, str(caught.value)]
+
+    tape = Tape()
+    with recording(tape):
+        first = run()
+    assert first[:3] == [b"\3\4", b"\t\n", b"hello"]
+    devices["file"].unlink()
+    player = Player()
+    player.feed(tape.take())
+    with database.using({}), no_devices("this is a replay"), recording(player):
+        assert run() == first
+
+
+def test_a_simulation_opens_none(devices):
+    refused = pytest.raises(DeviceError, match="this is a simulation")
+    with no_devices("this is a simulation"), refused:
+        open_device("m", 0, mode=Mode.READ)
+    assert not (devices["file"].parent / "run" / "devices").exists()
+
+
+@pytest.mark.parametrize(
+    ("value", "bits", "size", "how", "result"),
+    [
+        (0xABC, 12, 16, "", 0xABC),
+        (0xABC, 12, 8, "", 0xBC),
+        (0xABC, 12, 8, "trunc_lsb", 0xAB),
+        (0xABC, 12, 16, "signed", 0xFABC - 0x10000),
+        (0x7BC, 12, 32, "signed", 0x7BC),
+        (0xFFF, 12, 8, "signed", -1),
+        (-2, 16, 12, "", 0xFFE),
+    ],
+)
+def test_sizes_are_converted(value, bits, size, how, result):
+    told = {"signed": how == "signed", "trunc_lsb": how == "trunc_lsb"}
+    assert convert(value, bits, size, **told) == result
+
+
+class Ports(PortDevice):
+    """Four ports of 12 bits that keep what is written."""
+
+    kind = "ADC"
+
+    def connect(self):
+        self.values = [1, 2, 3]
+
+    def disconnect(self):
+        pass
+
+    def port_bits(self, _port):
+        return 12
+
+    def read_ports(self):
+        return self.values
+
+    def write_ports(self, values):
+        self.values = list(values)
+
+
+def test_ports_pass_elements_of_the_chosen_size():
+    chosen = Opening("p", 1, 3, Mode.RW, Wait.ALL, 16, signed=True, trunc_lsb=False)
+    ports = Ports(Entry(driver="x", address="", ports=4), chosen, Outside("p"))
+    ports.open(None)
+    assert ports.read() == [1, 2, 3]
+    ports.write([-1, 0x1234, 7])
+    assert ports.values == [0xFFF, 0x234, 7]
+    assert ports.read() == [-1, 0x234, 7]
+    with pytest.raises(DeviceError, match="a value for each opened port"):
+        ports.write([1])
+    assert ports.status("PORTSIZE", 2) == 12
