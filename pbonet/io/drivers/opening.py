@@ -29,22 +29,33 @@ DRIVERS: Final[Mapping[str, str]] = {
 
 
 def driver(entry: Entry, name: str) -> type[Device]:
-    """Return the driver of a device.
+    """Return the driver of a device: one of `DRIVERS`, or ``package.module:Class``.
 
     Raises:
         DeviceError: There is none of that name.
     """
-    found = DRIVERS.get(entry.driver)
-    if found is None:
-        raise DeviceError(
-            f"there is no driver {entry.driver}",
-            where=f"[device.{name}]",
-            expected=" ".join(sorted(DRIVERS)),
-            remedy="see docs/devices.md",
-        )
-    module, _, cls = found.partition(":")
-    made: type[Device] = getattr(import_module(f".{module}", __package__), cls)
+    own = DRIVERS.get(entry.driver)
+    module, _, cls = (own or entry.driver).partition(":")
+    try:
+        if not cls:
+            raise _no_driver(entry, name, "")
+        found = import_module(f".{module}" if own else module, __package__)
+        made: object = getattr(found, cls)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise _no_driver(entry, name, str(error)) from None
+    if not (isinstance(made, type) and issubclass(made, Device)):
+        raise _no_driver(entry, name, f"{cls} is no Device")
     return made
+
+
+def _no_driver(entry: Entry, name: str, got: str) -> DeviceError:
+    return DeviceError(
+        f"there is no driver {entry.driver}",
+        where=f"[device.{name}]",
+        expected=" ".join([*sorted(DRIVERS), "package.module:Class"]),
+        got=got,
+        remedy="see docs/devices.md",
+    )
 
 
 def open_device(
