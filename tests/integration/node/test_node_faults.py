@@ -181,7 +181,7 @@ def test_a_stop_says_which_tasks_failed_as_they_ended(arm):
 
 def test_of_two_stops_at_once_none_says_that_the_other_made_tasks_fail(arm, nodes):
     for name in ("slow", "slower"):
-        arm.spawn(name, "lingers", out=f"Y{len(name) - 4}")
+        arm.spawn(name, "ends_slowly", out=f"Y{len(name) - 4}")
         arm.on(name)
 
     def stop(_):

@@ -1,4 +1,4 @@
-"""Takes its time to end."""
+"""Takes half a second to end."""
 
 import time
 from typing import Annotated as A
@@ -6,7 +6,7 @@ from typing import Annotated as A
 from pbonet import OutVar, PortBasedObject, Vector
 
 
-class Lingers(PortBasedObject):
+class EndsSlowly(PortBasedObject):
     """y = 0."""
 
     y: A[Vector, OutVar("Y", "2", "none", "nothing")]
