@@ -21,7 +21,12 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-IMPORTED_AS = {"pin": "pinocchio", "pyserial": "serial", "foxglove-sdk": "foxglove"}
+IMPORTED_AS = {
+    "pin": "pinocchio",
+    "pyserial": "serial",
+    "python-can": "can",
+    "foxglove-sdk": "foxglove",
+}
 """Names in import statements, where they are not the package's own."""
 CLOSE = 1e-9
 IMPORT = """

@@ -1,6 +1,8 @@
 from . import database as database, port_claims as port_claims
 from .device import (
     Device as Device,
+    Frame as Frame,
+    FrameDevice as FrameDevice,
     MemoryDevice as MemoryDevice,
     PortDevice as PortDevice,
     Settings as Settings,

@@ -8,7 +8,7 @@ raw: units are the matter of the modules above it (section 7.3).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, Self
 
 import msgspec
 from msgspec import Struct
@@ -41,7 +41,8 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
 class Device(ABC):
     """An opened I/O device. `open_device` makes one.
 
-    A driver derives from one of `StreamDevice`, `PortDevice` and `MemoryDevice`.
+    A driver derives from one of `StreamDevice`, `FrameDevice`, `PortDevice` and
+    `MemoryDevice`.
 
     Args:
         entry: What the database says.
@@ -140,6 +141,15 @@ class Device(ABC):
         del port
         return 8
 
+    def require(self, mode: Mode) -> None:
+        """Return if the device was opened in this direction.
+
+        Raises:
+            DeviceError: It was not.
+        """
+        if mode not in self.opening.mode:
+            raise wrong_direction(self.name, mode, self.opening.mode)
+
     def ask(self, call: Callable[..., Any], *args: object, default: Any) -> Any:  # noqa: ANN401
         """Return what an open device answers, recorded; in a replay, the record.
 
@@ -212,6 +222,51 @@ class StreamDevice(Device):
         """
 
 
+class Frame(NamedTuple):
+    """A frame of a bus, such as CAN."""
+
+    id: int
+    """Its identity on the bus."""
+    data: bytes = b""
+    extended: bool = False
+    """Whether the identity has 29 bits instead of 11."""
+    fd: bool = False
+    """Whether it is a frame of CAN FD, with up to 64 bytes."""
+    remote: bool = False
+    """Whether it has no data, and asks for a frame of this identity."""
+    stamp_ns: int = 0
+    """Nanoseconds since 1970 at its arrival, by the kernel where it stamps."""
+
+
+class FrameDevice(Device):
+    """A device that moves frames: class SIO, where a frame is one piece.
+
+    Each port is an end of its own: it has all frames of the bus that its filters pass.
+    """
+
+    kind: ClassVar[Kind] = "SIO"
+    waits = frozenset(Wait)
+    default_wait = Wait.ONE
+    one_port = True
+
+    @abstractmethod
+    def read(self, count: int) -> list[Frame]:
+        """Return up to `count` frames, the oldest first; it waits as it was opened.
+
+        Raises:
+            DeviceError: The device is gone, or not open for reading.
+        """
+
+    @abstractmethod
+    def write(self, frames: Sequence[Frame]) -> int:
+        """Hand frames over, each one whole; return how many were taken.
+
+        Raises:
+            DeviceError: The device is gone, or not open for writing; the bus has no
+                such frames.
+        """
+
+
 class PortDevice(Device):
     """A device with ports, each an integer of some bits: PIO, ADC, DAC and RCB.
 
@@ -267,15 +322,6 @@ class PortDevice(Device):
     def write_ports(self, values: Sequence[int]) -> None:
         """Write raw values to the opened ports."""
         raise NotImplementedError
-
-    def require(self, mode: Mode) -> None:
-        """Return if the device was opened in this direction.
-
-        Raises:
-            DeviceError: It was not.
-        """
-        if mode not in self.opening.mode:
-            raise wrong_direction(self.name, mode, self.opening.mode)
 
     def expand(self, value: int, bits: int) -> int:
         """Return a port's value as an element of the chosen size."""

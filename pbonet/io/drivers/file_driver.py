@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from pbonet.errors import DeviceError
 
-from .device import MemoryDevice, Settings, wrong_direction
+from .device import MemoryDevice, Settings
 from .modes import Mode
 
 
@@ -63,8 +63,7 @@ class FileDevice(MemoryDevice):
 
     def read(self, count: int, at: int = 0) -> bytes:
         """Return bytes of the memory; see `MemoryDevice.read`."""
-        if Mode.READ not in self.opening.mode:
-            raise wrong_direction(self.name, Mode.READ, self.opening.mode)
+        self.require(Mode.READ)
         data: bytes = self.ask(self._read, count, at, default=None)
         return data
 
@@ -74,8 +73,7 @@ class FileDevice(MemoryDevice):
 
     def write(self, data: bytes, at: int = 0) -> int:
         """Write bytes into the memory; see `MemoryDevice.write`."""
-        if Mode.WRITE not in self.opening.mode:
-            raise wrong_direction(self.name, Mode.WRITE, self.opening.mode)
+        self.require(Mode.WRITE)
         self.ask(self._write, data, at, default=None)
         return len(data)
 

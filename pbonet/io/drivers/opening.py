@@ -24,6 +24,8 @@ DRIVERS: Final[Mapping[str, str]] = {
     "tcp": "socket_driver:TcpDevice",
     "udp": "socket_driver:UdpDevice",
     "file": "file_driver:FileDevice",
+    "can": "can_driver:CanDevice",
+    "i2c": "i2c_driver:I2cDevice",
 }
 """Drivers by name: where each is."""
 

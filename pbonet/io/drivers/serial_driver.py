@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 from pbonet.errors import DeviceError
 from pbonet.io import SerialPort
 
-from .device import Settings, StreamDevice, wrong_direction
+from .device import Settings, StreamDevice
 from .modes import Mode
 from .stream_waits import read_all, write_all
 
@@ -61,7 +61,7 @@ class SerialDevice(StreamDevice):
 
     def read(self, count: int) -> bytes:
         """Return bytes that have arrived; see `StreamDevice.read`."""
-        self._require(Mode.READ)
+        self.require(Mode.READ)
         data: bytes = self.ask(self._read, count, default=b"")
         return data
 
@@ -71,7 +71,7 @@ class SerialDevice(StreamDevice):
 
     def write(self, data: bytes) -> int:
         """Hand bytes over; see `StreamDevice.write`."""
-        self._require(Mode.WRITE)
+        self.require(Mode.WRITE)
         done: int = self.ask(self._write, data, default=len(data))
         return done
 
@@ -100,7 +100,3 @@ class SerialDevice(StreamDevice):
             self._param = before
             self._open_line()
             raise
-
-    def _require(self, mode: Mode) -> None:
-        if mode not in self.opening.mode:
-            raise wrong_direction(self.name, mode, self.opening.mode)

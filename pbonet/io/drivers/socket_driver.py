@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from pbonet.errors import DeviceError
 
-from .device import Settings, StreamDevice, wrong_direction
+from .device import Settings, StreamDevice
 from .modes import Mode
 from .stream_waits import read_all, write_all
 
@@ -64,7 +64,7 @@ class _SocketDevice(StreamDevice):
 
     def read(self, count: int) -> bytes:
         """Return bytes that have arrived; see `StreamDevice.read`."""
-        self._require(Mode.READ)
+        self.require(Mode.READ)
         data: bytes = self.ask(self._read, count, default=b"")
         return data
 
@@ -74,7 +74,7 @@ class _SocketDevice(StreamDevice):
 
     def write(self, data: bytes) -> int:
         """Hand bytes over; see `StreamDevice.write`."""
-        self._require(Mode.WRITE)
+        self.require(Mode.WRITE)
         done: int = self.ask(self._write, data, default=len(data))
         return done
 
@@ -86,10 +86,6 @@ class _SocketDevice(StreamDevice):
             return self._socket.send(data)
         except BlockingIOError:
             return 0
-
-    def _require(self, mode: Mode) -> None:
-        if mode not in self.opening.mode:
-            raise wrong_direction(self.name, mode, self.opening.mode)
 
 
 class TcpDevice(_SocketDevice):

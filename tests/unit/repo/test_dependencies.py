@@ -17,6 +17,7 @@ IMPORTED_AS = {
     "eclipse-zenoh": {"zenoh"},
     "pin": {"pinocchio", "eigenpy"},
     "pyserial": {"serial"},
+    "python-can": {"can"},
     "foxglove-sdk": {"foxglove"},
 }
 """Names in import statements, where they are not the package's own."""

@@ -1,0 +1,129 @@
+"""Registers of a device on an I2C bus: class PIO, driver ``i2c``.
+
+The address is BUS:DEVICE, such as ``/dev/i2c-1:0x48``. Port k is register k of the
+settings' list.
+"""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from fcntl import ioctl
+from importlib import import_module
+from typing import TYPE_CHECKING, Annotated as A, Any, ClassVar, Final, Literal
+
+from msgspec import Meta
+
+from pbonet.errors import DeviceError
+from pbonet.io import from_extra
+
+from .device import Kind, PortDevice, Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.outside import Outside
+
+    from .entry import Entry
+    from .modes import Opening
+
+_ADDRESS: Final = re.compile(r"(.+):0x([0-7][0-9a-f])")
+_I2C_SLAVE: Final = 0x0703
+"""Request of <linux/i2c-dev.h>: the device that is meant from now on."""
+_BYTE: Final = 8
+
+
+class I2cSettings(Settings, frozen=True, forbid_unknown_fields=True):
+    """``[device.NAME.settings]`` of registers on an I2C bus."""
+
+    registers: A[tuple[A[int, Meta(ge=0, le=255)], ...], Meta(min_length=1)]
+    """The number of each port's register."""
+    bits: Literal[8, 16] = 8
+    """Bits of each register."""
+    order: Literal["little", "big"] = "little"
+    """Which byte of 16 bits comes first on the bus."""
+
+
+class I2cDevice(PortDevice):
+    """Registers of one device, read and written by SMBus commands."""
+
+    kind: ClassVar[Kind] = "PIO"
+    settings_type: ClassVar[type[Settings]] = I2cSettings
+
+    def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
+        super().__init__(entry, opening, outside)
+        k = self.settings
+        found = _ADDRESS.fullmatch(entry.address)
+        if found is None:
+            raise DeviceError(
+                "the address of the device is wrong",
+                where=f"[device.{self.name}]",
+                expected="BUS:DEVICE, such as /dev/i2c-1:0x48",
+                got=entry.address,
+                remedy="`i2cdetect -y 1` lists what answers on bus 1",
+            )
+        if opening.end >= len(k.registers):
+            raise DeviceError(
+                "the device has no such ports",
+                where=self.name,
+                expected=f"0 to {len(k.registers) - 1}",
+                got=f"{opening.start} to {opening.end}",
+                remedy=f"see registers in [device.{self.name}.settings]",
+            )
+        self._path, self._address = found[1], int(found[2], 16)
+        self._registers = k.registers[opening.start : opening.end + 1]
+        self._is_swapped = k.bits > _BYTE and k.order == "big"  # SMBus has little
+
+    def connect(self) -> None:
+        """Open the bus; see `Device.connect`."""
+        with from_extra("i2c", f"the device {self.name}"):
+            smbus2: Any = import_module("smbus2")
+        self._bus: Any = smbus2.SMBus()
+        try:
+            self._bus.open(self._path)
+            ioctl(self._bus.fd, _I2C_SLAVE, self._address)
+        except OSError as error:
+            self.disconnect()
+            raise DeviceError(
+                "the I2C bus cannot be opened",
+                where=f"{self.name} ({self.entry.address})",
+                expected="a device file of i2c-dev, no driver of the kernel at DEVICE",
+                got=error.strerror or str(error),
+                remedy="`modprobe i2c-dev`; `i2cdetect -l` lists the buses",
+            ) from None
+        byte = self.settings.bits == _BYTE
+        self._get = self._bus.read_byte_data if byte else self._bus.read_word_data
+        self._put = self._bus.write_byte_data if byte else self._bus.write_word_data
+
+    def disconnect(self) -> None:
+        """Close the bus."""
+        with suppress(OSError):
+            self._bus.close()
+
+    def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
+        """Return what is known of the device; it has a port for each register."""
+        if command == "PORTNUM":
+            return len(self.settings.registers)
+        return super().status(command, port)
+
+    def port_bits(self, port: int) -> int:
+        """Return how many bits a register has."""
+        del port
+        bits: int = self.settings.bits
+        return bits
+
+    def read_ports(self) -> list[int]:
+        """Return the registers of the opened ports."""
+        return [
+            self._ordered(self._get(self._address, register))
+            for register in self._registers
+        ]
+
+    def write_ports(self, values: Sequence[int]) -> None:
+        """Write the registers of the opened ports, one after the other."""
+        for register, value in zip(self._registers, values, strict=True):
+            self._put(self._address, register, self._ordered(value))
+
+    def _ordered(self, value: int) -> int:
+        """Return a value with its bytes in the device's order."""
+        return (value & 0xFF) << 8 | value >> 8 if self._is_swapped else value
