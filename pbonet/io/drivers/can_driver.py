@@ -25,9 +25,7 @@ from .modes import Mode, Wait
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_FILTER: Final = (
-    r"^([0-7]?[0-9a-fA-F]{1,2}|[01]?[0-9a-fA-F]{4,7})/[0-9a-fA-F]{1,8}$"
-)
+_FILTER: Final = r"^([0-7]?[0-9a-fA-F]{1,2}|[01]?[0-9a-fA-F]{4,7})/[0-9a-fA-F]{1,8}$"
 _STANDARD_DIGITS: Final = 3
 _LARGEST_ID: Final = {False: 0x7FF, True: 0x1FFFFFFF}
 _FD_LENGTHS: Final = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
@@ -36,6 +34,8 @@ _BUS_OFF: Final = 0x40
 """Bit of an error frame's identity: the controller has left the bus."""
 _ROOM: Final = 1024
 """Frames that the virtual bus keeps for one end."""
+_REFUSALS: Final = (OSError, ValueError, TypeError, ImportError, NotImplementedError)
+"""What interfaces raise for settings that they do not have, beside their own errors."""
 _AGAIN: Final = 0.001
 """Seconds after which a full interface is tried again."""
 
@@ -94,7 +94,7 @@ class CanDevice(FrameDevice):
                 ignore_config=True,
                 **more,
             )
-        except (self._can.CanError, OSError, ValueError, ImportError) as error:
+        except (self._can.CanError, *_REFUSALS) as error:
             raise self._unusable(str(error)) from None
         if in_kernel and (
             number := self._bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)

@@ -1,0 +1,134 @@
+"""Drivers over devices of a real kernel, run by scripts/umlrun.py; prints results.
+
+It needs the modules vcan, can-raw, i2c-dev and i2c-stub with a chip at 0x48.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+from pbonet.errors import DeviceError
+from pbonet.io.drivers import Entry, Frame, Mode, Wait, database, open_device
+
+BUS = next((str(one) for one in Path("/dev").glob("i2c-*")), "no bus")
+DEVICES = {
+    "can": Entry(driver="can", address="vcan0", ports=4, settings={"fd": True}),
+    "drive": Entry(
+        driver="can",
+        address="vcan0",
+        first=4,
+        settings={"filters": ["181/7FF", "18FF0000/1FFF0000"]},
+    ),
+    "nocan": Entry(driver="can", address="vcan7"),
+    "words": Entry(
+        driver="i2c",
+        address=f"{BUS}:0x48",
+        settings={"registers": [1, 2, 5], "bits": 16, "order": "big"},
+    ),
+    "bytes": Entry(
+        driver="i2c", address=f"{BUS}:0x48", first=8, settings={"registers": [1, 9]}
+    ),
+    "nochip": Entry(driver="i2c", address=f"{BUS}:0x50", settings={"registers": [0]}),
+    "nobus": Entry(driver="i2c", address="/dev/null:0x50", settings={"registers": [0]}),
+}
+
+
+def link(*words):
+    subprocess.run(["ip", "link", *words], check=True)
+
+
+def refused(call, *args, **named):
+    try:
+        return f"it gave {call(*args, **named)}"
+    except DeviceError as error:
+        return str(error)
+
+
+def collected(device, count):
+    """Wait until so many frames have come; the kernel may pass them on later."""
+    found = []
+    while len(found) < count:
+        found += device.read(count - len(found))
+    return found
+
+
+def can():
+    link("add", "vcan0", "type", "vcan")
+    down = refused(open_device, "can")
+    link("set", "vcan0", "mtu", "72", "up")
+    sent = [
+        Frame(0x181, b"\1\2"),
+        Frame(0x18FF0012, b"", extended=True),
+        Frame(0x182, bytes(range(8))),
+        Frame(0x7FF, b"x" * 48, fd=True),
+        Frame(0x182, remote=True),
+        Frame(0x181, b"last"),
+    ]
+    before = time.time_ns()
+    with (
+        open_device("can", 0, mode=Mode.RW) as a,
+        open_device("can", 1, mode=Mode.RW, wait=Wait.NONE) as b,
+        open_device("drive", mode=Mode.READ, wait=Wait.NONE) as drive,
+    ):
+        nothing = b.read(9)
+        taken = a.write(sent)
+        got, filtered = collected(b, len(sent)), collected(drive, 3)
+        b.write([Frame(5)])
+        answer = a.read(9)
+        flood = sum(a.write([Frame(1, b"12345678")]) for _ in range(2000))
+        kept = len(b.read(3000))
+        link("set", "vcan0", "down")
+        lost = [refused(b.read, 1), refused(a.write, [Frame(1)]), refused(b.read, 1)]
+    link("set", "vcan0", "up")
+    with open_device("can", 1, mode=Mode.RW, wait=Wait.NONE) as b:
+        again = b.write([Frame(1)])
+        link("del", "vcan0")
+        deleted = refused(b.read, 1)
+    plain = [one._replace(stamp_ns=0) for one in got]
+    return {
+        "down": down,
+        "nothing": nothing,
+        "taken": taken,
+        "same": plain == sent,
+        "stamps": all(before <= one.stamp_ns <= time.time_ns() for one in got),
+        "filtered": [one.id for one in filtered],
+        "answer": [one.id for one in answer],
+        "flood": [flood, kept],
+        "lost": lost,
+        "again": again,
+        "deleted": deleted,
+        "missing": refused(open_device, "nocan"),
+    }
+
+
+def i2c():
+    with open_device("words", 0, 2, mode=Mode.RW, size=16) as words:
+        words.write([0x1234, 0xFFFE, 7])
+        found = words.read()
+    with open_device("words", 1, mode=Mode.READ, size=32, signed=True) as word:
+        signed = word.read()
+    with open_device("bytes", 0, 1, mode=Mode.RW, size=8) as some:
+        low = some.read()
+        some.write([low[0], 0xAB])
+        back = some.read()
+    with open_device("nochip", mode=Mode.READ) as chip:
+        none = refused(chip.read)
+    return {
+        "found": found,
+        "signed": signed,
+        "low": low[0],
+        "back": back[1],
+        "none": none,
+        "nobus": refused(open_device, "nobus"),
+    }
+
+
+if __name__ == "__main__":
+    os.environ["PBONET_RUN_DIR"] = tempfile.mkdtemp(dir="/run")
+    with database.using(DEVICES, "uml/test"):
+        print(json.dumps({"can": can(), "i2c": i2c()}))

@@ -1,0 +1,84 @@
+"""Drivers over CAN and I2C buses of a real kernel, which runs in User-Mode Linux."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+MODULES = ("vcan", "can-raw", "i2c-dev", "i2c-stub:chip_addr=0x48")
+
+pytestmark = [
+    pytest.mark.uml,
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        shutil.which("linux.uml") is None,
+        reason="linux.uml is not installed (apt-get install user-mode-linux)",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def results():
+    """What tests/support/devices_in_uml.py prints; one guest for all tests."""
+    options = [one for module in MODULES for one in ("-m", module)]
+    file = ROOT / "tests" / "support" / "devices_in_uml.py"
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "umlrun.py", *options, file],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
+    assert not done.returncode, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_two_openings_of_a_can_bus_talk(results):
+    can = results["can"]
+    assert can["nothing"] == []
+    assert (can["taken"], can["same"], can["stamps"]) == (6, True, True)
+    assert can["answer"] == [5]
+
+
+def test_filters_of_the_kernel_hold(results):
+    assert results["can"]["filtered"] == [0x181, 0x18FF0012, 0x181]
+
+
+def test_frames_that_are_not_read_do_not_pile_up(results):
+    sent, kept = results["can"]["flood"]
+    assert sent == 2000
+    assert 0 < kept < 2000
+
+
+def test_a_can_bus_that_goes_down_is_lost_and_opened_again(results):
+    can = results["can"]
+    assert "can (vcan0): the device is gone (got Network is down)" in can["lost"][0]
+    assert "the device is gone (got Network is down)" in can["lost"][1]
+    assert "the device is not open" in can["lost"][2]
+    assert can["again"] == 1
+    assert "the device is gone (got No such device)" in can["deleted"]
+
+
+def test_a_can_bus_that_is_down_or_missing_is_refused_at_open(results):
+    assert "got Network is down" in results["can"]["down"]
+    assert "No such device" in results["can"]["missing"]
+
+
+def test_registers_of_an_i2c_device_are_read_and_written(results):
+    i2c = results["i2c"]
+    assert i2c["found"] == [0x1234, 0xFFFE, 7]
+    assert i2c["signed"] == [-2]
+    assert i2c["low"] == 0x12, "the first byte on the bus"
+    assert i2c["back"] == 0xAB
+
+
+def test_a_missing_i2c_device_is_named(results):
+    i2c = results["i2c"]
+    assert "nochip (/dev/i2c-0:0x50): the device is gone" in i2c["none"]
+    assert "the I2C bus cannot be opened" in i2c["nobus"]
