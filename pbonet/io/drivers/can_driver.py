@@ -35,7 +35,7 @@ _BUS_OFF: Final = 0x40
 _ROOM: Final = 1024
 """Frames that the virtual bus keeps for one end."""
 _REFUSALS: Final = (OSError, ValueError, TypeError, ImportError, NotImplementedError)
-"""What interfaces raise for settings that they do not have, beside their own errors."""
+"""Errors of interfaces for settings that they do not have, beside their own ones."""
 _AGAIN: Final = 0.001
 """Seconds after which a full interface is tried again."""
 

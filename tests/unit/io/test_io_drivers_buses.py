@@ -187,10 +187,16 @@ def test_a_controller_that_leaves_the_bus_is_lost(raw):
 
 
 def test_directions_of_a_bus_are_kept():
-    refused = {"expected_exception": DeviceError, "match": "not open in this direction"}
-    with open_device("can", mode=Mode.READ) as a, pytest.raises(**refused):
+    told = "not open in this direction"
+    with (
+        open_device("can", mode=Mode.READ) as a,
+        pytest.raises(DeviceError, match=told),
+    ):
         a.write([Frame(1)])
-    with open_device("can", mode=Mode.WRITE) as a, pytest.raises(**refused):
+    with (
+        open_device("can", mode=Mode.WRITE) as a,
+        pytest.raises(DeviceError, match=told),
+    ):
         a.read(1)
 
 
