@@ -31,7 +31,10 @@ DEVICES = {
         settings={"registers": [1, 2, 5], "bits": 16, "order": "big"},
     ),
     "bytes": Entry(
-        driver="i2c", address=f"{BUS}:0x48", first=8, settings={"registers": [1, 9]}
+        driver="i2c",
+        address=f"{BUS}:0x48",
+        first=3,
+        settings={"registers": [1, 2, 5, 1, 9]},
     ),
     "nochip": Entry(driver="i2c", address=f"{BUS}:0x50", settings={"registers": [0]}),
     "nobus": Entry(driver="i2c", address="/dev/null:0x50", settings={"registers": [0]}),

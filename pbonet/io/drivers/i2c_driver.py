@@ -1,7 +1,7 @@
 """Registers of a device on an I2C bus: class PIO, driver ``i2c``.
 
-The address is BUS:DEVICE, such as ``/dev/i2c-1:0x48``. Port k is register k of the
-settings' list.
+The address is BUS:DEVICE, such as ``/dev/i2c-1:0x48``. Physical port k is register k
+of the settings' list.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class I2cSettings(Settings, frozen=True, forbid_unknown_fields=True):
     """``[device.NAME.settings]`` of registers on an I2C bus."""
 
     registers: A[tuple[A[int, Meta(ge=0, le=255)], ...], Meta(min_length=1)]
-    """The number of each port's register."""
+    """The number of each physical port's register."""
     bits: Literal[8, 16] = 8
     """Bits of each register."""
     order: Literal["little", "big"] = "little"
@@ -62,16 +62,18 @@ class I2cDevice(PortDevice):
                 got=entry.address,
                 remedy="`i2cdetect -y 1` lists what answers on bus 1",
             )
-        if opening.end >= len(k.registers):
+        self._count = len(k.registers) - entry.first
+        if opening.end >= self._count:
             raise DeviceError(
                 "the device has no such ports",
                 where=self.name,
-                expected=f"0 to {len(k.registers) - 1}",
+                expected=f"0 to {self._count - 1}",
                 got=f"{opening.start} to {opening.end}",
-                remedy=f"see registers in [device.{self.name}.settings]",
+                remedy=f"see registers and first of [device.{self.name}]",
             )
         self._path, self._address = found[1], int(found[2], 16)
-        self._registers = k.registers[opening.start : opening.end + 1]
+        begin, end = entry.first + opening.start, entry.first + opening.end
+        self._registers = k.registers[begin : end + 1]
         self._is_swapped = k.bits > _BYTE and k.order == "big"  # SMBus has little
 
     def connect(self) -> None:
@@ -103,7 +105,7 @@ class I2cDevice(PortDevice):
     def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
         """Return what is known of the device; it has a port for each register."""
         if command == "PORTNUM":
-            return len(self.settings.registers)
+            return self.entry.ports or self._count
         return super().status(command, port)
 
     def port_bits(self, port: int) -> int:

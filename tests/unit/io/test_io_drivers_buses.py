@@ -46,6 +46,7 @@ def devices(tmp_path, monkeypatch):
         "chip": chip(**CHIP),
         "big": chip(**CHIP, order="big"),
         "bytes": chip(registers=[1, 2, 9]),
+        "last": Entry(driver="i2c", address="/dev/i2c-1:0x48", first=2, settings=CHIP),
     }
     with database.using(entries, "arm0/reads"):
         yield
@@ -290,9 +291,26 @@ def test_registers_of_bytes(there):
         assert three.read() == [1, 2, 0xFF]
 
 
-def test_ports_without_a_register_are_refused(there):
-    with pytest.raises(DeviceError, match="expected 0 to 2, got 1 to 3"):
-        open_device("chip", 1, 3, mode=Mode.READ)
+def test_logical_devices_share_a_chip(there):
+    with open_device("last", mode=Mode.RW) as last:
+        last.write([7])
+        assert there.bytes[0x48, 9] == 7
+        assert last.status("PORTNUM") == 1
+        with pytest.raises(DeviceError, match="a port of the device is taken"):
+            open_device("chip", 2)
+        open_device("chip", 0, 1).close()
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "end", "told"),
+    [
+        ("chip", 1, 3, "expected 0 to 2, got 1 to 3"),
+        ("last", 1, 1, "expected 0 to 0, got 1 to 1"),
+    ],
+)
+def test_ports_without_a_register_are_refused(there, name, start, end, told):
+    with pytest.raises(DeviceError, match=told):
+        open_device(name, start, end, mode=Mode.READ)
     assert there.paths == []
 
 
