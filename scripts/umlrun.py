@@ -41,7 +41,8 @@ def run(file: str, arguments: list[str], modules: list[str], seconds: float) -> 
     """Run a file in a guest; return its exit status."""
     kernel = shutil.which(KERNEL)
     if kernel is None:
-        print(f"umlrun: there is no {KERNEL}; Debian's package is user-mode-linux")
+        told = f"umlrun: there is no {KERNEL}; Debian's package is user-mode-linux"
+        print(told, file=sys.stderr)
         return LOST
     with tempfile.TemporaryDirectory(prefix="umlrun-") as folder:
         work = Path(folder)
