@@ -120,7 +120,9 @@ def _path(entry: Entry) -> Path:
     """Return the file of a physical device."""
     folder = run_folder.folder() / "devices"
     folder.mkdir(mode=0o700, exist_ok=True)
-    name = f"{entry.driver} {os.path.realpath(entry.address)}"
+    path = entry.address.startswith("/")  # else a name on a bus or network
+    where = os.path.realpath(entry.address) if path else entry.address
+    name = f"{entry.driver} {where}"
     return folder / hashlib.sha256(name.encode()).hexdigest()[:32]
 
 

@@ -103,6 +103,24 @@ def test_a_port_has_one_user():
     open_device("m", 5).close()
 
 
+def test_a_device_has_one_user_by_whichever_path_it_is_named(devices, monkeypatch):
+    link = devices["file"].with_name("link")
+    link.symlink_to(devices["file"])
+    other = {"n": Entry(driver="file", address=str(link)), "m": database.entry("m")}
+    taken = pytest.raises(DeviceError, match="a port of the device is taken")
+    with database.using(other), open_device("m", 5, mode=Mode.READ), taken:
+        open_device("n", 5)
+    can = Entry(driver="can", address="vcan7")
+    chosen = Opening(
+        "c", *(0, 0), Mode.READ, Wait.NONE, 8, signed=False, trunc_lsb=False
+    )
+    claim = port_claims.claim(can, chosen)
+    monkeypatch.chdir(devices["file"].parent)  # a name of an interface is no path
+    with pytest.raises(DeviceError, match="a port of the device is taken"):
+        port_claims.claim(can, chosen)
+    claim.release()
+
+
 def test_the_ports_of_a_killed_process_are_free(devices):
     other = subprocess.Popen(
         [sys.executable, "-c", HOLDS, str(devices["file"])],
