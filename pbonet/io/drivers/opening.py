@@ -24,6 +24,8 @@ DRIVERS: Final[Mapping[str, str]] = {
     "tcp": "socket_driver:TcpDevice",
     "udp": "socket_driver:UdpDevice",
     "file": "file_driver:FileDevice",
+    "iio_adc": "iio_driver:IioAdc",
+    "iio_dac": "iio_driver:IioDac",
 }
 """Drivers by name: where each is."""
 
