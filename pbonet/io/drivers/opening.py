@@ -26,6 +26,7 @@ DRIVERS: Final[Mapping[str, str]] = {
     "file": "file_driver:FileDevice",
     "iio_adc": "iio_driver:IioAdc",
     "iio_dac": "iio_driver:IioDac",
+    "modbus": "modbus_driver:ModbusDevice",
 }
 """Drivers by name: where each is."""
 
