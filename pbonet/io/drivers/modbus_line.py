@@ -49,7 +49,16 @@ class Line(ABC):
         self._request = request
         self._out = self.framed(request.data)
         self.ends = monotonic() + self.timeout
-        self._out = self._out[self.give(self._out) :]
+        self.push()
+
+    def push(self) -> None:
+        """Hand over what is left of the request.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        if self._out:
+            self._out = self._out[self.give(self._out) :]
 
     def answer(self) -> bytes | None:
         """Return the answer to the request; None: it has not come yet.
@@ -58,8 +67,7 @@ class Line(ABC):
             DeviceError: None came in time, or it is damaged.
             OSError: The device is gone, or does not talk Modbus.
         """
-        if self._out:
-            self._out = self._out[self.give(self._out) :]
+        self.push()
         self._in += self.taken()
         found = self.unframed(self._request)
         if found is None and monotonic() >= self.ends:
@@ -107,7 +115,7 @@ class TcpLine(Line):
     """Modbus TCP: a header with a number before each request."""
 
     _HEADER: Final = struct.Struct(">HHHB")
-    _SIZES: Final = range(3, 255)
+    _SIZES: Final = range(2, 255)
     """Of a frame beyond the header's first six bytes."""
 
     def __init__(

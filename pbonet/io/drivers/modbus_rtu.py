@@ -134,11 +134,12 @@ class RtuLine(Line):
             super().wait()
 
     def is_over(self) -> bool:
-        """Return whether the turn has ended: answered, in vain, or too late.
+        """Go on with the request; return whether its turn has ended, well or not.
 
         Raises:
             OSError: The line is gone.
         """
+        self.push()
         self._in += self.taken()
         try:
             whole = self._sent and self.unframed(self._request) is not None
