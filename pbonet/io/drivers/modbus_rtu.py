@@ -140,7 +140,7 @@ class RtuLine(Line):
             OSError: The line is gone.
         """
         self.push()
-        self._in += self.taken()
+        self._in.extend(self.taken())
         try:
             whole = self._sent and self.unframed(self._request) is not None
         except DeviceError:

@@ -269,7 +269,7 @@ def test_an_address_where_nothing_answers_is_named(address):
         open_device("plc", mode=Mode.READ)
 
 
-def test_ports_are_claimed_by_unit_and_table(tcp):
+def test_ports_are_claimed_by_unit_and_table(tcp, monkeypatch):
     entries = {
         "plain": device(tcp),
         "same": device(tcp, unit=1, table="holding"),
@@ -277,6 +277,7 @@ def test_ports_are_claimed_by_unit_and_table(tcp):
         "two": device(tcp, unit=2),
     }
     with database.using(entries), open_device("plain", 3, mode=Mode.READ):
+        monkeypatch.chdir("/")  # the address is no file of the current folder
         with pytest.raises(DeviceError, match="a port of the device is taken"):
             open_device("same", 3)
         for other in ("coils", "two"):
