@@ -48,7 +48,7 @@ EXCEPTIONS: Final = {
     10: "the gateway has no way to it",
     11: "it does not answer the gateway",
 }
-"""What a device refuses a request with, by code."""
+"""A device's reasons to refuse a request, by code."""
 REFUSED: Final = 0x80
 """The bit that the function of a refusal has."""
 REFUSAL: Final = 2
@@ -62,7 +62,7 @@ class Request(NamedTuple):
     data: bytes
     ports: int
     begin: bytes
-    """What its answer begins with, unless that is a refusal."""
+    """The first bytes of its answer, unless that is a refusal."""
     size: int
     """Bytes of that answer."""
 
