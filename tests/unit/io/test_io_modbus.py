@@ -415,6 +415,28 @@ def test_an_answer_that_does_not_fit_is_refused(answer):
     one.close()
 
 
+def test_reads_and_writes_take_turns():
+    one = Scripted("tcp")
+    answers = {3: b"\3\2\0\5", 16: b"\x10\0\0\0\1"}
+    asked, got = [], []
+    with opened(device(one.address), wait=Wait.NONE) as plc:
+        one.begin()
+
+        def cycle():
+            plc.write([7])
+            got.extend(plc.read())
+            if select.select([one._fd], [], [], 0)[0]:
+                request = one.asked()
+                asked.append(request[7])
+                one.say(one.framed(request, answers[asked[-1]]))
+            return len(asked) >= 6
+
+        wait_for(cycle, "six requests")
+        one.close()
+    assert asked == [16, 3] * 3
+    assert set(got) == {5}
+
+
 def test_a_damaged_answer_is_refused():
     one = Scripted("rtu")
     entry = device(one.address, timeout=30.0, **one.settings)
