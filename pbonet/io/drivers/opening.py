@@ -26,6 +26,9 @@ DRIVERS: Final[Mapping[str, str]] = {
     "file": "file_driver:FileDevice",
     "can": "can_driver:CanDevice",
     "i2c": "i2c_driver:I2cDevice",
+    "iio_adc": "iio_driver:IioAdc",
+    "iio_dac": "iio_driver:IioDac",
+    "modbus": "modbus_driver:ModbusDevice",
 }
 """Drivers by name: where each is."""
 

@@ -13,7 +13,7 @@ import hashlib
 import os
 import struct
 from contextlib import suppress
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pbonet.errors import DeviceError
 from pbonet.xm.net import run_folder
@@ -22,7 +22,7 @@ from . import database
 from .modes import Mode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from .entry import Entry
@@ -33,6 +33,8 @@ _RECORD = struct.Struct("<Ii56s")
 """Mode, process, and RTPU/TASK of a port's user."""
 _RECORDS_AT = 1 << 20
 """Where the records begin: beyond every port's byte."""
+APART: Final[Mapping[str, Any]] = {"unit": 1, "table": "holding"}
+"""Settings of drivers that tell devices at one address apart, and their defaults."""
 MOST_PORTS = 1 << 16
 """Greatest number of ports of a physical device."""
 
@@ -120,9 +122,11 @@ def _path(entry: Entry) -> Path:
     """Return the file of a physical device."""
     folder = run_folder.folder() / "devices"
     folder.mkdir(mode=0o700, exist_ok=True)
-    path = entry.address.startswith("/")  # else a name on a bus or network
-    where = os.path.realpath(entry.address) if path else entry.address
-    name = f"{entry.driver} {where}"
+    address = entry.address
+    if "/" in address:  # a file, and no HOST:PORT
+        address = os.path.realpath(address)
+    apart = [entry.settings.get(key, usual) for key, usual in APART.items()]
+    name = f"{entry.driver} {address} {apart}"
     return folder / hashlib.sha256(name.encode()).hexdigest()[:32]
 
 

@@ -1,0 +1,179 @@
+"""A line that carries Modbus, and the one over TCP; `modbus_rtu` has the serial one.
+
+A line carries one request at a time: `begin` hands it over, `answer` returns what has
+come. Neither waits; `wait` does.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+import struct
+from abc import ABC, abstractmethod
+from itertools import count
+from time import monotonic
+from typing import TYPE_CHECKING, Final
+
+from pbonet.errors import DeviceError
+
+if TYPE_CHECKING:
+    from .modbus_frames import Request
+
+AT_ONCE: Final = 4096
+"""Bytes taken at once: more than any frame has."""
+
+
+class Line(ABC):
+    """A line to one device.
+
+    Args:
+        unit: The number of the device on it.
+        timeout: Seconds in which it answers.
+        where: For errors.
+    """
+
+    def __init__(self, unit: int, timeout: float, where: str) -> None:
+        self.unit, self.timeout, self.where = unit, timeout, where
+        self._in = bytearray()
+        self._out = b""
+        self.ends = 0.0
+        """When the answer is late."""
+
+    def begin(self, request: Request) -> None:
+        """Hand a request over.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        self._request = request
+        self._out = self.framed(request.data)
+        self.ends = monotonic() + self.timeout
+        self.push()
+
+    def push(self) -> None:
+        """Hand over what is left of the request.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        if self._out:
+            self._out = self._out[self.give(self._out) :]
+
+    def answer(self) -> bytes | None:
+        """Return the answer to the request; None: it has not come yet.
+
+        Raises:
+            DeviceError: None came in time, or it is damaged.
+            OSError: The device is gone, or does not talk Modbus.
+        """
+        self.push()
+        self._in += self.taken()
+        found = self.unframed(self._request)
+        if found is None and monotonic() >= self.ends:
+            raise DeviceError(
+                "the device does not answer",
+                where=self.where,
+                expected=f"an answer within {self.timeout:g} s",
+                got=self._in[:16].hex(" ") or "nothing",
+                remedy="check that it is switched on, its wires, and unit in "
+                "agent.toml",
+            )
+        return found
+
+    def wait(self) -> None:
+        """Wait for more bytes, at most until the answer is late."""
+        fd, left = self.fileno(), max(0.0, self.ends - monotonic())
+        select.select([fd], [fd] if self._out else [], [], left)
+
+    @abstractmethod
+    def fileno(self) -> int:
+        """Return the descriptor."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the line."""
+
+    @abstractmethod
+    def give(self, data: bytes) -> int:
+        """Hand bytes over; return how many were taken."""
+
+    @abstractmethod
+    def taken(self) -> bytes:
+        """Return bytes that have come."""
+
+    @abstractmethod
+    def framed(self, data: bytes) -> bytes:
+        """Return a request as the line carries it."""
+
+    @abstractmethod
+    def unframed(self, request: Request) -> bytes | None:
+        """Return the answer out of the bytes that came; None: it is not whole."""
+
+
+class TcpLine(Line):
+    """Modbus TCP: a header with a number before each request."""
+
+    _HEADER: Final = struct.Struct(">HHHB")
+    _SIZES: Final = range(2, 255)
+    """Of a frame beyond the header's first six bytes."""
+
+    def __init__(
+        self, connection: socket.socket, unit: int, timeout: float, where: str
+    ) -> None:
+        super().__init__(unit, timeout, where)
+        self._socket = connection
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setblocking(False)  # noqa: FBT003
+        self._numbers = count(1)
+        self._number = 0
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
+    def give(self, data: bytes) -> int:
+        """Hand bytes over; return how many were taken."""
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
+
+    def taken(self) -> bytes:
+        """Return bytes that have come."""
+        try:
+            data = self._socket.recv(AT_ONCE)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise OSError(errno.ECONNRESET, "the other end has closed the connection")
+        return data
+
+    def framed(self, data: bytes) -> bytes:
+        """Return a request with its header."""
+        self._number = next(self._numbers) & 0xFFFF
+        return self._HEADER.pack(self._number, 0, len(data) + 1, self.unit) + data
+
+    def unframed(self, request: Request) -> bytes | None:
+        """Return the answer; the answer to a request that was given up is dropped.
+
+        Raises:
+            OSError: These are no frames of Modbus, and none can be found any more.
+        """
+        del request  # the header says how long its answer is
+        while len(self._in) >= self._HEADER.size:
+            number, protocol, size, _ = self._HEADER.unpack_from(self._in)
+            if protocol or size not in self._SIZES:
+                raise OSError(errno.EPROTO, "it does not talk Modbus")
+            end = self._HEADER.size - 1 + size
+            if len(self._in) < end:
+                return None
+            frame = bytes(self._in[self._HEADER.size : end])
+            del self._in[:end]
+            if number == self._number:
+                return frame
+        return None
