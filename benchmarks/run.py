@@ -53,6 +53,7 @@ RUNS = {
     "soak": "soak",
     "siblings": "siblings",
     "equal-tasks": "equal_tasks",
+    "devices": "devices",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -73,6 +74,7 @@ QUICK = {
     "soak": "--minutes 0.1",
     "siblings": "--seconds 0.5",
     "equal-tasks": "--seconds 1",
+    "devices": "--calls 100",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

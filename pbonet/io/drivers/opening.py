@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -73,7 +73,7 @@ def open_device(
     size: int = 32,
     signed: bool = False,
     trunc_lsb: bool = False,
-) -> Device:
+) -> Any:  # noqa: ANN401 - its class is that of the driver
     """Open ports of a device, in ``init`` (iodOpen of Stewart 1994, section 7.2.1).
 
     The ports are this opening's until it is closed, or its process ends.
@@ -87,6 +87,9 @@ def open_device(
         size: Bits of an element: 8, 16 or 32.
         signed: A value that is expanded keeps its sign.
         trunc_lsb: A value that is reduced loses its lowest bits.
+
+    Returns:
+        A `StreamDevice`, `FrameDevice`, `PortDevice` or `MemoryDevice`, by its driver.
 
     Raises:
         DeviceError: There is no such device, it cannot what is asked for, a port is

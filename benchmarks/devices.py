@@ -1,0 +1,151 @@
+"""What a driver costs inside `cycle`, beside the bare library or system call.
+
+One read each, of data that are there already, in turns with the bare call; opened as in
+a task that is recorded. Median and 99 % quantile in us.
+
+    python -m benchmarks.devices [--calls 1000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import statistics
+import sys
+import tempfile
+import time
+import tty
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import can
+
+from pbonet.io.drivers import Entry, Mode, Wait, database, open_device
+from pbonet.outside import Tape, using
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+GOAL = 50.0
+"""us that a driver may take in a cycle beside the bare call."""
+MISSED = 3
+
+
+class Case(NamedTuple):
+    """A read through a driver, the same without it, and what provides the data."""
+
+    name: str
+    prepare: Callable[[], object]
+    driver: Callable[[], object]
+    bare: Callable[[], object]
+
+
+def cases(stack: ExitStack) -> list[Case]:
+    """Open all devices, and return what is measured."""
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    (folder / "in_voltage0_raw").write_text("1234\n")
+    (folder / "memory").write_bytes(bytes(4096))
+    master, slave = os.openpty()
+    for fd in (master, slave):
+        tty.setraw(fd)
+        stack.callback(os.close, fd)
+    far = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    far.bind(("127.0.0.1", 0))
+    entries = {
+        "adc": Entry(driver="iio_adc", address=str(folder)),
+        "memory": Entry(driver="file", address=str(folder / "memory")),
+        "line": Entry(driver="serial", address=os.ttyname(slave)),
+        "udp": Entry(driver="udp", address=f"127.0.0.1:{far.getsockname()[1]}"),
+        "can": Entry(driver="can", address="bench", settings={"interface": "virtual"}),
+    }
+    stack.enter_context(database.using(entries))
+    told = {"adc": Wait.ALL, "memory": Wait.ALL}
+    opened = {
+        name: stack.enter_context(
+            open_device(name, mode=Mode.RW if name == "udp" else Mode.READ,
+                        wait=told.get(name, Wait.NONE))
+        )
+        for name in entries
+    }  # fmt: skip
+    raw = os.open(folder / "in_voltage0_raw", os.O_RDONLY)
+    plain = os.open(folder / "memory", os.O_RDONLY)
+    stack.callback(os.close, raw)
+    stack.callback(os.close, plain)
+    opened["udp"].write(b"x")
+    _, where = far.recvfrom(1)
+    near = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    near.bind(("127.0.0.1", 0))
+    near.setblocking(False)  # noqa: FBT003
+    buses = [can.Bus(channel="bench", interface="virtual") for _ in range(2)]
+    for one in buses:
+        stack.callback(one.shutdown)
+    frame = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
+
+    def datagrams() -> None:
+        far.sendto(bytes(64), where)
+        far.sendto(bytes(64), near.getsockname())
+
+    adc, memory, line, udp, bus = (opened[name].read for name in entries)
+    return [
+        Case("iio_adc, one channel", int, adc, lambda: int(os.pread(raw, 16, 0))),
+        Case(
+            *("file, 64 bytes", int, lambda: memory(64)),
+            lambda: os.pread(plain, 64, 0),
+        ),
+        Case(
+            *("serial, 64 bytes", lambda: os.write(master, bytes(128))),
+            *(lambda: line(64), lambda: os.read(slave, 64)),
+        ),
+        Case("udp, 64 bytes", datagrams, lambda: udp(64), lambda: near.recv(64)),
+        Case(
+            *("can (virtual), one frame", lambda: buses[0].send(frame)),
+            *(lambda: bus(1), lambda: buses[1].recv(0)),
+        ),
+    ]  # fmt: skip
+
+
+def measured(case: Case, calls: int, tape: Tape) -> list[list[float]]:
+    """Return the times of both calls, in us."""
+    times: list[list[float]] = [[], []]
+    for number in range(calls):
+        case.prepare()
+        pair = (case.driver, case.bare)
+        for which in (0, 1) if number % 2 else (1, 0):
+            begin = time.perf_counter_ns()
+            pair[which]()
+            times[which].append((time.perf_counter_ns() - begin) * 1e-3)
+        tape.take()
+    return times
+
+
+def main() -> int:
+    """Measure, print, judge."""
+    words = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    words.add_argument("--calls", type=int, default=1000)
+    calls = words.parse_args().calls
+    missed = False
+    tape = Tape()
+    sys.stdout.write("| driver | median | p99 | bare, median | p99 | beside it |\n")
+    sys.stdout.write("|---|---|---|---|---|---|\n")
+    with tempfile.TemporaryDirectory() as run, ExitStack() as stack, using(tape):
+        os.environ["PBONET_RUN_DIR"] = run
+        Path(run).chmod(0o700)
+        for case in cases(stack):
+            ours, bare = (sorted(one) for one in measured(case, calls, tape))
+            over = statistics.median(ours) - statistics.median(bare)
+            missed = missed or over > GOAL
+            row = [statistics.median(ours), ours[int(0.99 * calls)]]
+            row += [statistics.median(bare), bare[int(0.99 * calls)], over]
+            sys.stdout.write(
+                f"| {case.name} | {' | '.join(f'{v:.1f}' for v in row)} |\n"
+            )
+    sys.stdout.write(
+        f"goal: at most {GOAL:g} us beside it: {'MISSED' if missed else 'met'}\n"
+    )
+    return MISSED if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
