@@ -22,10 +22,11 @@ from . import database
 from .modes import Mode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from .entry import Entry
+    from pbonet.config import Entry
+
     from .modes import Opening
 
 _FLOCK = struct.Struct("hhqqi4x")
@@ -95,27 +96,36 @@ def claim(entry: Entry, opening: Opening) -> Claim:
     return Claim(fd)
 
 
-def users(entry: Entry, ports: Iterable[int]) -> Iterator[User]:
+def users(entry: Entry, ports: range) -> Iterator[User]:
     """Yield the users of those ports of a logical device that are taken."""
     try:
         fd = os.open(_path(entry), os.O_RDWR | os.O_CLOEXEC)
     except OSError:
         return  # no port was ever claimed
     try:
-        for port in ports:
-            at = entry.first + port
-            asked = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, at, 1, 0)
-            if _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))[0] == (
-                fcntl.F_UNLCK
-            ):
-                continue
+        begin = entry.first + ports.start
+        for at in _locked(fd, begin, begin + len(ports)):
             data = os.pread(fd, _RECORD.size, _RECORDS_AT + at * _RECORD.size)
             with suppress(struct.error, ValueError):
                 mode, pid, text = _RECORD.unpack(data)
                 owner = text.rstrip(b"\0").decode(errors="replace")
-                yield User(port, owner, Mode(mode), pid)
+                yield User(at - entry.first, owner, Mode(mode), pid)
     finally:
         os.close(fd)
+
+
+def _locked(fd: int, begin: int, end: int) -> Iterator[int]:
+    """Yield the locked bytes in a range, in order."""
+    if begin >= end:
+        return
+    asked = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, begin, end - begin, 0)
+    kind, _, start, length, _ = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))
+    if kind == fcntl.F_UNLCK:
+        return
+    first, last = max(start, begin), min(start + length, end)
+    yield from _locked(fd, begin, first)  # it named any of them, not the first one
+    yield from range(first, last)
+    yield from _locked(fd, last, end)
 
 
 def _path(entry: Entry) -> Path:

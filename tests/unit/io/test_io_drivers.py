@@ -23,6 +23,7 @@ from pbonet.io.drivers import (
     PortDevice,
     Wait,
     database,
+    listed,
     open_device,
     port_claims,
 )
@@ -139,6 +140,53 @@ def test_the_ports_of_a_killed_process_are_free(devices):
         other.send_signal(signal.SIGKILL)
         other.communicate()
     open_device("m", 3).close()
+
+
+def test_devices_are_listed_with_the_users_of_their_ports(devices):
+    whole = {"all": Entry(driver="file", address=str(devices["file"]))}
+    names = "m", "high", "line"
+    with open_device("m", 6, mode=Mode.RW), open_device("m", 1):
+        found = {one.name: one for one in listed({**kept(*names), **whole})}
+    assert [*found] == ["all", "high", "line", "m"]
+    assert [one.kind for one in found.values()] == ["MEM", "MEM", "SIO", "MEM"]
+    assert (found["high"].first, found["high"].ports) == (4, 4)
+    one, six = found["all"].users
+    pid = os.getpid()
+    assert (one.port, one.task, one.mode, one.pid) == (1, "arm0/reads", "NONE", pid)
+    assert (six.port, six.task, six.mode, six.pid) == (6, "arm0/reads", "RW", pid)
+    assert found["m"].users == [one, six]
+    assert [user.port for user in found["high"].users] == [2]
+    assert found["line"].users == []
+    assert [user for one in listed(whole) for user in one.users] == []
+
+
+def kept(*names):
+    return {name: database.entry(name) for name in names}
+
+
+def test_many_ports_of_several_openings_are_found_in_order():
+    entry = Entry(driver="file", address="/dev/null", first=3)
+    spans = [(9, 12), (0, 2), (40, 40), (65_000, 65_532)]
+    chosen = [
+        Opening("x", begin, end, Mode.READ, Wait.ALL, 32, signed=False, trunc_lsb=False)
+        for begin, end in spans
+    ]
+    claims = [port_claims.claim(entry, one) for one in chosen]
+    (found,) = listed({"x": entry})
+    for one in claims:
+        one.release()
+    assert [one.port for one in found.users] == [
+        port for begin, end in sorted(spans) for port in range(begin, end + 1)
+    ]
+
+
+def test_a_task_without_devices_loads_no_driver():
+    code = "import sys, pbonet.node.task.task_process; print([*sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "pbonet.config" in done.stdout
+    assert "'pbonet.io" not in done.stdout
 
 
 def test_memory_is_read_written_mapped_and_guarded(devices):
