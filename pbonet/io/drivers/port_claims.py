@@ -77,7 +77,10 @@ def claim(entry: Entry, opening: Opening) -> Claim:
     first, last = entry.first + opening.start, entry.first + opening.end
     if last >= MOST_PORTS:
         raise _no_such(opening, last)
-    fd = os.open(_path(entry), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fd = _open(_path(entry))
+    except OSError as error:
+        raise _unusable(opening, error) from None
     try:
         lock = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, first, last - first + 1, 0)
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
@@ -94,6 +97,22 @@ def claim(entry: Entry, opening: Opening) -> Claim:
         os.close(fd)
         raise
     return Claim(fd)
+
+
+def _open(path: Path) -> int:
+    """Open a device's file, and keep it from being removed until it is closed."""
+    while True:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_SH)  # what removes it holds it for an instant
+            if os.path.samestat(os.fstat(fd), path.stat()):
+                return fd
+        except FileNotFoundError:
+            pass  # it was removed just now
+        except BaseException:
+            os.close(fd)
+            raise
+        os.close(fd)
 
 
 def users(entry: Entry, ports: range) -> Iterator[User]:
@@ -130,14 +149,12 @@ def _locked(fd: int, begin: int, end: int) -> Iterator[int]:
 
 def _path(entry: Entry) -> Path:
     """Return the file of a physical device."""
-    folder = run_folder.folder() / "devices"
-    folder.mkdir(mode=0o700, exist_ok=True)
     address = entry.address
     if "/" in address:  # a file, and no HOST:PORT
         address = os.path.realpath(address)
     apart = [entry.settings.get(key, usual) for key, usual in APART.items()]
     name = f"{entry.driver} {address} {apart}"
-    return folder / hashlib.sha256(name.encode()).hexdigest()[:32]
+    return run_folder.claims() / hashlib.sha256(name.encode()).hexdigest()[:32]
 
 
 def _taken(opening: Opening, who: list[User]) -> DeviceError:

@@ -10,6 +10,8 @@ import subprocess
 import sys
 import termios
 import tty
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from watching import wait_for
@@ -29,7 +31,9 @@ from pbonet.io.drivers import (
 )
 from pbonet.io.drivers.device import convert
 from pbonet.io.drivers.serial_driver import SioParam
+from pbonet.node.rtpu import cleanup
 from pbonet.outside import Outside, Player, Tape, using as recording
+from pbonet.xm.net import run_folder
 
 HOLDS = """
 import sys, time
@@ -178,6 +182,43 @@ def test_many_ports_of_several_openings_are_found_in_order():
     assert [one.port for one in found.users] == [
         port for begin, end in sorted(spans) for port in range(begin, end + 1)
     ]
+
+
+@pytest.mark.usefixtures("devices")
+def test_the_file_of_a_device_is_removed_when_nothing_has_it_open():
+    folder = run_folder.claims()
+    with open_device("m", 1):
+        cleanup.sweep_claims()
+        with pytest.raises(DeviceError, match="arm0/reads"):
+            open_device("m", 1)
+    assert len([*folder.iterdir()]) == 1
+    cleanup.sweep_claims()
+    assert [*folder.iterdir()] == []
+    open_device("m", 1).close()
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_claim_waits_for_the_removal_of_the_file_and_makes_another():
+    entry = database.entry("m")
+    open_device("m", 1).close()
+    (path,) = run_folder.claims().iterdir()
+    fd = os.open(path, os.O_RDWR)
+    fcntl.flock(fd, fcntl.LOCK_EX)
+    with ThreadPoolExecutor(1) as pool:
+        opened = pool.submit(open_device, "m", 1)
+        waits = f"-> FLOCK  ADVISORY  READ {os.getpid()} "
+        wait_for(lambda: waits in Path("/proc/locks").read_text(), "the claim")
+        path.unlink()
+        os.close(fd)
+        with opened.result():
+            assert [one.port for one in port_claims.users(entry, range(8))] == [1]
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_runtime_folder_that_takes_no_claims_is_told():
+    (run_folder.folder() / "devices").write_text("")
+    with pytest.raises(DeviceError, match="the ports of the device cannot be claimed"):
+        open_device("m", 1)
 
 
 def test_a_task_without_devices_loads_no_driver():
