@@ -28,6 +28,7 @@ _MOST_CORES = 4096
 _QUEUE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
 _KEY = re.compile(r"(?!.*\*\*\*)[^\s/#?$]+(/[^\s/#?$]+)*")
 _ITEM = re.compile(r"\[(\d+)\]")
+_OF_A_PACKAGE = re.compile(r"\w+(\.\w+)*:\w+")
 _KINDS = {
     "bool": "a truth value",
     "int": "a whole number",
@@ -131,11 +132,11 @@ def _check_devices(devices: Mapping[str, Any], text: str, file: str) -> None:
 
 def _check_device(entry: Entry, where: _Header) -> None:
     """Refuse values of the right type that a device cannot have."""
-    if entry.driver not in DRIVERS:
+    if entry.driver not in DRIVERS and not _OF_A_PACKAGE.fullmatch(entry.driver):
         raise fault(
             f"there is no driver {quote(entry.driver)}",
             where.key("driver"),
-            expected=" ".join(sorted(DRIVERS)),
+            expected=" ".join([*sorted(DRIVERS), "package.module:Class"]),
             remedy=nearest(entry.driver, DRIVERS) or "docs/devices.md lists them",
         )
     if not entry.address.strip():

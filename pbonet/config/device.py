@@ -27,7 +27,7 @@ class Entry(Struct, frozen=True, kw_only=True):
     """A device: ``[device.NAME]`` of an ``agent.toml``."""
 
     driver: str
-    """The driver's name, see docs/devices.md."""
+    """Its name in `DRIVERS`, or ``package.module:Class``."""
     address: str
     """Where the device is: a device file, HOST:PORT, a folder of sysfs."""
     first: int = 0

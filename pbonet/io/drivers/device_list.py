@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pbonet.config import DRIVERS
 from pbonet.xm.net import messages as m
 
 from .opening import driver
@@ -16,11 +17,7 @@ if TYPE_CHECKING:
 
 
 def listed(entries: Mapping[str, Entry]) -> list[m.DeviceInfo]:
-    """Return devices with the users of their ports, by name.
-
-    Raises:
-        DeviceError: One has a driver that does not exist.
-    """
+    """Return devices with the users of their ports, by name."""
     return [_listed(name, entry) for name, entry in sorted(entries.items())]
 
 
@@ -29,7 +26,8 @@ def _listed(name: str, entry: Entry) -> m.DeviceInfo:
     return m.DeviceInfo(
         name=name,
         driver=entry.driver,
-        kind=driver(entry, name).kind,
+        # An agent runs no code of other packages.
+        kind=driver(entry, name).kind if entry.driver in DRIVERS else "",
         address=entry.address,
         first=entry.first,
         ports=entry.ports,

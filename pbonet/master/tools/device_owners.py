@@ -54,7 +54,7 @@ def lines(devices: Sequence[dict[str, Any]]) -> Iterator[str]:
     for one in devices:
         count = f", {one['ports']} ports" if one["ports"] else ""
         yield (
-            f"{one['rtpu']} ({one['host']}) {one['name']}: {one['kind']}, "
+            f"{one['rtpu']} ({one['host']}) {one['name']}: {one['kind'] or 'class ?'}, "
             f"{one['driver']} {one['address']}{count}"
         )
         for user in one["users"]:

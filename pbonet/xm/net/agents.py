@@ -176,7 +176,7 @@ class DeviceInfo(Struct, kw_only=True):
     name: str
     driver: str
     kind: str
-    """Its class, such as ``SIO`` (Stewart 1994, section 7.2)."""
+    """Its class, such as ``SIO``; empty for a driver of another package."""
     address: str
     first: int
     """The physical port that is port 0."""

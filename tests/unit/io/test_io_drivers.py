@@ -31,6 +31,7 @@ from pbonet.io.drivers import (
 )
 from pbonet.io.drivers.device import convert
 from pbonet.io.drivers.serial_driver import SioParam
+from pbonet.master.tools import device_owners
 from pbonet.node.rtpu import cleanup
 from pbonet.outside import Outside, Player, Tape, using as recording
 from pbonet.xm.net import run_folder
@@ -161,6 +162,8 @@ def test_devices_are_listed_with_the_users_of_their_ports(devices):
     assert found["m"].users == [one, six]
     assert [user.port for user in found["high"].users] == [2]
     assert found["line"].users == []
+    (foreign,) = listed({"x": Entry(driver="their.package:Driver", address="y")})
+    assert (foreign.driver, foreign.kind) == ("their.package:Driver", "")
     assert [user for one in listed(whole) for user in one.users] == []
 
 
@@ -407,3 +410,24 @@ def test_ports_pass_elements_of_the_chosen_size():
     with pytest.raises(DeviceError, match="a value for each opened port"):
         ports.write([1])
     assert ports.status("PORTSIZE", 2) == 12
+
+
+def test_devices_are_shown_with_their_tasks():
+    user = {"port": 3, "task": "arm0/reads", "mode": "READ", "pid": 7}
+    mem = {
+        "rtpu": "arm0",
+        "host": "a",
+        "name": "mem",
+        "driver": "file",
+        "kind": "MEM",
+        "address": "x",
+        "ports": 8,
+        "users": [user, {**user, "port": 4, "task": ""}],
+    }
+    theirs = {**mem, "kind": "", "ports": 0, "users": []}
+    assert [*device_owners.lines([mem, theirs])] == [
+        "arm0 (a) mem: MEM, file x, 8 ports",
+        "  port 3: READ arm0/reads, process 7",
+        "  port 4: READ a program, process 7",
+        "arm0 (a) mem: class ?, file x",
+    ]

@@ -68,6 +68,7 @@ def test_a_free_name_stays_when_it_is_of_the_same_content() -> None:
                     address="/dev/ttyUSB0",
                     settings={"baud": 19200, "map": [{"at": 1.5, "names": ["a", "b"]}]},
                 ),
+                "other": Entry(driver="their.package:Driver", address="x"),
                 "line-2": Entry(driver="file", address="/dev/mem", first=2, ports=8),
             },
         ),
