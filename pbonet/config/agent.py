@@ -136,8 +136,8 @@ def _check_device(entry: Entry, where: _Header) -> None:
         raise fault(
             f"there is no driver {quote(entry.driver)}",
             where.key("driver"),
-            expected=" ".join([*sorted(DRIVERS), "package.module:Class"]),
-            remedy=nearest(entry.driver, DRIVERS) or "docs/devices.md lists them",
+            expected="one that docs/devices.md lists, or package.module:Class",
+            remedy=nearest(entry.driver, DRIVERS) or "correct its name",
         )
     if not entry.address.strip():
         raise fault(
