@@ -30,14 +30,14 @@ GROUPS: Final = {
         *("events", "sigwait", "sigmask", "view", "ros2"),
     ),
     "Recordings": ("log", "replay"),
-    "Machines and this program": ("agent", "doctor", "keys", "completion"),
+    "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
 }
 """The verbs as the help shows them."""
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
 _OWN: Final = {
     *("new", "check", "simulate", "adopt", "run", "prompt", "stop", "profile"),
     *("display", "library", "events", "view", "ros2", "log", "replay"),
-    *("agent", "doctor", "keys", "completion"),
+    *("agent", "devices", "doctor", "keys", "completion"),
 }
 """Verbs with a file of their own."""
 

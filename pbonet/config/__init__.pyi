@@ -9,6 +9,7 @@ from .bundle import Section as Section, bundled as bundled
 from .class_rmod import own_rmod as own_rmod
 from .combining import info_of as info_of
 from .conditions import Parsed as Parsed, parse as parse
+from .device import DRIVERS as DRIVERS, Entry as Entry
 from .job import (
     LAST as LAST,
     MODES as MODES,

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 import tomllib
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_type_hints
 
 import msgspec
 
 from . import words
+from .device import DRIVERS, Entry
 from .lines import Word, fault, nearest, quote
 from .model import AgentConfig, Place
 from .reader import MAX_LINE, decode, load
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
 MAX_GRACE = 3600.0
@@ -27,6 +28,7 @@ _MOST_CORES = 4096
 _QUEUE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
 _KEY = re.compile(r"(?!.*\*\*\*)[^\s/#?$]+(/[^\s/#?$]+)*")
 _ITEM = re.compile(r"\[(\d+)\]")
+_OF_A_PACKAGE = re.compile(r"\w+(\.\w+)*:\w+")
 _KINDS = {
     "bool": "a truth value",
     "int": "a whole number",
@@ -72,12 +74,23 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
     text = text.removeprefix("\ufeff")
     table = _toml(text, file)
     known = get_type_hints(AgentConfig)
+    if devices := _table(table.get("device")):
+        _check_devices(devices, text, file)
+    _check_keys(table, known, lambda key: _place(text, file, key))
+    config = msgspec.convert(table, AgentConfig)
+    _check(config, text, file)
+    return config
+
+
+def _check_keys(
+    table: Mapping[str, Any], known: Mapping[str, Any], place: Callable[[str], Place]
+) -> None:
+    """Refuse keys that are unknown, or have values of a wrong type."""
     for key, value in table.items():
-        place = _place(text, file, key)
         if key not in known:
             raise fault(
                 f"unknown key {quote(key)}",
-                place,
+                place(key),
                 expected="a key that docs/files.md lists",
                 remedy=nearest(key, known) or "remove it",
             )
@@ -86,32 +99,137 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
         except msgspec.ValidationError as error:
             raise fault(
                 f"the value of {key} is of the wrong type",
-                place,
+                place(key),
                 **_expected_and_got(str(error)),
                 remedy="see docs/files.md for the keys of agent.toml",
             ) from None
-    config = msgspec.convert(table, AgentConfig)
-    _check(config, text, file)
-    return config
+
+
+def _check_devices(devices: Mapping[str, Any], text: str, file: str) -> None:
+    """Refuse devices that cannot be."""
+    known = get_type_hints(Entry)
+    for name, value in devices.items():
+        where = _header(text, file, name)
+        words.label(Word(name, where.place), "a device")
+        if (table := _table(value)) is None:
+            raise fault(
+                f"the device {name} is no table",
+                where.place,
+                expected=f"[device.{name}]",
+                remedy=f'write [device.{name}], and below it driver = "..."',
+            )
+        for key in ("driver", "address"):
+            if key not in table:
+                raise fault(
+                    f"the device {name} has no {key}",
+                    where.place,
+                    expected=f'{key} = "..."',
+                    remedy="add it",
+                )
+        _check_keys(table, known, where.key)
+        _check_device(msgspec.convert(table, Entry), where)
+
+
+def _check_device(entry: Entry, where: _Header) -> None:
+    """Refuse values of the right type that a device cannot have."""
+    if entry.driver not in DRIVERS and not _OF_A_PACKAGE.fullmatch(entry.driver):
+        raise fault(
+            f"there is no driver {quote(entry.driver)}",
+            where.key("driver"),
+            expected="one that docs/devices.md lists, or package.module:Class",
+            remedy=nearest(entry.driver, DRIVERS) or "correct its name",
+        )
+    if not entry.address.strip():
+        raise fault(
+            "the address is empty",
+            where.key("address"),
+            expected="where the device is",
+            got=quote(entry.address),
+            remedy="name its device file, or HOST:PORT",
+        )
+    for key in ("first", "ports"):
+        value: int = getattr(entry, key)
+        if value < 0:
+            raise fault(
+                f"{key} is below zero",
+                where.key(key),
+                expected="a whole number from 0",
+                got=f"{value}",
+                remedy="ports count from 0",
+            )
+    for key, value in entry.settings.items():
+        # Other processes get it as JSON, which has no times, and no numbers like nan.
+        if msgspec.json.decode(msgspec.json.encode(value)) != value:
+            raise fault(
+                f"the value of {key} is of the wrong type",
+                where.key(key),
+                expected="a text, a finite number, a truth value, or lists and tables "
+                "of these",
+                got=str(value),
+                remedy="write times as texts",
+            )
+
+
+class _Header(NamedTuple):
+    """Where ``[device.NAME]`` stands, and the text of its keys."""
+
+    place: Place
+    below: str
+
+    def key(self, name: str) -> Place:
+        """Return the place of one of its keys."""
+        at = rf"^([ \t]*)[\"']?{re.escape(name)}[\"']?(?=[ \t]*[=.])"
+        found = re.search(at, self.below, re.MULTILINE)
+        if found is None:
+            return self.place
+        line = self.place.line + self.below.count("\n", 0, found.start())
+        return Place(self.place.file, line, len(found[1]) + 1)
+
+
+def _header(text: str, file: str, name: str) -> _Header:
+    """Return where a device's table is, or else that of all devices."""
+    head = rf"\[[ \t]*device[ \t]*\.[ \t]*[\"']?{re.escape(name)}[\"']?[ \t]*"
+    found = re.search(rf"^[ \t]*{head}[.\]]", text, re.MULTILINE)
+    if found is None:
+        return _Header(_place(text, file, "device"), "")
+    below = text[found.start() :]
+    other = re.compile(rf"^[ \t]*(?!{head}\.)\[", re.MULTILINE)
+    end = other.search(below, found.end() - found.start())
+    line = text.count("\n", 0, found.start()) + 1
+    return _Header(Place(file, line), below[: end.start()] if end else below)
 
 
 def agent_text(config: AgentConfig) -> str:
     """Return an ``agent.toml`` with all settings of an agent, defaults included."""
     fields: dict[str, Any] = msgspec.to_builtins(config)
-    events: dict[str, str] = fields.pop("events")
+    tables: dict[str, dict[str, Any]] = {"events": fields.pop("events")}
+    for name, device in fields.pop("device").items():
+        tables[f"device.{name}.settings"] = device.pop("settings")
+        tables[f"device.{name}"] = device
     lines = [f"{k} = {_value(v)}" for k, v in fields.items() if v is not None]
-    if events:
-        lines += [
-            "",
-            "[events]",
-            *(f"{_value(k)} = {_value(v)}" for k, v in events.items()),
-        ]
+    for name, table in sorted(tables.items()):
+        if table:
+            lines += ["", f"[{name}]", *_pairs(table)]
     return "\n".join([*lines, ""])
 
 
 def _value(value: object) -> str:
-    """Return a value in TOML; strings, numbers and lists are as in JSON."""
+    """Return a value in TOML; strings and numbers are as in JSON."""
+    if (table := _table(value)) is not None:
+        return f"{{{', '.join(_pairs(table))}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, cast('list[object]', value)))}]"
     return msgspec.json.encode(value).decode()
+
+
+def _pairs(table: Mapping[str, object]) -> Iterator[str]:
+    for key, value in table.items():
+        yield f"{_value(key)} = {_value(value)}"
+
+
+def _table(value: object) -> dict[str, Any] | None:
+    """Return the value if it is a table."""
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
 
 
 def _toml(text: str, file: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 
 from msgspec import Struct
 
+from .device import Entry
 from .types import numpy_type
 
 Restart: TypeAlias = Literal["never", "off", "on"]
@@ -303,3 +304,5 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Most space for all logs in that folder; the oldest are removed. 0: no limit."""
     events: dict[str, str] = {}
     """Queues of the RTPU, and the keys whose messages go into them."""
+    device: dict[str, Entry] = {}
+    """I/O devices of the machine by logical name."""

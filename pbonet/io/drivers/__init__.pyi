@@ -1,3 +1,5 @@
+from pbonet.config import DRIVERS as DRIVERS, Entry as Entry
+
 from . import database as database, port_claims as port_claims
 from .device import (
     Device as Device,
@@ -8,10 +10,6 @@ from .device import (
     Settings as Settings,
     StreamDevice as StreamDevice,
 )
-from .entry import Entry as Entry
+from .device_list import listed as listed
 from .modes import Mode as Mode, Opening as Opening, Wait as Wait
-from .opening import (
-    DRIVERS as DRIVERS,
-    driver as driver,
-    open_device as open_device,
-)
+from .opening import driver as driver, open_device as open_device

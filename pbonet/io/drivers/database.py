@@ -15,7 +15,7 @@ from pbonet.errors import DeviceError
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping
 
-    from .entry import Entry
+    from pbonet.config import Entry
 
 _entries: dict[str, Entry] = {}
 _owner = [""]

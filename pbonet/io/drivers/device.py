@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import TracebackType
 
+    from pbonet.config import Entry
     from pbonet.outside import Outside
 
-    from .entry import Entry
     from .modes import Opening
     from .port_claims import Claim
 

@@ -22,9 +22,9 @@ from .device import Kind, PortDevice, Settings
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pbonet.config import Entry
     from pbonet.outside import Outside
 
-    from .entry import Entry
     from .modes import Opening
 
 _ADDRESS: Final = re.compile(r"(.+):0x([0-7][0-9a-f])")

@@ -32,9 +32,9 @@ from .port_claims import APART
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pbonet.config import Entry
     from pbonet.outside import Outside
 
-    from .entry import Entry
     from .modes import Opening
 
 

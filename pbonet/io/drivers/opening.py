@@ -3,34 +3,18 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any
 
 import msgspec
 
+from pbonet.config import DRIVERS, Entry
 from pbonet.errors import DeviceError
 from pbonet.io import require_devices
 from pbonet.outside import Outside
 
 from . import database, port_claims
 from .device import Device, wrong_direction
-from .entry import Entry
 from .modes import Mode, Opening, Wait
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-DRIVERS: Final[Mapping[str, str]] = {
-    "serial": "serial_driver:SerialDevice",
-    "tcp": "socket_driver:TcpDevice",
-    "udp": "socket_driver:UdpDevice",
-    "file": "file_driver:FileDevice",
-    "can": "can_driver:CanDevice",
-    "i2c": "i2c_driver:I2cDevice",
-    "iio_adc": "iio_driver:IioAdc",
-    "iio_dac": "iio_driver:IioDac",
-    "modbus": "modbus_driver:ModbusDevice",
-}
-"""Drivers by name: where each is."""
 
 
 def driver(entry: Entry, name: str) -> type[Device]:

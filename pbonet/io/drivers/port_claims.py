@@ -22,10 +22,11 @@ from . import database
 from .modes import Mode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from .entry import Entry
+    from pbonet.config import Entry
+
     from .modes import Opening
 
 _FLOCK = struct.Struct("hhqqi4x")
@@ -76,7 +77,10 @@ def claim(entry: Entry, opening: Opening) -> Claim:
     first, last = entry.first + opening.start, entry.first + opening.end
     if last >= MOST_PORTS:
         raise _no_such(opening, last)
-    fd = os.open(_path(entry), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fd = _open(_path(entry))
+    except OSError as error:
+        raise _unusable(opening, error) from None
     try:
         lock = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, first, last - first + 1, 0)
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
@@ -95,39 +99,62 @@ def claim(entry: Entry, opening: Opening) -> Claim:
     return Claim(fd)
 
 
-def users(entry: Entry, ports: Iterable[int]) -> Iterator[User]:
+def _open(path: Path) -> int:
+    """Open a device's file, and keep it from being removed until it is closed."""
+    while True:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_SH)  # what removes it holds it for an instant
+            if os.path.samestat(os.fstat(fd), path.stat()):
+                return fd
+        except FileNotFoundError:
+            pass  # it was removed just now
+        except BaseException:
+            os.close(fd)
+            raise
+        os.close(fd)
+
+
+def users(entry: Entry, ports: range) -> Iterator[User]:
     """Yield the users of those ports of a logical device that are taken."""
     try:
         fd = os.open(_path(entry), os.O_RDWR | os.O_CLOEXEC)
     except OSError:
         return  # no port was ever claimed
     try:
-        for port in ports:
-            at = entry.first + port
-            asked = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, at, 1, 0)
-            if _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))[0] == (
-                fcntl.F_UNLCK
-            ):
-                continue
+        begin = entry.first + ports.start
+        for at in _locked(fd, begin, begin + len(ports)):
             data = os.pread(fd, _RECORD.size, _RECORDS_AT + at * _RECORD.size)
             with suppress(struct.error, ValueError):
                 mode, pid, text = _RECORD.unpack(data)
                 owner = text.rstrip(b"\0").decode(errors="replace")
-                yield User(port, owner, Mode(mode), pid)
+                yield User(at - entry.first, owner, Mode(mode), pid)
     finally:
         os.close(fd)
 
 
+def _locked(fd: int, begin: int, end: int) -> Iterator[int]:
+    """Yield the locked bytes in a range, in order."""
+    if begin >= end:
+        return
+    asked = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, begin, end - begin, 0)
+    kind, _, start, length, _ = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, asked))
+    if kind == fcntl.F_UNLCK:
+        return
+    first, last = max(start, begin), min(start + length, end)
+    yield from _locked(fd, begin, first)  # it named any of them, not the first one
+    yield from range(first, last)
+    yield from _locked(fd, last, end)
+
+
 def _path(entry: Entry) -> Path:
     """Return the file of a physical device."""
-    folder = run_folder.folder() / "devices"
-    folder.mkdir(mode=0o700, exist_ok=True)
     address = entry.address
     if "/" in address:  # a file, and no HOST:PORT
         address = os.path.realpath(address)
     apart = [entry.settings.get(key, usual) for key, usual in APART.items()]
     name = f"{entry.driver} {address} {apart}"
-    return folder / hashlib.sha256(name.encode()).hexdigest()[:32]
+    return run_folder.claims() / hashlib.sha256(name.encode()).hexdigest()[:32]
 
 
 def _taken(opening: Opening, who: list[User]) -> DeviceError:

@@ -1,4 +1,5 @@
 from . import (
+    device_owners as device_owners,
     doctor as doctor,
     foxglove_server as foxglove_server,
     local_modules as local_modules,

@@ -120,6 +120,7 @@ class Agent:
             grace=config.grace,
             backend=backend,
             awake=config.awake,
+            devices=config.device,
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
         self._recorders = Recorders(self._note, config)
@@ -129,6 +130,7 @@ class Agent:
         self._overview = SharedMemoryStatus(
             *(config.domain, config.name, self._note, self._recorders.fares),
             notes=self._desired.notes,
+            devices=config.device,
         )
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None

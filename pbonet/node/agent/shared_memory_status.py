@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet import tbuf
 from pbonet.errors import NodeError, Severity, SvarError
+from pbonet.io import drivers
 from pbonet.node import rt
 from pbonet.node.rtpu import (
     SnapshotChanges,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from pbonet.analysis.schedule import SlotStatus
+    from pbonet.config import Entry
     from pbonet.node.wire import Recorder, RtpuInfo
 
 log = logging.getLogger("pbonet.node")
@@ -51,8 +53,8 @@ waking a thread takes."""
 NEWS_TIME = 2.0
 """Seconds in which the RTPU process reports a task that it has created or ended."""
 
-Handled = m.Status | m.Profile | m.Display | m.Write
-HANDLED = (m.Status, m.Profile, m.Display, m.Write)
+Handled = m.Status | m.Profile | m.Display | m.Write | m.Devices
+HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices)
 """Requests that the agent carries out itself."""
 
 
@@ -74,6 +76,7 @@ class SharedMemoryStatus:
         recorder: Returns the state of a subsystem's recorder.
         notes: Returns what was done for tasks of a subsystem that were lost with an
             RTPU process before, as `TaskStatus.restarted`.
+        devices: I/O devices of the machine.
     """
 
     def __init__(
@@ -83,6 +86,8 @@ class SharedMemoryStatus:
         note: Callable[[Note], None],
         recorder: Callable[[str], Recorder | None],
         notes: Callable[[str], Mapping[str, str]] = lambda _: {},
+        *,
+        devices: Mapping[str, Entry] | None = None,
     ) -> None:
         self._recorder, self._notes = recorder, notes
         self._domain, self._rtpu = domain, rtpu
@@ -103,6 +108,7 @@ class SharedMemoryStatus:
             m.Profile: self._profile,
             m.Display: self._display,
             m.Write: self._write,
+            m.Devices: lambda _: drivers.listed(devices or {}),
         }
 
     # -- reports of the RTPU process ---------------------------------------------------

@@ -108,6 +108,7 @@ def clean(places: run_folder.Places, patience: float = PATIENCE) -> list[str]:
         done += _remove_table(name)
     done += _sweep_mail(places)
     done += _sweep_core(state.core)
+    sweep_claims()
     places.remove(places.ctl, places.state)
     return done
 
@@ -175,3 +176,9 @@ def _sweep_core(core: int) -> list[str]:
     with contextlib.suppress(PbonetError, OSError):
         rt.CoreTable(core, member=True).close()
     return []
+
+
+def sweep_claims() -> None:
+    """Remove the files of I/O devices that no process has open."""
+    for path in run_folder.claims().iterdir():
+        remove_unused(path)

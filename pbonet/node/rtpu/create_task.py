@@ -238,6 +238,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         ring=ring,
         libraries=rtpu.config.libraries,
         replaces=request.replaces,
+        devices=rtpu.config.devices,
     )
     child = await rtpu.spawner.fork("task", request.task, spec)
     facts = Facts(

@@ -266,6 +266,7 @@ async def _serve(
         process_setup.end_marked(process_setup.mark())  # what tasks left
         sweep(places.name, places.domain)
         tbuf.sweep(places.domain)
+        cleanup.sweep_claims()
         places.remove(places.ctl, places.state, places.log)
         _remove_dead_agent(places)
 

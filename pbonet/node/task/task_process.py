@@ -158,7 +158,7 @@ class Host:
         return Table.attach(self.spec.table, layout=self.spec.layout)
 
     def live_in_process(self) -> None:
-        """Set the RTPU and domain that the module sees as its own."""
+        """Set the RTPU, domain and devices that the module sees as its own."""
         spec = self.spec
         live_on(
             spec.rtpu,
@@ -166,6 +166,10 @@ class Host:
             priority=self.watch.ranked,
             subsystem=spec.subsystem,
         )
+        if spec.devices:
+            from pbonet.io.drivers import database
+
+            database.use(spec.devices, f"{spec.rtpu}/{spec.task}")
 
     def create(self) -> None:
         """Load the module, bind it to the table, and run its `init`.

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec import Struct
 
+from pbonet.config import Entry
 from pbonet.errors import NodeError, WireError
 from pbonet.xm.net import Call, prepare
 
@@ -49,6 +50,8 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     runs: str = "runs"
     """Folder of the logs, absolute."""
     awake: bool = False
+    devices: dict[str, Entry] = {}
+    """I/O devices of the machine by logical name."""
     ready_fd: int = -1
     """Descriptor to which one `Ready` is written when commands are accepted."""
 
@@ -463,6 +466,8 @@ class TaskSpec(Struct, kw_only=True):
     libraries: tuple[str, ...]
     replaces: list[str] = []
     """Tasks that it replaces, and whose constants it takes over."""
+    devices: dict[str, Entry] = {}
+    """I/O devices that it can open."""
 
 
 class InspectSpec(Struct, kw_only=True):

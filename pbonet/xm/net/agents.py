@@ -157,3 +157,30 @@ class LinkReport(Struct, kw_only=True):
     """Agents to which a link exists but which are not visible; it is opened again."""
     double: list[str] = []
     """Agents to which there are two links, which makes zenoh's routers stall."""
+
+
+class PortUser(Struct, kw_only=True):
+    """The task that has a port of a device."""
+
+    port: int
+    task: str
+    """``RTPU/TASK``; empty: a program without one."""
+    mode: str
+    """``NONE``, ``READ``, ``WRITE`` or ``RW``."""
+    pid: int
+
+
+class DeviceInfo(Struct, kw_only=True):
+    """An I/O device of an agent."""
+
+    name: str
+    driver: str
+    kind: str
+    """Its class, such as ``SIO``; empty for a driver of another package."""
+    address: str
+    first: int
+    """The physical port that is port 0."""
+    ports: int
+    """Number of ports; 0: as many as the driver finds."""
+    users: list[PortUser] = []
+    """Its ports that are taken, by tasks of any RTPU of the machine."""

@@ -20,8 +20,10 @@ from . import message_parts as values
 from .agents import (
     HELD_REMEDY as HELD_REMEDY,  # noqa: PLC0414 - taken from here
     AgentInfo as AgentInfo,  # noqa: PLC0414 - taken from here
+    DeviceInfo as DeviceInfo,  # noqa: PLC0414 - taken from here
     LinkReport as LinkReport,  # noqa: PLC0414 - taken from here
     Lost as Lost,  # noqa: PLC0414 - taken from here
+    PortUser as PortUser,  # noqa: PLC0414 - taken from here
     TableNews as TableNews,  # noqa: PLC0414 - taken from here
     Way as Way,  # noqa: PLC0414 - taken from here
     held as held,  # noqa: PLC0414 - taken from here
@@ -65,6 +67,10 @@ class Hello(Request, tag="hello"):
 
 class Links(Request, tag="links"):
     """Measure the latency from an agent to all others. Result: `LinkReport`."""
+
+
+class Devices(Request, tag="devices"):
+    """Ask for the I/O devices of an agent. Result: list of `DeviceInfo`."""
 
 
 class Claim(Request, tag="claim"):
@@ -430,6 +436,7 @@ class Events(Request, tag="events"):
 AnyRequest = (
     Hello
     | Links
+    | Devices
     | Claim
     | Release
     | CloseTable

@@ -15,7 +15,7 @@ from .resource_messages import XmRequest
 
 LEAVES = ("sbs", "mail", "status")
 _LOOKING = {
-    *("hello", "links", "get", "profile", "display", "modules", "events"),
+    *("hello", "links", "devices", "get", "profile", "display", "modules", "events"),
     *("xm_stat", "xm_list", "xm_read"),
 }
 """The ``op`` of requests that change nothing."""
@@ -54,8 +54,9 @@ def check(request: m.Request, key: str) -> None:
         raise AccessError(
             "this key accepts only requests that change nothing",
             where=key,
-            expected="hello, links, status without reset, profile, display, modules, "
-            "events, get, reading files, and freq, sigmask and job without changes",
+            expected="hello, links, devices, status without reset, profile, "
+            "display, modules, events, get, reading files, and freq, sigmask and job "
+            "without changes",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys; "
             "requests of tasks to the one that ends in mail",

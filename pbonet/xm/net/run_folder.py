@@ -6,7 +6,8 @@ and in that, per RTPU: ``NAME.sock`` (the agent's zenoh endpoint), ``NAME.ctl`` 
 RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use
 resources of other machines), ``NAME.agent`` and ``NAME.rtpu`` (locked while these
 processes live), ``NAME.state`` (what to clean up if the RTPU process is killed) and
-``NAME.log`` (the RTPU process's standard error).
+``NAME.log`` (the RTPU process's standard error). ``devices`` has a file for each I/O
+device that is open.
 
 Nothing here imports zenoh, because the RTPU process uses it too.
 """
@@ -30,6 +31,13 @@ LONGEST_SOCKET = 107
 _LOOK = 0.01
 _HOLDER = re.compile(r"process (\d+)")
 _FLOCK = struct.Struct("hhqqi4x")
+
+
+def claims() -> Path:
+    """Return the folder of the claims on I/O devices; made if necessary."""
+    path = folder() / "devices"
+    path.mkdir(mode=0o700, exist_ok=True)
+    return path
 
 
 def check_name(what: str, name: str) -> str:

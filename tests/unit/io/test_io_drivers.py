@@ -10,6 +10,8 @@ import subprocess
 import sys
 import termios
 import tty
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from watching import wait_for
@@ -23,12 +25,16 @@ from pbonet.io.drivers import (
     PortDevice,
     Wait,
     database,
+    listed,
     open_device,
     port_claims,
 )
 from pbonet.io.drivers.device import convert
 from pbonet.io.drivers.serial_driver import SioParam
+from pbonet.master.tools import device_owners
+from pbonet.node.rtpu import cleanup
 from pbonet.outside import Outside, Player, Tape, using as recording
+from pbonet.xm.net import run_folder
 
 HOLDS = """
 import sys, time
@@ -139,6 +145,92 @@ def test_the_ports_of_a_killed_process_are_free(devices):
         other.send_signal(signal.SIGKILL)
         other.communicate()
     open_device("m", 3).close()
+
+
+def test_devices_are_listed_with_the_users_of_their_ports(devices):
+    whole = {"all": Entry(driver="file", address=str(devices["file"]))}
+    names = "m", "high", "line"
+    with open_device("m", 6, mode=Mode.RW), open_device("m", 1):
+        found = {one.name: one for one in listed({**kept(*names), **whole})}
+    assert [*found] == ["all", "high", "line", "m"]
+    assert [one.kind for one in found.values()] == ["MEM", "MEM", "SIO", "MEM"]
+    assert (found["high"].first, found["high"].ports) == (4, 4)
+    one, six = found["all"].users
+    pid = os.getpid()
+    assert (one.port, one.task, one.mode, one.pid) == (1, "arm0/reads", "NONE", pid)
+    assert (six.port, six.task, six.mode, six.pid) == (6, "arm0/reads", "RW", pid)
+    assert found["m"].users == [one, six]
+    assert [user.port for user in found["high"].users] == [2]
+    assert found["line"].users == []
+    (foreign,) = listed({"x": Entry(driver="their.package:Driver", address="y")})
+    assert (foreign.driver, foreign.kind) == ("their.package:Driver", "")
+    assert [user for one in listed(whole) for user in one.users] == []
+
+
+def kept(*names):
+    return {name: database.entry(name) for name in names}
+
+
+def test_many_ports_of_several_openings_are_found_in_order():
+    entry = Entry(driver="file", address="/dev/null", first=3)
+    spans = [(9, 12), (0, 2), (40, 40), (65_000, 65_532)]
+    chosen = [
+        Opening("x", begin, end, Mode.READ, Wait.ALL, 32, signed=False, trunc_lsb=False)
+        for begin, end in spans
+    ]
+    claims = [port_claims.claim(entry, one) for one in chosen]
+    (found,) = listed({"x": entry})
+    for one in claims:
+        one.release()
+    assert [one.port for one in found.users] == [
+        port for begin, end in sorted(spans) for port in range(begin, end + 1)
+    ]
+
+
+@pytest.mark.usefixtures("devices")
+def test_the_file_of_a_device_is_removed_when_nothing_has_it_open():
+    folder = run_folder.claims()
+    with open_device("m", 1):
+        cleanup.sweep_claims()
+        with pytest.raises(DeviceError, match="arm0/reads"):
+            open_device("m", 1)
+    assert len([*folder.iterdir()]) == 1
+    cleanup.sweep_claims()
+    assert [*folder.iterdir()] == []
+    open_device("m", 1).close()
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_claim_waits_for_the_removal_of_the_file_and_makes_another():
+    entry = database.entry("m")
+    open_device("m", 1).close()
+    (path,) = run_folder.claims().iterdir()
+    fd = os.open(path, os.O_RDWR)
+    fcntl.flock(fd, fcntl.LOCK_EX)
+    with ThreadPoolExecutor(1) as pool:
+        opened = pool.submit(open_device, "m", 1)
+        waits = f"-> FLOCK  ADVISORY  READ {os.getpid()} "
+        wait_for(lambda: waits in Path("/proc/locks").read_text(), "the claim")
+        path.unlink()
+        os.close(fd)
+        with opened.result():
+            assert [one.port for one in port_claims.users(entry, range(8))] == [1]
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_runtime_folder_that_takes_no_claims_is_told():
+    (run_folder.folder() / "devices").write_text("")
+    with pytest.raises(DeviceError, match="the ports of the device cannot be claimed"):
+        open_device("m", 1)
+
+
+def test_a_task_without_devices_loads_no_driver():
+    code = "import sys, pbonet.node.task.task_process; print([*sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "pbonet.config" in done.stdout
+    assert "'pbonet.io" not in done.stdout
 
 
 def test_memory_is_read_written_mapped_and_guarded(devices):
@@ -318,3 +410,24 @@ def test_ports_pass_elements_of_the_chosen_size():
     with pytest.raises(DeviceError, match="a value for each opened port"):
         ports.write([1])
     assert ports.status("PORTSIZE", 2) == 12
+
+
+def test_devices_are_shown_with_their_tasks():
+    user = {"port": 3, "task": "arm0/reads", "mode": "READ", "pid": 7}
+    mem = {
+        "rtpu": "arm0",
+        "host": "a",
+        "name": "mem",
+        "driver": "file",
+        "kind": "MEM",
+        "address": "x",
+        "ports": 8,
+        "users": [user, {**user, "port": 4, "task": ""}],
+    }
+    theirs = {**mem, "kind": "", "ports": 0, "users": []}
+    assert [*device_owners.lines([mem, theirs])] == [
+        "arm0 (a) mem: MEM, file x, 8 ports",
+        "  port 3: READ arm0/reads, process 7",
+        "  port 4: READ a program, process 7",
+        "arm0 (a) mem: class ?, file x",
+    ]

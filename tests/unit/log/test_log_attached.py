@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from pbonet.config import agent_text, parse_agent
+from pbonet.config import Entry, agent_text, parse_agent
 from pbonet.config.model import AgentConfig
 from pbonet.log import Attached, Log, LogWriter, RunAbout
 from pbonet.log.records import free_name
@@ -59,6 +59,18 @@ def test_a_free_name_stays_when_it_is_of_the_same_content() -> None:
             runs_mb=12.5,
             insecure=True,
             events={"queue": "a/key"},
+        ),
+        AgentConfig(
+            name="arm0",
+            device={
+                "line": Entry(
+                    driver="serial",
+                    address="/dev/ttyUSB0",
+                    settings={"baud": 19200, "map": [{"at": 1.5, "names": ["a", "b"]}]},
+                ),
+                "other": Entry(driver="their.package:Driver", address="x"),
+                "line-2": Entry(driver="file", address="/dev/mem", first=2, ports=8),
+            },
         ),
     ],
 )

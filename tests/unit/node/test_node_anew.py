@@ -7,6 +7,7 @@ import socket
 
 import pytest
 
+from pbonet.config import Entry
 from pbonet.config.model import AgentConfig
 from pbonet.errors import PbonetError
 from pbonet.node.agent import restart_check, start_rtpu
@@ -80,10 +81,9 @@ def test_a_port_that_is_taken_is_found_out():
 
 
 def test_what_reaches_the_rtpu_process_later():
-    assert restart_check.kept(OLD, config(libraries=("x",), awake=True, grace=1.0)) == [
-        "libraries",
-        "awake",
-    ]
+    device = {"mem": Entry(driver="file", address="x")}
+    new = config(libraries=("x",), awake=True, grace=1.0, device=device)
+    assert restart_check.kept(OLD, new) == ["libraries", "awake", "device"]
 
 
 def test_an_rtpu_that_goes_on_stays_on_its_core(run_dir, monkeypatch):  # noqa: ARG001 - an empty folder

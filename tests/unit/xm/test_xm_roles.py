@@ -10,6 +10,7 @@ from pbonet.xm.net import messages as m, resource_messages as r, roles
     "request_",
     [
         m.Display(),
+        m.Devices(),
         m.Status(),
         m.Freq(task="a"),
         m.Sigmask(),

@@ -1,0 +1,94 @@
+"""Devices of an ``agent.toml``: opened by tasks, told by a verb, freed by a death."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+from log_of_real_tasks import finish, record
+from nodekit import rmod
+from watching import wait_for
+
+from pbonet.config import Entry
+from pbonet.errors import MethodError
+from pbonet.testing import verify
+
+READS = """
+from typing import Annotated as A
+
+from pbonet import OutVar, Params, PortBasedObject, Vector, param
+from pbonet.io.drivers import Mode, open_device
+
+
+class Where(Params):
+    device: A[str, param("none", "the device")] = "mem"
+
+
+class Reads(PortBasedObject[Where]):
+    y: A[Vector, OutVar("Y", "2", "none", "what was read")]
+
+    def init(self) -> None:
+        self.memory = open_device(self.params.device, 3, mode=Mode.READ)
+
+    def cycle(self, dt: float) -> None:
+        self.y[0] = self.memory.read(1, at=5)[0]
+"""
+
+
+def told(nodes):
+    """Return what ``pbonet devices`` says."""
+    words = ["devices", "--json", "--domain", nodes.domain]
+    done = subprocess.run(
+        [sys.executable, "-m", "pbonet.cli", *words],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def test_a_device_of_a_machine_is_read_told_freed_and_replayed(nodes, tmp_path):
+    file = tmp_path / "memory"
+    file.write_bytes(bytes(range(64)))
+    mem = Entry(driver="file", address=str(file), first=2, ports=8)
+    nodes.write_module("reads", READS)
+    nodes.agent_process("arm0", device={"mem": mem})
+    arm = nodes.master("arm0", "arm")
+    path = record(arm)
+    arm.spawn("first", "reads", text=rmod("reads"))
+    arm.on("first")
+    wait_for(lambda: arm.value("Y0").values[0] == 5.0, "what the file has")
+    pid = arm.status("first").tid
+    user = {"port": 3, "task": "arm0/first", "mode": "READ", "pid": pid}
+    (device,) = told(nodes)["devices"]
+    assert device.pop("host")
+    assert device == {
+        "rtpu": "arm0",
+        "name": "mem",
+        "driver": "file",
+        "kind": "MEM",
+        "address": str(file),
+        "first": 2,
+        "ports": 8,
+        "users": [user],
+    }
+    error = arm.refused(
+        MethodError, arm.spawn, "other", "reads", text=rmod("reads", "Y1")
+    )
+    assert f"port 3: arm0/first (process {pid})" in str(error)
+    os.kill(pid, signal.SIGKILL)
+    arm.wait_event("TASK_DIED", "first")
+    arm.spawn("other", "reads", text=rmod("reads", "Y1"))
+    arm.on("other")
+    wait_for(lambda: arm.value("Y1").values[0] == 5.0, "what the file has")
+    arm.off("other")
+    arm.kill("other")
+    log = finish(arm, path)
+    file.unlink()
+    for verdict in verify(log, ["first", "other"]):
+        assert verdict.good, str(verdict)
+        assert verdict.cycles
