@@ -13,7 +13,7 @@ DRIVERS: Final[Mapping[str, str]] = {
     "serial": "serial_driver:SerialDevice",
     "tcp": "socket_driver:TcpDevice",
     "udp": "socket_driver:UdpDevice",
-    "file": "file_driver:FileDevice",
+    "file": "mapped_file_driver:FileDevice",
     "can": "can_driver:CanDevice",
     "i2c": "i2c_driver:I2cDevice",
     "iio_adc": "iio_driver:IioAdc",

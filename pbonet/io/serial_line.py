@@ -14,7 +14,17 @@ import select
 import termios
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, cast
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    Protocol,
+    Self,
+    TypedDict,
+    TypeVar,
+    Unpack,
+    cast,
+)
 
 from pbonet.errors import DeviceError
 from pbonet.outside import Outside
@@ -23,10 +33,21 @@ from .policy import require_devices
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
 Parity = Literal["N", "E", "O"]
 T = TypeVar("T")
+
+
+class LineSettings(TypedDict, total=False):
+    """How a serial line is set, beside its speed."""
+
+    bits: int
+    """Data bits, 7 or 8."""
+    parity: Parity
+    stop: int
+    """Stop bits, 1 or 2."""
+    rtscts: bool
+    """Whether the line's handshake wires stop the flow of data."""
 
 
 class _Port(Protocol):
@@ -45,29 +66,19 @@ class SerialPort:
     Args:
         path: The line's device file, such as ``/dev/ttyUSB0``.
         baud: Bits a second.
-        bits: Data bits, 7 or 8.
-        parity: ``"N"``, ``"E"`` or ``"O"``.
-        stop: Stop bits, 1 or 2.
-        rtscts: Whether the line's handshake wires stop the flow of data.
+        settings: The others; by default 8 data bits, no parity and 1 stop bit.
     """
 
     def __init__(
-        self,
-        path: str,
-        baud: int = 9600,
-        *,
-        bits: int = 8,
-        parity: Parity = "N",
-        stop: int = 1,
-        rtscts: bool = False,
+        self, path: str, baud: int = 9600, **settings: Unpack[LineSettings]
     ) -> None:
         self.path = path
         self._settings: dict[str, Any] = {
             "baudrate": baud,
-            "bytesize": bits,
-            "parity": parity,
-            "stopbits": stop,
-            "rtscts": rtscts,
+            "bytesize": settings.get("bits", 8),
+            "parity": settings.get("parity", "N"),
+            "stopbits": settings.get("stop", 1),
+            "rtscts": settings.get("rtscts", False),
             "timeout": 0,
         }
         self._port: _Port | None = None
@@ -179,28 +190,16 @@ class SerialLine:
     Args:
         path: The line's device file, such as ``/dev/ttyUSB0``.
         baud: Bits a second.
-        bits: Data bits, 7 or 8.
-        parity: ``"N"``, ``"E"`` or ``"O"``.
-        stop: Stop bits, 1 or 2.
-        rtscts: Whether the line's handshake wires stop the flow of data.
+        settings: The others; by default 8 data bits, no parity and 1 stop bit.
 
     After an error the line is closed, and may be opened again.
     """
 
     def __init__(
-        self,
-        path: str,
-        baud: int = 9600,
-        *,
-        bits: int = 8,
-        parity: Parity = "N",
-        stop: int = 1,
-        rtscts: bool = False,
+        self, path: str, baud: int = 9600, **settings: Unpack[LineSettings]
     ) -> None:
         self.path = path
-        self._port = SerialPort(
-            path, baud, bits=bits, parity=parity, stop=stop, rtscts=rtscts
-        )
+        self._port = SerialPort(path, baud, **settings)
         self._outside = Outside(f"serial line {path}")
         self._opened = False
 
@@ -264,12 +263,7 @@ class SerialLine:
         self.open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the line."""
         self.close()
 

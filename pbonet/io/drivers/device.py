@@ -19,7 +19,6 @@ from .modes import Mode, Wait
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import TracebackType
 
     from pbonet.config import Entry
     from pbonet.outside import Outside
@@ -60,6 +59,8 @@ class Device(ABC):
     can_trunc_lsb: ClassVar[bool] = True
     one_port: ClassVar[bool] = False
     """Whether it is opened one port at a time."""
+    usual_ports: ClassVar[int] = 0
+    """How many ports it has where ``agent.toml`` does not say; 0: the driver tells."""
     settings_type: ClassVar[type[Settings]] = Settings
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
@@ -122,7 +123,7 @@ class Device(ABC):
             DeviceError: The device has no such command, or does not answer.
         """
         if command == "PORTNUM":
-            return self.entry.ports
+            return self.entry.ports or self.usual_ports
         if command == "PORTSIZE":
             return self.port_bits(port)
         raise self._no_command(command)
@@ -148,7 +149,7 @@ class Device(ABC):
             DeviceError: It was not.
         """
         if mode not in self.opening.mode:
-            raise wrong_direction(self.name, mode, self.opening.mode)
+            raise not_open_for(self.name, mode, self.opening.mode)
 
     def ask(self, call: Callable[..., Any], *args: object, default: Any) -> Any:  # noqa: ANN401
         """Return what an open device answers, recorded; in a replay, the record.
@@ -187,12 +188,7 @@ class Device(ABC):
         """Return the device itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the device."""
         self.close()
 
@@ -204,6 +200,7 @@ class StreamDevice(Device):
     waits = frozenset(Wait)
     default_wait = Wait.ONE
     one_port = True
+    usual_ports = 1
 
     @abstractmethod
     def read(self, count: int) -> bytes:
@@ -317,11 +314,11 @@ class PortDevice(Device):
 
     def read_ports(self) -> Sequence[int] | None:
         """Return the raw values of the opened ports; None: nothing new."""
-        raise NotImplementedError
+        raise NotImplementedError  # refused at open: a driver that reads has its own
 
     def write_ports(self, values: Sequence[int]) -> None:
         """Write raw values to the opened ports."""
-        raise NotImplementedError
+        raise NotImplementedError  # refused at open: a driver that writes has its own
 
     def expand(self, value: int, bits: int) -> int:
         """Return a port's value as an element of the chosen size."""
@@ -342,6 +339,7 @@ class MemoryDevice(Device):
     waits = frozenset({Wait.ALL})
     default_wait = Wait.ALL
     one_port = True
+    usual_ports = 1
 
     @abstractmethod
     def read(self, count: int, at: int = 0) -> bytes:
@@ -409,12 +407,23 @@ def settings_of(kind: type[Settings], entry: Entry, name: str) -> Settings:
         ) from None
 
 
-def wrong_direction(name: str, wanted: Mode, got: Mode) -> DeviceError:
+def not_open_for(name: str, wanted: Mode, opened: Mode) -> DeviceError:
     """Return the error for a direction that a device was not opened in."""
     return DeviceError(
         "the device is not open in this direction",
         where=name,
-        expected=str(wanted.name),
-        got=str(got.name),
+        expected=f"opened with {wanted}",
+        got=str(opened),
         remedy="name the mode when it is opened",
+    )
+
+
+def no_direction(name: str, wanted: Mode, can: Mode) -> DeviceError:
+    """Return the error for a direction that a device does not have."""
+    return DeviceError(
+        "the device cannot be opened in this direction",
+        where=name,
+        expected=f"{can}, or {Mode.NONE}",
+        got=str(wanted),
+        remedy="open it otherwise, or another device",
     )

@@ -15,17 +15,15 @@ over.
 
 from __future__ import annotations
 
-import socket
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated as A, ClassVar, Literal
 
 from msgspec import Meta
 
-from pbonet.errors import DeviceError
-
-from .device import Kind, PortDevice, Settings, wrong_direction
+from . import inet_sockets
+from .device import Kind, PortDevice, Settings, no_direction
 from .modbus_frames import TABLES, Request, TableName, check, reads, values_of, writes
-from .modbus_line import Line, TcpLine
+from .modbus_tcp import TcpLine
 from .modes import Mode, Wait
 from .port_claims import APART
 
@@ -35,6 +33,7 @@ if TYPE_CHECKING:
     from pbonet.config import Entry
     from pbonet.outside import Outside
 
+    from .modbus_line import Line
     from .modes import Opening
 
 
@@ -68,7 +67,7 @@ class ModbusDevice(PortDevice):
         """Connect with the device; see `Device.connect`."""
         o = self.opening
         if Mode.WRITE in o.mode and not self._table.write:
-            raise wrong_direction(self.name, o.mode, Mode.READ)
+            raise no_direction(self.name, o.mode, Mode.READ)
         self._line = self._made()
         self._reads = list(reads(self._table, self._first, o.end - o.start + 1))
         self._job: Sequence[Request] = ()
@@ -89,17 +88,7 @@ class ModbusDevice(PortDevice):
 
             line = {"baud": k.baud, "parity": k.parity, "stop": k.stop}
             return RtuLine(address, line, k.unit, k.timeout, self._where)
-        host, _, port = address.rpartition(":")
-        try:
-            made = socket.create_connection((host.strip("[]"), int(port)), k.timeout)
-        except (OSError, ValueError, OverflowError) as error:
-            raise DeviceError(
-                "the device cannot be reached",
-                where=self._where,
-                expected="HOST:PORT of a device that answers, or a device file",
-                got=str(error),
-                remedy="check the address, and that the device is switched on",
-            ) from None
+        made = inet_sockets.connect(address, k.timeout, self._where)
         return TcpLine(made, k.unit, k.timeout, self._where)
 
     def disconnect(self) -> None:

@@ -1,4 +1,4 @@
-"""A line that carries Modbus, and the one over TCP; `modbus_rtu` has the serial one.
+"""A line that carries Modbus; `modbus_tcp` and `modbus_rtu` have the two kinds.
 
 A line carries one request at a time: `begin` hands it over, `answer` returns what has
 come. Neither waits; `wait` does.
@@ -6,12 +6,8 @@ come. Neither waits; `wait` does.
 
 from __future__ import annotations
 
-import errno
 import select
-import socket
-import struct
 from abc import ABC, abstractmethod
-from itertools import count
 from time import monotonic
 from typing import TYPE_CHECKING, Final
 
@@ -109,71 +105,3 @@ class Line(ABC):
     @abstractmethod
     def unframed(self, request: Request) -> bytes | None:
         """Return the answer out of the bytes that came; None: it is not whole."""
-
-
-class TcpLine(Line):
-    """Modbus TCP: a header with a number before each request."""
-
-    _HEADER: Final = struct.Struct(">HHHB")
-    _SIZES: Final = range(2, 255)
-    """Of a frame beyond the header's first six bytes."""
-
-    def __init__(
-        self, connection: socket.socket, unit: int, timeout: float, where: str
-    ) -> None:
-        super().__init__(unit, timeout, where)
-        self._socket = connection
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.setblocking(False)  # noqa: FBT003
-        self._numbers = count(1)
-        self._number = 0
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-        return self._socket.fileno()
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._socket.close()
-
-    def give(self, data: bytes) -> int:
-        """Hand bytes over; return how many were taken."""
-        try:
-            return self._socket.send(data)
-        except BlockingIOError:
-            return 0
-
-    def taken(self) -> bytes:
-        """Return bytes that have come."""
-        try:
-            data = self._socket.recv(AT_ONCE)
-        except BlockingIOError:
-            return b""
-        if not data:
-            raise OSError(errno.ECONNRESET, "the other end has closed the connection")
-        return data
-
-    def framed(self, data: bytes) -> bytes:
-        """Return a request with its header."""
-        self._number = next(self._numbers) & 0xFFFF
-        return self._HEADER.pack(self._number, 0, len(data) + 1, self.unit) + data
-
-    def unframed(self, request: Request) -> bytes | None:
-        """Return the answer; the answer to a request that was given up is dropped.
-
-        Raises:
-            OSError: These are no frames of Modbus, and none can be found any more.
-        """
-        del request  # the header says how long its answer is
-        while len(self._in) >= self._HEADER.size:
-            number, protocol, size, _ = self._HEADER.unpack_from(self._in)
-            if protocol or size not in self._SIZES:
-                raise OSError(errno.EPROTO, "it does not talk Modbus")
-            end = self._HEADER.size - 1 + size
-            if len(self._in) < end:
-                return None
-            frame = bytes(self._in[self._HEADER.size : end])
-            del self._in[:end]
-            if number == self._number:
-                return frame
-        return None

@@ -13,7 +13,7 @@ from pbonet.io import require_devices
 from pbonet.outside import Outside
 
 from . import database, port_claims
-from .device import Device, wrong_direction
+from .device import Device, no_direction
 from .modes import Mode, Opening, Wait
 
 
@@ -111,7 +111,7 @@ def _check(cls: type[Device], entry: Entry, o: Opening) -> None:
         DeviceError: It cannot.
     """
     if o.mode & ~cls.can:
-        raise wrong_direction(o.name, o.mode, cls.can)
+        raise no_direction(o.name, o.mode, cls.can)
     wrong = {
         f"wait {o.wait.value}": o.wait not in cls.waits,
         f"size {o.size}": o.size not in cls.sizes,
@@ -127,7 +127,8 @@ def _check(cls: type[Device], entry: Entry, o: Opening) -> None:
                 got=what,
                 remedy="open it in another way",
             )
-    last = entry.ports - 1 if entry.ports else o.end
+    ports = entry.ports or cls.usual_ports
+    last = ports - 1 if ports else o.end
     if not 0 <= o.start <= o.end <= last or (cls.one_port and o.start != o.end):
         raise DeviceError(
             "the device has no such ports",

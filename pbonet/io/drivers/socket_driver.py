@@ -6,12 +6,11 @@ of several are read one after the other.
 
 from __future__ import annotations
 
-import errno
 import socket
+from abc import abstractmethod
 from typing import ClassVar
 
-from pbonet.errors import DeviceError
-
+from . import inet_sockets
 from .device import Settings, StreamDevice
 from .modes import Mode
 from .stream_waits import read_all, write_all
@@ -19,44 +18,31 @@ from .stream_waits import read_all, write_all
 _DATAGRAM = 65536
 
 
-class SocketSettings(Settings, frozen=True, forbid_unknown_fields=True):
-    """``[device.NAME.settings]`` of a line over a network."""
-
-    timeout: float = 2.0
-    """Seconds in which a TCP connection is made."""
-    listen: int = 0
-    """The port on which datagrams of UDP arrive; 0: any."""
-
-
 class _SocketDevice(StreamDevice):
     """A device at one connected socket."""
 
-    settings_type: ClassVar[type[Settings]] = SocketSettings
     _socket: socket.socket
 
     def connect(self) -> None:
         """Open the line; see `Device.connect`."""
-        host, _, port = self.entry.address.rpartition(":")
         self._held = bytearray()
-        try:
-            self._socket = self.made(host.strip("[]"), int(port))
-        except (OSError, ValueError, OverflowError) as error:
-            raise DeviceError(
-                "the line cannot be opened",
-                where=f"{self.name} ({self.entry.address})",
-                expected="HOST:PORT of a device that answers",
-                got=str(error),
-                remedy="check the address, and that the device is switched on",
-            ) from None
-        self._socket.setblocking(False)  # noqa: FBT003
+        self._socket = self.made(f"{self.name} ({self.entry.address})")
 
-    def made(self, host: str, port: int) -> socket.socket:
-        """Return a socket that is connected with the device."""
-        raise NotImplementedError
+    @abstractmethod
+    def made(self, where: str) -> socket.socket:
+        """Return a non-blocking socket that is connected with the device.
 
+        Raises:
+            DeviceError: The device cannot be reached.
+        """
+
+    @abstractmethod
     def taken(self, limit: int) -> bytes:
         """Return bytes that have arrived; empty if none has."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def give(self, data: bytes) -> int:
+        """Hand bytes over; return how many were taken."""
 
     def disconnect(self) -> None:
         """Close the line."""
@@ -79,51 +65,66 @@ class _SocketDevice(StreamDevice):
         return done
 
     def _write(self, data: bytes) -> int:
-        return write_all(self._socket.fileno(), self._give, data, self.opening.wait)
+        return write_all(self._socket.fileno(), self.give, data, self.opening.wait)
 
-    def _give(self, data: bytes) -> int:
-        try:
-            return self._socket.send(data)
-        except BlockingIOError:
-            return 0
+
+class TcpSettings(Settings, frozen=True, forbid_unknown_fields=True):
+    """``[device.NAME.settings]`` of a line over TCP."""
+
+    timeout: float = 2.0
+    """Seconds in which the connection is made."""
 
 
 class TcpDevice(_SocketDevice):
     """A TCP connection to a device."""
 
-    def made(self, host: str, port: int) -> socket.socket:
+    settings_type: ClassVar[type[Settings]] = TcpSettings
+
+    def made(self, where: str) -> socket.socket:
         """Return a connection."""
-        one = socket.create_connection((host, port), self.settings.timeout)
-        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return one
+        return inet_sockets.connect(self.entry.address, self.settings.timeout, where)
 
     def taken(self, limit: int) -> bytes:
         """Return bytes that have arrived."""
-        try:
-            data = self._socket.recv(limit)
-        except BlockingIOError:
-            return b""
-        if not data:
-            raise OSError(errno.ECONNRESET, "the other end has closed the connection")
-        return data
+        return inet_sockets.receive(self._socket, limit)
+
+    def give(self, data: bytes) -> int:
+        """Hand bytes over; return how many were taken."""
+        return inet_sockets.send(self._socket, data)
+
+
+class UdpSettings(Settings, frozen=True, forbid_unknown_fields=True):
+    """``[device.NAME.settings]`` of a line over UDP."""
+
+    listen: int = 0
+    """The port on which datagrams arrive; 0: any."""
 
 
 class UdpDevice(_SocketDevice):
-    """Datagrams to and from one device."""
+    """Datagrams to and from one device.
 
-    def made(self, host: str, port: int) -> socket.socket:
+    That no program listens there yet is no loss of the line.
+    """
+
+    settings_type: ClassVar[type[Settings]] = UdpSettings
+
+    def made(self, where: str) -> socket.socket:
         """Return a socket for datagrams to and from that address."""
-        (family, kind, protocol, _, where), *_ = socket.getaddrinfo(
-            host, port, type=socket.SOCK_DGRAM
-        )
-        one = socket.socket(family, kind, protocol)
+        host, _, port = self.entry.address.rpartition(":")
+        try:
+            (family, kind, protocol, _, there), *_ = socket.getaddrinfo(
+                host.strip("[]"), int(port), type=socket.SOCK_DGRAM
+            )
+            one = socket.socket(family, kind | socket.SOCK_NONBLOCK, protocol)
+        except (OSError, ValueError, OverflowError) as error:
+            raise inet_sockets.unreachable(where, error) from None
         try:
             if self.settings.listen:
                 one.bind(("", self.settings.listen))
-            one.connect(where)
-        except BaseException:
+            one.connect(there)
+        except (OSError, OverflowError) as error:
             one.close()
-            raise
+            raise inet_sockets.unreachable(where, error) from None
         return one
 
     def taken(self, limit: int) -> bytes:
@@ -131,7 +132,12 @@ class UdpDevice(_SocketDevice):
         del limit
         try:
             return self._socket.recv(_DATAGRAM)
-        except BlockingIOError:
+        except (BlockingIOError, ConnectionRefusedError):
             return b""
-        except ConnectionRefusedError:
-            return b""  # no program listens there yet: no loss of the line
+
+    def give(self, data: bytes) -> int:
+        """Send one datagram; return its length, or 0 if there is no room."""
+        try:
+            return inet_sockets.send(self._socket, data)
+        except ConnectionRefusedError:  # what an earlier one met; it is told once
+            return inet_sockets.send(self._socket, data)

@@ -64,6 +64,7 @@ def devices(tmp_path):
         "m": Entry(driver="file", address=str(file), ports=8),
         "high": Entry(driver="file", address=str(file), first=4, ports=4),
         "line": Entry(driver="serial", address=name, settings={"baud": 19200}),
+        "tcp": Entry(driver="tcp", address="localhost:1", settings={"listen": 1}),
         "strange": Entry(driver="abacus", address="x"),
         "wrong": Entry(driver="serial", address=name, settings={"boud": 9600}),
         "gone": Entry(driver="serial", address=str(tmp_path / "ttyUSB7")),
@@ -84,6 +85,8 @@ def devices(tmp_path):
         ({"name": "m", "start": 8}, "the device has no such ports"),
         ({"name": "m", "start": -1}, "the device has no such ports"),
         ({"name": "m", "start": 1, "end": 2}, "one of 0 to 7"),
+        ({"name": "line", "start": 1}, "one of 0 to 0"),
+        ({"name": "tcp", "mode": Mode.RW}, "listen"),
         ({"name": "m", "wait": Wait.NONE}, "got wait none"),
         ({"name": "m", "size": 12}, "got size 12"),
         ({"name": "m", "trunc_lsb": True}, "got trunc_lsb"),
@@ -112,7 +115,10 @@ def test_a_port_has_one_user():
 def test_a_device_has_one_user_by_whichever_path_it_is_named(devices, monkeypatch):
     link = devices["file"].with_name("link")
     link.symlink_to(devices["file"])
-    other = {"n": Entry(driver="file", address=str(link)), "m": database.entry("m")}
+    other = {
+        "n": Entry(driver="file", address=str(link), ports=8),
+        "m": database.entry("m"),
+    }
     taken = pytest.raises(DeviceError, match="a port of the device is taken")
     with database.using(other), open_device("m", 5, mode=Mode.READ), taken:
         open_device("n", 5)
@@ -319,7 +325,7 @@ def test_lines_over_a_network():
             with pytest.raises(DeviceError, match="the device is gone"):
                 [tcp.read(9) for _ in range(9)]
         server.close()
-        with pytest.raises(DeviceError, match="the line cannot be opened"):
+        with pytest.raises(DeviceError, match="the device cannot be reached"):
             open_device("tcp", mode=Mode.RW)
         with open_device("udp", mode=Mode.RW, wait=Wait.ALL) as udp:
             udp.write(b"ask")
@@ -329,6 +335,9 @@ def test_lines_over_a_network():
             other.sendto(b"two", where)
             assert udp.read(4) == b"onet"
             assert udp.read(2) == b"wo"
+            other.close()  # no program listens there now: that is no loss
+            for _ in range(3):
+                assert udp.write(b"again") == 5
 
 
 def test_what_was_read_replays_without_a_device(devices):

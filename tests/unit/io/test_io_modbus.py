@@ -233,8 +233,16 @@ def test_units_of_one_serial_line_take_turns(rtu):
     [
         ({}, {"start": COUNT}, "no such address in this table (code 2)"),
         ({"unit": 9}, {}, "got it has failed (code 4)"),  # as pymodbus says it
-        ({"table": "input"}, {"mode": Mode.WRITE}, "not open in this direction"),
-        ({"table": "discrete"}, {"mode": Mode.RW}, "not open in this direction"),
+        (
+            {"table": "input"},
+            {"mode": Mode.WRITE},
+            "cannot be opened in this direction",
+        ),
+        (
+            {"table": "discrete"},
+            {"mode": Mode.RW},
+            "cannot be opened in this direction",
+        ),
         ({"table": "inputs"}, {}, "a setting of the device is wrong"),
         ({"timeout": 0}, {}, "a setting of the device is wrong"),
         ({}, {"wait": Wait.ONE}, "cannot do this"),
