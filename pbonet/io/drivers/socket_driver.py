@@ -139,5 +139,5 @@ class UdpDevice(_SocketDevice):
         """Send one datagram; return its length, or 0 if there is no room."""
         try:
             return inet_sockets.send(self._socket, data)
-        except ConnectionRefusedError:  # what an earlier one met; it is told once
+        except ConnectionRefusedError:  # of an earlier one; the kernel says it once
             return inet_sockets.send(self._socket, data)
