@@ -180,7 +180,7 @@ def pair(task_set: SubsystemTasks, wanted: Sequence[Member]) -> None:
     """
     for member in wanted:
         if member.fallback_of:
-            task_set.stand_by(member.name, member.fallback_of, member.takeover)
+            task_set.standbys.name(member.name, member.fallback_of, member.takeover)
 
 
 def unpaired(
@@ -209,7 +209,7 @@ def part(task_set: SubsystemTasks, pairs: Sequence[tuple[Member, str]]) -> None:
     """Have tasks be the fallbacks of others no more; what fails is a warning."""
     for member, original in pairs:
         try:
-            task_set.stand_by(member.name, "")
+            task_set.standbys.name(member.name, "")
         except UnknownTaskError:
             continue  # it has died, or a stop was quicker
         except PbonetError as error:

@@ -28,6 +28,7 @@ from pbonet.pbo import State
 from pbonet.xm.net import convert, messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
+from .standbys import Standbys
 from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
 
@@ -110,6 +111,7 @@ class SubsystemTasks:
         self.silent: dict[str, PbonetError] = {}
         """The errors of the RTPUs that did not give their status when asked last."""
         self._priorities: dict[str, int] = {}  # as the RTPUs have them
+        self.standbys = Standbys(lambda: self.model, clients, self.note, warned)
 
     # -- the task model ----------------------------------------------------------------
 
@@ -558,63 +560,6 @@ class SubsystemTasks:
         self.note(status)
         return status
 
-    def stand_by(
-        self,
-        standby: str,
-        original: str,
-        takeover: float = 0.0,
-        *,
-        ready: bool | None = None,
-    ) -> None:
-        """Make a task the fallback of another one; "" ends that.
-
-        Args:
-            standby: The one.
-            original: The other one.
-            takeover: Seconds without its RTPU after which the standby takes over by
-                itself; 0: never.
-            ready: Whether it does so from now on; None: if the original is ON.
-
-        Raises:
-            PbonetError: It could not take over.
-        """
-        member, other = self.model.find(standby), self.model.get(original)
-        if other is not None:
-            away = other.rtpu != member.rtpu
-            member.original_rtpu = other.rtpu if away else ""
-        request = m.Standby(
-            task=standby,
-            original=original,
-            rtpu=member.original_rtpu if original else "",
-            takeover=takeover,
-            ready=ready if ready is not None else other is not None and other.is_on,
-        )
-        member.fallback_of, member.takeover = original, takeover
-        self.note(self.clients.call(member.rtpu, request, m.TaskStatus))
-
-    def _inform_standbys(
-        self, items: Iterable[tuple[str, str]], *, ready: bool
-    ) -> None:
-        """Inform the standbys of tasks on other RTPUs that these get an order.
-
-        What was ordered is no loss. A standby that cannot be informed is reported.
-
-        Args:
-            items: Pairs of task and signal.
-            ready: Whether the tasks were turned on, else they are to be turned off.
-        """
-        signals = {"on"} if ready else {"off", "kill"}
-        ordered = {task for task, signal in items if signal in signals}
-        for one in list(self.model):
-            original = one.fallback_of
-            if not one.original_rtpu or original not in ordered:
-                continue
-            try:
-                self.stand_by(one.name, original, one.takeover, ready=ready)
-            except PbonetError as error:
-                does = "does not stand by" if ready else "may take over"
-                self.warned(f"the fallback {one.name} of {original} {does}: {error}")
-
     def order_lost(self, items: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
         """Give tasks that cannot be reached the order to go off when they can be.
 
@@ -638,7 +583,7 @@ class SubsystemTasks:
         if not lost:
             return list(items)
         gone = {task for tasks in lost.values() for task in tasks}
-        self._inform_standbys([(task, "off") for task in gone], ready=False)
+        self.standbys.inform([(task, "off") for task in gone], ready=False)
         stop_id = secrets.token_hex(8)
         taken, errors = self.clients.each(
             lambda _: m.Replaced(stop_id=stop_id, tasks=lost, timeout=STOP_TIME),
@@ -673,10 +618,10 @@ class SubsystemTasks:
         rtpu = self.home(task, signal)
         request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
         request.replaces = list(replaces)
-        self._inform_standbys([(task, signal)], ready=False)
+        self.standbys.inform([(task, signal)], ready=False)
         status = self.clients.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
         self.model.ordered(task, signal)
-        self._inform_standbys([(task, signal)], ready=True)
+        self.standbys.inform([(task, signal)], ready=True)
         self.note(status)
         if signal == "kill":
             self._inbox.bury([task])
@@ -706,11 +651,11 @@ class SubsystemTasks:
         Raises:
             ReconfigError: An item failed; the rest was not sent.
         """
-        self._inform_standbys(items, ready=False)
+        self.standbys.inform(items, ready=False)
         states = send_signal_list.send(
             self.model, self.clients, items, CONTROL_TIME, before=before
         )
-        self._inform_standbys(items, ready=True)
+        self.standbys.inform(items, ready=True)
         self._inbox.bury(task for task, signal in items if signal == "kill")
         return states
 
