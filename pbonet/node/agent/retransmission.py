@@ -6,7 +6,7 @@ limit `TCP_USER_TIMEOUT`, after which a connection ends, also shortens the pause
 would exceed it. So while a connection retransmits, the limit is kept a moment ahead of
 now: then the kernel retransmits at that moment, and the limit is moved on before that.
 
-A connection on which nothing is confirmed for as long as a silent link is kept is shut
+A connection that confirms nothing for twice as long as a silent link is kept is shut
 down. zenoh writes out what waits before it closes a TLS link, and would do so until
 the cable is plugged in again, with the lost agent in sight all the time.
 """
@@ -40,6 +40,8 @@ the 40 ms by which a receiver may delay an acknowledgement."""
 UNSENT = 8192
 """Bytes that wait in a socket: what is written during an interruption is old at its
 end, and would be sent before all that is new."""
+GIVEN_UP = 2
+"""Times the lease of a link: zenoh itself has given it up before, or tries to."""
 _RTO_MIN_US = 45
 """The option for it, since Linux 6.15; else it is 200 ms, or `rto_min` of the route."""
 _INFO = struct.Struct("4B4xI24xI4xI8xI40xI")
@@ -91,7 +93,7 @@ class Connection:
         if state != _ESTABLISHED:
             raise OSError
         self.is_busy = bool(again or probes)
-        if self.is_busy and silent_ms > session.LEASE_MS:
+        if self.is_busy and silent_ms > GIVEN_UP * session.LEASE_MS:
             one.shutdown(socket.SHUT_RDWR)
             raise OSError
         if probes:  # nothing could be sent, as while a device is down: try it now
