@@ -467,3 +467,14 @@ def test_a_killed_rtpu_process_of_a_run_has_its_tasks_again(run, nodes, verb):
     assert "interrupted" in out, err
     assert left_of(nodes) == []
     assert not desired_state.path_of(nodes.domain, "arm1").parent.exists()
+
+
+def test_a_run_that_ends_while_an_rtpu_process_starts_again_has_failed(run, nodes):
+    process = run("--record", "off")
+    until_on(process)
+    os.kill(nodes.state("arm1").pid, signal.SIGKILL)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 1, out
+    assert "ERROR> " in out + err
+    assert "arm1 gave no status at the end" in out + err or "SIGKILL" in out + err

@@ -84,6 +84,7 @@ class Run:
         self._record = record
         self._profile = profile
         self._missing = 0
+        self._away: list[str] = []
         self._standstills = Standstills()
         self._interrupts = Interrupts()
         self._reason = ""
@@ -301,6 +302,8 @@ class Run:
                 if self._seconds is not None:
                     left = min(left, max(0.0, self._seconds - passed))
                 self._interrupts.wished.wait(left)
+        if 0 < self._missing <= _PATIENCE:  # longer absence is the reason of the end
+            self._faults.append(f"{' and '.join(self._away)} gave no status at the end")
         return seen.last(subsystem.task_set.model.killed)
 
     def _take(self, listener: Listener) -> list[m.Event]:
@@ -335,14 +338,14 @@ class Run:
             statuses = []
             self._view.say(render.warning(str(error)))
         there = {rtpu.rtpu for rtpu in statuses}
-        lost = [name for name in subsystem.clients.names if name not in there]
+        self._away = [name for name in subsystem.clients.names if name not in there]
         if ended := self._agents.ended():
             self._reason = ended[0]
             self._faults += ended
             return statuses
-        self._missing = self._missing + 1 if lost else 0
+        self._missing = self._missing + 1 if self._away else 0
         if self._missing > _PATIENCE:
-            self._reason = f"{' and '.join(lost)} cannot be reached"
+            self._reason = f"{' and '.join(self._away)} cannot be reached"
             self._faults.append(self._reason)
         return statuses
 
