@@ -235,7 +235,11 @@ class JobTask(Struct, frozen=True, kw_only=True):
     @property
     def job_places(self) -> dict[str, Place]:
         """The places in the job of settings that an RMOD could have too."""
-        said = {"RTPU": bool(self.rtpu), "RESTART": self.restart != "off"}
+        said = {
+            "TASK": True,
+            "RTPU": bool(self.rtpu),
+            "RESTART": self.restart != "off",
+        }
         return {key: self.place for key, there in said.items() if there and self.place}
 
 

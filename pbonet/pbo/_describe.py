@@ -36,6 +36,8 @@ class ParamInfo(Struct, frozen=True, kw_only=True):
     default: str = ""
     """As a LOCAL line would have it."""
     bounds: str = ""
+    names: str = ""
+    """The kind of thing that its value names, such as ``device``; else empty."""
 
 
 class ModuleInfo(Struct, frozen=True, kw_only=True):
@@ -249,6 +251,7 @@ def _params(cls: type[PortBasedObject[Any]]) -> tuple[ParamInfo, ...]:
                 required=required,
                 default="" if required else local_text(default),
                 bounds=about.bounds,
+                names=about.names,
             )
         )
     return tuple(found)

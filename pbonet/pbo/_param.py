@@ -23,6 +23,8 @@ class Param(Struct, frozen=True):
     """Limit for the sum of a tuple's values."""
     rate: float | None = None
     """Largest change of a value by one `set` while the task is ON."""
+    names: str = ""
+    """The kind of thing that its value names, such as ``device``; else empty."""
     name: str = ""
     type: str = "float"
     """``float``, ``int``, ``bool`` or ``str``, of each value."""
@@ -77,6 +79,7 @@ def param(
     lt: float | None = None,
     total: float | None = None,
     rate: float | None = None,
+    device: bool = False,
 ) -> Param:
     """Declare the unit, meaning and bounds of a parameter, within its annotation.
 
@@ -90,8 +93,11 @@ def param(
         total: What the values of a tuple must add up to, but for rounding.
         rate: Largest change of each value by one `set` while the task is ON, in `unit`;
             larger changes are made in several steps, or while it is OFF.
+        device: Its text is the logical name of a device that the module opens: the task
+            must be on an RTPU whose ``agent.toml`` has it.
 
     Returns:
         The object for the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
     """
-    return Param(unit, doc, ge, gt, le, lt, total, rate)
+    names = "device" if device else ""
+    return Param(unit, doc, ge, gt, le, lt, total, rate, names)

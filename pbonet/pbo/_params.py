@@ -520,6 +520,9 @@ def _declare(body: Declaring, attr: str, hint: object) -> Param:
     about = structs.replace(mark, name=attr, type=kind, count=count, choices=choices)
     if about.bounds and kind not in {"int", "float"}:
         raise body.error(attr, f"a {kind} has no bounds", got=about.bounds)
+    if about.names and (kind != "str" or choices):
+        what = f"the name of a {about.names} is a text"
+        raise body.error(attr, what, expected="str", got=about.type_text)
     if about.total is not None and not count:
         raise body.error(attr, "one value alone has no sum", got=about.bounds)
     if about.rate is not None and not 0 < about.rate < math.inf:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -71,6 +71,8 @@ class Code(StrEnum):
     """A robot interface goes on while the configuration is illegal."""
     RESTART = "restart"
     """A task that never comes ON unasked is to come ON."""
+    NOT_ON_RTPU = "not-on-rtpu"
+    """A task opens what its RTPU does not have, such as a device."""
     FALLBACK_RTPU = "fallback-rtpu"
     """A standby's RTPU does not go with TAKEOVER."""
     STAMP_LOOP = "stamp-loop"
@@ -194,6 +196,8 @@ class Configuration(Struct, frozen=True, kw_only=True):
     """Of the ``.sbs`` file."""
     machines: Mapping[str, str] = {}
     """The machine of each RTPU, where it is known."""
+    names: Mapping[str, Mapping[str, Sequence[str]]] = {}
+    """Names of things that each RTPU has, by kind such as ``device``, where known."""
     keeper: str = ""
     """The RTPU that keeps the table; empty: not known."""
     alone: float = 2.0

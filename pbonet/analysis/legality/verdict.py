@@ -17,6 +17,7 @@ from pbonet.errors import VerificationError, did_you_mean
 from .freshness import check_circles
 from .joins import check_ages, check_units
 from .misspelt import as_meant
+from .names_on_rtpus import check_names
 from .order import check_initialization
 from .parts import check_ports, check_task
 from .records import Code, Configuration, Problem, Severity, Task
@@ -186,7 +187,9 @@ def judge(current: Configuration, change: Change) -> Verdict:
             after = step
             if change.whole and sent == "on":
                 problems += _passing(after, name)
-    end = check(after)
+    standing = {task.name for task in current.tasks}
+    new = [task for task in change.tasks if task.name not in standing]
+    end = [*check(after), *check_names(current, new)]
     final = {problem.key for problem in end}
     problems = [problem for problem in problems if problem.key not in final] + end
     if not {sent for _, sent in change.items} & _STARTING:

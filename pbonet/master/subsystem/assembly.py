@@ -47,7 +47,7 @@ def plan(task_set: SubsystemTasks, job: JobFile) -> list[Member]:
                 error.where = str(task.place or job.file)
             errors.append(error)
             continue
-        member.restart = task.restart
+        member.restart, member.job_places = task.restart, task.job_places
         members.append(member)
         try:
             members += _fallback(task_set, task, member)
@@ -77,6 +77,8 @@ def _fallback(
     member = task_set.plan(source, source.record.rtpu or original.rtpu, None)
     member.fallback_of, member.takeover = original.name, task.takeover
     member.restart = task.restart
+    if task.place:
+        member.job_places = {"TASK": task.place}
     member.original_rtpu = original.rtpu if original.rtpu != member.rtpu else ""
     return [member]
 

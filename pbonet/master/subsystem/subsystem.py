@@ -334,7 +334,8 @@ class Subsystem:
 
         Args:
             rmod: The RMOD's name; it is also the name of the task.
-            rtpu: The RTPU; None: as the RMOD says, else the first RTPU.
+            rtpu: The RTPU; None: as the RMOD says, else the first one that has the
+                devices it opens, else the first one.
             hz: Frequency, Hz; None: as the RMOD says.
 
         Returns:

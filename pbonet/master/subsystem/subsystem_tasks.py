@@ -397,17 +397,33 @@ class SubsystemTasks:
     def plan(self, source: RmodSource, rtpu: str | None, freq: float | None) -> Member:
         """Return the task that an RMOD would become.
 
+        Without an RTPU it goes to the one that has the devices that it opens, else to
+        the first one.
+
         Raises:
             NodeError: The subsystem has no such RTPU.
             ModuleLoadError: The agent there has no such module, or it does not load.
         """
-        where = rtpu or source.record.rtpu or self.clients.names[0]
+        where = rtpu or source.record.rtpu or self._home(source.record)
         self.clients.entry(where)
         member = configuration.Member(
             source=source, rtpu=where, freq=freq or source.record.freq or 0.0
         )
         self._describe(member)
         return member
+
+    def _home(self, rmod: Rmod) -> str:
+        """Return the RTPU for a task that no file gives one."""
+        first, *others = self.clients.names
+        if not others:
+            return first
+        wanted = legality.named_things(rmod, self.info(first, rmod))
+        names = self._names() if wanted else {}
+        return legality.only_home(wanted, [first, *others], names) or first
+
+    def _names(self) -> dict[str, dict[str, list[str]]]:
+        """Return what tasks can open by name on each RTPU, asked now: by kind."""
+        return {info.name: info.names for info in self.clients.infos()}
 
     def _describe(self, member: Member) -> None:
         """Get the description of a task's module, and the task's saved profile.
@@ -475,6 +491,9 @@ class SubsystemTasks:
 
     def _problems(self, change: legality.Change | None = None) -> Problems:
         now = self.configuration()
+        coming = change.tasks if change else ()
+        if any(legality.named_things(task.rmod, task.info) for task in coming):
+            now = structs.replace(now, names=self._names())
         found = legality.judge(now, change).problems if change else legality.check(now)
         if self._whole:
             return found

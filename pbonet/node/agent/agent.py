@@ -556,6 +556,7 @@ class Agent:
             versions=LAYERS,
             python=platform.python_version(),
             libraries=list(self._rtpu_config.libraries),
+            names={"device": sorted(self._rtpu_config.devices)},
             zid=str(self._session.info.zid()) if self._session is not None else "",
             dials=self._dials,
             listens=list(self.config.listen),

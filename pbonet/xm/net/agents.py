@@ -54,6 +54,9 @@ class AgentInfo(Struct, kw_only=True):
     claims: dict[str, int] = {}
     """Subsystems that use the RTPU, and the epoch of each one's claim."""
     libraries: list[str] = []
+    names: dict[str, list[str]] = {}
+    """Names of things that tasks can open there, by kind such as ``device``; of an
+    older agent none are known."""
     zid: str = ""
     """The agent's zenoh identity; new after every start."""
     dials: list[str] = []

@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 
+import pytest
 from log_of_real_tasks import finish, record
-from nodekit import rmod
+from nodekit import rmod, svar
 from watching import wait_for
 
 from pbonet.config import Entry
-from pbonet.errors import MethodError
+from pbonet.errors import MethodError, VerificationError
+from pbonet.master.subsystem import Subsystem
 from pbonet.testing import verify
 
 READS = """
@@ -24,7 +26,7 @@ from pbonet.io.drivers import Mode, open_device
 
 
 class Where(Params):
-    device: A[str, param("none", "the device")] = "mem"
+    device: A[str, param("none", "the device", device=True)] = "mem"
 
 
 class Reads(PortBasedObject[Where]):
@@ -92,3 +94,43 @@ def test_a_device_of_a_machine_is_read_told_freed_and_replayed(nodes, tmp_path):
     for verdict in verify(log, ["first", "other"]):
         assert verdict.good, str(verdict)
         assert verdict.cycles
+
+
+def test_a_task_goes_where_its_device_is_and_is_refused_elsewhere(nodes, tmp_path):
+    file = tmp_path / "memory"
+    file.write_bytes(bytes(range(64)))
+    mem = Entry(driver="file", address=str(file), ports=8)
+    nodes.write_module("reads", READS)
+    nodes.agent_process("arm0", wait=False)
+    nodes.agent_process("arm1", wait=False, device={"mem": mem})
+    for name in ("arm0", "arm1"):
+        nodes.wait_agent(name)
+    sbs = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+    (tmp_path / "t.sbs").write_text(sbs)
+    (tmp_path / "t.svar").write_text(svar())
+    (tmp_path / "reads.rmod").write_text(rmod("reads"))
+    for name, line in {"free": "TASK reads", "far": "TASK reads arm0"}.items():
+        (tmp_path / f"{name}.job").write_text(
+            f"JOB {name}\nDESC d\nSBS t.sbs\n{line}\nEOF\n"
+        )
+    arm = Subsystem(
+        tmp_path / "t.sbs",
+        domain=nodes.domain,
+        libraries=nodes.config("arm0").libraries,
+        warned=lambda _text: None,
+        record="off",
+    ).open()
+    try:
+        for refused in (arm.check, arm.start):
+            with pytest.raises(VerificationError) as caught:
+                refused(tmp_path / "far.job")
+            said = "far.job:4:1: arm0 has no device mem, which reads opens"
+            assert said in str(caught.value)
+            assert "mem stands on arm1" in str(caught.value)
+        with pytest.raises(VerificationError, match="mem stands on arm1"):
+            arm.spawn("reads", "arm0")
+        assert not [task for one in arm.rtpu_status() for task in one.tasks]
+        (status,) = arm.start(tmp_path / "free.job")
+        assert status.rtpu == "arm1"
+    finally:
+        arm.finish()

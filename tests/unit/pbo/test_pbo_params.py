@@ -331,6 +331,11 @@ DECLARATIONS = [
     ),
     (A[str, param("rad", "gain", ge=0)], {}, "a str has no bounds (got >= 0)"),
     (
+        A[float, param("none", "gain", device=True)],
+        {},
+        "the name of a device is a text (expected str, got float)",
+    ),
+    (
         A[float, param("rad", "gain", ge=0, lt=2)],
         {"kp": 2.0},
         "the default is refused: parameter kp is out of bounds (expected float in rad, "
