@@ -64,8 +64,9 @@ def cases(stack: ExitStack) -> list[Case]:
     told = {"adc": Wait.ALL, "memory": Wait.ALL}
     opened = {
         name: stack.enter_context(
-            open_device(name, mode=Mode.RW if name == "udp" else Mode.READ,
-                        wait=told.get(name, Wait.NONE))
+            open_device(name, wait=told.get(name, Wait.NONE),
+                        **({"mode": Mode.RW, "safe": None} if name == "udp"
+                           else {"mode": Mode.READ}))
         )
         for name in entries
     }  # fmt: skip

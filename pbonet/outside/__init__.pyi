@@ -1,3 +1,4 @@
+from . import openings as openings
 from ._tape import (
     Outside as Outside,
     Tape as Tape,

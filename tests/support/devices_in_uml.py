@@ -74,8 +74,8 @@ def can():
     ]
     before = time.time_ns()
     with (
-        open_device("can", 0, mode=Mode.RW) as a,
-        open_device("can", 1, mode=Mode.RW, wait=Wait.NONE) as b,
+        open_device("can", 0, mode=Mode.RW, safe=None) as a,
+        open_device("can", 1, mode=Mode.RW, safe=None, wait=Wait.NONE) as b,
         open_device("drive", mode=Mode.READ, wait=Wait.NONE) as drive,
     ):
         nothing = b.read(9)
@@ -88,7 +88,7 @@ def can():
         link("set", "vcan0", "down")
         lost = [refused(b.read, 1), refused(a.write, [Frame(1)]), refused(b.read, 1)]
     link("set", "vcan0", "up")
-    with open_device("can", 1, mode=Mode.RW, wait=Wait.NONE) as b:
+    with open_device("can", 1, mode=Mode.RW, safe=None, wait=Wait.NONE) as b:
         again = b.write([Frame(1)])
         link("del", "vcan0")
         deleted = refused(b.read, 1)
@@ -110,12 +110,12 @@ def can():
 
 
 def i2c():
-    with open_device("words", 0, 2, mode=Mode.RW, size=16) as words:
+    with open_device("words", 0, 2, mode=Mode.RW, safe=None, size=16) as words:
         words.write([0x1234, 0xFFFE, 7])
         found = words.read()
     with open_device("words", 1, mode=Mode.READ, size=32, signed=True) as word:
         signed = word.read()
-    with open_device("bytes", 0, 1, mode=Mode.RW, size=8) as some:
+    with open_device("bytes", 0, 1, mode=Mode.RW, safe=None, size=8) as some:
         low = some.read()
         some.write([low[0], 0xAB])
         back = some.read()

@@ -213,6 +213,11 @@ class CanDevice(FrameDevice):
                     remedy="see Frame, and [device.NAME.settings] in docs/devices.md",
                 )
 
+    def check_safe(self) -> None:
+        """Refuse safe frames that this bus cannot have."""
+        for one in self.safe:
+            self._check(one)
+
     def _unusable(self, got: str) -> DeviceError:
         return DeviceError(
             "the CAN bus cannot be opened",

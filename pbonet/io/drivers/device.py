@@ -7,6 +7,7 @@ raw: units are the matter of the modules above it (section 7.3).
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, Self
 
@@ -14,7 +15,9 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import DeviceError
+from pbonet.outside import openings
 
+from . import guard
 from .modes import Mode, Wait
 
 if TYPE_CHECKING:
@@ -62,6 +65,8 @@ class Device(ABC):
     usual_ports: ClassVar[int] = 0
     """How many ports it has where ``agent.toml`` does not say; 0: the driver tells."""
     settings_type: ClassVar[type[Settings]] = Settings
+    safe_type: ClassVar[Any]
+    """The type of its safe values."""
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         self.entry, self.opening, self.outside = entry, opening, outside
@@ -69,6 +74,10 @@ class Device(ABC):
         self.settings: Any = settings_of(self.settings_type, entry, opening.name)
         self._is_open = False
         self._claim: Claim | None = None
+        self.safe: Any = None
+        """The safe values, as `write` takes them; None: it is left as it is."""
+        self._guarded = 0
+        self._openings = openings.current()
 
     def open(self, claim: Claim | None) -> None:
         """Open the device; `open_device` calls this once.
@@ -80,16 +89,82 @@ class Device(ABC):
             DeviceError: It cannot be opened; the ports are given back.
         """
         self._claim = claim
+        before = set(sys.modules)
         try:
             self.outside.ask(self.connect, default=None)
         except BaseException:
             self._release()
             raise
         self._is_open = True
+        if self.safe is None:
+            return
+        try:
+            self.check_safe()
+            if claim is not None:
+                loaded = [name for name in sys.modules if name not in before]
+                self._watch(claim, guard.Told(self.safe, loaded))
+        except BaseException:
+            self.shut()
+            raise
+        if claim is not None or self.outside.plays:
+            self._openings.add(self)
+
+    def _watch(self, claim: Claim, told: guard.Told) -> None:
+        def watch() -> None:
+            self._guarded = guard.watch(self.entry, self.opening, told, claim.fd)
+
+        self.outside.ask(watch, default=None)
 
     def _release(self) -> None:
+        number, self._guarded = self._guarded, 0
+        if number:
+            guard.forget(number)
         if self._claim is not None:
             self._claim.release()
+
+    def take_safe(self, values: object) -> None:
+        """Set the safe values.
+
+        Raises:
+            DeviceError: They are of a wrong type.
+        """
+        try:
+            plain = msgspec.to_builtins(values, builtin_types=(bytes,))
+            self.safe = msgspec.convert(plain, self.safe_type)
+        except (msgspec.ValidationError, TypeError) as error:
+            raise _no_safe(self.name, self.safe_type, str(error)) from None
+
+    def check_safe(self) -> None:
+        """Refuse safe values that the opened device cannot have; here: none.
+
+        Raises:
+            DeviceError: It cannot.
+        """
+        return
+
+    def write_safe(self) -> None:
+        """Write the safe values, and wait until the device has them.
+
+        Raises:
+            DeviceError: The device is gone, or does not answer.
+        """
+        opening = self.opening
+        self.opening = opening._replace(wait=Wait.ALL)
+        try:
+            self._write_safe()
+        finally:
+            self.opening = opening
+
+    def _write_safe(self) -> None:
+        self.write(self.safe)
+
+    @abstractmethod
+    def write(self, data: Any, /) -> Any:  # noqa: ANN401
+        """Write what its class moves.
+
+        Raises:
+            DeviceError: The device is gone, or not open for writing.
+        """
 
     @abstractmethod
     def connect(self) -> None:
@@ -101,12 +176,27 @@ class Device(ABC):
 
     @abstractmethod
     def disconnect(self) -> None:
-        """Close the hardware; safe values of outputs are the module's matter."""
+        """Close the hardware; the safe values were written before."""
 
     def close(self) -> None:
-        """Close the device and give its ports back; closing twice is allowed."""
+        """Write the safe values, close the device, and give its ports back.
+
+        Closing twice is allowed.
+
+        Raises:
+            DeviceError: The safe values could not be written; it is closed.
+        """
+        try:
+            if self._is_open and self.safe is not None:
+                self.write_safe()
+        finally:
+            self.shut()
+
+    def shut(self) -> None:
+        """Close the device without its safe values: it is lost, or was not used."""
         if self._is_open:
             self._is_open = False
+            self._openings.remove(self)
             if not self.outside.plays:
                 self.disconnect()
             self._release()
@@ -168,7 +258,7 @@ class Device(ABC):
         except DeviceError:  # it was asked for what cannot be, and works
             raise
         except OSError as error:
-            self.close()
+            self.shut()
             raise DeviceError(
                 "the device is gone",
                 where=f"{self.name} ({self.entry.address})",
@@ -201,6 +291,7 @@ class StreamDevice(Device):
     default_wait = Wait.ONE
     one_port = True
     usual_ports = 1
+    safe_type = bytes
 
     @abstractmethod
     def read(self, count: int) -> bytes:
@@ -245,6 +336,7 @@ class FrameDevice(Device):
     waits = frozenset(Wait)
     default_wait = Wait.ONE
     one_port = True
+    safe_type = list[Frame]
 
     @abstractmethod
     def read(self, count: int) -> list[Frame]:
@@ -272,6 +364,7 @@ class PortDevice(Device):
 
     waits = frozenset({Wait.ALL})
     default_wait = Wait.ALL
+    safe_type = list[int]
 
     def read(self) -> list[int]:
         """Return the value of each opened port, as elements of the chosen size.
@@ -297,6 +390,19 @@ class PortDevice(Device):
                 number of values.
         """
         self.require(Mode.WRITE)
+        self._must_fit(values)
+        o = self.opening
+        raw = [
+            self.reduce(int(value), self.port_bits(o.start + k))
+            for k, value in enumerate(values)
+        ]
+        self.ask(self.write_ports, raw, default=None)
+
+    def check_safe(self) -> None:
+        """Refuse another number of safe values than opened ports."""
+        self._must_fit(self.safe)
+
+    def _must_fit(self, values: Sequence[int]) -> None:
         o = self.opening
         if len(values) != o.end - o.start + 1:
             raise DeviceError(
@@ -306,11 +412,6 @@ class PortDevice(Device):
                 got=str(len(values)),
                 remedy="open only the ports that are written together",
             )
-        raw = [
-            self.reduce(int(value), self.port_bits(o.start + k))
-            for k, value in enumerate(values)
-        ]
-        self.ask(self.write_ports, raw, default=None)
 
     def read_ports(self) -> Sequence[int] | None:
         """Return the raw values of the opened ports; None: nothing new."""
@@ -340,6 +441,11 @@ class MemoryDevice(Device):
     default_wait = Wait.ALL
     one_port = True
     usual_ports = 1
+    safe_type = dict[int, bytes]
+
+    def _write_safe(self) -> None:
+        for at, data in self.safe.items():
+            self.write(data, at)
 
     @abstractmethod
     def read(self, count: int, at: int = 0) -> bytes:
@@ -405,6 +511,47 @@ def settings_of(kind: type[Settings], entry: Entry, name: str) -> Settings:
             got=str(error),
             remedy=f"see the driver {entry.driver} in docs/devices.md",
         ) from None
+
+
+_NAMES: Final[dict[Any, str]] = {
+    bytes: "bytes",
+    list[int]: "a number for each port",
+    list[Frame]: "a list of Frame",
+    dict[int, bytes]: "bytes by offset, as {0: bytes(4)}",
+}
+"""What the safe values of each class of devices are."""
+
+
+def _no_safe(name: str, kind: Any, got: str) -> DeviceError:  # noqa: ANN401
+    return DeviceError(
+        "the safe values of the device have a wrong type",
+        where=name,
+        expected=_NAMES[kind],
+        got=got,
+        remedy="give them as write() takes them",
+    )
+
+
+def unsaid(name: str) -> DeviceError:
+    """Return the error for a device that is written and has no safe values."""
+    return DeviceError(
+        "it is not said how the device is left when its task is not ON, or gone",
+        where=name,
+        expected="safe=VALUES, as write() takes them, or safe=None",
+        remedy="name the values that are safe; with safe=None it keeps what was "
+        "written last",
+    )
+
+
+def never_written(name: str) -> DeviceError:
+    """Return the error for safe values of a device that is not written."""
+    return DeviceError(
+        "a device that is not written has no safe values",
+        where=name,
+        expected="mode=Mode.WRITE or Mode.RW",
+        got="safe=",
+        remedy="name the mode, or leave safe= out",
+    )
 
 
 def not_open_for(name: str, wanted: Mode, opened: Mode) -> DeviceError:

@@ -109,6 +109,11 @@ class FileDevice(MemoryDevice):
         if _size(self._fd) < self._ends_at:
             raise OSError("the file has become shorter")
 
+    def check_safe(self) -> None:
+        """Refuse safe values beyond the memory."""
+        for at, data in self.safe.items():
+            self._check(len(data), at)
+
     def _unusable(self, error: Exception) -> DeviceError:
         return DeviceError(
             "the memory of the device cannot be mapped",

@@ -123,6 +123,9 @@ class ModbusDevice(PortDevice):
             self._next = values
             self._go_on()
         else:
+            self._next = None
+            with suppress(OSError):  # of a request that did not wait
+                self._finish()
             self._begin(list(writes(self._table, self._first, values)), writes=True)
             self._finish()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -13,7 +13,7 @@ from pbonet.io import require_devices
 from pbonet.outside import Outside
 
 from . import database, port_claims
-from .device import Device, no_direction
+from .device import Device, never_written, no_direction, unsaid
 from .modes import Mode, Opening, Wait
 
 
@@ -47,6 +47,10 @@ def _no_driver(entry: Entry, name: str, got: str) -> DeviceError:
     )
 
 
+UNSAID: Final = object()
+"""The value of `safe` where nothing was said."""
+
+
 def open_device(
     name: str,
     start: int = 0,
@@ -57,6 +61,7 @@ def open_device(
     size: int = 32,
     signed: bool = False,
     trunc_lsb: bool = False,
+    safe: object = UNSAID,
 ) -> Any:  # noqa: ANN401 - its class is that of the driver
     """Open ports of a device, in ``init`` (iodOpen of Stewart 1994, section 7.2.1).
 
@@ -71,6 +76,9 @@ def open_device(
         size: Bits of an element: 8, 16 or 32.
         signed: A value that is expanded keeps its sign.
         trunc_lsb: A value that is reduced loses its lowest bits.
+        safe: Of a device that is written: what is written to it when it is closed, when
+            the task comes to OFF or ERROR or ends, and when its process is gone, as
+            `write` takes it; of memory, bytes by offset. None: nothing is.
 
     Returns:
         A `StreamDevice`, `FrameDevice`, `PortDevice` or `MemoryDevice`, by its driver.
@@ -97,11 +105,27 @@ def open_device(
     )
     _check(cls, entry, chosen)
     device = cls(entry, chosen, outside)
+    _take_safe(device, mode, safe)
     # A refusal is recorded and raised again; a claim is no answer, and is not recorded.
     claims: list[port_claims.Claim] = []
     outside.ask(lambda: claims.append(port_claims.claim(entry, chosen)), default=None)
     device.open(claims[0] if claims else None)
     return device
+
+
+def _take_safe(device: Device, mode: Mode, safe: object) -> None:
+    """Give a device its safe values; one that is written must have them, or None.
+
+    Raises:
+        DeviceError: It is not said, they are of a wrong type, or it is not written.
+    """
+    if safe is UNSAID and Mode.WRITE in mode:
+        raise unsaid(device.name)
+    if safe is UNSAID or safe is None:
+        return
+    if Mode.WRITE not in mode:
+        raise never_written(device.name)
+    device.take_safe(safe)
 
 
 def _check(cls: type[Device], entry: Entry, o: Opening) -> None:

@@ -59,12 +59,15 @@ class Claim:
     """
 
     def __init__(self, fd: int) -> None:
-        self._fd = fd
+        self.fd = fd
 
     def release(self) -> None:
-        """Give the ports back."""
-        fd, self._fd = self._fd, -1
+        """Give the ports back, also where another process has the descriptor."""
+        fd, self.fd = self.fd, -1
         if fd >= 0:
+            none = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
+            with suppress(OSError):
+                fcntl.fcntl(fd, fcntl.F_OFD_SETLK, none)
             os.close(fd)
 
 

@@ -22,6 +22,7 @@ from pbonet.node.wire import (
     rule,
     signal_event,
 )
+from pbonet.outside import openings
 from pbonet.pbo import (
     Answer,
     Counted,
@@ -89,6 +90,7 @@ class Executor:
         """The last failure of a method, whatever `error` answered."""
         self.cycling: Callable[[], str] = lambda: "cycle"
         """Returns the method that runs now; set by the owner of a native loop."""
+        self._devices = openings.Openings()
         self._spent = False
         self._outdated = False
         self._actions = LifecycleSteps(instance, copies, illegal)
@@ -224,6 +226,7 @@ class Executor:
         if self.state is not State.ON:
             rule(self.state, Event.WAKEUP, where=self.task.name)
         self._actions.dt = dt
+        openings.use(self._devices)
         counted = self._counted
         if counted is not None:
             counted.release = now
@@ -253,6 +256,7 @@ class Executor:
             StateError: The task is not ON.
         """
         found = rule(self.state, Event.SYNC, where=self.task.name)
+        openings.use(self._devices)
         try:
             self._steps(found, found.steps)
         except StepFailed as failed:
@@ -342,6 +346,7 @@ class Executor:
         return self.state
 
     def _enter(self, found: Rule) -> None:
+        openings.use(self._devices)
         task = self.task
         task.nextstate = found.to
         task.on_fail = self._on_fail if found.failure is Failure.ERROR else None
@@ -369,7 +374,14 @@ class Executor:
             raise StepFailed(step, contained(error)) from None
 
     def _go(self, state: State) -> None:
-        """Enter `state`."""
+        """Enter `state`; in any but ON the devices of the task have safe values."""
+        if state is not State.ON:
+            gone = state is State.NOT_CREATED
+            for error in self._devices.make_safe(close=gone):
+                self.task.warn(f"the safe values were not written: {error}")
+        self._enter_state(state)
+
+    def _enter_state(self, state: State) -> None:
         task = self.task
         self.state = task.state = task.nextstate = state
         task.on_fail = self._on_fail if state is State.ON else None
@@ -517,4 +529,4 @@ class Executor:
         except RAISED as error:
             raise self._described(cause := contained(error), str(step)) from cause
         finally:
-            self._go(self.state)
+            self._enter_state(self.state)

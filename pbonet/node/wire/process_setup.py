@@ -276,6 +276,14 @@ def end_marked(mark: str) -> int:
     return count
 
 
+def has_in_environment(pid: int, variable: str) -> bool:
+    """Return whether a process that lives was started with an environment variable."""
+    with contextlib.suppress(OSError):
+        all_of_it = Path(f"/proc/{pid}/environ").read_bytes()
+        return b"\0" + variable.encode() + b"=" in b"\0" + all_of_it
+    return False
+
+
 def _processes() -> list[int]:
     return [int(one.name) for one in Path("/proc").iterdir() if one.name.isdecimal()]
 

@@ -36,7 +36,7 @@ def latch(tmp_path, monkeypatch):
 
 
 def test_its_driver_reads_and_writes_ports(latch):
-    with open_device("latch", 1, 2, mode=Mode.RW, size=8) as ports:
+    with open_device("latch", 1, 2, mode=Mode.RW, safe=None, size=8) as ports:
         assert ports.read() == [3, 4]
         ports.write([200, -1])
     assert latch.read_bytes() == bytes((0, 1, 2, 200, 255, 5, 6, 7))

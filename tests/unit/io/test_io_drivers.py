@@ -81,7 +81,7 @@ def devices(tmp_path):
         ({"name": "lime"}, "did you mean line?"),
         ({"name": "strange"}, "there is no driver abacus"),
         ({"name": "wrong"}, "boud"),
-        ({"name": "gone", "mode": Mode.RW}, "No such file"),
+        ({"name": "gone", "mode": Mode.RW, "safe": None}, "No such file"),
         ({"name": "m", "start": 8}, "the device has no such ports"),
         ({"name": "m", "start": -1}, "the device has no such ports"),
         ({"name": "m", "start": 1, "end": 2}, "one of 0 to 7"),
@@ -156,7 +156,7 @@ def test_the_ports_of_a_killed_process_are_free(devices):
 def test_devices_are_listed_with_the_users_of_their_ports(devices):
     whole = {"all": Entry(driver="file", address=str(devices["file"]))}
     names = "m", "high", "line"
-    with open_device("m", 6, mode=Mode.RW), open_device("m", 1):
+    with open_device("m", 6, mode=Mode.RW, safe=None), open_device("m", 1):
         found = {one.name: one for one in listed({**kept(*names), **whole})}
     assert [*found] == ["all", "high", "line", "m"]
     assert [one.kind for one in found.values()] == ["MEM", "MEM", "SIO", "MEM"]
@@ -240,7 +240,7 @@ def test_a_task_without_devices_loads_no_driver():
 
 
 def test_memory_is_read_written_mapped_and_guarded(devices):
-    with open_device("m", 0, mode=Mode.RW) as m:
+    with open_device("m", 0, mode=Mode.RW, safe=None) as m:
         assert m.read(3, at=61) == bytes((61, 62, 63))
         assert m.write(b"ab", at=4) == 2
         assert m.mmap()[4:6] == b"ab"
@@ -276,7 +276,7 @@ def test_directions_are_kept():
     ],
 )
 def test_a_line_waits_as_it_was_opened(devices, wait, there, asked, got):
-    with open_device("line", mode=Mode.RW, wait=wait) as line:
+    with open_device("line", mode=Mode.RW, safe=None, wait=wait) as line:
         os.write(devices["master"], there)
         fd = line._line.fileno()
         wait_for(lambda: waiting(fd) == len(there), "the bytes")
@@ -293,7 +293,7 @@ def waiting(fd):
 
 
 def test_a_line_is_set_and_lost(devices):
-    with open_device("line", mode=Mode.RW, wait=Wait.NONE) as line:
+    with open_device("line", mode=Mode.RW, safe=None, wait=Wait.NONE) as line:
         assert line.status("SIO_GET") == SioParam(19200, 8, 1, "N")
         line.control("SIO_SET", SioParam(9600, 7, 2, "E"))
         assert line.status("SIO_GET").baud == 9600
@@ -315,7 +315,7 @@ def test_lines_over_a_network():
         "udp": Entry(driver="udp", address=f"127.0.0.1:{other.getsockname()[1]}"),
     }
     with server, other, database.using(entries):
-        with open_device("tcp", mode=Mode.RW) as tcp:
+        with open_device("tcp", mode=Mode.RW, safe=None) as tcp:
             peer, _ = server.accept()
             assert tcp.write(b"ask") == 3
             assert peer.recv(9) == b"ask"
@@ -326,8 +326,8 @@ def test_lines_over_a_network():
                 [tcp.read(9) for _ in range(9)]
         server.close()
         with pytest.raises(DeviceError, match="the device cannot be reached"):
-            open_device("tcp", mode=Mode.RW)
-        with open_device("udp", mode=Mode.RW, wait=Wait.ALL) as udp:
+            open_device("tcp", mode=Mode.RW, safe=None)
+        with open_device("udp", mode=Mode.RW, safe=None, wait=Wait.ALL) as udp:
             udp.write(b"ask")
             data, where = other.recvfrom(9)
             assert data == b"ask"

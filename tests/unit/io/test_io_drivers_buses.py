@@ -60,7 +60,7 @@ def raw():
 
 
 def opened(name="can", port=0, wait=Wait.NONE):
-    return open_device(name, port, mode=Mode.RW, wait=wait)
+    return open_device(name, port, mode=Mode.RW, safe=None, wait=wait)
 
 
 def plain(frames):
@@ -195,7 +195,7 @@ def test_directions_of_a_bus_are_kept():
     ):
         a.write([Frame(1)])
     with (
-        open_device("can", mode=Mode.WRITE) as a,
+        open_device("can", mode=Mode.WRITE, safe=None) as a,
         pytest.raises(DeviceError, match=told),
     ):
         a.read(1)
@@ -274,7 +274,7 @@ def there(monkeypatch):
 
 @pytest.mark.parametrize(("name", "first"), [("chip", 0x34), ("big", 0x12)])
 def test_registers_have_their_order_of_bytes(there, name, first):
-    with open_device(name, 1, 2, mode=Mode.RW, size=16, signed=True) as two:
+    with open_device(name, 1, 2, mode=Mode.RW, safe=None, size=16, signed=True) as two:
         two.write([0x1234, -2])
         assert there.paths == ["/dev/i2c-1"]
         assert there.bytes[0x48, 2] == first
@@ -285,14 +285,14 @@ def test_registers_have_their_order_of_bytes(there, name, first):
 
 
 def test_registers_of_bytes(there):
-    with open_device("bytes", 0, 2, mode=Mode.RW, size=8) as three:
+    with open_device("bytes", 0, 2, mode=Mode.RW, safe=None, size=8) as three:
         three.write([1, 2, 0xFF])
         assert there.bytes == {(0x48, 1): 1, (0x48, 2): 2, (0x48, 9): 0xFF}
         assert three.read() == [1, 2, 0xFF]
 
 
 def test_logical_devices_share_a_chip(there):
-    with open_device("last", mode=Mode.RW) as last:
+    with open_device("last", mode=Mode.RW, safe=None) as last:
         last.write([7])
         assert there.bytes[0x48, 9] == 7
         assert last.status("PORTNUM") == 1
@@ -338,7 +338,7 @@ def test_a_driver_of_the_kernel_at_the_chip_is_named(there, monkeypatch):
 def test_both_replay_without_a_device(there, raw, monkeypatch):
     def run():
         found = []
-        with opened() as a, open_device("chip", mode=Mode.RW) as one:
+        with opened() as a, open_device("chip", mode=Mode.RW, safe=None) as one:
             if not a.outside.plays:
                 raw.send(can.Message(arbitration_id=7, data=b"abc"))
             found += [a.read(9), a.read(9), a.write([Frame(1)])]

@@ -68,7 +68,7 @@ def test_channels_are_chosen_and_raw_values_have_their_bits(folder):
 def test_values_are_written_with_the_sign_of_their_channel(folder):
     with (
         device(folder, "iio_dac"),
-        open_device("x", 0, 1, mode=Mode.WRITE, size=16) as dac,
+        open_device("x", 0, 1, mode=Mode.WRITE, safe=None, size=16) as dac,
     ):
         dac.write([65535, 0xFE])
         assert written(folder, "out_voltage0_raw") == "65535"
@@ -87,7 +87,11 @@ def test_values_are_written_with_the_sign_of_their_channel(folder):
         ({}, {"mode": Mode.WRITE}, "cannot be opened in this direction"),
         ({}, {"wait": Wait.NONE}, "cannot do this"),
         ({"driver": "iio_dac"}, {}, "cannot be opened in this direction"),
-        ({"driver": "iio_dac"}, {"mode": Mode.WRITE, "start": 2}, "no such ports"),
+        (
+            {"driver": "iio_dac"},
+            {"mode": Mode.WRITE, "safe": None, "start": 2},
+            "no such ports",
+        ),
         ({"bits": 0}, {}, "a setting of the device is wrong"),
     ],
 )
@@ -136,7 +140,7 @@ def test_what_the_kernel_answers_is_told(folder, monkeypatch, driver, number, to
         return one.read() if driver == "iio_adc" else one.write([3])
 
     mode = Mode.READ if driver == "iio_adc" else Mode.WRITE
-    with device(folder, driver), open_device("x", mode=mode) as one:
+    with device(folder, driver), open_device("x", mode=mode, safe=None) as one:
         with monkeypatch.context() as patch:
             patch.setattr(os, "pread", refuses)
             patch.setattr(os, "pwrite", refuses)
@@ -147,7 +151,7 @@ def test_what_the_kernel_answers_is_told(folder, monkeypatch, driver, number, to
         else:
             with pytest.raises(DeviceError, match="the device is not open"):
                 move(one)
-            open_device("x", mode=mode).close()  # its ports are free
+            open_device("x", mode=mode, safe=None).close()  # its ports are free
 
 
 def test_what_was_read_replays_without_a_device(folder):

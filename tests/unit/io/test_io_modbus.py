@@ -140,7 +140,7 @@ def device(address, first=0, **settings):
 def opened(entry, *ports, mode=Mode.RW, **how):
     with (
         database.using({"plc": entry}),
-        open_device("plc", *ports, mode=mode, **how) as x,
+        open_device("plc", *ports, mode=mode, safe=None, **how) as x,
     ):
         yield x
 
@@ -491,7 +491,7 @@ def test_a_line_that_was_unplugged_is_opened_anew():
 
 def test_what_was_read_replays_without_a_device(tcp):
     def run():
-        with open_device("plc", 1, 3, mode=Mode.RW, wait=Wait.NONE) as plc:
+        with open_device("plc", 1, 3, mode=Mode.RW, safe=None, wait=Wait.NONE) as plc:
             found = []
             wait_for(lambda: found.append(plc.read()) or found[-1], "the values")
             plc.write([1, 2, 3])

@@ -1,0 +1,64 @@
+"""The devices that a task has open for writing: made safe whenever it is not ON.
+
+A task's executor makes its own `Openings` the current one before it runs code of the
+module. `open_device` enters what it opens there. A program without an executor has one
+for all.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from pbonet.errors import DeviceError
+
+
+class Writer(Protocol):
+    """An open device with safe values."""
+
+    def write_safe(self) -> None:
+        """Write the safe values, and wait until the device has them."""
+
+    def close(self) -> None:
+        """Write the safe values and close the device."""
+
+
+class Openings:
+    """The open devices of one task that have safe values, the oldest first."""
+
+    def __init__(self) -> None:
+        self._open: list[Writer] = []
+
+    def add(self, device: Writer) -> None:
+        """Enter a device that was opened."""
+        self._open.append(device)
+
+    def remove(self, device: Writer) -> None:
+        """Forget a device that was closed or lost; harmless if it is not here."""
+        self._open = [one for one in self._open if one is not device]
+
+    def make_safe(self, *, close: bool) -> list[DeviceError]:
+        """Write the safe values of all devices; return what could not be done.
+
+        Args:
+            close: Close them as well: the task ends.
+        """
+        errors: list[DeviceError] = []
+        for device in self._open:
+            try:
+                (device.close if close else device.write_safe)()
+            except DeviceError as error:
+                errors.append(error)
+        return errors
+
+
+_current = [Openings()]
+
+
+def use(openings: Openings) -> None:
+    """Have devices that are opened from now on entered here."""
+    _current[0] = openings
+
+
+def current() -> Openings:
+    """Return where devices are entered now."""
+    return _current[0]

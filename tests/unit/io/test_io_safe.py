@@ -1,0 +1,299 @@
+"""Safe values: written when a device is closed, its task is not ON, or is gone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated as A
+
+import pytest
+from watching import wait_for
+
+from pbonet import OutVar, PortBasedObject
+from pbonet.errors import DeviceError, MethodError
+from pbonet.io.drivers import (
+    GUARD,
+    Entry,
+    Frame,
+    Mode,
+    Wait,
+    database,
+    guard,
+    open_device,
+    port_claims,
+)
+from pbonet.testing import Bench
+
+SAFE = {2: b"\x00\x07"}
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    """A file of 16 bytes of 255, and devices: it, an address, a CAN bus."""
+    path = tmp_path / "memory"
+    path.write_bytes(b"\xff" * 16)
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path))
+    tmp_path.chmod(0o700)
+    can = {"interface": "virtual"}
+    entries = {
+        "m": Entry(driver="file", address=str(path), ports=4),
+        "dac": Entry(driver="iio_dac", address=str(tmp_path / "dac")),
+        "udp": Entry(driver="udp", address="127.0.0.1:9"),
+        "can": Entry(driver="can", address="safe", settings=can),
+    }
+    (tmp_path / "dac").mkdir()
+    for k in range(2):
+        (tmp_path / "dac" / f"out_voltage{k}_raw").write_text("0\n")
+    with database.using(entries, "arm0/acts"):
+        yield path
+
+
+def of(file):
+    return file.read_bytes()[2:4]
+
+
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        ({"name": "m", "mode": Mode.WRITE}, "safe=VALUES, as write() takes them, or"),
+        ({"name": "m", "mode": Mode.RW}, "safe=None"),
+        ({"name": "m", "safe": SAFE}, "a device that is not written has no safe"),
+        ({"name": "m", "mode": Mode.RW, "safe": b"0"}, "expected bytes by offset"),
+        ({"name": "m", "mode": Mode.RW, "safe": {15: b"00"}}, "got 15 to 16"),
+        ({"name": "dac", "mode": Mode.WRITE, "safe": [0, 0]}, "expected 1, got 2"),
+        ({"name": "dac", "mode": Mode.WRITE, "safe": ["x"]}, "a number for each port"),
+        ({"name": "udp", "mode": Mode.RW, "safe": [1]}, "expected bytes"),
+        ({"name": "can", "mode": Mode.RW, "safe": [1]}, "expected a list of Frame"),
+        ({"name": "can", "mode": Mode.RW, "safe": [Frame(4096)]}, "0 to 7FFh"),
+    ],
+)
+@pytest.mark.usefixtures("file")
+def test_what_cannot_be_safe_is_refused_at_open(what, told):
+    with pytest.raises(DeviceError) as caught:
+        open_device(**what)
+    assert told in str(caught.value)
+    entry = database.entry(what["name"])
+    assert list(port_claims.users(entry, range(4))) == []
+
+
+def test_a_device_that_is_closed_has_its_safe_values(file):
+    with open_device("m", mode=Mode.RW, safe=SAFE) as m:
+        m.write(b"\x01" * 16)
+    assert file.read_bytes() == b"\x01\x01\x00\x07" + b"\x01" * 12
+    with open_device("m", mode=Mode.RW, safe=None) as m:
+        m.write(b"\x02" * 16)
+    assert file.read_bytes() == b"\x02" * 16
+
+
+def test_safe_values_are_written_whole_also_where_no_call_waits(file):
+    frames = [Frame(1, b"a"), Frame(2, b"b")]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:
+        far.bind(("127.0.0.1", 0))
+        far.settimeout(60.0)
+        where = f"127.0.0.1:{far.getsockname()[1]}"
+        entries = {
+            "udp": Entry(driver="udp", address=where),
+            "can": database.entry("can"),
+        }
+        with (
+            database.using(entries),
+            open_device("can", 1, mode=Mode.READ, wait=Wait.ALL) as heard,
+        ):
+            open_device("udp", mode=Mode.WRITE, wait=Wait.NONE, safe=b"stop").close()
+            open_device("can", mode=Mode.WRITE, wait=Wait.NONE, safe=frames).close()
+            assert far.recv(64) == b"stop"
+            assert [one[:2] for one in heard.read(2)] == [(1, b"a"), (2, b"b")]
+    assert of(file) == b"\xff\xff"
+
+
+class Acts(PortBasedObject):
+    """Writes 255 to its device in each cycle, and after `off`; raises when it is told."""
+
+    y: A[float, OutVar("Y", "1", "none", "cycles")]
+    fails: str = ""
+
+    def init(self) -> None:
+        self.memory = open_device("m", mode=Mode.RW, safe=SAFE)
+        self.acts("init")
+
+    def acts(self, method: str) -> None:
+        self.memory.write(b"\xff\xff", 2)
+        if self.fails == method:
+            raise ValueError(method)
+
+    def on(self) -> None:
+        self.acts("on")
+
+    def cycle(self, dt: float) -> None:
+        self.acts("cycle")
+
+    def off(self) -> None:
+        self.acts("off")
+
+    def kill(self) -> None:
+        self.acts("kill")
+
+
+@pytest.mark.parametrize(
+    ("how", "state"),
+    [
+        ("off", "OFF"),
+        ("off fails", "ERROR"),
+        ("kill", "NOT-CREATED"),
+        ("kill fails", "NOT-CREATED"),
+        ("cycle fails", "ERROR"),
+    ],
+)
+def test_a_task_that_is_not_on_has_safe_values(file, how, state):
+    """The module itself writes something else in every method."""
+    with Bench(Acts) as bench:
+        assert of(file) == b"\x00\x07"  # after init
+        bench.on()
+        bench.step()
+        assert of(file) == b"\xff\xff"
+        signal_name, _, fails = how.partition(" ")
+        bench.module.fails = signal_name if fails else ""
+        with suppress(MethodError):
+            if signal_name == "cycle":
+                bench.executor.cycle(0.01)
+            else:
+                bench.executor.signal(signal_name)
+        assert bench.executor.state == state
+        assert of(file) == b"\x00\x07"
+        assert bool(list(port_claims.users(database.entry("m"), range(4)))) == (
+            state != "NOT-CREATED"
+        )
+
+
+def test_an_on_that_fails_leaves_safe_values(file):
+    with Bench(Acts) as bench:
+        bench.module.fails = "on"
+        with pytest.raises(MethodError):
+            bench.on()
+        assert of(file) == b"\x00\x07"
+
+
+class Quiet(PortBasedObject):
+    """Writes its port's number to its byte in each cycle, and does no more."""
+
+    y: A[float, OutVar("Y", "1", "none", "cycles")]
+    port: int = 0
+
+    def init(self) -> None:
+        at = 2 + self.port
+        self.memory = open_device("m", self.port, mode=Mode.RW, safe={at: b"\0"})
+
+    def cycle(self, dt: float) -> None:
+        self.memory.write(bytes((self.port + 1,)), 2 + self.port)
+
+
+class Second(Quiet):
+    """The same at another port."""
+
+    port = 1
+
+
+def test_one_task_makes_only_its_own_devices_safe(file):
+    with Bench(Quiet) as first, Bench(Second) as second:
+        for bench in (first, second):
+            bench.on()
+            bench.step()
+        assert of(file) == b"\1\2"
+        first.executor.signal("off")
+        assert of(file) == b"\0\2"
+        second.executor.signal("off")
+        assert of(file) == b"\0\0"
+
+
+def test_safe_values_that_cannot_be_written_are_told_and_the_task_goes_off(file):
+    with Bench(Quiet) as bench:
+        bench.on()
+        os.truncate(file, 2)
+        bench.executor.signal("off")
+        assert bench.executor.state == "OFF"
+        told = [str(one) for one in bench.notices()]
+        assert any("the safe values were not written" in one for one in told)
+
+
+PROGRAM = """
+import os, sys, time
+from pbonet.io.drivers import Entry, Mode, database, open_device
+how, path = sys.argv[1:]
+with database.using({"m": Entry(driver="file", address=path, ports=4)}, "arm0/acts"):
+    kept = open_device("m", mode=Mode.RW, safe={2: b"\\0\\7"})
+    other = open_device("m", 1, mode=Mode.RW, safe={12: b"\\5"})
+    left = open_device("m", 2, mode=Mode.RW, safe=None)
+    for one in (kept, other, left):
+        one.write(b"\\1" * 16)
+    if how == "closed":
+        other.close()
+        other = open_device("m", 1, mode=Mode.RW, safe=None)
+        other.write(b"\\1" * 16)
+    if how == "forked" and not os.fork():
+        time.sleep(60)
+    print("ready", flush=True)
+    sys.stdin.readline()
+    if how == "ends":
+        sys.exit(0)
+"""
+
+
+@pytest.mark.parametrize("how", ["killed", "closed", "forked", "ends", "group"])
+def test_a_process_that_is_gone_leaves_safe_values_and_free_ports(file, how):
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, how, str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        entry = database.entry("m")
+        users = list(port_claims.users(entry, range(4)))
+        assert [one.port for one in users] == [0, 1, 2]
+        assert of(file) == b"\x01\x01"
+        try:
+            if how == "ends":
+                process.stdin.write("\n")
+                process.stdin.flush()
+            elif how == "group":
+                os.killpg(process.pid, signal.SIGKILL)
+            else:
+                process.kill()
+            process.stdout.close()
+            wait_for(
+                lambda: not list(port_claims.users(entry, range(2))), "the ports free"
+            )
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)
+    written = bytearray(b"\x01" * 16)
+    written[2:4] = SAFE[2]
+    if how != "closed":
+        written[12] = 5
+    assert file.read_bytes() == bytes(written)
+
+
+def test_a_guard_that_was_killed_is_replaced(file):
+    with open_device("m", mode=Mode.RW, safe=SAFE):
+        first = guard.guard().pid
+        os.kill(first, signal.SIGKILL)
+        os.waitpid(first, 0)
+    with open_device("m", mode=Mode.RW, safe=SAFE):
+        assert guard.guard().pid != first
+        environ = Path(f"/proc/{guard.guard().pid}/environ").read_bytes()
+        assert f"{GUARD}={os.getpid()}".encode() in environ.split(b"\0")
+    assert of(file) == b"\x00\x07"
+
+
+@pytest.mark.usefixtures("file")
+def test_where_there_can_be_no_guard_nothing_is_opened(monkeypatch):
+    guard.lose()
+    monkeypatch.setattr(sys, "executable", "/no/python")
+    with pytest.raises(DeviceError, match="no process can guard the device"):
+        open_device("m", mode=Mode.RW, safe=SAFE)
+    assert not list(port_claims.users(database.entry("m"), range(4)))
