@@ -15,8 +15,8 @@ from pbonet.errors import DeviceError
 class Writer(Protocol):
     """An open device with safe values."""
 
-    def write_safe(self) -> None:
-        """Write the safe values, and wait until the device has them."""
+    def write_safe(self, *, wait: bool = True) -> None:
+        """Write the safe values; see `pbonet.io.drivers.Device`."""
 
     def close(self) -> None:
         """Write the safe values and close the device."""
@@ -35,6 +35,15 @@ class Openings:
     def remove(self, device: Writer) -> None:
         """Forget a device that was closed or lost; harmless if it is not here."""
         self._open = [one for one in self._open if one is not device]
+
+    def repeat(self) -> None:
+        """Write the safe values of all devices in a cycle, as a module would.
+
+        Raises:
+            DeviceError: A device is gone.
+        """
+        for device in self._open:
+            device.write_safe(wait=False)
 
     def make_safe(self, *, close: bool) -> list[DeviceError]:
         """Write the safe values of all devices; return what could not be done.

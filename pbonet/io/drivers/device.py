@@ -99,7 +99,7 @@ class Device(ABC):
         if self.safe is None:
             return
         try:
-            self.check_safe()
+            self.outside.ask(self.check_safe, default=None)
             if claim is not None:
                 loaded = [name for name in sys.modules if name not in before]
                 self._watch(claim, guard.Told(self.safe, loaded))
@@ -142,13 +142,19 @@ class Device(ABC):
         """
         return
 
-    def write_safe(self) -> None:
-        """Write the safe values, and wait until the device has them.
+    def write_safe(self, *, wait: bool = True) -> None:
+        """Write the safe values.
+
+        Args:
+            wait: Wait until the device has them, however it was opened.
 
         Raises:
             DeviceError: The device is gone, or does not answer.
         """
         opening = self.opening
+        if not wait:
+            self._write_safe()
+            return
         self.opening = opening._replace(wait=Wait.ALL)
         try:
             self._write_safe()

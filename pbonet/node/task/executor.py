@@ -90,11 +90,11 @@ class Executor:
         """The last failure of a method, whatever `error` answered."""
         self.cycling: Callable[[], str] = lambda: "cycle"
         """Returns the method that runs now; set by the owner of a native loop."""
-        self._devices = openings.Openings()
         self._spent = False
         self._outdated = False
         self._actions = LifecycleSteps(instance, copies, illegal)
         self._do = self._actions.do
+        self._devices = self._actions.devices
         self._wakeup = tuple(
             self._do[step] for step in RULES[State.ON, Event.WAKEUP].steps
         )
@@ -108,7 +108,7 @@ class Executor:
         return self._actions.critical
 
     def write_safe(self, dt: float) -> None:
-        """Write the safe value of each out-var that has one."""
+        """Write the safe values of out-vars and devices that have some."""
         self._actions.safe(dt)
 
     # -- signals ----------------------------------------------------------------------

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import DeclarationError, PbonetError, PortError, SvarError
 from pbonet.node.wire import Step
+from pbonet.outside import openings
 from pbonet.pbo import Counted, PortBasedObject, check_sizes, memory, write_safe
 from pbonet.ports import Kind, is_safe
 from pbonet.svar import Action
@@ -33,7 +34,7 @@ class LifecycleSteps:
             `cycle`.
         cede: Whether a successor takes over the out-vars in its own claim.
         critical: What runs in place of `cycle` while the flag is up.
-        safe: Writes the safe values of the out-vars.
+        devices: What the module has open for writing.
 
     Raises:
         DeclarationError: A CRITICAL task whose module has no ``stable`` and no safe
@@ -67,7 +68,8 @@ class LifecycleSteps:
         self.critical = Action.GO_ON
         if illegal is not None:
             self.critical = Action.STABLE if has_stable else Action.SAFE
-        self.safe = write_safe(instance)
+        self.devices = openings.Openings()
+        self._safe_ports = write_safe(instance)
         self._action = 0
         self.do: dict[Step, Callable[[], object]] = {
             Step.COPY_IN_CONSTS: self._copy_in_consts,
@@ -105,6 +107,11 @@ class LifecycleSteps:
             self.safe(dt)
         elif self._action == Action.ERROR:
             raise too_old(self._copies.blamed)
+
+    def safe(self, dt: float) -> None:
+        """Write the safe values of out-vars and devices that have some."""
+        self._safe_ports(dt)
+        self.devices.repeat()
 
     def _accept(self, flags: int) -> None:
         """Raise if the flags of a copy show that it was refused."""

@@ -3,7 +3,6 @@ that are silent, strange or gone."""
 
 from __future__ import annotations
 
-import asyncio
 import os
 import re
 import select
@@ -14,9 +13,9 @@ import tty
 from contextlib import contextmanager
 
 import pytest
+from modbus_rig import COUNT, serving
 from pymodbus.framer import FramerType
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
 from watching import wait_for
 
 from pbonet.errors import DeviceError
@@ -26,8 +25,6 @@ from pbonet.io.drivers.modbus_driver import ModbusSettings
 from pbonet.io.drivers.modbus_rtu import crc
 from pbonet.outside import Player, Tape, using as recording
 
-COUNT = 2300
-"""Ports of each table over TCP."""
 RTU = {"baud": 115200, "parity": "N", "timeout": 30.0}
 """A pseudo-terminal has no parity."""
 
@@ -35,45 +32,6 @@ RTU = {"baud": 115200, "parity": "N", "timeout": 30.0}
 @pytest.fixture(autouse=True)
 def run_dir(tmp_path, monkeypatch):
     monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
-
-
-def tables(count):
-    """Return what the server has: registers that tell their address, and bits."""
-    numbers = [k * 7 & 0xFFFF for k in range(count)]
-    bits = [k % 3 == 0 for k in range(count)]
-    return (
-        [SimData(0, values=bits, datatype=DataType.BITS)],
-        [SimData(0, values=bits, datatype=DataType.BITS)],
-        [SimData(0, values=numbers, datatype=DataType.REGISTERS)],
-        [SimData(0, values=[k + 1 for k in numbers], datatype=DataType.REGISTERS)],
-    )
-
-
-@contextmanager
-def serving(make, units=(1,), count=COUNT):
-    """Run a server of pymodbus in a thread of its own; give it as `make` made it."""
-    made, ready = [], threading.Event()
-
-    async def serve():
-        server = make([SimDevice(unit, simdata=tables(count)) for unit in units])
-        stop = asyncio.Event()
-        try:
-            await server.serve_forever(background=True)
-            made.extend((server, asyncio.get_running_loop(), stop))
-        finally:
-            ready.set()
-        await stop.wait()
-        await server.shutdown()
-
-    thread = threading.Thread(target=asyncio.run, args=(serve(),))
-    thread.start()
-    try:
-        ready.wait()
-        server, loop, stop = made
-        yield server
-        loop.call_soon_threadsafe(stop.set)
-    finally:
-        thread.join()
 
 
 @pytest.fixture(scope="module")

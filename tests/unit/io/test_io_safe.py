@@ -14,7 +14,7 @@ from typing import Annotated as A
 import pytest
 from watching import wait_for
 
-from pbonet import OutVar, PortBasedObject
+from pbonet import InVar, OutVar, PortBasedObject
 from pbonet.errors import DeviceError, MethodError
 from pbonet.io.drivers import (
     GUARD,
@@ -112,7 +112,7 @@ def test_safe_values_are_written_whole_also_where_no_call_waits(file):
 
 
 class Acts(PortBasedObject):
-    """Writes 255 to its device in each cycle, and after `off`; raises when it is told."""
+    """Writes 255 to its device in each method; raises when it is told."""
 
     y: A[float, OutVar("Y", "1", "none", "cycles")]
     fails: str = ""
@@ -130,6 +130,7 @@ class Acts(PortBasedObject):
         self.acts("on")
 
     def cycle(self, dt: float) -> None:
+        del dt
         self.acts("cycle")
 
     def off(self) -> None:
@@ -189,6 +190,7 @@ class Quiet(PortBasedObject):
         self.memory = open_device("m", self.port, mode=Mode.RW, safe={at: b"\0"})
 
     def cycle(self, dt: float) -> None:
+        del dt
         self.memory.write(bytes((self.port + 1,)), 2 + self.port)
 
 
@@ -218,6 +220,32 @@ def test_safe_values_that_cannot_be_written_are_told_and_the_task_goes_off(file)
         assert bench.executor.state == "OFF"
         told = [str(one) for one in bench.notices()]
         assert any("the safe values were not written" in one for one in told)
+
+
+class Follows(PortBasedObject):
+    """Writes what it reads; while that is too old, its device is safe."""
+
+    u: A[float, InVar("U", "1", "none", "command", max_age=0.05, stale="safe")]
+    y: A[float, OutVar("Y", "1", "none", "command", new=True, safe=0.0)]
+
+    def init(self) -> None:
+        self.memory = open_device("m", mode=Mode.RW, safe=SAFE)
+
+    def cycle(self, dt: float) -> None:
+        del dt
+        self.memory.write(bytes((int(self.u), 9)), 2)
+
+
+def test_a_device_is_safe_while_the_controller_is_lost(file):
+    with Bench(Follows, {"u": 5.0}) as bench:
+        bench.ages["u"] = 0.0
+        bench.on()
+        bench.step()
+        assert of(file) == b"\x05\x09"
+        bench.ages["u"] = 1.0
+        bench.step()
+        assert of(file) == b"\x00\x07"
+        assert bench.executor.state == "ON"
 
 
 PROGRAM = """
