@@ -4,6 +4,9 @@ One read each, of data that are there already, in turns with the bare call; open
 a task that is recorded. Median and 99 % quantile in us.
 
     python -m benchmarks.devices [--calls 1000]
+
+With ``--killed``: how soon a device is safe, and free, after SIGKILL of its program
+(`killed_devices`).
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import can
 
+from benchmarks import killed_devices
 from pbonet.io.drivers import Entry, Mode, Wait, database, open_device
 from pbonet.outside import Tape, using
 
@@ -64,9 +68,8 @@ def cases(stack: ExitStack) -> list[Case]:
     told = {"adc": Wait.ALL, "memory": Wait.ALL}
     opened = {
         name: stack.enter_context(
-            open_device(name, wait=told.get(name, Wait.NONE),
-                        **({"mode": Mode.RW, "safe": None} if name == "udp"
-                           else {"mode": Mode.READ}))
+            open_device(name, mode=Mode.RW if name == "udp" else Mode.READ,
+                        wait=told.get(name, Wait.NONE), safe=None)
         )
         for name in entries
     }  # fmt: skip
@@ -125,7 +128,13 @@ def main() -> int:
     """Measure, print, judge."""
     words = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     words.add_argument("--calls", type=int, default=1000)
-    calls = words.parse_args().calls
+    words.add_argument("--killed", action="store_true", help="SIGKILL of a program")
+    words.add_argument("--tries", type=int, default=50, help="with --killed")
+    told = words.parse_args()
+    if told.killed:
+        killed_devices.measure(told.tries)
+        return 0
+    calls = told.calls
     missed = False
     tape = Tape()
     sys.stdout.write("| driver | median | p99 | bare, median | p99 | beside it |\n")

@@ -8,12 +8,23 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
+import msgspec
+
 from pbonet.errors import DeviceError
-from pbonet.io.drivers import Entry, Frame, Mode, Wait, database, open_device
+from pbonet.io.drivers import (
+    Entry,
+    Frame,
+    Mode,
+    Wait,
+    database,
+    open_device,
+    port_claims,
+)
 
 BUS = next((str(one) for one in Path("/dev").glob("i2c-*")), "no bus")
 DEVICES = {
@@ -60,6 +71,35 @@ def collected(device, count):
     return found
 
 
+PROGRAM = """
+import msgspec, sys, time
+from pbonet.io.drivers import Entry, Frame, Mode, database, open_device
+entry = msgspec.json.decode(sys.argv[1], type=Entry)
+with database.using({"can": entry}, "uml/acts"):
+    can = open_device("can", 2, mode=Mode.WRITE, safe=[Frame(0, b"\\2\\0")])
+    can.write([Frame(0x201, b"go")])
+    print("ready", flush=True)
+    time.sleep(600)
+"""
+
+
+def killed():
+    """Return the frames that a program that was killed leaves on the bus."""
+    entry = msgspec.json.encode(DEVICES["can"]).decode()
+    with (
+        open_device("can", 3, mode=Mode.READ) as seen,
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, entry], stdout=subprocess.PIPE
+        ) as program,
+    ):
+        program.stdout.readline()
+        program.kill()
+        frames = collected(seen, 2)
+        while list(port_claims.users(DEVICES["can"], range(2, 3))):
+            time.sleep(0.01)
+    return [(one.id, list(one.data)) for one in frames]
+
+
 def can():
     link("add", "vcan0", "type", "vcan")
     down = refused(open_device, "can")
@@ -72,6 +112,7 @@ def can():
         Frame(0x182, remote=True),
         Frame(0x181, b"last"),
     ]
+    left = killed()
     before = time.time_ns()
     with (
         open_device("can", 0, mode=Mode.RW, safe=None) as a,
@@ -94,6 +135,7 @@ def can():
         deleted = refused(b.read, 1)
     plain = [one._replace(stamp_ns=0) for one in got]
     return {
+        "killed": left,
         "down": down,
         "nothing": nothing,
         "taken": taken,

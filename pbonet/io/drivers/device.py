@@ -525,7 +525,7 @@ _NAMES: Final[dict[Any, str]] = {
     list[Frame]: "a list of Frame",
     dict[int, bytes]: "bytes by offset, as {0: bytes(4)}",
 }
-"""What the safe values of each class of devices are."""
+"""The safe values of each class of devices, in words."""
 
 
 def _no_safe(name: str, kind: Any, got: str) -> DeviceError:  # noqa: ANN401

@@ -2,8 +2,8 @@
 
 After SIGKILL no line of the task runs any more. So each process that opens a device
 with safe values has one guard, a process in a session of its own. The task tells it
-what it has open. When the task has ended, however it did, the guard opens what was not
-closed anew, writes the safe values, gives the ports back, and ends.
+what it has open. When the task has ended, however it did, the guard opens each device
+that was not closed, writes the safe values, gives the ports back, and ends.
 
 The kernel tells the guard of the end of the task by a pidfd. It needs no other process
 for that: not the RTPU process, the fork server or the agent.
@@ -30,7 +30,7 @@ GUARD: Final = "PBONET_DEVICE_GUARD"
 """Is in the environment of a guard, so that what ends the processes that a task has
 left does not end it; its value is the task's process id."""
 DONE: Final = "done"
-"""The answer of a guard that has done what it was told."""
+"""The answer of a guard that has carried out a message."""
 _ANSWER_TIME: Final = 20.0
 """Seconds in which a guard begins, and answers."""
 _SMALL_TIME: Final = 0.5

@@ -95,7 +95,7 @@ class GuardProcess:
             return ""
         try:
             self._watched[message.number] = Watched(_made(message), Claim(fds[0]))
-        except Exception as error:  # noqa: BLE001 - the task is told
+        except Exception as error:  # noqa: BLE001 - the task raises it
             for fd in fds:
                 os.close(fd)
             return f"{type(error).__name__}: {error}"

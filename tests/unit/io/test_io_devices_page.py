@@ -25,7 +25,7 @@ def run_dir(tmp_path, monkeypatch):
 @pytest.fixture
 def latch(tmp_path, monkeypatch):
     """The page's driver in a package, with a register file of eight bytes."""
-    (tmp_path / "latch_driver.py").write_text(BLOCKS[1])
+    (tmp_path / "latch_driver.py").write_text(BLOCKS[-1])
     monkeypatch.syspath_prepend(str(tmp_path))
     registers = tmp_path / "registers"
     registers.write_bytes(bytes(range(8)))

@@ -46,6 +46,10 @@ def test_two_openings_of_a_can_bus_talk(results):
     assert can["answer"] == [5]
 
 
+def test_a_program_that_is_killed_leaves_its_safe_frame_on_the_bus(results):
+    assert results["can"]["killed"] == [[0x201, [*b"go"]], [0, [2, 0]]]
+
+
 def test_filters_of_the_kernel_hold(results):
     assert results["can"]["filtered"] == [0x181, 0x18FF0012, 0x181]
 
