@@ -109,8 +109,9 @@ class GuardProcess:
         ]
         for one in threads:
             one.start()
+        deadline = time.monotonic() + 2 * TRY_TIME
         for one in threads:
-            one.join(2 * TRY_TIME)
+            one.join(max(0.0, deadline - time.monotonic()))
 
 
 def _made(message: Watch) -> Device:

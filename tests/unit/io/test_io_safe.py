@@ -306,6 +306,23 @@ def test_a_process_that_is_gone_leaves_safe_values_and_free_ports(file, how):
     assert file.read_bytes() == bytes(written)
 
 
+def test_a_device_that_does_not_answer_is_tried_again(file, tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "killed", str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        file.rename(tmp_path / "elsewhere")
+        process.kill()
+        process.wait()
+        entry = database.entry("m")
+        assert list(port_claims.users(entry, range(2))), "it has not given up"
+        (tmp_path / "elsewhere").rename(file)
+        wait_for(lambda: of(file) == b"\x00\x07", "safe values")
+
+
 def test_a_guard_that_was_killed_is_replaced(file):
     with open_device("m", mode=Mode.RW, safe=SAFE):
         first = guard.guard().pid
