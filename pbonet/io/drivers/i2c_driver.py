@@ -31,6 +31,8 @@ _ADDRESS: Final = re.compile(r"(.+):0x([0-7][0-9a-f])")
 _I2C_SLAVE: Final = 0x0703
 """Request of <linux/i2c-dev.h>: the device that is meant from now on."""
 _BYTE: Final = 8
+_BLOCK: Final = 32
+"""Bytes of the longest transfer."""
 
 
 class I2cSettings(Settings, frozen=True, forbid_unknown_fields=True):
@@ -42,6 +44,9 @@ class I2cSettings(Settings, frozen=True, forbid_unknown_fields=True):
     """Bits of each register."""
     order: Literal["little", "big"] = "little"
     """Which byte of 16 bits comes first on the bus."""
+    burst: bool = False
+    """Whether registers that follow each other are read in one transfer, and so at one
+    time: for chips that count the register on by themselves."""
 
 
 class I2cDevice(PortDevice):
@@ -74,6 +79,7 @@ class I2cDevice(PortDevice):
         self._path, self._address = found[1], int(found[2], 16)
         begin, end = entry.first + opening.start, entry.first + opening.end
         self._registers = k.registers[begin : end + 1]
+        self._runs = runs(self._registers, k.bits // _BYTE) if k.burst else []
         self._is_swapped = k.bits > _BYTE and k.order == "big"  # SMBus has little
 
     def connect(self) -> None:
@@ -116,9 +122,21 @@ class I2cDevice(PortDevice):
 
     def read_ports(self) -> list[int]:
         """Return the registers of the opened ports."""
+        if self._runs:
+            return self._read_runs()
         return [
             self._ordered(self._get(self._address, register))
             for register in self._registers
+        ]
+
+    def _read_runs(self) -> list[int]:
+        """Return the same in as few transfers as can be."""
+        data, step = bytearray(), self.settings.bits // _BYTE
+        for first, count in self._runs:
+            data += bytes(self._bus.read_i2c_block_data(self._address, first, count))
+        order = self.settings.order
+        return [
+            int.from_bytes(data[k : k + step], order) for k in range(0, len(data), step)
         ]
 
     def write_ports(self, values: Sequence[int]) -> None:
@@ -129,3 +147,21 @@ class I2cDevice(PortDevice):
     def _ordered(self, value: int) -> int:
         """Return a value with its bytes in the device's order."""
         return (value & 0xFF) << 8 | value >> 8 if self._is_swapped else value
+
+
+def runs(registers: Sequence[int], step: int) -> list[tuple[int, int]]:
+    """Return transfers for registers: the first register and the bytes of each.
+
+    Args:
+        registers: In the order of their ports.
+        step: Bytes of a register.
+    """
+    found: list[tuple[int, int]] = []
+    for register in registers:
+        first, count = found[-1] if found else (0, 0)
+        # Such a chip numbers bytes.
+        if found and register == first + count and count + step <= _BLOCK:
+            found[-1] = first, count + step
+        else:
+            found.append((register, step))
+    return found

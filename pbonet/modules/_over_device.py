@@ -1,0 +1,73 @@
+"""When a module over a device opens it, makes it safe, and closes it."""
+
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from pbonet import Answer, Params, PortBasedObject
+from pbonet.errors import DeviceError
+
+P = TypeVar("P", bound=Params)
+NEVER = 1
+"""A time stamp of values that were not measured: they are too old for every limit."""
+
+
+class OverDevice(PortBasedObject[P], abstract=True):
+    """A module over one device, opened in `init` and, after it was lost, in `on`.
+
+    When the task fails or ends, the device is made safe and closed.
+    """
+
+    _device: Any = None
+
+    def init(self) -> None:
+        self._device = self._open()
+
+    def on(self) -> None:
+        if self._device is None:
+            self._device = self._open()
+
+    def error(self, error: Exception) -> Answer:  # noqa: ARG002 - whichever it is
+        self._give_up()
+        return Answer.ERROR
+
+    def kill(self) -> None:
+        self._give_up()
+
+    def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
+        """Return the opened device."""
+        raise NotImplementedError
+
+    def _rest(self, device: Any) -> None:  # noqa: ANN401 - as above
+        """Put a device that moves or switches something into its safe state."""
+
+    def _give_up(self) -> None:
+        device, self._device = self._device, None
+        if device is not None:
+            with suppress(DeviceError):
+                self._rest(device)
+            device.close()
+
+
+class HeardOf(OverDevice[P], abstract=True):
+    """A sensor that may have nothing new: its outputs are as old as its last values.
+
+    A sensor that is silent for longer than `_longest` ends in ERROR.
+    """
+
+    _heard: int = 0
+
+    def on(self) -> None:
+        super().on()
+        self._heard, self.task.stamp_ns = self.task.now, NEVER
+
+    def _note(self, *, new: bool) -> None:
+        """Note whether this cycle had new values."""
+        now = self.task.now
+        if new:
+            self._heard = self.task.stamp_ns = now
+        elif now - self._heard > self._longest() * 1e9:
+            self.task.fail(f"the sensor has sent nothing for {self._longest():g} s")
+
+    def _longest(self) -> float:
+        """Return how many seconds the sensor may be silent."""
+        raise NotImplementedError
