@@ -37,9 +37,11 @@ from unittest import mock
 
 import numpy as np
 
+from benchmarks.library_devices import entries
 from pbonet.config import Library, read_svar
 from pbonet.errors import PbonetError
 from pbonet.io import joystick
+from pbonet.io.drivers import database
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
 from pbonet.testing import Bench
@@ -165,6 +167,9 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
         ndof="NDOF",
     ),
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
+    "can_position": lambda: {"ndof": 2},
+    "can_speed": lambda: {"ndof": 2},
+    "can_torque": lambda: {"ndof": 2},
 }
 """Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
 CRAFT = Path(built_in).parent / "robot_interfaces" / "mav_craft.rmod"
@@ -454,6 +459,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME")
     given = parser.parse_args()
     library = Library()
+    database.use(entries(Path(FOLDER.name), SIZE), "benchmarks.library")
     names = [name for name, path in library.files().items() if own(path)]
     if unknown := sorted(set(given.names) - set(names)):
         parser.error(f"the library has no module {', '.join(unknown)}")

@@ -37,14 +37,14 @@ class OverDevice(PortBasedObject[P], abstract=True):
         """Return the opened device."""
         raise NotImplementedError
 
-    def _rest(self, device: Any) -> None:  # noqa: ANN401 - as above
+    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - as above
         """Put a device that moves or switches something into its safe state."""
 
     def _give_up(self) -> None:
         device, self._device = self._device, None
         if device is not None:
             with suppress(DeviceError):
-                self._rest(device)
+                self._make_safe(device)
             device.close()
 
 

@@ -32,7 +32,7 @@ class LinearActuator(LinearOutput[Outlet], OverDevice[Outlet]):
     """
 
     def off(self) -> None:
-        self._rest(self._device)
+        self._make_safe(self._device)
         if self.params.wait == "none":  # closing waits until the device has taken it
             self._give_up()
         self.y[:] = self._stepped(self._safe)
@@ -60,7 +60,7 @@ class LinearActuator(LinearOutput[Outlet], OverDevice[Outlet]):
         """Return the values that the device's whole numbers stand for."""
         return self._raw(u, self._low, self._high) * self._scale + self._offset
 
-    def _rest(self, device: Any) -> None:  # noqa: ANN401 - of a driver
+    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - of a driver
         self._write(device, self._safe)
 
     def _safe_values(self) -> Vector:

@@ -84,11 +84,11 @@ class Ft300(OverDevice[Place], module_class="sensor"):
         return Recovery.CONTINUE
 
     def off(self) -> None:
-        self._rest(self._device)
+        self._make_safe(self._device)
 
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
         return open_device(self.params.device, mode=Mode.RW, wait=Wait.ONE)
 
-    def _rest(self, device: Any) -> None:  # noqa: ANN401 - as above
+    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - as above
         """End the stream."""
         device.write(END)
