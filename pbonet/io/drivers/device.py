@@ -100,18 +100,21 @@ class Device(ABC):
             return
         try:
             self.outside.ask(self.check_safe, default=None)
-            if claim is not None:
+            if claim is not None or self.outside.plays:
                 loaded = [name for name in sys.modules if name not in before]
-                self._watch(claim, guard.Told(self.safe, loaded))
+                self._watch(guard.Told(self.safe, loaded))
         except BaseException:
             self.shut()
             raise
         if claim is not None or self.outside.plays:
             self._openings.add(self)
 
-    def _watch(self, claim: Claim, told: guard.Told) -> None:
+    def _watch(self, told: guard.Told) -> None:
+        """Have the claim guarded; a replay has none, and counts the call."""
+        fd = -1 if self._claim is None else self._claim.fd
+
         def watch() -> None:
-            self._guarded = guard.watch(self.entry, self.opening, told, claim.fd)
+            self._guarded = guard.watch(self.entry, self.opening, told, fd)
 
         self.outside.ask(watch, default=None)
 
