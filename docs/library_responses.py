@@ -48,7 +48,7 @@ def responds(module: LoadedModule) -> bool:
     """Return whether a module has one input and one output, of one shape.
 
     A module that needs a constant beside the sizes, such as a robot's geometry, or a
-    robot's file, has no response of its own.
+    robot's file, and one over a device, has no response of its own.
     """
     inputs, outputs = _ports(module)
     sizes = {dim for port in module.info.ports for dim in port.shape}
@@ -56,7 +56,7 @@ def responds(module: LoadedModule) -> bool:
     return (
         len(inputs) == len(outputs) == 1
         and sizes.issuperset(port.attr for port in consts)
-        and not any(param.name == "urdf" for param in module.info.params)
+        and not any(param.name == "urdf" or param.names for param in module.info.params)
         and inputs[0].shape == outputs[0].shape
         and {inputs[0].type, outputs[0].type} <= {"float", "float64", "float64[]"}
     )

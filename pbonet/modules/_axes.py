@@ -27,7 +27,7 @@ J = TypeVar("J", bound=Joints)
 
 
 class Axes(PortBasedObject[J], abstract=True, module_class="robot interface"):
-    """What all have in common. `cycle` and `stable` are the parts' that move."""
+    """The ports of all. `cycle` and `stable` are those of the part that moves them."""
 
     ndof: A[int, OutConst("NDOF", "1", "none", "number of axes")]
     gears: A[
@@ -44,7 +44,7 @@ class Axes(PortBasedObject[J], abstract=True, module_class="robot interface"):
     def init(self) -> None:
         self.ndof = n = len(self.q)
         self.gears[:] = self._gear = spread(self.params.gear, n, "gear")
-        self._goal = np.zeros(n)
+        self._goal: Vector = np.zeros(n)
         self._take_limits()
         super().init()
 

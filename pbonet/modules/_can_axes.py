@@ -24,7 +24,7 @@ _RANGES = {4: 2**31 - 1, 2: 2**15 - 1}
 class Wires(Joints, kw_only=True):
     """The drives and what their numbers mean, one value for each drive or for all."""
 
-    device: A[str, param("none", "device of agent.toml")]
+    device: A[str, param("none", "device of agent.toml", device=True)]
     nodes: A[
         tuple[int, ...], param("none", "numbers of the drives on the bus", ge=1, le=126)
     ]
@@ -64,8 +64,8 @@ class CanAxes(Axes[W], OverDevice[W], abstract=True):
             )
         bus = Bus(self._mode, round(1e3 * self.task.period), k.beat, k.master)
         self._drives = [Drive(node, bus) for node in k.nodes]
-        kinds = (MEASURED, MORE, canopen.HEARTBEAT)
-        kinds += (canopen.SDO_ANSWER, canopen.EMERGENCY)
+        kinds = [MEASURED, MORE, canopen.HEARTBEAT]
+        kinds += [canopen.SDO_ANSWER, canopen.EMERGENCY]
         self._by_id = {kind + one.node: one for one in self._drives for kind in kinds}
         self._may_reset, self._beaten = False, 0
         super().init()
@@ -90,7 +90,6 @@ class CanAxes(Axes[W], OverDevice[W], abstract=True):
         self._exchange(dt, run=False)
 
     def off(self) -> None:
-        self._make_safe(self._device)
         self._device.write([one.leave() for one in self._drives])
         self.ready = 0
 
@@ -100,16 +99,13 @@ class CanAxes(Axes[W], OverDevice[W], abstract=True):
         return Answer.OFF
 
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
-        device = self.params.device
-        return open_device(device, mode=Direction.RW, wait=Wait.NONE)
-
-    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - of a driver
-        device.write([one.stop() for one in self._drives])
+        device, safe = self.params.device, [one.stop() for one in self._drives]
+        return open_device(device, mode=Direction.RW, wait=Wait.NONE, safe=safe)
 
     def _exchange(self, dt: float, *, run: bool) -> None:
         """Take what the drives have sent, and send what they are to do."""
         now = self.task.now
-        self._hear(now)
+        self._take_frames(now)
         follow = run and all(one.follows for one in self._drives)
         if follow:
             self._wish(dt)
@@ -124,7 +120,7 @@ class CanAxes(Axes[W], OverDevice[W], abstract=True):
         if faults := [one.fault for one in self._drives if one.fault]:
             self.task.fail("; ".join(faults))
 
-    def _hear(self, now: int) -> None:
+    def _take_frames(self, now: int) -> None:
         frames = [Frame(0)] * AT_ONCE
         while len(frames) == AT_ONCE:
             frames = self._device.read(AT_ONCE)

@@ -12,7 +12,7 @@ START, PRE_OPERATIONAL = 0x01, 0x80
 BOOT_UP, OPERATIONAL = 0x00, 0x05
 """States of a node, as its heartbeat says them."""
 EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x80, 0x580, 0x600, 0x700
-"""What is added to a node's number for the identity of a frame."""
+"""The part of a frame's identity that is added to the node's number."""
 NO_OBJECT: Final = 0x06020000
 """Why a node refuses an object that it does not have."""
 _SDO: Final = struct.Struct("<BHB")
@@ -22,7 +22,7 @@ _WRITE, _WRITTEN, _ABORT = 0x23, 0x60, 0x80
 class Object(NamedTuple):
     """A value for an object of a node's dictionary."""
 
-    index: int
+    number: int
     sub: int
     value: int
     size: int
@@ -32,7 +32,7 @@ class Object(NamedTuple):
 
     def __str__(self) -> str:
         """Return it as manuals name it, ``6060h:0``."""
-        return f"{self.index:04X}h:{self.sub}"
+        return f"{self.number:04X}h:{self.sub}"
 
 
 def command(node: int, what: int) -> Frame:
@@ -49,7 +49,7 @@ def write(node: int, what: Object) -> Frame:
     """Return the request that writes an object of a node."""
     kind = _WRITE | (4 - what.size) << 2
     value = (what.value & (1 << 8 * what.size) - 1).to_bytes(4, "little")
-    return Frame(SDO_REQUEST + node, _SDO.pack(kind, what.index, what.sub) + value)
+    return Frame(SDO_REQUEST + node, _SDO.pack(kind, what.number, what.sub) + value)
 
 
 def refusal(data: bytes, what: Object) -> int | None:
@@ -60,6 +60,6 @@ def refusal(data: bytes, what: Object) -> int | None:
     if len(data) < 8:  # noqa: PLR2004 - of CiA 301
         return None
     kind, index, sub = _SDO.unpack_from(data)
-    if (index, sub) != (what.index, what.sub) or kind not in {_WRITTEN, _ABORT}:
+    if (index, sub) != (what.number, what.sub) or kind not in {_WRITTEN, _ABORT}:
         return None
     return int.from_bytes(data[4:8], "little") if kind == _ABORT else 0

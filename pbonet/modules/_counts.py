@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Scale(Params, kw_only=True):
-    """What a count means, for each encoder or for all."""
+    """The meaning of a count, for each encoder or for all."""
 
     counts: A[
         PerElement, param("none", "counts of one turn of the encoder; minus reverses")
@@ -34,7 +34,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Reading(NamedTuple):
-    """What the counters and the index inputs have in one cycle."""
+    """The counters and the index inputs in one cycle."""
 
     places: "Sequence[int]"
     at_index: "Sequence[int]"
@@ -53,7 +53,7 @@ class Counts(PortBasedObject[S], abstract=True, module_class="sensor"):
 
     _at_index: Flags
     _last: Whole | None = None
-    """What the counters had in the last cycle."""
+    """The counters in the last cycle."""
 
     def init(self) -> None:
         self._forget()

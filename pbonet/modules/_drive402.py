@@ -87,7 +87,7 @@ class Mode(Enum):
 
 
 class Bus(NamedTuple):
-    """What all drives of a bus have in common."""
+    """The settings that all drives of a bus have in common."""
 
     mode: Mode
     period_ms: int
@@ -160,7 +160,7 @@ class Drive:
             self._code = int.from_bytes(data[:2], "little") or self._code
 
     def step(self, now: int, target: int, *, run: bool) -> list[Frame]:
-        """Return what is sent to the drive in this cycle.
+        """Return the frames for the drive in this cycle.
 
         Args:
             now: Nanoseconds.
@@ -181,11 +181,11 @@ class Drive:
         return [self._data(self._control, target)]
 
     def stop(self) -> Frame:
-        """Return what stops the drive quickly."""
-        return self._data(QUICK_STOP, self.rest())
+        """Return the frame that stops the drive quickly; its target does not count."""
+        return self._data(QUICK_STOP, 0)
 
     def leave(self) -> Frame:
-        """Return what lets the drive do without the task's signs of life."""
+        """Return the frame by which the drive does without the task's heartbeats."""
         return canopen.write(self.node, Object(0x1016, 1, 0, 4))
 
     def rest(self) -> int:
@@ -222,7 +222,7 @@ class Drive:
             if now - self._since > ANSWER * 1e9:
                 self._fail(f"does not answer (asked for the object {self._asked})")
             return []
-        frames = []
+        frames: list[Frame] = []
         if not self._is_told:
             frames.append(canopen.command(self.node, canopen.PRE_OPERATIONAL))
             self._is_told = True
@@ -233,7 +233,7 @@ class Drive:
         return [*frames, canopen.write(self.node, self._asked)]
 
     def _watch(self, now: int) -> None:
-        """See whether the drive is there, and does what it was told."""
+        """See whether the drive is there, and sends what it measures."""
         limit = self._bus.beat * 1e9
         if now - self._heard > limit:
             self._fail(f"gives no sign of life for {self._bus.beat:g} s")

@@ -80,7 +80,7 @@ class LinearOutput(PortBasedObject[L], abstract=True, module_class="robot interf
         """Give the device values, and say in Y which."""
         raise NotImplementedError
 
-    def _raw(self, u: Vector, low: int, high: int) -> Vector:
+    def _raw(self, u: Vector, low: float, high: float) -> Vector:
         """Return whole numbers for the device, within its ports' range."""
         return np.rint((u - self._offset) / self._scale).clip(low, high)
 
@@ -93,7 +93,7 @@ class LinearOutput(PortBasedObject[L], abstract=True, module_class="robot interf
         raise NotImplementedError
 
 
-FIXED = frozenset({"device", "port", "signed", "wait", "period", "bits"})
+FIXED = frozenset({"device", "port", "signed", "wait", "safe", "period", "bits"})
 """Parameters that are read when the task is created."""
 
 

@@ -1,4 +1,4 @@
-"""When a module over a device opens it, makes it safe, and closes it."""
+"""When a module over a device opens it and closes it."""
 
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -12,9 +12,9 @@ NEVER = 1
 
 
 class OverDevice(PortBasedObject[P], abstract=True):
-    """A module over one device, opened in `init` and, after it was lost, in `on`.
+    """A module over one device, opened in `init` and, after an error, in `on`.
 
-    When the task fails or ends, the device is made safe and closed.
+    When the task fails or ends the device is closed, and so has its safe values.
     """
 
     _device: Any = None
@@ -37,15 +37,11 @@ class OverDevice(PortBasedObject[P], abstract=True):
         """Return the opened device."""
         raise NotImplementedError
 
-    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - as above
-        """Put a device that moves or switches something into its safe state."""
-
     def _give_up(self) -> None:
         device, self._device = self._device, None
         if device is not None:
-            with suppress(DeviceError):
-                self._make_safe(device)
-            device.close()
+            with suppress(DeviceError):  # it may be lost
+                device.close()
 
 
 class HeardOf(OverDevice[P], abstract=True):

@@ -2,7 +2,10 @@
 
 from typing import Annotated as A, Any, Literal
 
+import numpy as np
+
 from pbonet import Vector, param
+from pbonet.errors import ParameterError
 from pbonet.io.drivers import Mode, Wait, open_device
 from pbonet.modules._linear_ports import Law, LinearOutput, port_range
 from pbonet.modules._over_device import OverDevice
@@ -12,7 +15,7 @@ from pbonet.modules._values import PerElement, spread
 class Outlet(Law, kw_only=True):
     """Where the actuator is connected, its calibration and its safe values."""
 
-    device: A[str, param("none", "device of agent.toml")]
+    device: A[str, param("none", "device of agent.toml", device=True)]
     safe: A[PerElement, param("none", "values that are safe, in the unit of U")]
     port: A[int, param("none", "port of the first element", ge=0)] = 0
     signed: A[bool, param("none", "whether the device's values have a sign")] = False
@@ -28,40 +31,46 @@ class LinearActuator(LinearOutput[Outlet], OverDevice[Outlet]):
     Relays and analogue outputs of a Modbus I/O block, a digital to analogue converter:
     whatever a device with ports moves or switches. SAFE is written while U is too old
     or the configuration is illegal, when the task is turned off, also for a twin that
-    takes over, and when it fails or is killed.
+    takes over, and when it fails, is killed or dies.
     """
 
     def off(self) -> None:
-        self._make_safe(self._device)
-        if self.params.wait == "none":  # closing waits until the device has taken it
-            self._give_up()
-        self.y[:] = self._stepped(self._safe)
+        self._show(self._raw(self._safe, self._low, self._high))
 
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
         k = self.params
-        last = k.port + len(self.y) - 1
-        wait = Wait(k.wait)
+        safe = self._raw(self._safe, -np.inf, np.inf)
         device = open_device(
-            k.device, k.port, last, mode=Mode.WRITE, wait=wait, signed=k.signed
+            k.device,
+            k.port,
+            k.port + len(self.y) - 1,
+            mode=Mode.WRITE,
+            wait=Wait(k.wait),
+            signed=k.signed,
+            safe=safe.astype(int).tolist(),
         )
         bits: int = min(device.status("PORTSIZE", k.port), 32)
         self._low, self._high = port_range(bits, signed=k.signed)
+        if (safe < self._low).any() or (safe > self._high).any():
+            device.shut()
+            raise ParameterError(
+                "a safe value is beyond what a port of the device can have",
+                where=k.device,
+                expected=f"{self._low} to {self._high} as the device's whole numbers",
+                got=" ".join(f"{one:g}" for one in safe),
+                remedy="see SAFE, SCALE and OFFSET",
+            )
         return device
 
     def _give(self, u: Vector, dt: float) -> None:  # noqa: ARG002 - at once
-        self._write(self._device, u)
-        self.y[:] = self._stepped(u)
-
-    def _write(self, device: Any, u: Vector) -> None:  # noqa: ANN401 - of a driver
         raw = self._raw(u, self._low, self._high)
-        device.write(raw.astype(int).tolist())
+        self._device.write(raw.astype(int).tolist())
+        self._show(raw)
 
-    def _stepped(self, u: Vector) -> Vector:
-        """Return the values that the device's whole numbers stand for."""
-        return self._raw(u, self._low, self._high) * self._scale + self._offset
-
-    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - of a driver
-        self._write(device, self._safe)
+    def _show(self, raw: Vector) -> None:
+        """Say which values the device's whole numbers stand for."""
+        np.multiply(raw, self._scale, out=self.y)
+        self.y += self._offset
 
     def _safe_values(self) -> Vector:
         return spread(self.params.safe, len(self.y), "safe")

@@ -11,7 +11,7 @@ from pbonet.modules._over_device import OverDevice
 class Place(Scale, kw_only=True):
     """Where the encoders are connected, and what their counts mean."""
 
-    device: A[str, param("none", "device of agent.toml")]
+    device: A[str, param("none", "device of agent.toml", device=True)]
     port: A[int, param("none", "port of the first counter", ge=0)] = 0
     index: A[
         int, param("none", "port of the first index input; minus 1 for none", ge=-1)
@@ -26,7 +26,7 @@ class Encoder(Counts[Place], OverDevice[Place]):
     reading is the position, as of an absolute encoder. With INDEX, the place where the
     index input becomes 1 is ZERO, as exact as the motion of one cycle, and HOMED says
     that it was passed. Off and on again, the task goes on from where it was; after the
-    device was lost it begins anew.
+    device was lost it begins again.
     """
 
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver

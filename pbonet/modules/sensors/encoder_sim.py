@@ -12,7 +12,7 @@ from pbonet.modules._wave import Wave
 
 
 class Motion(Scale):
-    """What a count means, and how the shafts move."""
+    """The meaning of a count, and the motion of the shafts."""
 
     mean: A[PerElement, param("rad", "middle of the motion")] = (0.0,)
     amplitude: A[PerElement, param("rad", "of the motion, a sine")] = (1.0,)

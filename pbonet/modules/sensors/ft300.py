@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOST = 1024
-"""Bytes taken at once. As many are more than half a second of frames, of which nobody
-knows the age: they are dropped."""
+"""Bytes taken at once. As many are more than half a second of frames, whose age is not
+known: they are dropped."""
 
 
 class Place(Params):
     """Where the sensor is connected."""
 
-    device: A[str, param("none", "device of agent.toml")]
+    device: A[str, param("none", "device of agent.toml", device=True)]
     silent: A[float, param("s", "longest time without a frame", gt=0)] = 0.1
 
 
@@ -83,12 +83,5 @@ class Ft300(OverDevice[Place], module_class="sensor"):
                 self.task.fail(f"the sensor has sent no frame for {silent:g} s")
         return Recovery.CONTINUE
 
-    def off(self) -> None:
-        self._make_safe(self._device)
-
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
-        return open_device(self.params.device, mode=Mode.RW, wait=Wait.ONE)
-
-    def _make_safe(self, device: Any) -> None:  # noqa: ANN401 - as above
-        """End the stream."""
-        device.write(END)
+        return open_device(self.params.device, mode=Mode.RW, wait=Wait.ONE, safe=END)

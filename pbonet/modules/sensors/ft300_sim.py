@@ -11,7 +11,7 @@ from pbonet.modules._wave import Wave
 
 
 class Load(Params):
-    """What the sensor bears: N, then N*m."""
+    """The load of the sensor: N, then N*m."""
 
     mean: A[PerElement, param("none", "mean wrench, six values, or one for all")] = (
         0.0,

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 class Place(Law, kw_only=True):
     """Where the sensor is connected, and its calibration."""
 
-    device: A[str, param("none", "device of agent.toml")]
+    device: A[str, param("none", "device of agent.toml", device=True)]
     port: A[int, param("none", "port of the first element", ge=0)] = 0
     signed: A[bool, param("none", "whether the device's values have a sign")] = False
     wait: A[

@@ -24,7 +24,7 @@ from pbonet.modules._over_device import HeardOf
 class Place(Ranges, kw_only=True):
     """Where the chip is connected, and how it measures."""
 
-    device: A[str, param("none", "device of agent.toml")]
+    device: A[str, param("none", "device of agent.toml", device=True)]
     filter: A[
         Literal["184", "94", "44", "21", "10", "5"],
         param("Hz", "bandwidth of the chip's low-pass filter"),
@@ -63,7 +63,7 @@ class Mpu6050(Chip[Place], HeardOf[Place]):
                 got=f"{found:#x}",
                 remedy="check the address, and the registers in agent.toml",
             )
-        with open_device(name, 1, len(SETUP), mode=Mode.WRITE) as setup:
+        with open_device(name, 1, len(SETUP), mode=Mode.WRITE, safe=None) as setup:
             setup.write(self._setup())
         return open_device(name, first, len(REGISTERS) - 1, mode=Mode.READ)
 

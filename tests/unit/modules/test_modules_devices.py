@@ -195,12 +195,19 @@ def test_an_actuator_gets_its_safe_values_whatever_ends(iio, end):
     elif end == "error":
         bench.inputs.u = [np.nan, 1.0]
         assert bench.step(check=False) is State.ERROR
-        open_device("dac", mode=Mode.WRITE).close()
+        open_device("dac", mode=Mode.WRITE, safe=None).close()
     else:
         bench.kill()
     assert voltages(iio) == [1000, 500]
     if end != "kill":
         bench.kill()
+
+
+@pytest.mark.usefixtures("iio")
+def test_a_safe_value_that_a_port_cannot_have_is_refused():
+    with pytest.raises(MethodError, match=r"a safe value is beyond .* got 1000 -1500"):
+        outlet(safe=(20.0, 25.0))
+    open_device("dac", 0, 1, mode=Mode.WRITE, safe=None).close()
 
 
 def test_the_twin_of_an_actuator_follows_with_its_lag_and_rests_alike():
@@ -553,7 +560,7 @@ def test_a_force_sensor_is_started_timed_by_its_frames_and_stopped(line):
         return found
 
     assert replayed(run) == [WRENCH_ONE, WRENCH_TWO]
-    said = os.read(line, 4096)
+    said = os.read(line, 4096).lstrip(b"\xff")
     assert said.startswith(b"\x09\x10\x01\x9a\x00\x01\x02\x02\x00")
     assert checksum(said[:9]) == said[9:11]
     assert set(said[11:]) == {0xFF}
