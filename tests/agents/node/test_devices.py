@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+from itertools import pairwise
+from statistics import median
 
 import pytest
 from log_of_real_tasks import finish, record
@@ -17,6 +19,7 @@ from pbonet.config import Entry
 from pbonet.errors import MethodError, VerificationError
 from pbonet.master.subsystem import Subsystem
 from pbonet.testing import verify
+from pbonet.xm.net import messages as m
 
 READS = """
 from typing import Annotated as A
@@ -134,3 +137,60 @@ def test_a_task_goes_where_its_device_is_and_is_refused_elsewhere(nodes, tmp_pat
         assert status.rtpu == "arm1"
     finally:
         arm.finish()
+
+
+SENSOR = """MODULE {module}
+DESC a sensor or its twin
+SVARALIAS Y=Y0
+INCONST none
+OUTCONST none
+INVAR none
+OUTVAR Y
+TASKTYPE periodic
+FREQ 50
+LOCAL
+SCALE 1.0
+{local}
+EOF
+"""
+
+
+def test_a_sensor_and_its_twin_change_places_without_a_lost_cycle(nodes, tmp_path):
+    for k in (0, 1):
+        (tmp_path / f"in_voltage{k}_raw").write_text("7\n")
+    adc = Entry(driver="iio_adc", address=str(tmp_path))
+    nodes.agent_process("arm0", device={"adc": adc})
+    arm = nodes.master("arm0", "arm")
+    path = record(arm)
+    tasks = {"real": "DEVICE adc", "twin": "MEAN 3"}
+    values = {"real": [7.0, 7.0], "twin": [3.0, 3.0]}
+    for task, local in tasks.items():
+        module = {"real": "linear_sensor", "twin": "linear_sensor_sim"}[task]
+        arm.spawn(task, module, text=SENSOR.format(module=module, local=local))
+    arm.on("real")
+    old, new = "real", "twin"
+    for _ in range(6):
+        wait_for(lambda old=old: arm.value("Y0").values == values[old], "a value")
+        arm.ask(m.Reconfig(items=[(old, "off"), (new, "on")]), m.Reconfigured)
+        old, new = new, old
+    wait_for(lambda: arm.value("Y0").values == values["real"], "a value")
+    arm.off("real")
+    for task in tasks:
+        arm.kill(task)
+    log = finish(arm, path)
+    found = []
+    for life in log.all_lives():
+        arrays = life.schema.arrays(life.commits)
+        releases = arrays["release_ns"][arrays["kind"] == 0]
+        found += [(int(at), life.name) for at in releases]
+    gaps = [
+        (after[0] - before[0]) * 50 / 1e9
+        for before, after in pairwise(sorted(found))
+        if before[1] != after[1]
+    ]
+    assert len(gaps) == 6
+    assert all(gap == pytest.approx(round(gap)) and gap > 0.5 for gap in gaps)
+    assert median(gaps) == pytest.approx(1.0)  # the machine may be busy now and then
+    for verdict in verify(log, ["real", "twin"]):
+        assert verdict.good, str(verdict)
+        assert verdict.cycles
