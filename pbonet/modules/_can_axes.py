@@ -121,12 +121,13 @@ class CanAxes(Axes[W], OverDevice[W], abstract=True):
             self.task.fail("; ".join(faults))
 
     def _take_frames(self, now: int) -> None:
-        frames = [Frame(0)] * AT_ONCE
-        while len(frames) == AT_ONCE:
-            frames = self._device.read(AT_ONCE)
+        is_all = False
+        while not is_all:
+            frames: list[Frame] = self._device.read(AT_ONCE)
             for frame in frames:
                 if drive := self._by_id.get(frame.id):
                     drive.take(frame, now)
+            is_all = len(frames) < AT_ONCE
         oldest = min(one.measured_ns for one in self._drives)
         if oldest:
             self.task.stamp_ns = oldest

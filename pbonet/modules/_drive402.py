@@ -176,8 +176,7 @@ class Drive:
                 self._fail("does not become operational")
             return []
         self._watch(now)
-        if not self.fault:
-            self._control = self._next(now, run=run)
+        self._control = QUICK_STOP if self.fault else self._next(now, run=run)
         return [self._data(self._control, target)]
 
     def stop(self) -> Frame:

@@ -38,6 +38,8 @@ _REFUSALS: Final = (OSError, ValueError, TypeError, ImportError, NotImplementedE
 """Errors of interfaces for settings that they do not have, beside their own ones."""
 _AGAIN: Final = 0.001
 """Seconds after which a full interface is tried again."""
+_PATIENCE: Final = 0.2
+"""Seconds in which a bus takes safe frames."""
 
 
 class CanSettings(Settings, frozen=True, forbid_unknown_fields=True):
@@ -217,6 +219,31 @@ class CanDevice(FrameDevice):
         """Refuse safe frames that this bus cannot have."""
         for one in self.safe:
             self._check(one)
+
+    def _write_safe(self) -> None:
+        """Hand the safe frames over; a bus without a cable takes none, however long.
+
+        Raises:
+            DeviceError: It took none of them for `_PATIENCE` seconds.
+        """
+        if self.opening.wait is not Wait.ALL:
+            super()._write_safe()
+            return
+        before, left = self.opening, self.safe
+        ends = time.monotonic() + _PATIENCE
+        self.opening = before._replace(wait=Wait.NONE)
+        try:
+            while left := left[self.write(left) :]:
+                if time.monotonic() > ends:
+                    raise DeviceError(
+                        "the CAN bus takes no frames",
+                        where=f"{self.name} ({self.entry.address})",
+                        expected=f"room for {len(left)} within {_PATIENCE:g} s",
+                        remedy="check the cable, and that another node answers",
+                    )
+                time.sleep(_AGAIN)
+        finally:
+            self.opening = before
 
     def _unusable(self, got: str) -> DeviceError:
         return DeviceError(

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tty
 from itertools import pairwise
 from statistics import median
 
@@ -155,12 +156,74 @@ EOF
 """
 
 
-def test_a_sensor_and_its_twin_change_places_without_a_lost_cycle(nodes, tmp_path):
+FORCE = """MODULE ft300
+DESC a force sensor
+SVARALIAS F_RAW=F
+INCONST none
+OUTCONST none
+INVAR none
+OUTVAR F_RAW
+TASKTYPE synchronous
+FREQ 20
+HANDLER 30
+LOCAL
+DEVICE force
+SILENT 0.5
+EOF
+"""
+WRENCH = """
+NAME F
+TYPE double
+DESC a wrench
+UNITS mixed
+NELEM 6
+
+EOF
+"""
+FRAME = bytes.fromhex("204e0100020003000400050006007c5b")
+
+
+@pytest.fixture
+def sensors(nodes, tmp_path):
+    """A master of a machine with a converter, and the far end of a force sensor."""
     for k in (0, 1):
         (tmp_path / f"in_voltage{k}_raw").write_text("7\n")
-    adc = Entry(driver="iio_adc", address=str(tmp_path))
-    nodes.agent_process("arm0", device={"adc": adc})
-    arm = nodes.master("arm0", "arm")
+    far, near = os.openpty()
+    tty.setraw(far)
+    devices = {
+        "adc": Entry(driver="iio_adc", address=str(tmp_path)),
+        "force": Entry(driver="serial", address=os.ttyname(near)),
+    }
+    nodes.agent_process("arm0", device=devices)
+    arm = nodes.master("arm0", "arm", table=False)
+    arm.open_table(svar().replace("\nEOF\n", WRENCH))
+    yield arm, far
+    os.close(far)
+    os.close(near)
+
+
+def force_until_it_is_silent(arm, far):
+    """Run the force sensor in cycles of its own, and end it by its silence."""
+    arm.spawn("force", "ft300", text=FORCE)
+    arm.on("force")
+
+    def measured():
+        os.write(far, b"\x20" + FRAME * 3)
+        return arm.value("F").values == pytest.approx([0.01, 0.02, 0.03, *TORQUE])
+
+    wait_for(measured, "a wrench")
+    event = arm.wait_event("METHOD", "force")
+    assert "the sensor has sent no frame for 0.5 s" in event.text
+    assert arm.status("force").state == "ERROR"
+    arm.kill("force")
+
+
+TORQUE = 0.004, 0.005, 0.006
+
+
+def test_sensors_and_twins_of_a_machine(sensors):
+    """A twin takes a sensor's place without a lost cycle; a sensor is a clock."""
+    arm, far = sensors
     path = record(arm)
     tasks = {"real": "DEVICE adc", "twin": "MEAN 3"}
     values = {"real": [7.0, 7.0], "twin": [3.0, 3.0]}
@@ -177,9 +240,10 @@ def test_a_sensor_and_its_twin_change_places_without_a_lost_cycle(nodes, tmp_pat
     arm.off("real")
     for task in tasks:
         arm.kill(task)
+    force_until_it_is_silent(arm, far)
     log = finish(arm, path)
     found = []
-    for life in log.all_lives():
+    for life in [*log.lives("real"), *log.lives("twin")]:
         arrays = life.schema.arrays(life.commits)
         releases = arrays["release_ns"][arrays["kind"] == 0]
         found += [(int(at), life.name) for at in releases]
@@ -191,6 +255,6 @@ def test_a_sensor_and_its_twin_change_places_without_a_lost_cycle(nodes, tmp_pat
     assert len(gaps) == 6
     assert all(gap == pytest.approx(round(gap)) and gap > 0.5 for gap in gaps)
     assert median(gaps) == pytest.approx(1.0)  # the machine may be busy now and then
-    for verdict in verify(log, ["real", "twin"]):
+    for verdict in verify(log, ["real", "twin", "force"]):
         assert verdict.good, str(verdict)
         assert verdict.cycles

@@ -472,6 +472,18 @@ def test_a_drive_that_does_not_answer_is_named(rig):
         it.run(100)
 
 
+def test_a_bus_that_takes_no_frames_any_more_ends_in_error(rig, monkeypatch):
+    """As one whose cable was pulled: the interface is full, and stays so."""
+    it = rig()
+    it.start(qd_ref=[1.0, 1.0])
+    monkeypatch.setattr(it.task.module._device, "_give", lambda _frame: False)
+    with pytest.raises(MethodError, match="the CAN bus took 0 of"):
+        it.run()
+    assert it.task.state is State.ERROR
+    it.serve(0.2)
+    assert it.states() == ["quick stop active"] * 2
+
+
 def test_nodes_are_as_many_as_axes():
     told = {"device": "x", "nodes": (3, 3), "counts": (1.0,), "rated": (1.0,)}
     with pytest.raises(MethodError, match="2 different numbers"):
