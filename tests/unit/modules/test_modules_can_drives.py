@@ -87,13 +87,15 @@ class ScriptedDrive:
         self.passed = [self.state]
         self.values = {0x6064: 1000, 0x606C: 0, 0x6077: 0}
         self.heard, self.beaten, self.silent = None, 0, False
-        self.stays_in_fault = False
+        self.stays_in_fault, self.fails_in = False, ""
         self.targets = {}
 
     def go(self, state):
         if state != self.state:
             self.passed.append(state)
         self.state = state
+        if state == self.fails_in:
+            self.fail(0x8611)
 
     def send(self, identity, data):
         if not self.silent:
@@ -134,7 +136,9 @@ class ScriptedDrive:
         head = struct.pack("<HB", index, sub)
         if index not in OBJECTS - self.missing:
             answer = b"\x80" + head + struct.pack("<I", 0x06020000)
-        elif index in {0x1600, 0x1A00, 0x1A01} and self.nmt != 0x7F:
+        elif index in {0x1600, 0x1A00, 0x1A01} and (
+            self.nmt != 0x7F or not self.objects[index - 0x200, 1] & 0x80000000
+        ):
             answer = b"\x80" + head + struct.pack("<I", 0x08000022)
         else:
             self.objects[index, sub] = int.from_bytes(data[4 : 4 + size], "little")
@@ -326,12 +330,12 @@ def test_a_torque_is_limited_and_measured_at_the_axis(rig):
 def test_drives_that_hold_the_reset_word_of_a_run_before_are_reset_by_its_edge(rig):
     it = rig()
     it.drives[0].state = "fault"
-    it.drives[0].control = 0x80
     it.task.on()
     with pytest.raises(MethodError, match="drive 1 has a fault"):
         it.run(100)
     assert it.states()[0] == "fault"
     it.task.clear()
+    it.drives[0].control = 0x80
     it.start()
     assert it.drives[0].passed[-4:] == UP
 
@@ -447,6 +451,34 @@ def test_a_fault_is_reset_once_by_clear_and_on(rig, stays):
     it.task.on()
     with pytest.raises(MethodError, match="not enabled in 3 s: its state is fault"):
         it.run(400)
+
+
+def test_a_drive_that_fails_again_when_it_is_enabled_is_not_reset_again(rig):
+    it = rig()
+    it.start()
+    it.drives[0].fail(0x2310)
+    with pytest.raises(MethodError, match="2310h"):
+        it.run(5)
+    it.task.clear()
+    it.drives[0].fails_in = "ready"
+    it.task.on()
+    with pytest.raises(MethodError, match="8611h"):
+        it.run(400)
+    assert it.drives[0].passed[-3:] == ["switch on disabled", "ready", "fault"]
+
+
+def test_no_drive_moves_before_all_are_enabled(rig):
+    it = rig()
+    it.drives[1].state = "not ready"
+    it.task.inputs.qd_ref = [1.0, 1.0]
+    it.task.on()
+    it.run(100)
+    assert it.states() == ["enabled", "not ready"]
+    assert (it.drives[0].values[0x606C], it.task["READY"]) == (0, 0)
+    it.drives[1].go("switch on disabled")
+    it.run(20)
+    assert it.drives[0].values[0x606C] > 0
+    assert it.task["READY"] == 1
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from watching import wait_for
 from pbonet import State, TimingFailure
 from pbonet.errors import DeviceError, MethodError
 from pbonet.io.drivers import Entry, Mode, database, i2c_driver, open_device
+from pbonet.modules._ft300_frames import Frames
 from pbonet.modules.robot_interfaces.linear_actuator import LinearActuator
 from pbonet.modules.robot_interfaces.linear_actuator_sim import LinearActuatorSim
 from pbonet.modules.sensors.encoder import Encoder
@@ -471,6 +472,7 @@ def test_an_imu_without_new_values_gets_older_and_ends_in_error(chip):
     bench.on()
     bench.step()
     assert bench.output_age == 0.0
+    chip.registers[0x3F] = 0  # which the chip is about to write
     bench.step(n=4)
     assert bench.output_age == pytest.approx(0.04)
     assert bench.outputs.acc[2] == pytest.approx(G, abs=1e-3)
@@ -587,6 +589,15 @@ def test_a_force_sensor_finds_its_frames_again_behind_damage(line, before):
         os.write(line, data[k : k + 7])
     assert cycled(bench) == WRENCH_ONE
     bench.kill()
+
+
+@pytest.mark.parametrize("piece", [1, 7, 15, 16, 17])
+def test_frames_are_found_in_whatever_pieces_they_come(piece):
+    frames = Frames()
+    data = b"\x20" + frame(*ONE) + frame(*TWO)[3:] + frame(*TWO) + b"\x20\x4e\1"
+    found = [frames.newest(data[k : k + piece]) for k in range(0, len(data), piece)]
+    assert [one for one in found if one] == [ONE, TWO]
+    assert frames.damaged == 1 + 13
 
 
 def test_of_a_force_sensor_that_is_faster_the_newest_frame_counts(line):
