@@ -170,6 +170,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "can_position": lambda: {"ndof": 2},
     "can_speed": lambda: {"ndof": 2},
     "can_torque": lambda: {"ndof": 2},
+    "dynamixel": lambda: {"ndof": 2},
 }
 """Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
 CRAFT = Path(built_in).parent / "robot_interfaces" / "mav_craft.rmod"

@@ -10,7 +10,7 @@ import os
 import struct
 from typing import TYPE_CHECKING, ClassVar
 
-from pbonet.io.drivers import Entry, Frame, FrameDevice, PortDevice
+from pbonet.io.drivers import Entry, Frame, FrameDevice, PortDevice, Wait
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,6 +44,7 @@ def entries(folder: Path, channels: int) -> dict[str, Entry]:
         "counters": _converter("iio_adc", folder, counts),
         "dac0": _converter("iio_dac", folder, volts),
         "imu": Entry(driver=f"{here}:Chip", address="chip"),
+        "servos": Entry(driver=f"{here}:Servos", address="line"),
         "can0": Entry(driver=f"{here}:Drives", address="bus"),
         "force": Entry(driver="serial", address=os.ttyname(slave)),
     }
@@ -70,6 +71,22 @@ class Chip(PortDevice):
 
     def write_ports(self, values: Sequence[int]) -> None:
         """Take a setting."""
+
+
+class Servos(Chip):
+    """Servos that stand still, and always have a new measurement."""
+
+    kind: ClassVar[Kind] = "RCB"
+    waits = frozenset({Wait.ALL, Wait.NONE})
+
+    def read_ports(self) -> Sequence[int]:
+        """Return current, speed and place."""
+        return [0] * (self.opening.end - self.opening.start + 1)
+
+    def port_bits(self, port: int) -> int:
+        """Return the size of the largest register."""
+        del port
+        return 32
 
 
 class Drives(FrameDevice):

@@ -14,19 +14,19 @@ import pytest
 from pbonet import State
 from pbonet.errors import MethodError
 from pbonet.io.drivers import Entry, database
+from pbonet.modules.robot_interfaces.axes_position_sim import AxesPositionSim
+from pbonet.modules.robot_interfaces.axes_speed_sim import AxesSpeedSim
+from pbonet.modules.robot_interfaces.axes_torque_sim import AxesTorqueSim
 from pbonet.modules.robot_interfaces.can_position import CanPosition
-from pbonet.modules.robot_interfaces.can_position_sim import CanPositionSim
 from pbonet.modules.robot_interfaces.can_speed import CanSpeed
-from pbonet.modules.robot_interfaces.can_speed_sim import CanSpeedSim
 from pbonet.modules.robot_interfaces.can_torque import CanTorque
-from pbonet.modules.robot_interfaces.can_torque_sim import CanTorqueSim
 from pbonet.outside import Player, Tape, using as recording
 from pbonet.testing import Bench
 
 PAIRS = [
-    (CanPosition, CanPositionSim),
-    (CanSpeed, CanSpeedSim),
-    (CanTorque, CanTorqueSim),
+    (CanPosition, AxesPositionSim),
+    (CanSpeed, AxesSpeedSim),
+    (CanTorque, AxesTorqueSim),
 ]
 CHANNELS = (f"bus {k} of a test" for k in itertools.count())
 
@@ -543,10 +543,10 @@ def test_a_run_is_replayed_without_a_bus(rig):
 
 
 def test_the_twins_follow_and_stop():
-    one = Bench(CanPositionSim, params={"speed": (0.5,)}, ndof=1, q=[1.0], q_ref=[9.0])
-    two = Bench(CanSpeedSim, params={"slow": (2.0,)}, ndof=1, critical=True)
+    one = Bench(AxesPositionSim, params={"speed": (0.5,)}, ndof=1, q=[1.0], q_ref=[9.0])
+    two = Bench(AxesSpeedSim, params={"slow": (2.0,)}, ndof=1, critical=True)
     three = Bench(
-        CanTorqueSim,
+        AxesTorqueSim,
         params={"inertia": (0.1,), "damping": (0.5,), "limit": (1.0,)},
         ndof=1,
         t_ref=[5.0],

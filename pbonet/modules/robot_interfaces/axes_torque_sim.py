@@ -16,11 +16,11 @@ class Motors(Body, kw_only=True):
     limit: Limit
 
 
-class CanTorqueSim(TorqueAxes[Motors], SimulatedAxes[Motors]):
+class AxesTorqueSim(TorqueAxes[Motors], SimulatedAxes[Motors]):
     """inertia * dqd/dt = clip(t_ref, -limit, limit) - damping * qd.
 
-    It has the ports of `can_torque`, and opens no device: swap the two. Where those
-    stop quickly, it slows down by SLOW.
+    It has the ports of `can_torque`, and opens no device: swap them.
+    Where real drives stop quickly, it slows down by SLOW.
     """
 
     def _take_limits(self) -> None:

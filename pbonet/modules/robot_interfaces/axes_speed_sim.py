@@ -15,11 +15,11 @@ class Motors(Body, kw_only=True):
     speed: Speed = (1.0,)
 
 
-class CanSpeedSim(SpeedAxes[Motors], SimulatedAxes[Motors]):
+class AxesSpeedSim(SpeedAxes[Motors], SimulatedAxes[Motors]):
     """lag * dqd/dt = clip(qd_ref, -speed, speed) - qd.
 
-    It has the ports of `can_speed`, and opens no device: swap the two. Where those
-    stop quickly, it slows down by SLOW.
+    It has the ports of `can_speed`, and opens no device: swap them.
+    Where real drives stop quickly, it slows down by SLOW.
     """
 
     def _take_limits(self) -> None:

@@ -16,11 +16,11 @@ class Motors(Body, kw_only=True):
     follow: Follow = 20.0
 
 
-class CanPositionSim(PositionAxes[Motors], SimulatedAxes[Motors]):
+class AxesPositionSim(PositionAxes[Motors], SimulatedAxes[Motors]):
     """r moves as in `can_position`, and lag * dq/dt = r - q.
 
-    It has the ports of `can_position`, and opens no device: swap the two. Where
-    those stop quickly, it slows down by SLOW.
+    It has the ports of `can_position` and `dynamixel`, and opens no device: swap them.
+    Where real drives stop quickly, it slows down by SLOW.
     """
 
     def _take_limits(self) -> None:
