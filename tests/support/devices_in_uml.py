@@ -47,6 +47,12 @@ DEVICES = {
         first=3,
         settings={"registers": [1, 2, 5, 1, 9]},
     ),
+    "burst": Entry(
+        driver="i2c",
+        address=f"{BUS}:0x48",
+        first=8,
+        settings={"registers": [*range(32, 72), 80], "burst": True},
+    ),
     "nochip": Entry(driver="i2c", address=f"{BUS}:0x50", settings={"registers": [0]}),
     "nobus": Entry(driver="i2c", address="/dev/null:0x50", settings={"registers": [0]}),
 }
@@ -152,6 +158,10 @@ def can():
 
 
 def i2c():
+    count = 33  # more than a transfer has, and one that does not follow
+    with open_device("burst", 0, count - 1, mode=Mode.RW, safe=None) as burst:
+        burst.write(range(100, 100 + count))
+        together = burst.read() == list(range(100, 100 + count))
     with open_device("words", 0, 2, mode=Mode.RW, safe=None, size=16) as words:
         words.write([0x1234, 0xFFFE, 7])
         found = words.read()
@@ -164,6 +174,7 @@ def i2c():
     with open_device("nochip", mode=Mode.READ) as chip:
         none = refused(chip.read)
     return {
+        "together": together,
         "found": found,
         "signed": signed,
         "low": low[0],

@@ -76,6 +76,7 @@ def test_a_can_bus_that_is_down_or_missing_is_refused_at_open(results):
 
 def test_registers_of_an_i2c_device_are_read_and_written(results):
     i2c = results["i2c"]
+    assert i2c["together"], "in one transfer, as the settings say"
     assert i2c["found"] == [0x1234, 0xFFFE, 7]
     assert i2c["signed"] == [-2]
     assert i2c["low"] == 0x12, "the first byte on the bus"

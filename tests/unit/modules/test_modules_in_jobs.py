@@ -33,7 +33,8 @@ RMODS = [
     "otg", "otg_cart", "gait", "spline", "traj_play", "biquad", "median", "limits",
     "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
     "wrench_comp", "ekf_odom", "diff_drive", "mecanum", "ackermann", "deadman",
-    "joystick", "spacemouse", "mpc_linear", "lqr", "dmp",
+    "joystick", "spacemouse", "mpc_linear", "lqr", "dmp", "encoder_sim",
+    "axes_speed_sim",
 ]  # fmt: skip
 
 
