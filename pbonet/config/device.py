@@ -19,6 +19,8 @@ DRIVERS: Final[Mapping[str, str]] = {
     "iio_adc": "iio_driver:IioAdc",
     "iio_dac": "iio_driver:IioDac",
     "modbus": "modbus_driver:ModbusDevice",
+    "gpio": "gpio_driver:GpioLines",
+    "gpio_edges": "gpio_driver:GpioEdges",
 }
 """Drivers by name: the file in pbonet.io.drivers and the class of each."""
 

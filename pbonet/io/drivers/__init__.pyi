@@ -11,5 +11,6 @@ from .device import (
     StreamDevice as StreamDevice,
 )
 from .device_list import listed as listed
+from .gpio_driver import Edge as Edge
 from .modes import Mode as Mode, Opening as Opening, Wait as Wait
 from .opening import driver as driver, open_device as open_device

@@ -65,7 +65,7 @@ class CanSettings(Settings, frozen=True, forbid_unknown_fields=True):
             )
 
 
-class CanDevice(FrameDevice):
+class CanDevice(FrameDevice[Frame]):
     """A channel of a CAN bus; each opened port is a socket of its own."""
 
     settings_type: ClassVar[type[Settings]] = CanSettings

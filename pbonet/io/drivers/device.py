@@ -8,7 +8,17 @@ raw: units are the matter of the modules above it (section 7.3).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, Self
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Final,
+    Generic,
+    Literal,
+    NamedTuple,
+    Self,
+    TypeVar,
+)
 
 import msgspec
 from msgspec import Struct
@@ -26,6 +36,7 @@ if TYPE_CHECKING:
     from .modes import Opening
     from .port_claims import Claim
 
+P = TypeVar("P")
 Kind = Literal["SIO", "PIO", "ADC", "DAC", "RCB", "SBS", "MEM"]
 """The classes of devices: serial, parallel, converters from and to analogue values,
 robot control boards (a process image of several values), subsystems, and memory."""
@@ -235,10 +246,11 @@ class Frame(NamedTuple):
     """Nanoseconds since 1970 at its arrival, by the kernel where it stamps."""
 
 
-class FrameDevice(Device):
-    """A device that moves frames: class SIO, where a frame is one piece.
+class FrameDevice(Device, Generic[P]):
+    """A device that moves whole pieces: frames of a bus, edges of lines, or samples.
 
-    Each port is an end of its own: it has all frames of the bus that its filters pass.
+    Its class is SIO. Each port of a bus is an end of its own: it has all frames of the
+    bus that its filters pass.
     """
 
     kind: ClassVar[Kind] = "SIO"
@@ -247,21 +259,23 @@ class FrameDevice(Device):
     one_port = True
 
     @abstractmethod
-    def read(self, count: int) -> list[Frame]:
-        """Return up to `count` frames, the oldest first; it waits as it was opened.
+    def read(self, count: int) -> list[P]:
+        """Return up to `count` pieces, the oldest first; it waits as it was opened.
 
         Raises:
             DeviceError: The device is gone, or not open for reading.
         """
 
-    @abstractmethod
-    def write(self, frames: Sequence[Frame]) -> int:
-        """Hand frames over, each one whole; return how many were taken.
+    def write(self, frames: Sequence[P]) -> int:
+        """Hand pieces over, each one whole; return how many were taken.
 
         Raises:
             DeviceError: The device is gone, or not open for writing; the bus has no
                 such frames.
         """
+        self.require(Mode.WRITE)
+        del frames
+        raise NotImplementedError  # refused at open: a driver that writes has its own
 
 
 class PortDevice(Device):
