@@ -19,6 +19,7 @@ DRIVERS: Final[Mapping[str, str]] = {
     "iio_adc": "iio_driver:IioAdc",
     "iio_dac": "iio_driver:IioDac",
     "modbus": "modbus_driver:ModbusDevice",
+    "dynamixel": "dynamixel_driver:DynamixelDevice",
     "gpio": "gpio_driver:GpioLines",
     "gpio_edges": "gpio_driver:GpioEdges",
 }

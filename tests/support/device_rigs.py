@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import errno
 import os
+import select
+import threading
+import tty
 
 import gpiod
 from msgspec.structs import replace
@@ -41,6 +44,9 @@ class Rig:
     def use(self, device):
         """Return what the device gives."""
         return device.read()
+
+    def close(self):
+        """Leave nothing behind."""
 
 
 def entry(driver, address, first=0, ports=0, **settings):
@@ -159,7 +165,114 @@ class GpioEdges(Gpio):
         return device.read(1)
 
 
+class Servos:
+    """Servos that answer as they should, at the other end of a terminal.
+
+    It has parsing and a checksum of its own, by the protocol's rules.
+    """
+
+    def __init__(self, *numbers):
+        self.memory = {number: bytearray(256) for number in numbers}
+        self.errors = dict.fromkeys(numbers, 0)
+        self.before, self.asked = b"", []
+        self.fd, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        os.close(slave)
+        self._stop = os.pipe()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def silence(self):
+        """Answer no more."""
+        os.write(self._stop[1], b"x")
+        self._thread.join()
+
+    def close(self):
+        if self.fd >= 0:
+            self.silence()
+            for fd in (self.fd, *self._stop):
+                os.close(fd)
+            self.fd = -1
+
+    @staticmethod
+    def crc(data):
+        value = 0
+        for bit in (byte >> (7 - k) & 1 for byte in data for k in range(8)):
+            value = value << 1 ^ (0x8005 if (value >> 15) ^ bit else 0)
+            value &= 0xFFFF
+        return value.to_bytes(2, "little")
+
+    def framed(self, number, body):
+        body = body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+        head = b"\xff\xff\xfd\0" + bytes((number,))
+        whole = head + (len(body) + 2).to_bytes(2, "little") + body
+        return whole + self.crc(whole)
+
+    def _serve(self):
+        data = b""
+        while self._stop[0] not in select.select([self.fd, self._stop[0]], [], [])[0]:
+            try:
+                data += os.read(self.fd, 999)
+            except OSError:  # no end is open now
+                select.select([self._stop[0]], [], [], 0.001)
+                continue
+            while len(data) > 7 and len(data) >= (
+                end := 7 + int.from_bytes(data[5:7], "little")
+            ):
+                one, data = data[:end], data[end:]
+                assert one[-2:] == self.crc(one[:-2])
+                body = one[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+                os.write(self.fd, self.before + self._answer(one[4], *body))
+
+    def _answer(self, number, instruction, *values):
+        self.asked.append(instruction)
+        if instruction in {1, 8}:
+            given = {1: b"\x06\x04\x2d", 8: b""}[instruction]
+            if instruction == 8:
+                self.errors[number] = 0
+            return self._status(number, given) if number in self.memory else b""
+        at, size = (int.from_bytes(values[k : k + 2], "little") for k in (0, 2))
+        rest = bytes(values[4:])
+        if instruction == 0x83:
+            for k in range(0, len(rest), size + 1):
+                self.memory[rest[k]][at : at + size] = rest[k + 1 : k + 1 + size]
+            return b""
+        answers = b""
+        for one in rest:
+            if one not in self.memory:
+                break  # those behind it wait for it
+            answers += self._status(one, bytes(self.memory[one][at : at + size]))
+        return answers
+
+    def _status(self, number, values):
+        return self.framed(number, bytes((0x55, self.errors[number])) + values)
+
+
+class Dynamixel(Rig):
+    ports = 6
+    lost = ""
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.servos = Servos(1, 7)
+
+    def entry(self, **settings):
+        settings = {"servos": [1, 7], "timeout": 30.0, **settings}
+        return entry("dynamixel", self.servos.path, **settings)
+
+    def prepare(self):
+        self.servos.memory[7][64] = 1
+
+    def lose(self):
+        self.servos.close()
+
+    def close(self):
+        self.servos.close()
+
+
 RIGS = {
+    "dynamixel": Dynamixel,
     "gpio": Gpio,
     "gpio_edges": GpioEdges,
 }

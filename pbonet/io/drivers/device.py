@@ -153,6 +153,25 @@ class Device(ABC):
         del port
         return 8
 
+    def check_ports(self, count: int) -> None:
+        """Return if the device has the opened ports.
+
+        Args:
+            count: How many ports the logical device can have, by the driver.
+
+        Raises:
+            DeviceError: It has not.
+        """
+        o = self.opening
+        if o.end >= count:
+            raise DeviceError(
+                "the device has no such ports",
+                where=f"{self.name} ({self.entry.address})",
+                expected=f"0 to {count - 1}" if count > 0 else "none",
+                got=f"{o.start} to {o.end}",
+                remedy=f"see first and settings of [device.{self.name}]",
+            )
+
     def require(self, mode: Mode) -> None:
         """Return if the device was opened in this direction.
 

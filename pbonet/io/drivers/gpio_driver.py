@@ -40,7 +40,7 @@ class LineSettings(Settings, frozen=True, forbid_unknown_fields=True):
     active_low: Lines = ()
     """Lines whose value 1 is a low voltage."""
     bias: Literal["as is", "off", "up", "down"] = "as is"
-    """What pulls the lines where nothing drives them."""
+    """The pull of the lines where nothing drives them."""
 
 
 class GpioSettings(LineSettings, frozen=True, forbid_unknown_fields=True):
@@ -82,7 +82,7 @@ class _Lines(Device):
         try:
             with self._gpiod.Chip(self.entry.address) as chip:
                 self._count: int = chip.get_info().num_lines
-                self._check()
+                self.check_ports(self._count - first)
                 if o.mode is not Mode.NONE:
                     config = {line: self._config(line) for line in self._lines}
                     self._request = chip.request_lines(
@@ -133,23 +133,10 @@ class _Lines(Device):
             "down": words.Bias.PULL_DOWN,
         }
         return self._gpiod.LineSettings(
-            bias=bias[k.bias], active_low=line in k.active_low, **self.line_settings(line)
+            bias=bias[k.bias],
+            active_low=line in k.active_low,
+            **self.line_settings(line),
         )
-
-    def _check(self) -> None:
-        """Return if the chip has these lines.
-
-        Raises:
-            DeviceError: It has not.
-        """
-        if self._lines[-1] >= self._count:
-            raise DeviceError(
-                "the device has no such ports",
-                where=self._where(),
-                expected=f"0 to {self._count - self.entry.first - 1}",
-                got=f"{self.opening.start} to {self.opening.end}",
-                remedy="`gpioinfo` lists the lines; see first in agent.toml",
-            )
 
     def _where(self) -> str:
         return f"{self.name} ({self.entry.address})"

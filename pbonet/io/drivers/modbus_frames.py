@@ -1,7 +1,7 @@
 """Requests of Modbus for the values of consecutive ports, and what answers them.
 
 These are the protocol's own units, without what a line puts around them (see
-`modbus_line`): Modbus Application Protocol 1.1b3, functions 1 to 4, 15 and 16.
+`modbus_lines`): Modbus Application Protocol 1.1b3, functions 1 to 4, 15 and 16.
 """
 
 from __future__ import annotations

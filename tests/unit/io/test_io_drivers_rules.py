@@ -19,6 +19,7 @@ def rig(request, monkeypatch, tmp_path):
     one = RIGS[request.param](monkeypatch, tmp_path)
     with database.using({"x": one.entry(), "none": one.missing()}, "arm0/reads"):
         yield one
+    one.close()
 
 
 def opened(rig, *ports, name="x"):

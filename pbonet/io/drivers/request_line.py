@@ -1,7 +1,7 @@
-"""A line that carries Modbus; `modbus_tcp` and `modbus_rtu` have the two kinds.
+"""A line that carries requests and their answers, one request at a time.
 
-A line carries one request at a time: `begin` hands it over, `answer` returns what has
-come. Neither waits; `wait` does.
+`begin` hands a request over, `answer` returns what has come. Neither waits; `wait`
+does.
 """
 
 from __future__ import annotations
@@ -9,41 +9,39 @@ from __future__ import annotations
 import select
 from abc import ABC, abstractmethod
 from time import monotonic
-from typing import TYPE_CHECKING, Final
+from typing import Final, Generic, TypeVar
 
 from pbonet.errors import DeviceError
 
-if TYPE_CHECKING:
-    from .modbus_frames import Request
-
+R = TypeVar("R")
+"""A request of a protocol."""
 AT_ONCE: Final = 4096
 """Bytes taken at once: more than any frame has."""
 
 
-class Line(ABC):
+class Line(ABC, Generic[R]):
     """A line to one device.
 
     Args:
-        unit: The number of the device on it.
         timeout: Seconds in which it answers.
         where: For errors.
     """
 
-    def __init__(self, unit: int, timeout: float, where: str) -> None:
-        self.unit, self.timeout, self.where = unit, timeout, where
+    def __init__(self, timeout: float, where: str) -> None:
+        self.timeout, self.where = timeout, where
         self._in = bytearray()
         self._out = b""
         self.ends = 0.0
         """When the answer is late."""
 
-    def begin(self, request: Request) -> None:
+    def begin(self, request: R) -> None:
         """Hand a request over.
 
         Raises:
             OSError: The device is gone.
         """
         self._request = request
-        self._out = self.framed(request.data)
+        self._out = self.framed(request)
         self.ends = monotonic() + self.timeout
         self.push()
 
@@ -61,7 +59,7 @@ class Line(ABC):
 
         Raises:
             DeviceError: None came in time, or it is damaged.
-            OSError: The device is gone, or does not talk Modbus.
+            OSError: The device is gone, or does not talk this protocol.
         """
         self.push()
         self._in += self.taken()
@@ -71,11 +69,15 @@ class Line(ABC):
                 "the device does not answer",
                 where=self.where,
                 expected=f"an answer within {self.timeout:g} s",
-                got=self._in[:16].hex(" ") or "nothing",
-                remedy="check that it is switched on, its wires, and unit in "
-                "agent.toml",
+                got=self.come(),
+                remedy="check that it is switched on, its wires, and its number and "
+                "the line's settings in agent.toml",
             )
         return found
+
+    def come(self) -> str:
+        """Return what has come of an answer that is late, for errors."""
+        return self._in[:16].hex(" ") or "nothing"
 
     def wait(self) -> None:
         """Wait for more bytes, at most until the answer is late."""
@@ -99,9 +101,9 @@ class Line(ABC):
         """Return bytes that have come."""
 
     @abstractmethod
-    def framed(self, data: bytes) -> bytes:
+    def framed(self, request: R) -> bytes:
         """Return a request as the line carries it."""
 
     @abstractmethod
-    def unframed(self, request: Request) -> bytes | None:
+    def unframed(self, request: R) -> bytes | None:
         """Return the answer out of the bytes that came; None: it is not whole."""
