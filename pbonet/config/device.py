@@ -20,6 +20,9 @@ DRIVERS: Final[Mapping[str, str]] = {
     "iio_dac": "iio_driver:IioDac",
     "modbus": "modbus_driver:ModbusDevice",
     "dynamixel": "dynamixel_driver:DynamixelDevice",
+    "iio_buffer": "iio_buffer_driver:IioBuffer",
+    "joystick": "joystick_driver:JoystickDevice",
+    "spi": "spi_driver:SpiDevice",
     "gpio": "gpio_driver:GpioLines",
     "gpio_edges": "gpio_driver:GpioEdges",
 }

@@ -12,9 +12,10 @@ import threading
 import tty
 
 import gpiod
+import spidev
 from msgspec.structs import replace
 
-from pbonet.io.drivers import Entry, Mode
+from pbonet.io.drivers import Entry, Mode, iio_buffer_driver, joystick_driver
 
 
 def gone(*_):
@@ -271,7 +272,161 @@ class Dynamixel(Rig):
         self.servos.close()
 
 
+class Spi(Rig):
+    """A bus at the edge of spidev; what is read is what was written before."""
+
+    library, extra = "spidev", "spi"
+    mode = Mode.RW
+    lost = "Cannot send"
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.log, self.error = [], 0
+        self.refused = ()
+        monkeypatch.setattr(spidev, "SpiDev", lambda: self)
+
+    def __setattr__(self, name, value):
+        if name in {"mode", "max_speed_hz", "lsbfirst", "cshigh"}:
+            if name in self.refused:
+                raise OSError(errno.EINVAL, "Invalid argument")
+            self.log.append((name, value))
+        else:
+            super().__setattr__(name, value)
+
+    def entry(self, **settings):
+        return entry("spi", self.folder / "spidev0.0", **settings)
+
+    def open_path(self, path):
+        if path != self.entry().address:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+        self.log.append("open")
+        self.before = b""
+
+    def xfer2(self, values):
+        if self.error:
+            raise OSError(self.error, os.strerror(self.error))
+        self.log.append(bytes(values))
+        found, self.before = self.before[: len(values)], bytes(values)
+        return list(found.ljust(len(values), b"\xff"))
+
+    def prepare(self):
+        pass
+
+    def lose(self):
+        self.error = errno.ESHUTDOWN
+
+    def use(self, device):
+        return device.transfer(b"ab")
+
+    def close(self):
+        self.log.append("closed")
+
+
+class IioBuffer(Rig):
+    """A folder of plain files and a pipe, in place of sysfs and the device file."""
+
+    ports = 3
+    wrong = Mode.WRITE
+    lost = "the buffer ended"
+    FILES = {  # noqa: RUF012
+        "voltage0": ("le:s12/16>>4", 0),
+        "voltage2": ("be:u24/32>>8", 2),
+        "voltage10": ("le:u8/8>>0", 1),
+        "timestamp": ("le:s64/64>>0", 3),
+    }
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.path = tmp_path / "sys" / "iio:device0"
+        for name, (kind, index) in self.FILES.items():
+            self.set(f"scan_elements/in_{name}_type", f"{kind}\n")
+            self.set(f"scan_elements/in_{name}_index", f"{index}\n")
+            self.set(f"scan_elements/in_{name}_en", "0\n")
+        for name in ("buffer/length", "buffer/enable", "current_timestamp_clock"):
+            self.set(name, "0\n")
+        self.set("trigger/current_trigger", "\n")
+        (tmp_path / "dev").mkdir()
+        os.mkfifo(tmp_path / "dev" / "iio:device0")
+        self.fd = os.open(tmp_path / "dev" / "iio:device0", os.O_RDWR)
+        monkeypatch.setattr(iio_buffer_driver, "DEVICE_FILES", str(tmp_path / "dev"))
+
+    def set(self, name, text):
+        path = self.path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+
+    def entry(self, **settings):
+        return entry("iio_buffer", self.path, **settings)
+
+    def prepare(self):
+        os.write(self.fd, bytes(16))
+
+    def use(self, device):
+        return device.read(1)
+
+    def lose(self):
+        os.close(self.fd)
+        self.fd = -1
+
+    def close(self):
+        if self.fd >= 0:
+            os.close(self.fd)
+
+
+class Joystick(Rig):
+    """A pipe for the kernel's events, and the answers of the kernel."""
+
+    ports = 4
+    wrong = Mode.RW
+    lost = "no events any more"
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.path = tmp_path / "event7"
+        self.axes = {0: (128, 0, 255), 1: (0, -100, 100)}
+        self.keys = set()
+        monkeypatch.setattr(joystick_driver, "ioctl", self.ioctl)
+        self.plug()
+
+    def entry(self, **settings):
+        settings = {"axes": [0, 1], "buttons": [304, 305], **settings}
+        return entry("joystick", self.path, **settings)
+
+    def plug(self):
+        os.mkfifo(self.path)
+        self.fd = os.open(self.path, os.O_RDWR | os.O_NONBLOCK)
+
+    def lose(self):
+        os.close(self.fd)
+        self.fd = -1
+        self.path.unlink()
+
+    def close(self):
+        if self.fd >= 0:
+            self.lose()
+
+    def ioctl(self, _fd, request, room):
+        if request == joystick_driver.GET_KEYS:
+            table = bytearray(room)
+            for code in self.keys:
+                table[code // 8] |= 1 << code % 8
+            return bytes(table)
+        code = (request & 0xFF) - 0x40
+        assert request == joystick_driver.get_axis(code)
+        return joystick_driver.ABSINFO.pack(*self.axes.get(code, (0, 0, 0)), 0, 0, 0)
+
+    def send(self, *events):
+        data = (joystick_driver.EVENT.pack(0, 0, *event) for event in events)
+        os.write(self.fd, b"".join(data))
+
+    def prepare(self):
+        self.send((joystick_driver.ABS, 1, 50))
+
+
 RIGS = {
+    "spi": Spi,
+    "iio_buffer": IioBuffer,
+    "joystick": Joystick,
     "dynamixel": Dynamixel,
     "gpio": Gpio,
     "gpio_edges": GpioEdges,

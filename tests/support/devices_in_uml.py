@@ -1,6 +1,7 @@
 """Drivers over devices of a real kernel, run by scripts/umlrun.py; prints results.
 
-It needs the modules vcan, can-raw, i2c-dev and i2c-stub with a chip at 0x48.
+It needs the modules vcan, can-raw, i2c-dev, tmp006, ti-adc081c, and i2c-stub with chips
+at 0x40, 0x48 and 0x54.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+import smbus2
 
 from pbonet.errors import DeviceError
 from pbonet.io.drivers import Entry, Frame, Mode, Wait, database, open_device
@@ -131,7 +134,58 @@ def i2c():
     }
 
 
+def iio():
+    """Let the kernel's drivers find a thermometer and a converter on the stub's bus."""
+    number = BUS.rpartition("-")[2]
+    bus = Path(f"/sys/bus/i2c/devices/i2c-{number}")
+    with smbus2.SMBus(BUS) as raw:
+        for address, register, value in (
+            *((0x40, 0xFE, 0x5449), (0x40, 0xFF, 0x0067), (0x40, 2, 0x7480)),
+            *((0x40, 0, -4660 & 0xFFFF), (0x40, 1, 0x0C80), (0x54, 0, 0x0AB0)),
+        ):
+            swapped = (value & 0xFF) << 8 | value >> 8
+            raw.write_word_data(address, register, swapped)
+    folders = {}
+    for name, address in (("tmp006", 0x40), ("adc081c", 0x54)):
+        (bus / "new_device").write_text(f"{name} {address:#x}")
+        (found,) = (bus / f"{number}-{address:04x}").glob("iio:device*")
+        folders[name] = f"/sys/bus/iio/devices/{found.name}"
+    entries = {
+        name: Entry(driver=driver, address=folders[chip])
+        for name, driver, chip in (
+            ("heat", "iio_adc", "tmp006"),
+            ("adc", "iio_adc", "adc081c"),
+            ("buffer", "iio_buffer", "adc081c"),
+            ("none", "iio_buffer", "tmp006"),
+        )
+    }
+    sysfs = Path(folders["adc081c"])
+    with database.using(entries, "uml/test"):
+        with open_device("heat", 0, 1, mode=Mode.READ, signed=True) as heat:
+            heats = heat.read()
+        with open_device("adc", mode=Mode.READ) as adc:
+            values, bits = adc.read(), adc.status("PORTSIZE")
+            no_trigger = refused(open_device, "buffer", mode=Mode.READ)
+            chosen = (sysfs / "scan_elements" / "in_voltage_en").read_text().strip()
+            with open_device("buffer") as buffer:
+                known = buffer.status("PORTNUM"), buffer.status("PORTSIZE")
+            after = adc.read()
+            none = refused(open_device, "none", mode=Mode.READ)
+            (bus / "delete_device").write_text("0x54")
+            lost = refused(adc.read)
+        return {
+            "heats": heats,
+            "values": [values, after],
+            "bits": bits,
+            "no_trigger": no_trigger,
+            "chosen": chosen,
+            "known": known,
+            "none": none,
+            "lost": lost,
+        }
+
+
 if __name__ == "__main__":
     os.environ["PBONET_RUN_DIR"] = tempfile.mkdtemp(dir="/run")
     with database.using(DEVICES, "uml/test"):
-        print(json.dumps({"can": can(), "i2c": i2c()}))
+        print(json.dumps({"can": can(), "i2c": i2c(), "iio": iio()}))
