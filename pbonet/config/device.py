@@ -23,6 +23,8 @@ DRIVERS: Final[Mapping[str, str]] = {
     "iio_buffer": "iio_buffer_driver:IioBuffer",
     "joystick": "joystick_driver:JoystickDevice",
     "spi": "spi_driver:SpiDevice",
+    "canopen": "canopen_driver:CanopenDevice",
+    "j1939": "j1939_driver:J1939Device",
     "gpio": "gpio_driver:GpioLines",
     "gpio_edges": "gpio_driver:GpioEdges",
 }

@@ -8,9 +8,11 @@ from __future__ import annotations
 import errno
 import os
 import select
+import socket
 import threading
 import tty
 
+import can
 import gpiod
 import spidev
 from msgspec.structs import replace
@@ -20,6 +22,9 @@ from pbonet.io.drivers import Entry, Mode, iio_buffer_driver, joystick_driver
 
 def gone(*_):
     raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+
+
+SOCKET = socket.socket
 
 
 class Rig:
@@ -423,7 +428,175 @@ class Joystick(Rig):
         self.send((joystick_driver.ABS, 1, 50))
 
 
+class Node:
+    """A node of CANopen at the other end of a virtual bus."""
+
+    def __init__(self, number):
+        self.number, self.objects = number, {(0x1000, 0): bytes(4)}
+        self.aborts, self.asked, self.commands = {}, [], []
+        self.bus = can.Bus("bus of a test", interface="virtual")
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def close(self):
+        self._ends.set()
+        self.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
+        self._thread.join()
+        self.bus.shutdown()
+
+    @staticmethod
+    def send(message):
+        with can.Bus("bus of a test", interface="virtual") as other:
+            other.send(message)
+
+    def _serve(self):
+        while not self._ends.is_set():
+            one = self.bus.recv()
+            if one.arbitration_id == 0:
+                self.commands.append(bytes(one.data))
+            if one.arbitration_id == 0x600 + self.number:
+                data = self._answer(bytes(one.data))
+                self.bus.send(
+                    can.Message(
+                        arbitration_id=0x580 + self.number,
+                        data=data,
+                        is_extended_id=False,
+                    )
+                )
+
+    def _answer(self, data):
+        place = int.from_bytes(data[1:3], "little"), data[3]
+        self.asked.append((data[0], *place))
+        code = self.aborts.get(place, 0x06020000 if place not in self.objects else 0)
+        if code:
+            return b"\x80" + data[1:4] + code.to_bytes(4, "little")
+        size = len(self.objects[place])
+        if data[0] == 0x40:
+            head = 0x43 | (4 - size) << 2 if size <= 4 else 0x41
+            return bytes((head,)) + data[1:4] + self.objects[place][:4].ljust(4, b"\0")
+        assert data[0] == 0x23 | (4 - size) << 2
+        self.objects[place] = data[4 : 4 + size]
+        return b"\x60" + data[1:4] + bytes(4)
+
+
+class Canopen(Rig):
+    library = extra = "can"
+    ports = 2
+    lost = "bus-off"
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.node = Node(5)
+        self.node.objects |= {(0x6041, 0): b"\x37\x02", (0x607A, 0): b"\xff" * 4}
+
+    def entry(self, **settings):
+        objects = ["6041:00/16", "607A:00/32"]
+        settings = {"objects": objects, "unit": 5, "timeout": 30.0} | settings
+        settings = {"interface": "virtual", **settings}
+        return entry("canopen", "bus of a test", **settings)
+
+    def missing(self):
+        return self.entry(unit=6, timeout=0.02)
+
+    def prepare(self):
+        pass
+
+    def lose(self):
+        self.node.send(can.Message(arbitration_id=0x40, is_error_frame=True))
+
+    def close(self):
+        self.node.close()
+
+
+class Sockets:
+    """A socket of J1939 that a test makes up; one end of a pair that can be awaited."""
+
+    def __init__(self, rig):
+        self.rig, self.options, self.sent, self.room = rig, {}, [], 100
+        self.error, self.there = 0, []
+        self._pair = socket.socketpair()
+
+    def setsockopt(self, level, option, value):
+        self.options[level, option] = value
+
+    def bind(self, where):
+        self.check()
+        if where[0] != "can0":
+            gone()
+        self.bound = where
+
+    def fileno(self):
+        return self._pair[0].fileno()
+
+    def close(self):
+        for one in self._pair:
+            one.close()
+
+    def check(self):
+        if self.error:
+            raise OSError(self.error, os.strerror(self.error))
+
+    def put(self, data, *ancillary, pgn=0xFEF1, source=7):
+        self.there.append((data, list(ancillary), 0, ("can0", 0, pgn, source)))
+        self._pair[1].send(b"x")
+
+    def recvmsg(self, most, _ancillary):
+        self.check()
+        if not self.there:
+            raise BlockingIOError
+        assert most == 1785
+        self._pair[0].recv(1)
+        return self.there.pop(0)
+
+    def sendto(self, data, where):
+        self.check()
+        if len(self.sent) == self.room:
+            raise OSError(errno.ENOBUFS, "No buffer space available")
+        self.sent.append((data, where))
+
+
+class J1939(Rig):
+    ports = 4
+    mode = Mode.RW
+    lost = "Network is down"
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.sockets = []
+        monkeypatch.setattr(socket, "socket", self.made)
+
+    def made(self, family, kind, protocol=0, fileno=None):
+        if family != socket.AF_CAN:
+            return SOCKET(family, kind, protocol, fileno)
+        assert (protocol, fileno) == (socket.CAN_J1939, None)
+        self.sockets.append(Sockets(self))
+        return self.sockets[-1]
+
+    def entry(self, **settings):
+        settings = {"source": 3, **settings}
+        return entry("j1939", "can0", ports=4, **settings)
+
+    def missing(self):
+        return replace(self.entry(), address="can7")
+
+    def prepare(self):
+        self.sockets[-1].put(b"abc")
+
+    def use(self, device):
+        return device.read(1)
+
+    def lose(self):
+        self.sockets[-1].error = errno.ENETDOWN
+
+    def close(self):
+        for one in self.sockets:
+            one.close()
+
+
 RIGS = {
+    "canopen": Canopen,
+    "j1939": J1939,
     "spi": Spi,
     "iio_buffer": IioBuffer,
     "joystick": Joystick,

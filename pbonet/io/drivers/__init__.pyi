@@ -13,5 +13,6 @@ from .device import (
 from .device_list import listed as listed
 from .gpio_driver import Edge as Edge
 from .iio_buffer_driver import Sample as Sample
+from .j1939_driver import Group as Group
 from .modes import Mode as Mode, Opening as Opening, Wait as Wait
 from .opening import driver as driver, open_device as open_device

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import select
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from .modes import Wait
 
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 P = TypeVar("P")
+S = TypeVar("S", bound=Sequence[Any])
 
 
 def read_all(
@@ -69,8 +71,8 @@ def _ready(
     return min(count, len(held))
 
 
-def write_all(fd: int, give: Callable[[bytes], int], data: bytes, wait: Wait) -> int:
-    """Hand bytes over by the rules of `wait`; return how many were taken.
+def write_all(fd: int, give: Callable[[S], int], data: S, wait: Wait) -> int:
+    """Hand bytes or pieces over by the rules of `wait`; return how many were taken.
 
     NOALL is for datagrams and buffers that take all or nothing: what `give` takes.
 
@@ -80,7 +82,7 @@ def write_all(fd: int, give: Callable[[bytes], int], data: bytes, wait: Wait) ->
     done = 0
     need = {Wait.ALL: len(data), Wait.ONE: min(len(data), 1)}.get(wait, 0)
     while True:
-        done += give(data[done:])
+        done += give(cast("S", data[done:]))
         if done >= need:
             return done
         select.select([], [fd], [])
