@@ -25,6 +25,7 @@ DRIVERS: Final[Mapping[str, str]] = {
     "spi": "spi_driver:SpiDevice",
     "canopen": "canopen_driver:CanopenDevice",
     "j1939": "j1939_driver:J1939Device",
+    "camera": "camera_driver:CameraDevice",
     "gpio": "gpio_driver:GpioLines",
     "gpio_edges": "gpio_driver:GpioEdges",
 }

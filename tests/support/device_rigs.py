@@ -17,7 +17,13 @@ import gpiod
 import spidev
 from msgspec.structs import replace
 
-from pbonet.io.drivers import Entry, Mode, iio_buffer_driver, joystick_driver
+from pbonet.io.drivers import (
+    Entry,
+    Mode,
+    camera_driver,
+    iio_buffer_driver,
+    joystick_driver,
+)
 
 
 def gone(*_):
@@ -594,7 +600,86 @@ class J1939(Rig):
             one.close()
 
 
+class Camera(Rig):
+    """A camera at the edge of the kernel: a file has the memory of its buffers."""
+
+    wrong = Mode.RW
+    SIZE = 4096
+    """Of a buffer: a page, so that it can be mapped."""
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.path = tmp_path / "video0"
+        self.path.write_bytes(bytes(4 * self.SIZE))
+        (tmp_path / "shm").mkdir()
+        self.given, self.full, self.streams, self.error = [], [], False, 0
+        self.offers = None
+        monkeypatch.setattr(camera_driver, "SHARED", str(tmp_path / "shm"))
+        monkeypatch.setattr(camera_driver, "ioctl", self.ioctl)
+        monkeypatch.setattr(camera_driver.select, "select", self.select)
+
+    def entry(self, **settings):
+        settings = {"width": 32, "height": 16, "memory": "cam", **settings}
+        return entry("camera", self.path, **settings)
+
+    def shot(self, sequence, fill, stamp=(5, 6), flags=0, used=1024):
+        """Fill the next buffer that was given to it; none: the frame is lost."""
+        if self.given:
+            number = self.given.pop(0)
+            with self.path.open("r+b") as file:
+                file.seek(number * self.SIZE)
+                file.write(bytes((fill,)) * used)
+            self.full.append((number, used, flags, *stamp, sequence))
+
+    def select(self, *_):
+        """Let a frame come, where one is waited for."""
+        self.coming()
+
+    def coming(self):
+        self.shot(7, 7)
+
+    def ioctl(self, _fd, request, data):
+        d = camera_driver
+        if self.error:
+            raise OSError(self.error, os.strerror(self.error))
+        if request == d.S_FMT:
+            kind, width, height, code, *_ = d.FORMAT.unpack(data)
+            size = self.offers or (width, height)
+            data[:] = d.FORMAT.pack(kind, *size, code, 1, width * 2, 1024, 8, 0)
+        elif request == d.REQBUFS:
+            assert d.BUFFERS.unpack(data)[:3] == (4, 1, 1)
+        elif request == d.QUERYBUF:
+            number = d.BUFFER.unpack(data)[0]
+            place = number * self.SIZE, self.SIZE
+            data[:] = d.BUFFER.pack(number, 1, 0, 0, 0, 0, 0, 0, 1, *place)
+        elif request == d.QBUF:
+            number = d.BUFFER.unpack(data)[0]
+            assert number not in self.given
+            self.given.append(number)
+        elif request == d.DQBUF:
+            if not self.full:
+                raise BlockingIOError(errno.EAGAIN, "no frame")
+            number, used, flags, sec, usec, sequence = self.full.pop(0)
+            rest = 1, sec, usec, sequence, 1, number * self.SIZE, self.SIZE
+            data[:] = d.BUFFER.pack(number, 1, used, flags, *rest)
+        else:
+            assert request in {d.STREAMON, d.STREAMOFF}
+            self.streams = request == d.STREAMON
+            if not self.streams:
+                self.given, self.full = [], []
+
+    def prepare(self):
+        self.shot(3, 3)
+
+    def use(self, device):
+        return device.status("FRAME")
+
+    def lose(self):
+        self.error = errno.ENODEV
+
+
 RIGS = {
+    "camera": Camera,
     "canopen": Canopen,
     "j1939": J1939,
     "spi": Spi,
