@@ -26,6 +26,7 @@ DRIVERS: Final[Mapping[str, str]] = {
     "canopen": "canopen_driver:CanopenDevice",
     "j1939": "j1939_driver:J1939Device",
     "camera": "camera_driver:CameraDevice",
+    "ethercat": "ethercat_driver:EthercatDevice",
     "gpio": "gpio_driver:GpioLines",
     "gpio_edges": "gpio_driver:GpioEdges",
 }

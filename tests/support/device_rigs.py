@@ -14,6 +14,7 @@ import tty
 
 import can
 import gpiod
+import pysoem
 import spidev
 from msgspec.structs import replace
 
@@ -678,7 +679,92 @@ class Camera(Rig):
         self.error = errno.ENODEV
 
 
+class Slave:
+    def __init__(self, name, inputs, outputs):
+        self.name, self.state, self.al_status = name, 0, 0
+        self.input, self._output = inputs, bytes(outputs)
+
+    @property
+    def output(self):
+        return self._output
+
+    @output.setter
+    def output(self, data):
+        assert isinstance(data, bytes)
+        assert len(data) == len(self._output)
+        self._output = data
+
+
+class Ethercat(Rig):
+    """A bus with two slaves at pysoem's edge; its inputs are what it was sent."""
+
+    library, extra = "pysoem", "ethercat"
+    mode = Mode.RW
+    lost = "the slaves do not answer"
+    expected_wkc = 6
+
+    def __init__(self, monkeypatch, tmp_path):
+        super().__init__(monkeypatch, tmp_path)
+        self.slaves = [Slave("drive", b"\1\2", 3), Slave("io", b"\3", 1)]
+        self.found, self.counter, self.state, self.log = 2, 6, 0, []
+        self.stuck = None
+        monkeypatch.setattr(pysoem, "Master", lambda: self)
+
+    def entry(self, **settings):
+        return entry("ethercat", "eth1", **{"slaves": 2, "lost": 1} | settings)
+
+    def missing(self):
+        return replace(self.entry(), address="eth9")
+
+    def open(self, interface):
+        if interface != "eth1":
+            raise ConnectionError("could not open interface")
+        self.log.append("open")
+
+    def config_init(self):
+        return self.found
+
+    def config_map(self):
+        self.log.append("map")
+
+    def state_check(self, wanted, microseconds):
+        assert 0 < microseconds <= 2_000_000
+        return wanted if self.stuck is None else pysoem.SAFEOP_STATE
+
+    def write_state(self):
+        self.log.append(self.state)
+        for one in self.slaves:
+            one.state = self.state
+        if self.stuck is not None:
+            self.slaves[self.stuck].state = pysoem.SAFEOP_STATE
+            self.slaves[self.stuck].al_status = 0x1B
+
+    def read_state(self):
+        pass
+
+    def send_processdata(self):
+        self.log.append([one.output for one in self.slaves])
+
+    def receive_processdata(self, microseconds):
+        assert microseconds == 2000
+        return self.counter
+
+    def prepare(self):
+        pass
+
+    def use(self, device):
+        device.exchange()
+        return device.read(3)
+
+    def lose(self):
+        self.counter = -1
+
+    def close(self):
+        self.log.append("closed")
+
+
 RIGS = {
+    "ethercat": Ethercat,
     "camera": Camera,
     "canopen": Canopen,
     "j1939": J1939,
