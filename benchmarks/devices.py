@@ -18,6 +18,7 @@ import time
 import tty
 from contextlib import ExitStack
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, NamedTuple
 from unittest import mock
 
@@ -28,6 +29,7 @@ from pbonet.io.drivers import (
     Mode,
     Wait,
     database,
+    dynamixel_driver,
     iio_buffer_driver,
     joystick_driver,
     open_device,
@@ -59,10 +61,11 @@ def cases(stack: ExitStack) -> list[Case]:
     names = ("event0", "event1", "buffered")
     events, other_events, samples = (pipe(stack, folder / name) for name in names)
     buffered(stack, folder)
-    master, slave = os.openpty()
-    for fd in (master, slave):
-        tty.setraw(fd)
-        stack.callback(os.close, fd)
+    master, slave = terminal(stack)
+    servo, servo_slave = terminal(stack)
+    other_servo, other_slave = terminal(stack)
+    answers = Thread(target=answer_ping, args=(servo,))
+    answers.start()
     far = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     far.bind(("127.0.0.1", 0))
     entries = {
@@ -72,6 +75,11 @@ def cases(stack: ExitStack) -> list[Case]:
         "udp": Entry(driver="udp", address=f"127.0.0.1:{far.getsockname()[1]}"),
         "stick": Entry(driver="joystick", address=str(folder / "event0")),
         "buffer": Entry(driver="iio_buffer", address=str(folder)),
+        "servo": Entry(
+            driver="dynamixel",
+            address=os.ttyname(servo_slave),
+            settings={"servos": [1], "registers": [[132, 4]], "timeout": 60.0},
+        ),
         "can": Entry(driver="can", address="bench", settings={"interface": "virtual"}),
     }
     stack.enter_context(database.using(entries))
@@ -101,13 +109,26 @@ def cases(stack: ExitStack) -> list[Case]:
         far.sendto(bytes(64), where)
         far.sendto(bytes(64), near.getsockname())
 
-    adc, memory, line, udp, stick, buffer, bus = (opened[name].read for name in entries)
+    answers.join()
+    adc, memory, line, udp, stick, buffer, turned, bus = (
+        opened[name].read for name in entries
+    )
     event = joystick_driver.EVENT.pack(0, 0, joystick_driver.ABS, 0, 1)
     plain_events, plain_samples = (
         os.open(folder / name, os.O_RDONLY | os.O_NONBLOCK) for name in names[1:]
     )
     for fd in (plain_events, plain_samples):
         stack.callback(os.close, fd)
+
+    ask = dynamixel_driver.packet(0xFE, 0x82, b"\x84\0\4\0\1")
+    status = dynamixel_driver.packet(1, dynamixel_driver.STATUS, bytes(5))
+    turned()  # the first request
+    os.write(other_slave, ask)
+
+    def answered() -> None:
+        for end in (servo, other_servo):
+            os.read(end, len(ask))
+            os.write(end, status)
 
     def press() -> None:
         os.write(events, event)
@@ -133,10 +154,30 @@ def cases(stack: ExitStack) -> list[Case]:
             *(lambda: buffer(1), lambda: os.read(plain_samples, 16)),
         ),
         Case(
+            *("dynamixel, one servo", answered),
+            *(turned, lambda: (os.read(other_slave, 99), os.write(other_slave, ask))),
+        ),
+        Case(
             *("can (virtual), one frame", lambda: buses[0].send(frame)),
             *(lambda: bus(1), lambda: buses[1].recv(0)),
         ),
     ]  # fmt: skip
+
+
+def terminal(stack: ExitStack) -> tuple[int, int]:
+    """Return both ends of a terminal that changes no byte."""
+    ends = os.openpty()
+    for fd in ends:
+        tty.setraw(fd)
+        stack.callback(os.close, fd)
+    return ends
+
+
+def answer_ping(end: int) -> None:
+    """Be a servo that is asked whether it is there."""
+    os.read(end, 99)
+    body = b"\0\6\4\x2d"
+    os.write(end, dynamixel_driver.packet(1, dynamixel_driver.STATUS, body))
 
 
 def pipe(stack: ExitStack, path: Path) -> int:

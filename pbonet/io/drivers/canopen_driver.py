@@ -23,8 +23,7 @@ from .can_driver import BusSettings, CanBus
 from .device import Kind, Settings
 from .modes import Mode
 from .port_claims import APART
-from .request_device import RequestDevice
-from .request_line import Line
+from .request_device import Line, RequestDevice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

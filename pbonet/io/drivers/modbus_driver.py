@@ -14,8 +14,17 @@ from msgspec import Meta
 
 from . import inet_sockets
 from .device import Kind, Settings, no_direction
-from .modbus_frames import TABLES, Request, TableName, check, reads, values_of, writes
-from .modbus_lines import RtuLine, TcpLine
+from .modbus_protocol import (
+    TABLES,
+    Request,
+    RtuLine,
+    TableName,
+    TcpLine,
+    check,
+    reads,
+    values_of,
+    writes,
+)
 from .modes import Mode
 from .port_claims import APART
 from .request_device import RequestDevice
@@ -27,7 +36,7 @@ if TYPE_CHECKING:
     from pbonet.outside import Outside
 
     from .modes import Opening
-    from .request_line import Line
+    from .request_device import Line
 
 
 class ModbusSettings(Settings, frozen=True, forbid_unknown_fields=True):

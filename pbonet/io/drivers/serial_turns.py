@@ -14,7 +14,7 @@ from typing import Any, Final
 from pbonet.errors import DeviceError
 from pbonet.io import SerialPort
 
-from .request_line import AT_ONCE, Line, R
+from .request_device import AT_ONCE, Line, R
 
 
 class _Bus:
