@@ -40,8 +40,7 @@ import numpy as np
 from benchmarks.library_devices import entries
 from pbonet.config import Library, read_svar
 from pbonet.errors import PbonetError
-from pbonet.io import joystick
-from pbonet.io.drivers import database
+from pbonet.io.drivers import Entry, database, joystick_driver as joystick
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
 from pbonet.testing import Bench
@@ -90,8 +89,16 @@ def device() -> str:
     if not Path(path).exists():
         os.mkfifo(path)
         os.open(path, os.O_RDWR)  # open until this program ends
-    mock.patch.object(joystick, "ioctl", answer).start()
     return path
+
+
+def pad() -> str:
+    """Return the name of a joystick with three axes, on that file."""
+    mock.patch.object(joystick, "ioctl", answer).start()
+    settings = {"axes": [0, 1, 2]}
+    pad = Entry(driver="joystick", address=device(), settings=settings)
+    database.use({"pad": pad}, "benchmark")
+    return "pad"
 
 
 def samples() -> str:
@@ -116,7 +123,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3), "x_des": pose(0.5, 0.1, 0.3)},
     "joystick": lambda: {
         "naxes": SIZE // 2,
-        "params": {"device": device(), "axes": (0, 1, 2)},
+        "params": {"device": pad(), "axes": (0, 1, 2), "buttons": (3, 4, 5, 6)},
     },
     "spacemouse": lambda: {"params": {"device": device()}},
     "traj_play": lambda: {"params": {"file": samples(), "repeat": True}},

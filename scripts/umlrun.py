@@ -1,6 +1,6 @@
 """Run a Python file as root on a kernel of its own: User-Mode Linux.
 
-    python scripts/umlrun.py [-m MODULE[:NAME=VALUE,...]] ... FILE [ARGUMENT ...]
+    python scripts/umlrun.py [-m MODULE[:"NAME=VALUE ..."]] ... FILE [ARGUMENT ...]
 
 The kernel is a process of this machine (Debian: `apt-get install user-mode-linux`); it
 needs no rights. Its root file system is this machine's own, so the file finds what this
@@ -111,7 +111,7 @@ def guest(work: Path) -> None:
                 loader = Loader()
                 for module in job["modules"]:
                     name, _, values = module.partition(":")
-                    loader.load(name, values.replace(",", " "))
+                    loader.load(name, values)
             except (OSError, LookupError) as error:
                 print(f"umlrun: {error}", file=err, flush=True)
             done = subprocess.run(

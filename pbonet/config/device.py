@@ -19,6 +19,16 @@ DRIVERS: Final[Mapping[str, str]] = {
     "iio_adc": "iio_driver:IioAdc",
     "iio_dac": "iio_driver:IioDac",
     "modbus": "modbus_driver:ModbusDevice",
+    "dynamixel": "dynamixel_driver:DynamixelDevice",
+    "iio_buffer": "iio_buffer_driver:IioBuffer",
+    "joystick": "joystick_driver:JoystickDevice",
+    "spi": "spi_driver:SpiDevice",
+    "canopen": "canopen_driver:CanopenDevice",
+    "j1939": "j1939_driver:J1939Device",
+    "camera": "camera_driver:CameraDevice",
+    "ethercat": "ethercat_driver:EthercatDevice",
+    "gpio": "gpio_driver:GpioLines",
+    "gpio_edges": "gpio_driver:GpioEdges",
 }
 """Drivers by name: the file in pbonet.io.drivers and the class of each."""
 

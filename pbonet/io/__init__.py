@@ -9,8 +9,6 @@ device, so that the same code runs in real time, in simulation and in replay. On
     A serial line of the machine, opened and configured by pyserial.
 ``magellan``
     The six-axis ball on such a line: its protocol, and the ball as a device.
-``joystick``
-    A joystick or game pad, as an input device of Linux.
 ``space_mouse``
     A cap that is pushed and turned, by its reports from the kernel.
 ``chain``

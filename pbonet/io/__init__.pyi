@@ -3,7 +3,6 @@ from pbonet.outside import Outside as Outside
 from .arm import SimulatedArm as SimulatedArm
 from .chain import Chain as Chain
 from .floating_model import FloatingModel as FloatingModel
-from .joystick import Joystick as Joystick, Stick as Stick
 from .magellan import AXES as AXES, Ball as Ball
 from .mavlink import MavLink as MavLink
 from .mavlink_clock import PeerClock as PeerClock

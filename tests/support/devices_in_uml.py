@@ -1,6 +1,7 @@
 """Drivers over devices of a real kernel, run by scripts/umlrun.py; prints results.
 
-It needs the modules vcan, can-raw, i2c-dev and i2c-stub with a chip at 0x48.
+It needs the modules vcan, can-raw, can-j1939, i2c-dev, tmp006, ti-adc081c, and
+i2c-stub with chips at 0x40, 0x48 and 0x54.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import time
 from pathlib import Path
 
 import msgspec
+import smbus2
 
 from pbonet.errors import DeviceError
 from pbonet.io.drivers import (
     Entry,
     Frame,
+    Group,
     Mode,
     Wait,
     database,
@@ -35,6 +38,8 @@ DEVICES = {
         first=4,
         settings={"filters": ["181/7FF", "18FF0000/1FFF0000"]},
     ),
+    "ecu": Entry(driver="j1939", address="vcan0", ports=2, settings={"source": 0x20}),
+    "tool": Entry(driver="j1939", address="vcan0", first=2, settings={"source": 0x21}),
     "nocan": Entry(driver="can", address="vcan7"),
     "words": Entry(
         driver="i2c",
@@ -184,7 +189,99 @@ def i2c():
     }
 
 
+def j1939():
+    down = refused(open_device, "tool", mode=Mode.RW)
+    link("add", "vcan0", "type", "vcan")
+    link("set", "vcan0", "up")
+    many = [Group(0xEF00, bytes(range(250)) * 7, 0x20)]
+    with (
+        open_device("ecu", 0, mode=Mode.RW) as ecu,
+        open_device("ecu", 1, mode=Mode.READ, wait=Wait.NONE) as same,
+        open_device("tool", mode=Mode.RW) as tool,
+    ):
+        before = time.time_ns()
+        tool.write([Group(0xFEF1, b"12345678"), Group(0xFEF2, bytes(100))])
+        heard = collected(ecu, 2)
+        stamps = all(before <= one.stamp_ns <= time.time_ns() for one in heard)
+        tool.write(many)
+        (large,) = collected(ecu, 1)
+        others = [one.pgn for one in same.read(9)]
+        ecu.write([Group(0xEF00, b"back", 0x21)])
+        back = collected(tool, 1)[0]
+        tool.write([Group(0xEF00, bytes(100), 0x33)])
+        nobody = None
+        while nobody is None:
+            told = refused(tool.write, [Group(0xFEF1, b"x")])
+            nobody = told if "destination" in told else None
+            time.sleep(0.01)
+        again = tool.write([Group(0xFEF1, b"x")])
+        link("set", "vcan0", "down")
+        lost = refused(collected, ecu, 999), refused(tool.write, [Group(1 << 8, b"x")])
+    return {
+        "down": down,
+        "heard": [(one.pgn, len(one.data), one.source) for one in heard],
+        "stamps": stamps,
+        "large": [large.data == many[0].data, large.destination, large.source],
+        "others": others,
+        "back": [back.data.decode(), back.destination, back.source],
+        "nobody": nobody,
+        "again": again,
+        "lost": lost,
+    }
+
+
+def iio():
+    """Let the kernel's drivers find a thermometer and a converter on the stub's bus."""
+    number = BUS.rpartition("-")[2]
+    bus = Path(f"/sys/bus/i2c/devices/i2c-{number}")
+    with smbus2.SMBus(BUS) as raw:
+        for address, register, value in (
+            *((0x40, 0xFE, 0x5449), (0x40, 0xFF, 0x0067), (0x40, 2, 0x7480)),
+            *((0x40, 0, -4660 & 0xFFFF), (0x40, 1, 0x0C80), (0x54, 0, 0x0AB0)),
+        ):
+            swapped = (value & 0xFF) << 8 | value >> 8
+            raw.write_word_data(address, register, swapped)
+    folders = {}
+    for name, address in (("tmp006", 0x40), ("adc081c", 0x54)):
+        (bus / "new_device").write_text(f"{name} {address:#x}")
+        (found,) = (bus / f"{number}-{address:04x}").glob("iio:device*")
+        folders[name] = f"/sys/bus/iio/devices/{found.name}"
+    entries = {
+        name: Entry(driver=driver, address=folders[chip])
+        for name, driver, chip in (
+            ("heat", "iio_adc", "tmp006"),
+            ("adc", "iio_adc", "adc081c"),
+            ("buffer", "iio_buffer", "adc081c"),
+            ("none", "iio_buffer", "tmp006"),
+        )
+    }
+    sysfs = Path(folders["adc081c"])
+    with database.using(entries, "uml/test"):
+        with open_device("heat", 0, 1, mode=Mode.READ, signed=True) as heat:
+            heats = heat.read()
+        with open_device("adc", mode=Mode.READ) as adc:
+            values, bits = adc.read(), adc.status("PORTSIZE")
+            no_trigger = refused(open_device, "buffer", mode=Mode.READ)
+            chosen = (sysfs / "scan_elements" / "in_voltage_en").read_text().strip()
+            with open_device("buffer") as buffer:
+                known = buffer.status("PORTNUM"), buffer.status("PORTSIZE")
+            after = adc.read()
+            none = refused(open_device, "none", mode=Mode.READ)
+            (bus / "delete_device").write_text("0x54")
+            lost = refused(adc.read)
+        return {
+            "heats": heats,
+            "values": [values, after],
+            "bits": bits,
+            "no_trigger": no_trigger,
+            "chosen": chosen,
+            "known": known,
+            "none": none,
+            "lost": lost,
+        }
+
+
 if __name__ == "__main__":
     os.environ["PBONET_RUN_DIR"] = tempfile.mkdtemp(dir="/run")
     with database.using(DEVICES, "uml/test"):
-        print(json.dumps({"can": can(), "i2c": i2c()}))
+        print(json.dumps({"can": can(), "i2c": i2c(), "j1939": j1939(), "iio": iio()}))

@@ -19,7 +19,7 @@ from msgspec import Meta
 from pbonet.errors import DeviceError
 from pbonet.io import from_extra
 
-from .device import Frame, FrameDevice, Settings
+from .device import Device, Frame, FrameDevice, Settings
 from .modes import Mode, Wait
 
 if TYPE_CHECKING:
@@ -42,18 +42,13 @@ _PATIENCE: Final = 0.2
 """Seconds in which a bus takes safe frames."""
 
 
-class CanSettings(Settings, frozen=True, forbid_unknown_fields=True):
-    """``[device.NAME.settings]`` of a CAN bus."""
+class BusSettings(Settings, frozen=True, forbid_unknown_fields=True):
+    """Settings of what is on a CAN bus: how the bus is reached."""
 
     interface: str = "socketcan"
     """Interface of python-can."""
     bitrate: int = 0
     """Bits a second; 0: as the interface is set. The system sets SocketCAN's."""
-    fd: bool = False
-    """Whether frames of CAN FD are sent and received, too."""
-    filters: tuple[A[str, Meta(pattern=_FILTER)], ...] = ()
-    """``ID/MASK`` in hexadecimal digits: which frames are received; none: all. An
-    identity of more than three digits is an extended one."""
 
     def __post_init__(self) -> None:
         """Refuse a bit rate that nothing would set.
@@ -67,22 +62,38 @@ class CanSettings(Settings, frozen=True, forbid_unknown_fields=True):
             )
 
 
-class CanDevice(FrameDevice):
-    """A channel of a CAN bus; each opened port is a socket of its own."""
+class CanSettings(BusSettings, frozen=True, forbid_unknown_fields=True):
+    """``[device.NAME.settings]`` of a CAN bus."""
 
-    settings_type: ClassVar[type[Settings]] = CanSettings
+    fd: bool = False
+    """Whether frames of CAN FD are sent and received, too."""
+    filters: tuple[A[str, Meta(pattern=_FILTER)], ...] = ()
+    """``ID/MASK`` in hexadecimal digits: which frames are received; none: all. An
+    identity of more than three digits is an extended one."""
 
-    def connect(self) -> None:
-        """Open the channel; see `Device.connect`."""
-        with from_extra("can", f"the device {self.name}"):
+
+class CanBus:
+    """A channel of a CAN bus, as python-can has it; each is a socket of its own.
+
+    Args:
+        device: The device that is on it.
+        filters: Identity and mask of what is received; none: all frames.
+        more: What else the interface is asked for.
+
+    Raises:
+        DeviceError: It cannot be opened, or python-can is not installed.
+    """
+
+    def __init__(
+        self, device: Device, filters: Sequence[dict[str, Any]], **more: object
+    ) -> None:
+        with from_extra("can", f"the device {device.name}"):
             self._can: Any = import_module("can")
-        k = self.settings
+        k = device.settings
+        self._where = f"{device.name} ({device.entry.address})"
         in_kernel = k.interface == "socketcan"
-        filters = [_filter(one) for one in k.filters]
         # recv() of python-can stops at each frame that its own filters refuse.
-        self._filters = [] if in_kernel else filters
-        self._held: list[tuple[Any, ...]] = []
-        more: dict[str, Any] = {"fd": True} if k.fd else {}
+        self._filters: Sequence[dict[str, Any]] = () if in_kernel else filters
         if k.bitrate:
             more["bitrate"] = k.bitrate
         if in_kernel and filters:
@@ -91,23 +102,98 @@ class CanDevice(FrameDevice):
             more["rx_queue_size"] = _ROOM
         try:
             self._bus: Any = self._can.Bus(
-                channel=self.entry.address,
+                channel=device.entry.address,
                 interface=k.interface,
                 ignore_config=True,
                 **more,
             )
         except (self._can.CanError, *_REFUSALS) as error:
             raise self._unusable(str(error)) from None
+        # Without a number, these two have no room.
+        known = k.interface in {"socketcan", "virtual"}
+        self._full = {errno.ENOBUFS, errno.EAGAIN, *([None] if known else [])}
         if in_kernel and (
             number := self._bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         ):
-            self.disconnect()
+            self.close()
             raise self._unusable(os.strerror(number))
 
-    def disconnect(self) -> None:
+    def close(self) -> None:
         """Close the channel."""
         with suppress(self._can.CanError, OSError):
             self._bus.shutdown()
+
+    def receive(self, seconds: float | None) -> Any:  # noqa: ANN401 - of python-can
+        """Return the next message that passes; None: none has come in that time.
+
+        Args:
+            seconds: None: it waits for one.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        while True:
+            try:
+                one = self._bus.recv(seconds)
+            except self._can.CanError as error:
+                raise _lost(error) from None
+            if one is None:
+                return None
+            if one.is_error_frame:
+                _check_bus(one)
+            elif self._passes(one):
+                return one
+
+    def send(self, identity: int, data: bytes, **more: object) -> bool:
+        """Hand a frame over; return False if there is no room for it now.
+
+        Raises:
+            OSError: The device is gone.
+        """
+        message = self._can.Message(arbitration_id=identity, data=data, **more)
+        try:
+            self._bus.send(message, timeout=0)
+        except self._can.CanTimeoutError:
+            return False
+        except self._can.CanError as error:
+            if error.error_code in self._full:
+                return False
+            raise _lost(error) from None
+        return True
+
+    def _passes(self, one: Any) -> bool:  # noqa: ANN401 - a message of python-can
+        """Return whether a filter lets a message pass; the kernel's were before."""
+        return not self._filters or any(
+            not (one.arbitration_id ^ f["can_id"]) & f["can_mask"]
+            and one.is_extended_id == f["extended"]
+            for f in self._filters
+        )
+
+    def _unusable(self, got: str) -> DeviceError:
+        return DeviceError(
+            "the CAN bus cannot be opened",
+            where=self._where,
+            expected="the channel of an interface that is up",
+            got=got,
+            remedy="check the settings; for SocketCAN: `ip link set can0 up`",
+        )
+
+
+class CanDevice(FrameDevice[Frame]):
+    """A channel of a CAN bus; each opened port is a socket of its own."""
+
+    settings_type: ClassVar[type[Settings]] = CanSettings
+
+    def connect(self) -> None:
+        """Open the channel; see `Device.connect`."""
+        k = self.settings
+        filters = [_filter(one) for one in k.filters]
+        self._bus = CanBus(self, filters, **({"fd": True} if k.fd else {}))
+        self._held: list[tuple[Any, ...]] = []
+
+    def disconnect(self) -> None:
+        """Close the channel."""
+        self._bus.close()
 
     def read(self, count: int) -> list[Frame]:
         """Return frames that have arrived; see `FrameDevice.read`."""
@@ -118,29 +204,15 @@ class CanDevice(FrameDevice):
         wait, held = self.opening.wait, self._held
         need = {Wait.ALL: count, Wait.ONE: min(count, 1)}.get(wait, 0)
         while len(held) < count:
-            try:
-                one = self._bus.recv(None if len(held) < need else 0)
-            except self._can.CanError as error:
-                raise _lost(error) from None
+            one = self._bus.receive(None if len(held) < need else 0)
             if one is None:
                 break
-            if one.is_error_frame:
-                _check_bus(one)
-            elif self._passes(one):
-                held.append(_plain(one))
+            held.append(_plain(one))
         if wait is Wait.NOALL and len(held) < count:
             return []
         found = held[:count]
         del held[:count]
         return found
-
-    def _passes(self, one: Any) -> bool:  # noqa: ANN401 - a message of python-can
-        """Return whether a filter lets a message pass; the kernel's were before."""
-        return not self._filters or any(
-            not (one.arbitration_id ^ f["can_id"]) & f["can_mask"]
-            and one.is_extended_id == f["extended"]
-            for f in self._filters
-        )
 
     def write(self, frames: Sequence[Frame]) -> int:
         """Hand frames over; see `FrameDevice.write`."""
@@ -168,26 +240,14 @@ class CanDevice(FrameDevice):
         Raises:
             OSError: The device is gone.
         """
-        message = self._can.Message(
-            arbitration_id=one.id,
-            data=one.data,
+        return self._bus.send(
+            one.id,
+            one.data,
             is_extended_id=one.extended,
             is_fd=one.fd,
             bitrate_switch=one.fd,
             is_remote_frame=one.remote,
         )
-        try:
-            self._bus.send(message, timeout=0)
-        except self._can.CanTimeoutError:
-            return False
-        except self._can.CanError as error:
-            # Without a number, these two have no room.
-            known = self.settings.interface in {"socketcan", "virtual"}
-            full = {errno.ENOBUFS, errno.EAGAIN, *([None] if known else [])}
-            if error.error_code in full:
-                return False
-            raise _lost(error) from None
-        return True
 
     def _check(self, one: Frame) -> None:
         """Refuse a frame that this bus cannot have.
@@ -244,15 +304,6 @@ class CanDevice(FrameDevice):
                 time.sleep(_AGAIN)
         finally:
             self.opening = before
-
-    def _unusable(self, got: str) -> DeviceError:
-        return DeviceError(
-            "the CAN bus cannot be opened",
-            where=f"{self.name} ({self.entry.address})",
-            expected="the channel of an interface that is up",
-            got=got,
-            remedy="check the settings; for SocketCAN: `ip link set can0 up`",
-        )
 
 
 def _filter(text: str) -> dict[str, Any]:

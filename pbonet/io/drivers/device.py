@@ -9,7 +9,17 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, Self
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Final,
+    Generic,
+    Literal,
+    NamedTuple,
+    Self,
+    TypeVar,
+)
 
 import msgspec
 from msgspec import Struct
@@ -29,6 +39,7 @@ if TYPE_CHECKING:
     from .modes import Opening
     from .port_claims import Claim
 
+P = TypeVar("P")
 Kind = Literal["SIO", "PIO", "ADC", "DAC", "RCB", "SBS", "MEM"]
 """The classes of devices: serial, parallel, converters from and to analogue values,
 robot control boards (a process image of several values), subsystems, and memory."""
@@ -241,6 +252,25 @@ class Device(ABC):
         del port
         return 8
 
+    def check_ports(self, count: int) -> None:
+        """Return if the device has the opened ports.
+
+        Args:
+            count: How many ports the logical device can have, by the driver.
+
+        Raises:
+            DeviceError: It has not.
+        """
+        o = self.opening
+        if o.end >= count:
+            raise DeviceError(
+                "the device has no such ports",
+                where=f"{self.name} ({self.entry.address})",
+                expected=f"0 to {count - 1}" if count > 0 else "none",
+                got=f"{o.start} to {o.end}",
+                remedy=f"see first and settings of [device.{self.name}]",
+            )
+
     def require(self, mode: Mode) -> None:
         """Return if the device was opened in this direction.
 
@@ -335,10 +365,11 @@ class Frame(NamedTuple):
     """Nanoseconds since 1970 at its arrival, by the kernel where it stamps."""
 
 
-class FrameDevice(Device):
-    """A device that moves frames: class SIO, where a frame is one piece.
+class FrameDevice(Device, Generic[P]):
+    """A device that moves whole pieces: frames of a bus, edges of lines, or samples.
 
-    Each port is an end of its own: it has all frames of the bus that its filters pass.
+    Its class is SIO. Each port of a bus is an end of its own: it has all frames of the
+    bus that its filters pass.
     """
 
     kind: ClassVar[Kind] = "SIO"
@@ -348,21 +379,23 @@ class FrameDevice(Device):
     safe_type = list[Frame]
 
     @abstractmethod
-    def read(self, count: int) -> list[Frame]:
-        """Return up to `count` frames, the oldest first; it waits as it was opened.
+    def read(self, count: int) -> list[P]:
+        """Return up to `count` pieces, the oldest first; it waits as it was opened.
 
         Raises:
             DeviceError: The device is gone, or not open for reading.
         """
 
-    @abstractmethod
-    def write(self, frames: Sequence[Frame]) -> int:
-        """Hand frames over, each one whole; return how many were taken.
+    def write(self, frames: Sequence[P]) -> int:
+        """Hand pieces over, each one whole; return how many were taken.
 
         Raises:
             DeviceError: The device is gone, or not open for writing; the bus has no
                 such frames.
         """
+        self.require(Mode.WRITE)
+        del frames
+        raise NotImplementedError  # refused at open: a driver that writes has its own
 
 
 class PortDevice(Device):

@@ -68,14 +68,7 @@ class I2cDevice(PortDevice):
                 remedy="`i2cdetect -y 1` lists what answers on bus 1",
             )
         self._count = len(k.registers) - entry.first
-        if opening.end >= self._count:
-            raise DeviceError(
-                "the device has no such ports",
-                where=self.name,
-                expected=f"0 to {self._count - 1}",
-                got=f"{opening.start} to {opening.end}",
-                remedy=f"see registers and first of [device.{self.name}]",
-            )
+        self.check_ports(self._count)
         self._path, self._address = found[1], int(found[2], 16)
         begin, end = entry.first + opening.start, entry.first + opening.end
         self._registers = k.registers[begin : end + 1]

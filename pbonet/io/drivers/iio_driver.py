@@ -123,7 +123,7 @@ class _IioDevice(PortDevice):
             raise self._unusable(error) from None
         form = re.compile(rf"{self.way}_(.+)_raw")
         found = sorted(
-            (match[1] for match in map(form.fullmatch, files) if match), key=_by_number
+            (match[1] for match in map(form.fullmatch, files) if match), key=by_number
         )
         chosen: tuple[str, ...] = self.settings.channels
         for name in chosen:
@@ -252,7 +252,7 @@ class IioDac(_IioDevice):
                 self._refused(k, error)
 
 
-def _by_number(channel: str) -> list[tuple[str, int]]:
+def by_number(channel: str) -> list[tuple[str, int]]:
     """Return a key that sorts ``voltage2`` before ``voltage10``."""
     return [
         (text, int(digits or -1)) for text, digits in re.findall(r"(\D+)(\d*)", channel)

@@ -2,30 +2,32 @@
 
 The address is HOST:PORT (Modbus TCP), or the device file of a serial line (RTU). Port k
 is the k-th register of one table from the entry's `first` on, or the k-th coil. What
-is read or written together is one request, or as few as the protocol allows.
-
-With `Wait.ALL` a call waits for the device, at most for the setting `timeout` for each
-request: this is for synchronous tasks. With `Wait.NONE` no call waits, for periodic
-tasks: a `read` returns what answered the request of a call before it, or nothing, and
-makes the next request; a `write` makes a request, or keeps the newest values until the
-device has answered the one before. What is wrong with an answer is raised by a later
-call. `close` waits until the device has taken what was written last, or `timeout` is
-over.
+is read or written together is one request, or as few as the protocol allows. See
+`RequestDevice` for how a call waits.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated as A, ClassVar, Literal
 
 from msgspec import Meta
 
 from . import inet_sockets
-from .device import Kind, PortDevice, Settings, no_direction
-from .modbus_frames import TABLES, Request, TableName, check, reads, values_of, writes
-from .modbus_tcp import TcpLine
-from .modes import Mode, Wait
+from .device import Kind, Settings, no_direction
+from .modbus_protocol import (
+    TABLES,
+    Request,
+    RtuLine,
+    TableName,
+    TcpLine,
+    check,
+    reads,
+    values_of,
+    writes,
+)
+from .modes import Mode
 from .port_claims import APART
+from .request_device import RequestDevice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,8 +35,8 @@ if TYPE_CHECKING:
     from pbonet.config import Entry
     from pbonet.outside import Outside
 
-    from .modbus_line import Line
     from .modes import Opening
+    from .request_device import Line
 
 
 class ModbusSettings(Settings, frozen=True, forbid_unknown_fields=True):
@@ -50,11 +52,10 @@ class ModbusSettings(Settings, frozen=True, forbid_unknown_fields=True):
     stop: Literal[1, 2] = 1
 
 
-class ModbusDevice(PortDevice):
+class ModbusDevice(RequestDevice[Request]):
     """Registers or coils of one table."""
 
     kind: ClassVar[Kind] = "RCB"
-    waits = frozenset({Wait.ALL, Wait.NONE})
     settings_type: ClassVar[type[Settings]] = ModbusSettings
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
@@ -68,107 +69,35 @@ class ModbusDevice(PortDevice):
         o = self.opening
         if Mode.WRITE in o.mode and not self._table.write:
             raise no_direction(self.name, o.mode, Mode.READ)
-        self._line = self._made()
-        self._reads = list(reads(self._table, self._first, o.end - o.start + 1))
-        self._job: Sequence[Request] = ()
-        """The requests that are under way; the last one that began has no answer."""
-        self._answers: list[bytes] = []
-        self._writes = False
-        """Whether that job, or the last one, writes."""
-        self._wanted = False
-        """Whether values are read, without waiting."""
-        self._values: list[int] | None = None
-        self._next: Sequence[int] | None = None
-        """Values that are written next."""
+        super().connect()
 
-    def _made(self) -> Line:
+    def make_line(self) -> Line[Request]:
+        """Return the line to the device."""
         k, address = self.settings, self.entry.address
         if "/" in address:
-            from .modbus_rtu import RtuLine  # only where a serial line is used
-
             line = {"baud": k.baud, "parity": k.parity, "stop": k.stop}
             return RtuLine(address, line, k.unit, k.timeout, self._where)
         made = inet_sockets.connect(address, k.timeout, self._where)
         return TcpLine(made, k.unit, k.timeout, self._where)
-
-    def disconnect(self) -> None:
-        """Close the connection, when the device has what was written last."""
-        self._wanted = False
-        with suppress(OSError):
-            while self._next is not None or (self._job and self._writes):
-                self._go_on()
-                if self._job:
-                    self._line.wait()
-        self._line.close()
 
     def port_bits(self, port: int) -> int:
         """Return how many bits a port has: 16, of coils 1."""
         del port
         return self._table.bits
 
-    def read_ports(self) -> Sequence[int] | None:
-        """Return the opened ports' values; None: no new ones have come."""
-        if self.opening.wait is Wait.NONE:
-            self._wanted = True
-            self._go_on()
-        else:
-            self._begin(self._reads, writes=False)
-            self._finish()
-        values, self._values = self._values, None
-        return values
+    def requests_to_read(self) -> Sequence[Request]:
+        """Return the requests that read the opened ports."""
+        o = self.opening
+        return list(reads(self._table, self._first, o.end - o.start + 1))
 
-    def write_ports(self, values: Sequence[int]) -> None:
-        """Write the opened ports' values."""
-        if self.opening.wait is Wait.NONE:
-            self._next = values
-            self._go_on()
-        else:
-            self._next = None
-            with suppress(OSError):  # of a request that did not wait
-                self._finish()
-            self._begin(list(writes(self._table, self._first, values)), writes=True)
-            self._finish()
+    def requests_to_write(self, values: Sequence[int]) -> Sequence[Request]:
+        """Return the requests that write the opened ports."""
+        return list(writes(self._table, self._first, values))
 
-    def _begin(self, job: Sequence[Request], *, writes: bool) -> None:
-        self._job, self._writes = job, writes
-        self._answers = []
-        self._line.begin(job[0])
+    def check(self, request: Request, answer: bytes) -> None:
+        """Return if the device did what it was asked for."""
+        check(request, answer, self._where)
 
-    def _finish(self) -> None:
-        """Wait until the job has ended."""
-        while self._step():
-            self._line.wait()
-
-    def _go_on(self) -> None:
-        """Take what has come, and begin the next job; reads and writes take turns."""
-        if self._step():
-            return
-        values = self._next
-        if values is not None and not (self._writes and self._wanted):
-            self._next = None
-            self._begin(list(writes(self._table, self._first, values)), writes=True)
-        elif self._wanted:
-            self._begin(self._reads, writes=False)
-
-    def _step(self) -> bool:
-        """Take the answers that have come; return whether some are missing.
-
-        Raises:
-            DeviceError: The device refuses, or does not answer; the job has ended.
-            OSError: The device is gone.
-        """
-        job, answers = self._job, self._answers
-        self._job = ()
-        while len(answers) < len(job):
-            answer = self._line.answer()
-            if answer is None:
-                self._job = job
-                return True
-            check(job[len(answers)], answer, self._where)
-            answers.append(answer)
-            if len(answers) < len(job):
-                self._line.begin(job[len(answers)])
-        if job and not self._writes:
-            pairs = list(zip(job, answers, strict=True))
-            self._values = values_of(self._table, pairs)
-        return False
+    def values_of(self, answers: Sequence[tuple[Request, bytes]]) -> list[int]:
+        """Return the values that the answers have."""
+        return values_of(self._table, answers)

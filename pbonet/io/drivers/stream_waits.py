@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import select
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from .modes import Wait
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+P = TypeVar("P")
+S = TypeVar("S", bound=Sequence[Any])
 
 
 def read_all(
@@ -27,6 +31,34 @@ def read_all(
     Raises:
         OSError: The device is gone; bytes that came before stay in `held`.
     """
+    ready = _ready(fd, take, count, wait, held)
+    data = bytes(held[:ready])
+    del held[:ready]
+    return data
+
+
+def read_pieces(
+    fd: int, take: Callable[[int], list[P]], count: int, wait: Wait, held: list[P]
+) -> list[P]:
+    """Return up to `count` pieces by the rules of `wait`; see `read_all`.
+
+    Raises:
+        OSError: The device is gone; what came before stays in `held`.
+    """
+    ready = _ready(fd, take, count, wait, held)
+    pieces = held[:ready]
+    del held[:ready]
+    return pieces
+
+
+def _ready(
+    fd: int,
+    take: Callable[[int], Any],
+    count: int,
+    wait: Wait,
+    held: Any,  # noqa: ANN401
+) -> int:
+    """Return how many of those that are held are returned now."""
     need = {Wait.ALL: count, Wait.ONE: min(count, 1)}.get(wait, 0)
     while True:
         if len(held) < count:
@@ -35,14 +67,12 @@ def read_all(
             break
         select.select([fd], [], [])
     if wait is Wait.NOALL and len(held) < count:
-        return b""
-    data = bytes(held[:count])
-    del held[: len(data)]
-    return data
+        return 0
+    return min(count, len(held))
 
 
-def write_all(fd: int, give: Callable[[bytes], int], data: bytes, wait: Wait) -> int:
-    """Hand bytes over by the rules of `wait`; return how many were taken.
+def write_all(fd: int, give: Callable[[S], int], data: S, wait: Wait) -> int:
+    """Hand bytes or pieces over by the rules of `wait`; return how many were taken.
 
     NOALL is for datagrams and buffers that take all or nothing: what `give` takes.
 
@@ -52,7 +82,7 @@ def write_all(fd: int, give: Callable[[bytes], int], data: bytes, wait: Wait) ->
     done = 0
     need = {Wait.ALL: len(data), Wait.ONE: min(len(data), 1)}.get(wait, 0)
     while True:
-        done += give(data[done:])
+        done += give(cast("S", data[done:]))
         if done >= need:
             return done
         select.select([], [fd], [])

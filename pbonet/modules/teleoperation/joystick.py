@@ -1,27 +1,32 @@
 """A joystick or game pad: its axes and buttons as variables."""
 
-from typing import Annotated as A
+from typing import Annotated as A, Any
 
 import numpy as np
 
 from pbonet import OutVar, Params, PortBasedObject, Vector, param
-from pbonet.errors import ParameterError
-from pbonet.io import Joystick as Device
+from pbonet.errors import DeviceError, ParameterError
+from pbonet.io.drivers import Mode, open_device
 from pbonet.modules._values import PerElement, spread
+
+RETRY_NS = 1_000_000_000
+"""Between two attempts to open a device that was lost."""
 
 
 class Layout(Params):
-    """The device, and which of its axes and buttons are read."""
+    """The device, and which of its ports are read."""
 
-    device: A[str, param("none", "device file, /dev/input/by-id/...-event-joystick")]
+    device: A[str, param("none", "device of agent.toml, driver joystick")]
     axes: A[
         tuple[int, ...],
-        param("none", "codes of the axes, ABS_X is 0; minus 1 for none", ge=-1, le=63),
+        param("none", "port of each axis; minus 1 for none", ge=-1, le=63),
     ] = (0, 1)
-    buttons: A[
-        tuple[int, ...],
-        param("none", "codes of the buttons, BTN_SOUTH is 304", ge=0, le=767),
-    ] = (304, 305, 307, 308)
+    buttons: A[tuple[int, ...], param("none", "ports of the buttons", ge=0, le=831)] = (
+        2,
+        3,
+        4,
+        5,
+    )
     gain: A[PerElement, param("none", "value of AXES at full deflection")] = (1.0,)
     dead: A[float, param("none", "share of an axis that is at rest", ge=0, lt=1)] = 0.1
 
@@ -52,10 +57,11 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
         if len(k.buttons) > 31:  # noqa: PLR2004 - bits of a positive integer
             raise ParameterError("BUTTONS has room for 31 buttons", remedy="take fewer")
         self._gain = spread(k.gain, self.y.size, "gain")
-        used = tuple(code for code in k.axes if code >= 0)
         self._where = np.flatnonzero(np.array(k.axes) >= 0)
+        self._used = [port for port in k.axes if port >= 0]
         self._fault = False
-        self._device = Device(k.device, used, k.buttons)
+        self._device: Any = None
+        self._next_try_ns = self.task.now
         self._poll()  # a missing device is reported at once
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002
@@ -75,18 +81,43 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
             self.buttons = 0
 
     def kill(self) -> None:
-        if device := getattr(self, "_device", None):
+        self._close()
+
+    def _close(self) -> None:
+        device, self._device = getattr(self, "_device", None), None
+        if device:
             device.close()
 
     def _poll(self) -> None:
-        stick = self._device.poll(self.task.now)
-        fault = self._device.fault
-        if fault and not self._fault:
-            self.task.warn(f"the joystick rests: {fault}")
-        self._fault = fault is not None
-        dead = self.params.dead
+        try:
+            values = self._values()
+        except DeviceError as fault:
+            self._close()
+            self._next_try_ns = self.task.now + RETRY_NS
+            if not self._fault:
+                self.task.warn(f"the joystick rests: {fault}")
+            self._fault, values = True, None
         push = np.zeros(self.y.size)
-        push[self._where] = stick.axes
-        size = np.maximum(np.abs(push) - dead, 0.0) / (1.0 - dead)
+        self.buttons = 0
+        if values is not None:
+            for where, port in zip(self._where, self._used, strict=True):
+                low, high = self._ranges[port]
+                push[where] = (2.0 * values[port] - low - high) / (high - low)
+            ports = enumerate(self.params.buttons)
+            self.buttons = sum(1 << k for k, port in ports if values[port])
+        dead = self.params.dead
+        size = np.maximum(np.minimum(np.abs(push), 1.0) - dead, 0.0) / (1.0 - dead)
         self.y[:] = self._gain * np.sign(push) * size
-        self.buttons = stick.buttons
+
+    def _values(self) -> list[int] | None:
+        """Return the values of all ports; None: it is not time to look for it."""
+        if self._device is None:
+            if self.task.now < self._next_try_ns:
+                return None
+            k = self.params
+            last = max((*self._used, *k.buttons), default=0)
+            self._device = open_device(k.device, 0, last, mode=Mode.READ, signed=True)
+            ranges = [self._device.status("RANGE", port) for port in range(last + 1)]
+            self._ranges, self._fault = ranges, False
+        values: list[int] = self._device.read()
+        return values

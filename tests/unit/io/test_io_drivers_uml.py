@@ -1,4 +1,4 @@
-"""Drivers over CAN and I2C buses of a real kernel, which runs in User-Mode Linux."""
+"""Drivers over CAN, J1939, I2C and converters of a real kernel, in User-Mode Linux."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-MODULES = ("vcan", "can-raw", "i2c-dev", "i2c-stub:chip_addr=0x48")
+CHIPS = "i2c-stub:chip_addr=0x40,0x48,0x54"
+MODULES = ("vcan", "can-raw", "can-j1939", "i2c-dev", CHIPS, "tmp006", "ti-adc081c")
 
 pytestmark = [
     pytest.mark.uml,
@@ -87,3 +88,43 @@ def test_a_missing_i2c_device_is_named(results):
     i2c = results["i2c"]
     assert "nochip (/dev/i2c-0:0x50): the device is gone" in i2c["none"]
     assert "the I2C bus cannot be opened" in i2c["nobus"]
+
+
+def test_converters_of_the_kernel_are_read(results):
+    iio = results["iio"]
+    assert iio["heats"] == [0x0C80 >> 2, -4660], "the ambient heat, and the voltage"
+    assert (iio["values"], iio["bits"]) == ([[0xAB]] * 2, 8)
+
+
+def test_a_buffer_that_the_kernel_does_not_start_is_named(results):
+    """This kernel has converters with a buffer, and no trigger for them."""
+    iio = results["iio"]
+    assert "got buffer/enable: Invalid argument); set trigger" in iio["no_trigger"]
+    assert iio["chosen"] == "1", "channels were chosen before"
+    assert iio["known"] == [1, 8]
+    assert "got No such file or directory" in iio["none"]
+
+
+def test_a_converter_that_is_taken_away_is_lost(results):
+    assert "the device is gone (got No such device)" in results["iio"]["lost"]
+
+
+def test_groups_of_j1939_are_carried_by_the_kernel(results):
+    j1939 = results["j1939"]
+    assert j1939["heard"] == [[0xFEF1, 8, 0x21], [0xFEF2, 100, 0x21]]
+    assert j1939["stamps"]
+    assert j1939["large"] == [True, 0x20, 0x21], "1750 bytes"
+    assert set(j1939["others"]) <= {0xFEF1, 0xFEF2, 0xEF00}
+    assert j1939["back"] == ["back", 0x21, 0x20]
+
+
+def test_a_group_for_a_node_that_is_missing_is_told_and_the_bus_works_on(results):
+    j1939 = results["j1939"]
+    assert "a group did not reach its destination" in j1939["nobody"]
+    assert j1939["again"] == 1
+
+
+def test_a_bus_of_j1939_that_goes_down_is_lost(results):
+    j1939 = results["j1939"]
+    assert "the bus of J1939 cannot be opened" in j1939["down"]
+    assert all("the device is gone" in one for one in j1939["lost"])

@@ -22,7 +22,7 @@ from pbonet.errors import DeviceError
 from pbonet.io import no_devices
 from pbonet.io.drivers import Entry, Mode, Wait, database, open_device, port_claims
 from pbonet.io.drivers.modbus_driver import ModbusSettings
-from pbonet.io.drivers.modbus_rtu import crc
+from pbonet.io.drivers.modbus_protocol import crc
 from pbonet.outside import Player, Tape, using as recording
 
 RTU = {"baud": 115200, "parity": "N", "timeout": 30.0}

@@ -2,151 +2,130 @@
 
 from __future__ import annotations
 
-import errno
 import os
 
 import pytest
+from device_rigs import Joystick as Pad
 
 from pbonet import State
-from pbonet.errors import MethodError
-from pbonet.io import joystick, no_devices
-from pbonet.io.joystick import ABS, EVENT, KEY, SYN, Joystick
+from pbonet.errors import DeviceError, MethodError
+from pbonet.io import no_devices
+from pbonet.io.drivers import Mode, database, joystick_driver, open_device
+from pbonet.io.drivers.joystick_driver import ABS, EVENT, KEY, SYN
 from pbonet.modules.teleoperation.joystick import Joystick as Module
-from pbonet.outside import Player, Tape, use
 from pbonet.testing import Bench
 
 X, Y, SOUTH, EAST = 0, 1, 304, 305
 
 
-class Pad:
-    """A device file: a pipe for the events, and the answers of the kernel."""
-
-    def __init__(self, path) -> None:
-        self.path = path
-        self.axes = {X: (128, 0, 255), Y: (0, -100, 100)}
-        self.keys: set[int] = set()
-        self.lost: int | None = None
-        self.plug()
-
-    def plug(self) -> None:
-        os.mkfifo(self.path)
-        self.fd = os.open(self.path, os.O_RDWR | os.O_NONBLOCK)
-
-    def unplug(self) -> None:
-        os.close(self.fd)
-        self.path.unlink()
-
-    def ioctl(self, _fd: int, request: int, room: bytes) -> bytes:
-        if request == joystick.GET_KEYS:
-            table = bytearray(room)
-            for code in self.keys:
-                table[code // 8] |= 1 << code % 8
-            return bytes(table)
-        code = (request & 0xFF) - 0x40
-        assert request == joystick.get_axis(code)
-        return joystick._ABSINFO.pack(*self.axes.get(code, (0, 0, 0)), 0, 0, 0)
-
-    def send(self, *events: tuple[int, int, int]) -> None:
-        os.write(self.fd, b"".join(EVENT.pack(0, 0, *event) for event in events))
-
-
 @pytest.fixture
 def pad(tmp_path, monkeypatch):
-    made = Pad(tmp_path / "event7")
-    monkeypatch.setattr(joystick, "ioctl", made.ioctl)
-    yield made
-    if made.path.exists():
-        made.unplug()
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+    made = Pad(monkeypatch, tmp_path)
+    with database.using({"pad": made.entry(), "no": made.missing()}):
+        yield made
+    made.close()
+
+
+def opened(last=3):
+    return open_device("pad", 0, last, mode=Mode.READ, signed=True)
 
 
 def test_requests_are_those_of_the_kernel() -> None:
     """From linux/input.h, as the C compiler computes them."""
-    assert joystick.get_axis(0) == 0x80184540
-    assert joystick.GET_KEYS == 0x80604518
+    assert joystick_driver.get_axis(0) == 0x80184540
+    assert joystick_driver.GET_KEYS == 0x80604518
     assert EVENT.size == 24
 
 
 def test_it_has_the_state_of_the_device_when_it_is_opened(pad) -> None:
     pad.axes[Y], pad.keys = (50, -100, 100), {EAST}
-    stick = Joystick(str(pad.path), (X, Y), (SOUTH, EAST))
-    axes, buttons = stick.poll(0)
-    assert axes == pytest.approx((1 / 255, 0.5))
-    assert buttons == 0b10
-    stick.close()
+    with open_device("pad", 0, 3, mode=Mode.READ) as stick:
+        assert stick.read() == [128, 50, 0, 1]
+        assert [stick.status("RANGE", k) for k in (1, 3)] == [(-100, 100), (0, 1)]
+        assert [stick.status("PORTSIZE", k) for k in (1, 3)] == [32, 1]
 
 
 def test_it_follows_the_events(pad) -> None:
-    stick = Joystick(str(pad.path), (Y, X), (SOUTH, EAST))
-    stick.poll(0)
-    pad.send((ABS, X, 255), (ABS, Y, -100), (KEY, SOUTH, 1), (SYN, 0, 0))
-    assert stick.poll(1) == ((-1.0, 1.0), 0b01)
-    pad.send((KEY, EAST, 1), (KEY, SOUTH, 0), (ABS, 40, 9), (KEY, 44, 1), (ABS, X, 999))
-    assert stick.poll(2) == ((-1.0, 1.0), 0b10)
-    assert stick.poll(3) == ((-1.0, 1.0), 0b10)
-    stick.close()
+    with opened(2) as stick:
+        pad.send((ABS, X, 255), (ABS, Y, -100), (KEY, SOUTH, 1), (SYN, 0, 0))
+        assert stick.read()[:2] == [255, -100]
+        pad.send((KEY, EAST, 1), (KEY, SOUTH, 0), (ABS, 40, 9), (KEY, 44, 1))
+        assert stick.read() == stick.read() == [255, -100, 0]
 
 
 def test_it_asks_again_after_events_were_lost(pad) -> None:
-    stick = Joystick(str(pad.path), (Y,), (SOUTH,))
-    stick.poll(0)
-    pad.axes[Y], pad.keys = (-50, -100, 100), {SOUTH}
-    pad.send((ABS, Y, 100), (SYN, joystick.DROPPED, 0))
-    assert stick.poll(1) == ((-0.5,), 1)
-    stick.close()
+    with open_device("pad", 1, 2, mode=Mode.READ, signed=True) as stick:
+        pad.axes[Y], pad.keys = (-50, -100, 100), {SOUTH}
+        pad.send((ABS, Y, 100), (SYN, joystick_driver.DROPPED, 0))
+        assert stick.read()[0] == -50
+        pad.send((KEY, SOUTH, 2))
+        assert stick.read()[1] != 0
 
 
-def test_an_axis_that_the_device_has_not_stays_at_rest(pad) -> None:
-    stick = Joystick(str(pad.path), (17,), ())
-    assert stick.poll(0) == ((0.0,), 0)
-    pad.send((ABS, 17, 5))
-    assert stick.poll(1) == ((0.0,), 0)
-    stick.close()
+def test_an_axis_that_the_device_has_not_is_refused(pad) -> None:
+    some = pad.entry(axes=[0, 17])
+    with database.using({"pad": some}), pytest.raises(DeviceError, match="code 17"):
+        opened()
+    with database.using({"pad": pad.entry(buttons=[768])}), pytest.raises(DeviceError):
+        opened()
 
 
-def test_a_device_that_is_no_input_device_is_refused_with_a_remedy(tmp_path) -> None:
-    file = tmp_path / "file"
-    file.write_text("")
-    stick = Joystick(str(file), (X,), ())
-    assert stick.poll(0) == ((0.0,), 0)
-    assert "give the file of an input device" in str(stick.fault)
+def test_a_device_that_is_no_input_device_is_refused_with_a_remedy(pad) -> None:
+    pad.patch.undo()  # the kernel's own answer
+    with pytest.raises(DeviceError, match="give the file of an input device"):
+        opened()
 
 
-def module(pad, **params) -> Bench[Module]:
-    given = {"device": str(pad.path), "axes": (X, -1, Y), "buttons": (SOUTH, EAST)}
+def test_events_of_any_kind_change_no_more_than_its_ports(pad) -> None:
+    """A hundred thousand bytes of them, none of which is about the position."""
+    with opened() as stick:
+        before = stick.read()
+        for begin in range(0, 100_000, 24 * 60):
+            noise = bytes((begin + k) * 7 & 0x7F | 0x40 for k in range(24 * 60))
+            os.write(pad.fd, noise)
+            assert stick.read() == before
+        os.write(pad.fd, b"part")
+        with pytest.raises(DeviceError, match="the device is gone"):
+            stick.read()
+
+
+def module(**params) -> Bench[Module]:
+    given = {"device": "pad", "axes": (0, -1, 1), "buttons": (2, 3)}
     return Bench(Module, params={**given, **params}, naxes=3, freq=50)
 
 
 def test_the_module_scales_what_is_beyond_the_dead_zone(pad) -> None:
-    bench = module(pad, gain=(2.0, 1.0, -4.0), dead=0.2)
+    bench = module(gain=(2.0, 1.0, -4.0), dead=0.2)
     bench.on()
     pad.send((ABS, Y, 60), (ABS, X, 140), (KEY, EAST, 1))
     bench.step()
     assert bench.outputs.y == pytest.approx([0.0, 0.0, -4.0 * 0.4 / 0.8], abs=1e-9)
     assert bench.outputs.buttons == 2
+    pad.send((ABS, Y, 999), (KEY, SOUTH, 1))
+    bench.step()
+    assert bench.outputs.y[2] == -4.0, "no more than the range"
+    assert bench.outputs.buttons == 3
     bench.off()
     assert not bench.outputs.y.any()
     assert bench.outputs.buttons == 0
     bench.kill()
+    opened().close()  # its ports are free
 
 
 def test_a_lost_joystick_rests_is_reported_once_and_found_again(pad) -> None:
-    bench = module(pad)
+    bench = module()
     bench.on()
     pad.send((ABS, Y, 100), (KEY, SOUTH, 1))
     bench.step()
     assert bench.outputs.y[2] == 1.0
-    read, os.read = os.read, gone
-    try:
-        bench.step()
-    finally:
-        os.read = read
-    pad.unplug()
+    pad.lose()
     bench.step(n=100)
     assert not bench.outputs.y.any()
     assert bench.outputs.buttons == 0
     (text,) = [notice.text for notice in bench.notices()]
     assert text.startswith("the joystick rests: ")
-    assert "got No such device); check the cable" in text
+    assert "the device is gone" in text
     pad.plug()
     pad.axes[Y] = (100, -100, 100)
     bench.step(n=60)
@@ -155,26 +134,22 @@ def test_a_lost_joystick_rests_is_reported_once_and_found_again(pad) -> None:
     bench.kill()
 
 
-def gone(fd: int, size: int) -> bytes:
-    del fd, size
-    raise OSError(errno.ENODEV, "gone")
-
-
-def test_a_missing_joystick_is_reported_at_once(tmp_path) -> None:
-    bench = Bench(Module, params={"device": str(tmp_path / "no")}, naxes=2)
-    (notice,) = bench.notices()
+@pytest.mark.usefixtures("pad")
+def test_a_missing_joystick_is_reported_at_once() -> None:
+    (notice,) = module(device="no").notices()
     assert "ls /dev/input/by-id" in notice.text
 
 
 def test_in_a_simulation_no_device_is_opened(pad) -> None:
     with no_devices("this is a simulation"):
-        bench = module(pad)
+        bench = module()
         bench.on()
         pad.send((ABS, Y, 100))
         bench.step()
         assert not bench.outputs.y.any()
 
 
+@pytest.mark.usefixtures("pad")
 @pytest.mark.parametrize(
     ("params", "text"),
     [
@@ -182,27 +157,6 @@ def test_in_a_simulation_no_device_is_opened(pad) -> None:
         ({"buttons": tuple(range(32))}, "room for 31 buttons"),
     ],
 )
-def test_the_module_refuses_a_wrong_layout(pad, params, text) -> None:
+def test_the_module_refuses_a_wrong_layout(params, text) -> None:
     with pytest.raises(MethodError, match=text):
-        module(pad, **params)
-
-
-def test_a_recorded_joystick_is_replayed_without_the_device(pad) -> None:
-    tape = Tape()
-    former = use(tape)
-    try:
-        stick = Joystick(str(pad.path), (X, Y), (SOUTH,))
-        pad.send((ABS, Y, 70))
-        seen = [stick.poll(0)]
-        pad.send((KEY, SOUTH, 1), (SYN, joystick.DROPPED, 0))
-        pad.keys = {SOUTH}
-        seen.append(stick.poll(1))
-        stick.close()
-        pad.unplug()
-        player = Player()
-        player.feed(tape.take())
-        use(player)
-        again = Joystick(str(pad.path), (X, Y), (SOUTH,))
-        assert [again.poll(0), again.poll(1)] == seen
-    finally:
-        use(former)
+        module(**params)

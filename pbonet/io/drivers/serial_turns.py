@@ -1,7 +1,7 @@
-"""Modbus RTU: requests and answers with a checksum, on a serial line.
+"""Serial lines that devices of one task share, with a request at a time.
 
-Devices of one task share their serial line: each request has its turn, in the order in
-which they began. A second process cannot open the line.
+Each request has its turn, in the order in which they began. A second process cannot
+open the line.
 """
 
 from __future__ import annotations
@@ -9,20 +9,12 @@ from __future__ import annotations
 import select
 from collections import deque
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pbonet.errors import DeviceError
 from pbonet.io import SerialPort
 
-from .modbus_frames import REFUSAL, REFUSED, no_answer_to_this
-from .modbus_line import AT_ONCE, Line
-
-if TYPE_CHECKING:
-    from .modbus_frames import Request
-
-_SHORTEST: Final = 0.00175
-"""Seconds of silence between two frames, however fast the line is."""
-_UNITS: Final = range(1, 248)
+from .request_device import AT_ONCE, Line, R
 
 
 class _Bus:
@@ -31,10 +23,9 @@ class _Bus:
     def __init__(self, path: str, settings: dict[str, Any]) -> None:
         self.port, self.settings = SerialPort(path, **settings), settings
         self.port.open()
-        self.gap = max(_SHORTEST, 3.5 * 11 / settings["baud"])
         self.free_at = 0.0
         """When the silence after the last frame has been long enough."""
-        self.turns: deque[RtuLine] = deque()
+        self.turns: deque[SharedLine[Any]] = deque()
         self.users = 0
 
     def has_hung_up(self) -> bool:
@@ -43,7 +34,7 @@ class _Bus:
         poll.register(self.port.fileno(), 0)
         return bool(poll.poll(0))
 
-    def has(self, line: RtuLine) -> bool:
+    def has(self, line: SharedLine[Any]) -> bool:
         """Return whether it is a request's turn."""
         while self.turns and self.turns[0] is not line:
             if not self.turns[0].is_over():
@@ -55,41 +46,44 @@ class _Bus:
 _buses: Final[dict[str, _Bus]] = {}
 
 
-class RtuLine(Line):
-    """The line to one unit.
+class SharedLine(Line[R]):
+    """The line to one device.
 
     Args:
         path: The device file.
         settings: Of the serial line: baud, parity, stop.
-        unit: The number of the device on it.
         timeout: Seconds in which it answers, its wait for a turn included.
         where: For errors.
 
     Raises:
-        DeviceError: The serial line cannot be opened, or is open with other settings;
-            there is no such unit.
+        DeviceError: The serial line cannot be opened, or is open with other settings.
     """
 
+    gap: float = 0.0
+    """Seconds of silence that follow a frame."""
+
     def __init__(
-        self, path: str, settings: dict[str, Any], unit: int, timeout: float, where: str
+        self, path: str, settings: dict[str, Any], timeout: float, where: str
     ) -> None:
-        super().__init__(unit, timeout, where)
+        super().__init__(timeout, where)
         bus = _buses.get(path)
         if bus is not None and bus.has_hung_up():
             bus = None
-        if unit not in _UNITS or (bus is not None and bus.settings != settings):
+        if bus is not None and bus.settings != settings:
             raise DeviceError(
                 "the device cannot be reached so",
                 where=where,
-                expected=f"unit 1 to 247, and {bus.settings if bus else settings}",
-                got=f"unit {unit}, and {settings}",
-                remedy="give all units of a serial line the same baud, parity and stop",
+                expected=str(bus.settings),
+                got=str(settings),
+                remedy="give all devices of a serial line the same baud, parity and "
+                "stop",
             )
         if bus is None:
             bus = _buses[path] = _Bus(path, settings)
         bus.users += 1
         self._path, self._bus = path, bus
         self._sent = False
+        """Whether its turn has begun."""
 
     def fileno(self) -> int:
         """Return the descriptor."""
@@ -104,7 +98,7 @@ class RtuLine(Line):
             if _buses.get(self._path) is self._bus:
                 del _buses[self._path]
 
-    def begin(self, request: Request) -> None:
+    def begin(self, request: R) -> None:
         """Hand a request over as soon as it has its turn."""
         self._leave()
         self._bus.turns.append(self)
@@ -164,50 +158,10 @@ class RtuLine(Line):
             return b""
         data = self._bus.port.read(AT_ONCE)
         if data:
-            self._bus.free_at = monotonic() + self._bus.gap
+            self._bus.free_at = monotonic() + self.gap
         return data
-
-    def framed(self, data: bytes) -> bytes:
-        """Return a request with its checksum."""
-        body = bytes((self.unit,)) + data
-        return body + crc(body).to_bytes(2, "little")
-
-    def unframed(self, request: Request) -> bytes | None:
-        """Return the answer.
-
-        Raises:
-            DeviceError: It is damaged, or not an answer to this request.
-        """
-        got = self._in
-        if len(got) < REFUSAL:
-            return None
-        if got[0] != self.unit or got[1] & ~REFUSED != request.function:
-            raise no_answer_to_this(self.where, bytes(got))
-        end = 1 + (REFUSAL if got[1] & REFUSED else request.size) + 2
-        if len(got) < end:
-            return None
-        if crc(got[: end - 2]) != int.from_bytes(got[end - 2 : end], "little"):
-            raise no_answer_to_this(self.where, bytes(got))
-        return bytes(got[1 : end - 2])
 
     def _leave(self) -> None:
         """End the turn, where there is one."""
         if self in self._bus.turns:
             self._bus.turns.remove(self)
-
-
-def crc(data: bytes | bytearray) -> int:
-    """Return the checksum of Modbus RTU."""
-    value = 0xFFFF
-    for byte in data:
-        value = value >> 8 ^ _CRC[(value ^ byte) & 0xFF]
-    return value
-
-
-def _crc_of(value: int) -> int:
-    for _ in range(8):
-        value = value >> 1 ^ (0xA001 if value & 1 else 0)
-    return value
-
-
-_CRC: Final = tuple(map(_crc_of, range(256)))

@@ -1,0 +1,101 @@
+"""What holds for each driver: refusals, loss, replay, and the name of its library."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from device_rigs import RIGS
+
+from pbonet.errors import DeviceError
+from pbonet.io import no_devices
+from pbonet.io.drivers import Mode, database, listed, open_device
+from pbonet.outside import Player, Tape, using as recording
+
+
+@pytest.fixture(params=RIGS)
+def rig(request, monkeypatch, tmp_path):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+    one = RIGS[request.param](monkeypatch, tmp_path)
+    with database.using({"x": one.entry(), "none": one.missing()}, "arm0/reads"):
+        yield one
+    one.close()
+
+
+def opened(rig, *ports, name="x"):
+    return open_device(name, *ports, mode=rig.mode)
+
+
+def test_it_gives_what_is_there_and_its_ports_have_one_user(rig):
+    last = rig.ports - 1
+    with opened(rig, last):
+        with pytest.raises(DeviceError, match=f"port {last}: arm0/reads"):
+            opened(rig, last)
+        if rig.ports > 1:
+            opened(rig, 0).close()
+    with opened(rig, min(1, last)) as one:
+        rig.prepare()
+        assert rig.use(one)
+        assert one.status("PORTNUM") == rig.ports
+        assert listed({"x": rig.entry()})[0].kind == one.kind
+
+
+def test_what_it_has_not_is_refused_at_open(rig):
+    with pytest.raises(DeviceError, match=r"no such ports|one of 0 to 0"):
+        opened(rig, rig.ports)
+    if rig.wrong is not None:
+        with pytest.raises(DeviceError, match="cannot be opened in this direction"):
+            open_device("x", mode=rig.wrong)
+    with pytest.raises(DeviceError) as caught:
+        opened(rig, name="none")
+    assert caught.value.remedy
+    opened(rig).close()  # what was refused left nothing behind
+
+
+def test_it_is_lost_and_its_ports_are_free(rig):
+    one = opened(rig)
+    rig.lose()
+    with pytest.raises(DeviceError, match=rf"the device is gone \(got .*{rig.lost}"):
+        [rig.use(one) for _ in range(9)]
+    with pytest.raises(DeviceError, match="the device is not open"):
+        rig.use(one)
+    assert listed({"x": rig.entry()})[0].users == []
+
+
+@pytest.mark.parametrize(
+    "rig", [name for name, one in RIGS.items() if one.library], indirect=True
+)
+def test_its_library_is_named_with_its_command(rig):
+    rig.patch.setitem(sys.modules, rig.library, None)
+    with pytest.raises(DeviceError, match=rf"pip install 'pbonet\[{rig.extra}\]'"):
+        opened(rig)
+
+
+def test_it_replays_without_a_device(rig):
+    def run():
+        with opened(rig, min(1, rig.ports - 1)) as one:
+            if not one.outside.plays:
+                rig.prepare()
+            found = [rig.use(one), one.status("PORTNUM"), one.status("PORTSIZE")]
+            if not one.outside.plays:
+                rig.lose()
+            with pytest.raises(DeviceError) as caught:
+                [rig.use(one) for _ in range(9)]
+        return [*found, str(caught.value)]
+
+    tape = Tape()
+    with recording(tape):
+        first = run()
+    if rig.library:
+        rig.patch.setitem(sys.modules, rig.library, None)
+    player = Player()
+    player.feed(tape.take())
+    with database.using({}), no_devices("this is a replay"), recording(player):
+        assert run() == first
+
+
+def test_modes_are_kept(rig):
+    with open_device("x", mode=Mode.NONE) as one:
+        with pytest.raises(DeviceError, match="not open in this direction"):
+            rig.use(one)
+        assert one.status("PORTNUM") == rig.ports

@@ -1,0 +1,105 @@
+"""Groups of J1939 by a socket that a test makes up; see test_io_drivers_uml for the
+kernel's own."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+
+import pytest
+from device_rigs import J1939
+
+from pbonet.errors import DeviceError
+from pbonet.io.drivers import Group, Mode, Wait, database, open_device
+
+
+@pytest.fixture
+def rig(monkeypatch, tmp_path):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+    one = J1939(monkeypatch, tmp_path)
+    yield one
+    one.close()
+
+
+def opened(rig, mode=Mode.RW, wait=Wait.NONE, **settings):
+    with database.using({"x": rig.entry(**settings)}):
+        return open_device("x", mode=mode, wait=wait)
+
+
+def test_groups_have_source_destination_and_stamp(rig):
+    with opened(rig, listen=True, priority=3) as bus:
+        (one,) = rig.sockets
+        assert one.bound == ("can0", 0, socket.J1939_NO_PGN, 3)
+        assert one.options[107, socket.SO_J1939_PROMISC] == 1
+        assert one.options[107, socket.SO_J1939_SEND_PRIO] == 3
+        assert bus.read(9) == []
+        stamp = (socket.SOL_SOCKET, 35, struct.pack("@qq", 5, 6))
+        one.put(bytes(1785), stamp)
+        one.put(b"x", (107, 1, b"\3"), pgn=0xEF00, source=9)
+        one.put(b"own", source=3)
+        assert bus.read(9) == [
+            Group(0xFEF1, bytes(1785), 0xFF, 7, 5_000_000_006),
+            Group(0xEF00, b"x", 3, 9),
+        ]
+        assert bus.write([Group(0xFEF1, b"ab"), Group(0xEF00, b"c", 9)]) == 2
+        assert one.sent == [
+            (b"ab", ("can0", 0, 0xFEF1, 0xFF)), (b"c", ("can0", 0, 0xEF00, 9))
+        ]  # fmt: skip
+        one.room = 3
+        assert bus.write([Group(0xFEF1, b"ab")] * 2) == 1
+
+
+@pytest.mark.parametrize(
+    ("group", "told"),
+    [
+        (Group(0x40000, b"a"), "0 to 3FFFFh"),
+        (Group(-1, b"a"), "0 to 3FFFFh"),
+        (Group(0xEF01, b"a"), "low byte 0"),
+        (Group(0xFEF1, b""), "1 to 1785 bytes"),
+        (Group(0xFEF1, bytes(1786)), "1 to 1785 bytes"),
+        (Group(0xEF00, b"a", 256), "destination of 0 to 255"),
+        (Group(0xFEF1, b"a", 3), "expected no destination"),
+    ],
+)
+def test_groups_that_a_bus_cannot_have_are_refused(rig, group, told):
+    with opened(rig) as bus:
+        with pytest.raises(DeviceError, match="no such groups") as caught:
+            bus.write([Group(0xFEF1, b"a"), group])
+        assert told in str(caught.value)
+        assert rig.sockets[0].sent == []
+
+
+def test_a_destination_that_does_not_answer_is_told_and_the_bus_works_on(rig):
+    with opened(rig) as bus:
+        rig.sockets[0].error = errno.ETIME
+        with pytest.raises(DeviceError, match="did not reach its destination"):
+            bus.write([Group(0xEF00, bytes(100), 9)])
+        rig.sockets[0].error = 0
+        assert bus.write([Group(0xEF00, bytes(100), 9)]) == 1
+
+
+@pytest.mark.parametrize(
+    ("wait", "got"), [(Wait.ALL, 2), (Wait.ONE, 1), (Wait.NOALL, 0)]
+)
+def test_groups_are_awaited_as_the_device_was_opened(rig, wait, got):
+    with opened(rig, wait=wait) as bus:
+        for _ in range(got or 1):
+            rig.sockets[0].put(b"a")
+        assert len(bus.read(2)) == got
+
+
+def test_a_kernel_without_it_is_named(rig):
+    def no(*_):
+        raise OSError(errno.EPROTONOSUPPORT, "Protocol not supported")
+
+    rig.made = no
+    rig.patch.setattr(socket, "socket", no)
+    with pytest.raises(DeviceError, match="modprobe can-j1939"):
+        opened(rig)
+    for wrong in ({"source": 254}, {"priority": 8}, {}):
+        entry = rig.entry(**wrong)
+        if not wrong:
+            entry.settings.pop("source")
+        with database.using({"x": entry}), pytest.raises(DeviceError, match="setting"):
+            open_device("x")
