@@ -61,6 +61,7 @@ from .sbs import (
     read_sbs as read_sbs,
     write_sbs as write_sbs,
 )
+from .spp import SPP_DRIVERS as SPP_DRIVERS, SppEntry as SppEntry
 from .svar import (
     parse_svar as parse_svar,
     read_svar as read_svar,

@@ -1,0 +1,58 @@
+"""What a back end does: make variables, and move their values in and out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from .kernel_library import Variable
+
+
+class BackEnd(ABC):
+    """Where routines run.
+
+    Attributes:
+        name: "numpy", "warp" or "torch".
+        device: Where it computes, such as ``cpu`` or ``cuda:0``.
+    """
+
+    name: str
+    device: str
+
+    @property
+    def said(self) -> Any:  # noqa: ANN401 - the back end's own
+        """What routines have as `m.device`."""
+        return self.device
+
+    @abstractmethod
+    def make(self, variable: Variable) -> Any:  # noqa: ANN401
+        """Return a variable of zeros, as routines have it."""
+
+    @abstractmethod
+    def write(self, array: Any, values: NDArray[Any]) -> None:  # noqa: ANN401
+        """Begin to copy values to a variable."""
+
+    @abstractmethod
+    def read(self, array: Any) -> None:  # noqa: ANN401
+        """Begin to copy a variable back; `taken` returns it after `finish`."""
+
+    @abstractmethod
+    def taken(self, array: Any) -> np.ndarray[Any, Any]:  # noqa: ANN401
+        """Return the values that were copied back."""
+
+    def prepare(self, module: str) -> None:
+        """Compile the kernels that a library's Python module has defined."""
+
+    def finish(self) -> None:
+        """Wait until all that was begun is done."""
+
+    def limit(self, memory: int) -> None:
+        """Bound the memory of the device itself, if it has its own.
+
+        Args:
+            memory: Bytes.
+        """

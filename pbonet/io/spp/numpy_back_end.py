@@ -1,0 +1,41 @@
+"""Kernels in numpy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .back_end import BackEnd
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .kernel_library import Variable
+
+
+class NumpyBackEnd(BackEnd):
+    """Variables are arrays of numpy.
+
+    Args:
+        device: Always ``cpu``.
+    """
+
+    name = "numpy"
+
+    def __init__(self, device: str = "cpu") -> None:
+        self.device = device
+        self._taken: dict[int, NDArray[Any]] = {}
+
+    def make(self, variable: Variable) -> NDArray[Any]:
+        return np.zeros(variable.shape, variable.dtype)
+
+    def write(self, array: NDArray[Any], values: NDArray[Any]) -> None:
+        np.copyto(array, values)
+
+    def read(self, array: NDArray[Any]) -> None:
+        kept = self._taken.setdefault(id(array), np.empty_like(array))
+        np.copyto(kept, array)
+
+    def taken(self, array: NDArray[Any]) -> NDArray[Any]:
+        return self._taken[id(array)]

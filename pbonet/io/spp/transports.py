@@ -1,0 +1,234 @@
+"""How batches reach an executive: a process of its own, or none in virtual time."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from pbonet.config import SppEntry
+from pbonet.errors import PbonetError, SppError, XmError
+from pbonet.outside import using as taping
+from pbonet.xm import Full
+from pbonet.xm.ipc import names
+
+from . import batches, channel, executive_start, processors
+from .execution import Execution
+
+if TYPE_CHECKING:
+    from pbonet.xm import Queue
+
+    from .kernel_library import Variable
+
+START_TIME: Final = 60.0
+"""Seconds in which an executive must start and load a library."""
+_LOOK_NS: Final = 200_000_000
+_GONE_NS: Final = 5_000_000_000
+"""How long a wait goes on without an executive."""
+_PAUSE: Final = 0.02
+_numbers = itertools.count(1)
+
+
+class Transport(Protocol):
+    """The way of a client to its executive."""
+
+    def open(self, place: str, depth: int) -> dict[str, Any]:
+        """Download a library; return its manifest.
+
+        Raises:
+            SppError: It cannot be used.
+        """
+
+    def reserve(self, variables: list[Variable], depth: int) -> None:
+        """Make room for batches and results."""
+
+    def submit(self, batch: memoryview, priority: int) -> None:
+        """Hand a batch over; never waits."""
+
+    def receive(self, until_ns: int | None) -> bytes | None:
+        """Return the next result; None: there is none in time."""
+
+    def lock(self, until_ns: int | None) -> bool:
+        """Take the executive for exclusive use; return whether it was taken."""
+
+    def release(self) -> None:
+        """Give it back."""
+
+    def close(self) -> None:
+        """Leave the executive."""
+
+
+class ProcessTransport:
+    """To an executive that is a process.
+
+    Args:
+        name: As in ``[spp.NAME]``.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = self._key = name
+        self._holds = False
+        self._executive: channel.Executive | None = None
+        self._memory: channel.ClientMemory | None = None
+
+    def open(self, place: str, depth: int) -> dict[str, Any]:
+        entry = processors.entry(self._name)
+        owner = processors.owner()
+        here = names.home()
+        key = self._key = self._name if owner else f"{self._name}.{os.getpid()}"
+        if not owner:
+            config = executive_start.ExecutiveConfig(
+                name=key, domain=here.domain, rtpu=here.rtpu, entry=entry
+            )
+            executive_start.ensure(config)
+        until = time.monotonic() + START_TIME
+        with taping(None):
+            self._await_start(key, until)
+            self._executive = channel.Executive(key)
+            hello = channel.Hello(
+                library=place, pid=os.getpid(), owner=owner, depth=depth
+            )
+            name = channel.client_name(key, next(_numbers))
+            self._memory = channel.ClientMemory(name, hello)
+        self._executive.ring(name, names.home().priority(), holds=False)
+        return self._manifest(until)
+
+    def _await_start(self, key: str, until: float) -> None:
+        while not channel.is_running(key):
+            if time.monotonic() > until:
+                raise SppError(
+                    "the executive does not run",
+                    where=f"[spp.{self._name}]",
+                    remedy="see the agent's events SPP_DIED, or start it again",
+                )
+            time.sleep(_PAUSE)
+
+    def _manifest(self, until: float) -> dict[str, Any]:
+        memory, executive = self._parts()
+        found = memory.manifest(int(until * 1e9))
+        if found is None:
+            error = executive.state().error
+            self.close()
+            raise (
+                PbonetError.from_wire(error)  # pyright: ignore[reportArgumentType]
+                if error
+                else SppError(
+                    "the executive does not answer",
+                    where=f"[spp.{self._name}]",
+                    got=f"nothing in {START_TIME:g} s",
+                    remedy="a batch of another task may be too long: see pbonet status",
+                )
+            )
+        if "error" in found:
+            self.close()
+            raise PbonetError.from_wire(found["error"])
+        return found
+
+    def _parts(self) -> tuple[channel.ClientMemory, channel.Executive]:
+        if self._memory is None or self._executive is None:
+            raise SppError(
+                "the processor is not in use",
+                where=self._name,
+                remedy="make a new Spp after finish()",
+            )
+        return self._memory, self._executive
+
+    def reserve(self, variables: list[Variable], depth: int) -> None:
+        memory, _ = self._parts()
+        sizes = batches.room_of_batch(variables), batches.room_of_result(variables)
+        with taping(None):
+            memory.make_queues(*sizes, depth)
+
+    def submit(self, batch: memoryview, priority: int) -> None:
+        memory, executive = self._parts()
+        assert memory.batches is not None  # noqa: S101 - `reserve` made it
+        memory.batches.send(batch, full=Full.DROP)
+        executive.ring(memory.name, priority, holds=self._holds)
+
+    def receive(self, until_ns: int | None) -> bytes | None:
+        memory, _ = self._parts()
+        assert memory.results is not None  # noqa: S101 - `reserve` made it
+        if until_ns == 0:
+            return memory.results.receive(0)
+        return self._wait(memory.results, until_ns)
+
+    def _wait(self, results: Queue, until_ns: int | None) -> bytes | None:
+        """Wait for a result while there is an executive, or one may come."""
+        gone_ns = 0
+        while True:
+            now = time.monotonic_ns()
+            step = now + _LOOK_NS
+            found = results.receive(step if until_ns is None else min(step, until_ns))
+            if found is not None or (until_ns is not None and now >= until_ns):
+                return found
+            gone_ns = 0 if channel.is_running(self._key) else gone_ns or now
+            if gone_ns and now - gone_ns > _GONE_NS:
+                raise SppError(
+                    "the executive has ended, and was not started again",
+                    where=f"[spp.{self._name}]",
+                    remedy="see the agent's events SPP_DIED",
+                )
+
+    def lock(self, until_ns: int | None) -> bool:
+        _, executive = self._parts()
+        self._holds = self._holds or bool(executive.lock.p(until_ns))
+        return self._holds
+
+    def release(self) -> None:
+        _, executive = self._parts()
+        if self._holds:
+            self._holds = False
+            executive.lock.v()
+
+    def close(self) -> None:
+        if self._executive is not None and self._holds:
+            self.release()
+        if self._memory is not None:
+            try:
+                self._memory.destroy()
+            except XmError:  # the RTPU's files were removed
+                pass
+        if self._executive is not None:
+            self._executive.close()
+        self._memory = self._executive = None
+
+
+class InlineTransport:
+    """In virtual time: a batch is done when it is handed over, in this process.
+
+    Args:
+        name: As in ``[spp.NAME]``.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._results: deque[bytes] = deque()
+
+    def open(self, place: str, depth: int) -> dict[str, Any]:
+        del depth
+        execution = Execution(SppEntry(device="cpu"), self._name)
+        self._loaded = execution.load(place)
+        return self._loaded.manifest()
+
+    def reserve(self, variables: list[Variable], depth: int) -> None:
+        """Nothing is reserved: a result is kept until it is read."""
+
+    def submit(self, batch: memoryview, priority: int) -> None:
+        del priority
+        self._results.append(self._loaded.run(bytes(batch), 1))
+
+    def receive(self, until_ns: int | None) -> bytes | None:
+        del until_ns
+        return self._results.popleft() if self._results else None
+
+    def lock(self, until_ns: int | None) -> bool:
+        del until_ns
+        return True  # no two batches are under way at a time
+
+    def release(self) -> None:
+        """Nothing to give back."""
+
+    def close(self) -> None:
+        """Nothing to leave."""
