@@ -10,11 +10,14 @@ import struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
+import numpy as np
 
 from pbonet.errors import PbonetError, SppError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from .kernel_library import Variable
 
@@ -32,6 +35,7 @@ _RESULT: Final = struct.Struct("<QQqII")
 """Number, starts of the executive, stamp, bytes of the error, count of values."""
 _VALUE: Final = struct.Struct("<II")
 """Index of the variable, and bytes that follow."""
+_PLACES: Final = 64
 _OTHERS: Final = 4096
 """Bytes of a batch for calls."""
 
@@ -64,12 +68,19 @@ class Batch:
         self._at = _HEAD.size
         self._count = 0
         self._name = name
+        self._places: dict[tuple[int, int], NDArray[Any]] = {}
+        """Arrays in the batch where variables were written before."""
 
-    def write(self, index: int, data: memoryview) -> None:
-        """Add a transfer to a variable; `data` is copied now."""
-        size = data.nbytes
-        at = self._command(WRITE, index, size)
-        self._view[at : at + size] = data
+    def write(self, index: int, variable: Variable, values: NDArray[Any]) -> None:
+        """Add a transfer to a variable; the values, of its shape, are copied now."""
+        at = self._command(WRITE, index, variable.size)
+        place = self._places.get((at, index))
+        if place is None:
+            place = np.ndarray(variable.shape, variable.dtype, self._bytes, at)
+            if len(self._places) == _PLACES:
+                self._places.clear()
+            self._places[at, index] = place
+        place[...] = values
 
     def read(self, index: int) -> None:
         """Add a transfer back from a variable."""

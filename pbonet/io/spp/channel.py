@@ -11,12 +11,12 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 from msgspec import Struct
 
-from pbonet.errors import XmDestroyedError, XmError, XmMissingError
+from pbonet.errors import XmError, XmMissingError
 from pbonet.outside import using as taping
 from pbonet.xm import Full, Policy, Queue, Segment, queue, segment, semaphore
 from pbonet.xm.ipc import names
@@ -37,6 +37,46 @@ _RESULTS_SPARE: Final = 3
 _MANIFEST: Final = 1 << 16
 
 
+class Place(NamedTuple):
+    """Where an executive is."""
+
+    domain: str
+    rtpu: str
+    name: str
+    """As in ``[spp.NAME]``; of a program's own with its process."""
+
+    def resource(self, name: str = "") -> names.Name:
+        """Return the name of one of its resources."""
+        whole = f"spp.{self.name}"
+        whole += f".{name}" if name else ""
+        return names.Name(self.domain, self.rtpu, whole)
+
+    def lock(self) -> Path:
+        """Return the file that the executive holds locked while it lives."""
+        folder = run_folder.folder() / self.domain
+        folder.mkdir(mode=0o700, exist_ok=True)
+        return folder / f"{self.rtpu}.{self.name}.spp"
+
+    def is_running(self) -> bool:
+        """Return whether an executive runs."""
+        return run_folder.is_held(self.lock())
+
+    def clients(self) -> list[str]:
+        """Return its clients: those whose memory is there."""
+        prefix = f"{self.resource()}."
+        there = names.standing("shm", self.domain)
+        return [one.removeprefix(prefix) for one in there if one.startswith(prefix)]
+
+    def remove(self) -> None:
+        """Remove the memory of an executive that has ended, and of its clients."""
+        with taping(None):
+            for client in self.clients():
+                with contextlib.suppress(XmError):
+                    ClientMemory(self, client).destroy()
+            Executive(self).destroy()
+        self.lock().unlink(missing_ok=True)
+
+
 class ExecutiveState(Struct, kw_only=True):
     """What an executive says of itself."""
 
@@ -47,12 +87,13 @@ class ExecutiveState(Struct, kw_only=True):
     """The first choice of libraries; empty while it starts."""
     device: str = ""
     found: list[str] = []
-    """All back ends that it has, as ``NAME DEVICE``."""
-    error: dict[str, Any] | None = None
+    """All back ends that it has, as ``NAME on DEVICE``."""
+    error: dict[str, str] = {}
     """Why it cannot run."""
     libraries: list[str] = []
     """What its clients use, as ``FILE on BACK_END DEVICE``."""
     batches: int = 0
+    """Batches carried out, as of the last half second."""
 
 
 class Hello(Struct, kw_only=True):
@@ -61,37 +102,36 @@ class Hello(Struct, kw_only=True):
     library: str
     pid: int
     owner: str
-    depth: int
 
 
 class Executive:
     """The door of an executive, and what belongs to it; both sides open it.
 
     Args:
-        name: As in ``[spp.NAME]``; of a program's own with its process.
+        place: Where it is.
 
     Raises:
         XmError: Its memory cannot be used.
     """
 
-    def __init__(self, name: str) -> None:
-        base = f"spp.{name}"
+    def __init__(self, place: Place) -> None:
         self.door: Queue = queue(
-            f"{base}.door", policy=Policy.HPF, messages=_RINGS, block=_RING.size
+            place.resource("door"),
+            policy=Policy.HPF,
+            messages=_RINGS,
+            block=_RING.size,
         )
-        self.lock: Semaphore = semaphore(f"{base}.lock", initial=1, binary=True)
-        self._about: Segment = segment(base, _ABOUT)
+        self.lock: Semaphore = semaphore(place.resource("lock"), initial=1, binary=True)
+        self._about: Segment = segment(place.resource(), _ABOUT)
 
-    def ring(self, client: str, priority: int, *, holds: bool) -> None:
+    def ring(self, client: bytes, priority: int, *, holds: bool) -> None:
         """Tell the executive that a client has a batch, or is new."""
-        text = _RING.pack(holds, client.encode())
-        self.door.send(text, priority, full=Full.DROP)
+        self.door.send(_RING.pack(holds, client), priority, full=Full.DROP)
 
     def close(self) -> None:
         """Detach."""
-        self.door.close()
-        self.lock.close()
-        self._about.close()
+        for one in (self.door, self.lock, self._about):
+            one.close()
 
     def destroy(self) -> None:
         """Remove it."""
@@ -107,60 +147,38 @@ class Executive:
         _write(self._about, state)
 
 
-def remove(name: str) -> None:
-    """Remove the memory of an executive that has ended."""
-    here = names.home()
-    with taping(None):
-        for client in clients(here.domain, here.rtpu, name):
-            with contextlib.suppress(XmError):
-                ClientMemory(client).destroy()
-        Executive(name).destroy()
-    lock_path(here.domain, here.rtpu, name).unlink(missing_ok=True)
-
-
 def rung(text: bytes) -> tuple[str, bool]:
     """Return the client that rang, and whether it holds the lock."""
     holds, client = _RING.unpack(text)
     return client.rstrip(b"\0").decode(), bool(holds)
 
 
-def lock_path(domain: str, rtpu: str, name: str) -> Path:
-    """Return the file that an executive holds locked while it lives."""
-    folder = run_folder.folder() / domain
-    folder.mkdir(mode=0o700, exist_ok=True)
-    return folder / f"{rtpu}.{name}.spp"
-
-
-def is_running(name: str) -> bool:
-    """Return whether an executive runs on the RTPU of this process."""
-    here = names.home()
-    return run_folder.is_held(lock_path(here.domain, here.rtpu, name))
-
-
 class ClientMemory:
     """The memory of one client; it makes it, and the executive attaches to it.
 
     Args:
-        name: The client: ``spp.NAME.PID.NUMBER``.
+        place: Where its executive is.
+        name: The client, as `client_name` returns it.
         hello: What it says of itself; None: attach to what another process has made.
 
     Raises:
         XmError: Its memory cannot be used, or is not there.
     """
 
-    def __init__(self, name: str, hello: Hello | None = None) -> None:
-        self.name = name
+    def __init__(self, place: Place, name: str, hello: Hello | None = None) -> None:
+        self._place, self.name = place, name
+        own, manifest = place.resource(name), place.resource(f"{name}.manifest")
+        self.hello: Hello | None = hello
         if hello is None:
-            self._segment = Segment.attach(name)
-            self._manifest = Queue.attach(f"{name}.manifest")
-            self.hello: Hello | None = _read(self._segment, Hello, _BEGUN.size)
+            self._segment = Segment.attach(own)
+            self._manifest = Queue.attach(manifest)
+            self.hello = _read(self._segment, Hello, _BEGUN.size)
         else:
             self._manifest = Queue.create(
-                f"{name}.manifest", messages=1, blocks=_MANIFEST // 64, block=64
+                manifest, messages=1, blocks=_MANIFEST // 64, block=64
             )
-            self._segment = Segment.create(name, _ABOUT)
+            self._segment = Segment.create(own, _ABOUT)
             _write(self._segment, hello, _BEGUN.size)
-            self.hello = hello
         self.batches: Queue | None = None
         self.results: Queue | None = None
 
@@ -176,18 +194,21 @@ class ClientMemory:
 
     def make_queues(self, batch: int, result: int, depth: int) -> None:
         """Make the queues for batches and results, of these sizes in bytes."""
-        self.batches = _queue(f"{self.name}.in", batch, depth)
-        self.results = _queue(f"{self.name}.out", result, depth + _RESULTS_SPARE)
+        self.batches = _queue(self._resource("in"), batch, depth)
+        self.results = _queue(self._resource("out"), result, depth + _RESULTS_SPARE)
 
     def attach_queues(self) -> bool:
         """Attach to the client's queues; return whether there are any."""
         if self.batches is None:
             try:
-                self.results = Queue.attach(f"{self.name}.out")
-                self.batches = Queue.attach(f"{self.name}.in")
+                self.batches = Queue.attach(self._resource("in"))
+                self.results = Queue.attach(self._resource("out"))
             except XmMissingError:
-                return False
-        return True
+                self.batches = None
+        return self.batches is not None
+
+    def _resource(self, end: str) -> names.Name:
+        return self._place.resource(f"{self.name}.{end}")
 
     @property
     def pid(self) -> int:
@@ -213,31 +234,20 @@ class ClientMemory:
 
     def destroy(self) -> None:
         """Remove it."""
+        with contextlib.suppress(XmError):
+            self.attach_queues()
         for one in (self._segment, self._manifest, self.batches, self.results):
             if one is not None:
-                try:
+                with contextlib.suppress(XmError):
                     one.destroy()
-                except XmDestroyedError:
-                    one.close()
 
 
-def clients(domain: str, rtpu: str, name: str) -> list[str]:
-    """Return the clients of an executive that left or use memory."""
-    prefix = f"{rtpu}:spp.{name}."
-    found = (
-        one.removeprefix(f"{rtpu}:")
-        for one in names.standing("shm", domain)
-        if one.startswith(prefix)
-    )
-    return [one for one in found if one.removeprefix(f"spp.{name}.").count(".") == 1]
-
-
-def client_name(name: str, number: int) -> str:
+def client_name(number: int) -> str:
     """Return the name of a client of this process."""
-    return f"spp.{name}.{os.getpid()}.{number}"
+    return f"{os.getpid()}-{number}"
 
 
-def _queue(name: str, size: int, count: int) -> Queue:
+def _queue(name: names.Name, size: int, count: int) -> Queue:
     block = min(_BLOCK, -(-size // 8) * 8)
     return Queue.create(
         name, messages=count, blocks=count * -(-size // block), block=block
@@ -245,9 +255,11 @@ def _queue(name: str, size: int, count: int) -> Queue:
 
 
 def _write(where: Segment, what: Struct, at: int = 0) -> None:
-    data = msgspec.json.encode(what)[: where.size - at - _LENGTH.size]
+    data = msgspec.json.encode(what)
     memory = where.memory
     begin = at + _LENGTH.size
+    if begin + len(data) > len(memory):
+        return
     _LENGTH.pack_into(memory, at, 0)
     memory[begin : begin + len(data)] = data
     _LENGTH.pack_into(memory, at, len(data))

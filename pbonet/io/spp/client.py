@@ -108,6 +108,7 @@ class Spp:
         self._priority = priority
         self._submitted = self._done = 0
         self._stale = False
+        self._first_ns = 0
         self._error: Exception | None = None
         self._outside = Outside(f"spp {name}")
         self._way: Transport = (
@@ -142,7 +143,7 @@ class Spp:
                 remedy="write Spp(name, library, task=self.task)",
             )
         folders = self._task.libraries if self._task is not None else ()
-        return self._way.open(find_file(library, folders), self._depth)
+        return self._way.open(find_file(library, folders))
 
     def translate(self, name: str) -> Any:  # noqa: ANN401 - Routine or Reading
         """Return a routine or variable of the library, for the other methods.
@@ -166,20 +167,29 @@ class Spp:
         """Add to the batch: copy values to a variable; they are copied now.
 
         Raises:
-            SppError: They have another shape, or an earlier batch has failed.
+            SppError: They have another shape or type, or the batch is full.
         """
         about = variable.variable
-        new = np.ascontiguousarray(values, about.dtype)
+        new = np.asarray(values)
         if new.shape != about.shape:
-            if new.size != 1 or about.shape:  # one number stands for shape ()
-                raise SppError(
-                    "the values have another shape than the variable",
-                    where=f"{self.name}: {variable.name}",
-                    expected=str(about.shape),
-                    got=str(new.shape),
-                    remedy="write the whole variable",
-                )
-        self._batch.write(variable.index, new.reshape(-1).view(np.uint8).data)
+            raise SppError(
+                "the values have another shape than the variable",
+                where=f"{self.name}: {variable.name}",
+                expected=str(about.shape),
+                got=str(new.shape),
+                remedy="write the whole variable",
+            )
+        if new.dtype != about.dtype and not np.can_cast(
+            new.dtype, about.dtype, "same_kind"
+        ):
+            raise SppError(
+                "the values have another type than the variable",
+                where=f"{self.name}: {variable.name}",
+                expected=str(about.dtype),
+                got=str(new.dtype),
+                remedy="convert them before",
+            )
+        self._batch.write(variable.index, about, new)
 
     def call(self, routine: Routine, *numbers: float) -> None:
         """Add to the batch: call a routine with these numbers.
@@ -310,8 +320,11 @@ class Spp:
 
     def _judge(self, variable: Reading) -> None:
         """Raise or withdraw the flag by the age of a value."""
-        stale = variable.age > self.max_age
-        if stale != self._stale and self._task is not None:
+        if self._task is None:
+            return
+        self._first_ns = self._first_ns or self._task.now
+        stale = self.age_of(variable.stamp_ns or self._first_ns) > self.max_age
+        if stale != self._stale:
             self._stale = stale
             cause = f"spp {self.name}: {variable.name} is too old"
             (self._task.illegal if stale else self._task.legal)(cause)

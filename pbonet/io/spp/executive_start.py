@@ -27,10 +27,7 @@ END_TIME = 5.0
 class ExecutiveConfig(Struct, frozen=True, kw_only=True):
     """What an executive must know."""
 
-    name: str
-    """As in ``[spp.NAME]``; of a program's own with its process."""
-    domain: str
-    rtpu: str
+    place: channel.Place
     entry: SppEntry
     life_fd: int = -1
     """A pipe whose other end only its parent has; it ends with that."""
@@ -108,8 +105,8 @@ def _environment(given: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-_started: dict[str, Started] = {}
-"""Executives of this program, by name."""
+_started: dict[channel.Place, Started] = {}
+"""Executives of this program."""
 
 
 def ensure(config: ExecutiveConfig) -> None:
@@ -120,15 +117,15 @@ def ensure(config: ExecutiveConfig) -> None:
     """
     if not _started:
         atexit.register(end_all)
-    found = _started.get(config.name)
+    found = _started.get(config.place)
     if found is None or found.process.poll() is not None:
-        _started[config.name] = Started(config)
+        _started[config.place] = Started(config)
 
 
 def end_all() -> None:
     """End the executives of this program."""
     while _started:
-        name, one = _started.popitem()
+        place, one = _started.popitem()
         one.kill()
         one.wait()
-        channel.remove(name)
+        place.remove()

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 import sys
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -27,16 +28,20 @@ BACK_ENDS: Final = ("warp", "torch", "numpy")
 """Back ends by name, the first choice of ``driver = "auto"`` first."""
 
 
-class Variable(NamedTuple):
-    """A variable that lives in the executive."""
+class Variable:
+    """A variable that lives in the executive.
 
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    Attributes:
+        shape: Its shape.
+        dtype: Type of its elements.
+        size: Its bytes.
+    """
 
-    @property
-    def size(self) -> int:
-        """Its bytes."""
-        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+    __slots__ = ("dtype", "shape", "size")
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self.shape, self.dtype = shape, dtype
+        self.size = math.prod(shape) * dtype.itemsize
 
 
 class Library:

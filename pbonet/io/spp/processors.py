@@ -48,6 +48,11 @@ def using(entries: Mapping[str, SppEntry]) -> Generator[None]:
         executive_start.end_all()
 
 
+def entries() -> list[str]:
+    """Return the names of all processors."""
+    return list(_entries)
+
+
 def owner() -> str:
     """Return the user of this process; empty for a program."""
     return _owner[0]

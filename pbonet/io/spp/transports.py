@@ -20,6 +20,7 @@ from .execution import Execution
 if TYPE_CHECKING:
     from pbonet.xm import Queue
 
+    from .execution import Loaded
     from .kernel_library import Variable
 
 START_TIME: Final = 60.0
@@ -34,7 +35,7 @@ _numbers = itertools.count(1)
 class Transport(Protocol):
     """The way of a client to its executive."""
 
-    def open(self, place: str, depth: int) -> dict[str, Any]:
+    def open(self, place: str) -> dict[str, Any]:
         """Download a library; return its manifest.
 
         Raises:
@@ -68,35 +69,33 @@ class ProcessTransport:
     """
 
     def __init__(self, name: str) -> None:
-        self._name = self._key = name
+        self._name = name
         self._holds = False
         self._executive: channel.Executive | None = None
         self._memory: channel.ClientMemory | None = None
 
-    def open(self, place: str, depth: int) -> dict[str, Any]:
+    def open(self, place: str) -> dict[str, Any]:
         entry = processors.entry(self._name)
         owner = processors.owner()
         here = names.home()
-        key = self._key = self._name if owner else f"{self._name}.{os.getpid()}"
+        key = self._name if owner else f"{self._name}.{os.getpid()}"
+        self._place = channel.Place(here.domain, here.rtpu, key)
         if not owner:
-            config = executive_start.ExecutiveConfig(
-                name=key, domain=here.domain, rtpu=here.rtpu, entry=entry
-            )
+            config = executive_start.ExecutiveConfig(place=self._place, entry=entry)
             executive_start.ensure(config)
         until = time.monotonic() + START_TIME
         with taping(None):
-            self._await_start(key, until)
-            self._executive = channel.Executive(key)
-            hello = channel.Hello(
-                library=place, pid=os.getpid(), owner=owner, depth=depth
-            )
-            name = channel.client_name(key, next(_numbers))
-            self._memory = channel.ClientMemory(name, hello)
-        self._executive.ring(name, names.home().priority(), holds=False)
+            self._await_start(until)
+            self._executive = channel.Executive(self._place)
+            hello = channel.Hello(library=place, pid=os.getpid(), owner=owner)
+            name = channel.client_name(next(_numbers))
+            self._memory = channel.ClientMemory(self._place, name, hello)
+        self._client = name.encode()
+        self._executive.ring(self._client, names.home().priority(), holds=False)
         return self._manifest(until)
 
-    def _await_start(self, key: str, until: float) -> None:
-        while not channel.is_running(key):
+    def _await_start(self, until: float) -> None:
+        while not self._place.is_running():
             if time.monotonic() > until:
                 raise SppError(
                     "the executive does not run",
@@ -112,7 +111,7 @@ class ProcessTransport:
             error = executive.state().error
             self.close()
             raise (
-                PbonetError.from_wire(error)  # pyright: ignore[reportArgumentType]
+                PbonetError.from_wire(error)  # type: ignore[arg-type]
                 if error
                 else SppError(
                     "the executive does not answer",
@@ -145,7 +144,7 @@ class ProcessTransport:
         memory, executive = self._parts()
         assert memory.batches is not None  # noqa: S101 - `reserve` made it
         memory.batches.send(batch, full=Full.DROP)
-        executive.ring(memory.name, priority, holds=self._holds)
+        executive.ring(self._client, priority, holds=self._holds)
 
     def receive(self, until_ns: int | None) -> bytes | None:
         memory, _ = self._parts()
@@ -163,7 +162,7 @@ class ProcessTransport:
             found = results.receive(step if until_ns is None else min(step, until_ns))
             if found is not None or (until_ns is not None and now >= until_ns):
                 return found
-            gone_ns = 0 if channel.is_running(self._key) else gone_ns or now
+            gone_ns = 0 if self._place.is_running() else gone_ns or now
             if gone_ns and now - gone_ns > _GONE_NS:
                 raise SppError(
                     "the executive has ended, and was not started again",
@@ -206,11 +205,16 @@ class InlineTransport:
         self._name = name
         self._results: deque[bytes] = deque()
 
-    def open(self, place: str, depth: int) -> dict[str, Any]:
-        del depth
-        execution = Execution(SppEntry(device="cpu"), self._name)
-        self._loaded = execution.load(place)
+    def open(self, place: str) -> dict[str, Any]:
+        try:  # numpy loads at once, and gives the same on each machine
+            self._loaded = self._load(place, "numpy")
+        except SppError:
+            self._loaded = self._load(place, "auto")
         return self._loaded.manifest()
+
+    def _load(self, place: str, driver: str) -> Loaded:
+        execution = Execution(SppEntry(driver=driver, device="cpu"), self._name)
+        return execution.load(place)
 
     def reserve(self, variables: list[Variable], depth: int) -> None:
         """Nothing is reserved: a result is kept until it is read."""

@@ -1,2 +1,2 @@
-from . import executive_process as executive_process
 from .executive import Executive as Executive
+from .executive_supervisor import Executives as Executives

@@ -40,7 +40,7 @@ class Executive:
     """An infinite loop over the batches of all clients.
 
     Args:
-        name: As in ``[spp.NAME]``; of a program's own with its process.
+        place: Where it is.
         execution: Loads libraries.
         door: Its shared memory.
         longest: Seconds after which a batch ends this process.
@@ -48,12 +48,12 @@ class Executive:
 
     def __init__(
         self,
-        name: str,
+        place: channel.Place,
         execution: Execution,
         door: channel.Executive,
         longest: float,
     ) -> None:
-        self._name = name
+        self._place = place
         self._execution = execution
         self._door = door
         self._longest = longest
@@ -69,14 +69,15 @@ class Executive:
             back_end=first.name,
             device=first.device,
             found=[
-                f"{one.name} {one.device}" for one in execution.back_ends.found.values()
+                f"{one.name} on {one.device}"
+                for one in execution.back_ends.found.values()
             ],
         )
 
-    def begin(self, domain: str, rtpu: str) -> None:
+    def begin(self) -> None:
         """Say that it runs, and serve the clients of the executive before it."""
         self._door.say(self.state)
-        for name in channel.clients(domain, rtpu, self._name):
+        for name in self._place.clients():
             self._adopt(name)
 
     def _adopt(self, name: str) -> None:
@@ -124,7 +125,7 @@ class Executive:
     def _enter(self, name: str) -> _Client | None:
         """Load the library of a client, and answer it."""
         try:
-            memory = channel.ClientMemory(name)
+            memory = channel.ClientMemory(self._place, name)
         except XmError:  # it has gone meanwhile
             return None
         if memory.is_abandoned or memory.hello is None:

@@ -14,7 +14,6 @@ import msgspec
 
 from pbonet.errors import DuplicateNameError, PbonetError
 from pbonet.io.spp import Execution, ExecutiveConfig, channel
-from pbonet.xm import live_on
 from pbonet.xm.net import run_folder
 
 from .executive import Executive
@@ -30,28 +29,27 @@ def main(config: ExecutiveConfig) -> int:
     _end_with_parent(config.life_fd)
     _stay_off(config.reserved)
     _be_first_to_go()
-    live_on(config.rtpu, domain=config.domain)
-    path = channel.lock_path(config.domain, config.rtpu, config.name)
+    name = config.place.name
     try:
-        door = channel.Executive(config.name)
-        text = f"executive {config.name}, process {os.getpid()}"
-        lock = run_folder.NameLock(path, text, patience=START_TIME)
+        door = channel.Executive(config.place)
+        text = f"executive {name}, process {os.getpid()}"
+        lock = run_folder.NameLock(config.place.lock(), text, patience=START_TIME)
     except DuplicateNameError as error:
         sys.stderr.write(f"{error}\n")
         return 1
     try:
-        execution = Execution(config.entry, config.name)
+        execution = Execution(config.entry, name)
     except PbonetError as error:
         state = door.state()
         state.pid, state.back_end, state.device = os.getpid(), "", ""
-        state.error = dict(error.to_wire())
+        state.error = {k: str(v) for k, v in error.to_wire().items()}
         door.say(state)
         return 1
     memory = round(config.entry.memory * _MEGABYTE)
     if memory:
         _limit(execution, memory)
-    executive = Executive(config.name, execution, door, config.entry.longest)
-    executive.begin(config.domain, config.rtpu)
+    executive = Executive(config.place, execution, door, config.entry.longest)
+    executive.begin()
     try:
         while True:
             executive.serve()
