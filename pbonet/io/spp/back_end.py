@@ -44,13 +44,13 @@ class BackEnd(ABC):
     def taken(self, array: Any) -> np.ndarray[Any, Any]:  # noqa: ANN401
         """Return the values that were copied back."""
 
-    def prepare(self, module: str) -> None:
+    def prepare(self, module: str) -> None:  # noqa: B027 - not all compile
         """Compile the kernels that a library's Python module has defined."""
 
-    def finish(self) -> None:
+    def finish(self) -> None:  # noqa: B027 - not all are asynchronous
         """Wait until all that was begun is done."""
 
-    def limit(self, memory: int) -> None:
+    def limit(self, memory: int) -> None:  # noqa: B027 - not all have their own
         """Bound the memory of the device itself, if it has its own.
 
         Args:

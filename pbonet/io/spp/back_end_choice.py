@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import SppError
 
@@ -42,7 +43,7 @@ class BackEnds:
         for one in wanted:
             try:
                 self.found[one] = _MAKERS[one](entry.device)
-            except Exception as error:  # whatever a driver of a device raises
+            except Exception as error:  # noqa: BLE001 - whatever a device's driver raises
                 self.refused[one] = str(error).strip().partition("\n")[0]
         self._order(entry.device)
         if not self.found:
@@ -101,8 +102,7 @@ def _warp(device: str) -> BackEnd:
 
 
 def _torch(device: str) -> BackEnd:
-    import torch
-
+    torch: Any = import_module("torch")
     from .torch_back_end import TorchBackEnd
 
     if device == AUTO:

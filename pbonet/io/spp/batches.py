@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pbonet.errors import WireError
+
     from .kernel_library import Variable
 
 WRITE: Final = 1
@@ -86,14 +88,14 @@ class Batch:
         """Add a transfer back from a variable."""
         self._command(READ, index, 0)
 
-    def call(self, index: int, arguments: Sequence[float]) -> None:
+    def call(self, index: int, arguments: Sequence[float | int]) -> None:
         """Add a call of a routine."""
         at = self._command(CALL, index, _ARGUMENT_FLOAT.size * len(arguments))
         for one in arguments:
             if isinstance(one, float):
                 _ARGUMENT_FLOAT.pack_into(self._bytes, at, _FLOAT, one)
             else:
-                kind = _TRUTH if isinstance(one, bool) else _INTEGER
+                kind = _TRUTH if one is True or one is False else _INTEGER
                 _ARGUMENT_INTEGER.pack_into(self._bytes, at, kind, one)
             at += _ARGUMENT_FLOAT.size
 
@@ -134,7 +136,8 @@ class Command(NamedTuple):
     """A command of a batch."""
 
     kind: int
-    index: int
+    which: int
+    """Index of the variable or routine."""
     data: memoryview
 
 
@@ -203,7 +206,7 @@ def unpack_result(data: bytes) -> Result:
     at, view = _RESULT.size, memoryview(data)
     error: PbonetError | None = None
     if size:
-        wire: dict[str, Any] = msgspec.msgpack.decode(view[at : at + size])
+        wire: WireError = msgspec.msgpack.decode(view[at : at + size])
         error = PbonetError.from_wire(wire)
     at += _padded(size)
     values: list[tuple[int, memoryview]] = []

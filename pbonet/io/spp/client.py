@@ -32,7 +32,7 @@ DEPTH: Final = 2
 class Routine(NamedTuple):
     """A routine of the library, as `Spp.translate` returns it."""
 
-    index: int
+    which: int
     name: str
 
 
@@ -197,7 +197,7 @@ class Spp:
         Raises:
             SppError: The batch is full.
         """
-        self._batch.call(routine.index, numbers)
+        self._batch.call(routine.which, numbers)
 
     def read(self, variable: Reading) -> Reading:
         """Add to the batch: copy a variable back. Return its newest value so far.

@@ -52,7 +52,7 @@ class Loaded:
         if setup := library.setups.get(back_end.name):
             try:
                 setup(self.m)
-            except Exception as error:
+            except Exception as error:  # noqa: BLE001 - the library's
                 raise failed("the setup", error) from None
         back_end.prepare(library.module)
 
@@ -91,7 +91,7 @@ class Loaded:
             for index in wanted:
                 taken = self.back_end.taken(self._arrays[index])
                 values.append((index, taken.tobytes()))
-        except Exception as caught:  # whatever a routine raises
+        except Exception as caught:  # noqa: BLE001 - whatever a routine raises
             error, values = failed(f"the routine {routine}", caught), []
         stamp_ns = time.monotonic_ns()
         return batches.pack_result(number, starts, stamp_ns, values, error)

@@ -56,6 +56,9 @@ class Started:
         output: int | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
+        with contextlib.closing(channel.Executive(config.place)) as door:
+            starts = door.state().starts  # all else is of the one before
+            door.say(channel.ExecutiveState(starts=starts))
         life, self._life = os.pipe()
         try:
             config = msgspec.structs.replace(config, life_fd=life)

@@ -1,7 +1,7 @@
 """A library of kernels: variables and routines of a special purpose processor.
 
-It is an ordinary Python file with a `Library` in it. Only the executive runs the file, so
-a task never loads what its routines import.
+It is an ordinary Python file with a `Library` in it. Only the executive runs the file,
+so a task never loads what its routines import.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,9 +29,8 @@ class TorchBackEnd(BackEnd):
     name = "torch"
 
     def __init__(self, device: str) -> None:
-        import torch
-
-        self._torch = torch
+        self._torch: Any = import_module("torch")
+        torch = self._torch
         self.device = device
         self._on = torch.device(device)
         self._cuda = self._on.type == "cuda"

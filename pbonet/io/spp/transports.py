@@ -9,7 +9,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from pbonet.config import SppEntry
-from pbonet.errors import PbonetError, SppError, XmError
+from pbonet.errors import PbonetError, SppError
 from pbonet.outside import using as taping
 from pbonet.xm import Full
 from pbonet.xm.ipc import names
@@ -80,22 +80,24 @@ class ProcessTransport:
         here = names.home()
         key = self._name if owner else f"{self._name}.{os.getpid()}"
         self._place = channel.Place(here.domain, here.rtpu, key)
-        if not owner:
-            config = executive_start.ExecutiveConfig(place=self._place, entry=entry)
-            executive_start.ensure(config)
+        hello = channel.Hello(library=place, pid=os.getpid(), owner=owner)
+        name = channel.client_name(next(_numbers))
         until = time.monotonic() + START_TIME
-        with taping(None):
-            self._await_start(until)
+        with taping(None):  # only what the module is told stands in the log
+            if not owner:
+                config = executive_start.ExecutiveConfig(place=self._place, entry=entry)
+                executive_start.ensure(config)
             self._executive = channel.Executive(self._place)
-            hello = channel.Hello(library=place, pid=os.getpid(), owner=owner)
-            name = channel.client_name(next(_numbers))
+            self._await_start(self._executive, until)
             self._memory = channel.ClientMemory(self._place, name, hello)
         self._client = name.encode()
-        self._executive.ring(self._client, names.home().priority(), holds=False)
+        self._executive.ring(self._client, here.priority(), holds=False)
         return self._manifest(until)
 
-    def _await_start(self, until: float) -> None:
-        while not self._place.is_running():
+    def _await_start(self, executive: channel.Executive, until: float) -> None:
+        while not executive.state().back_end:
+            if error := executive.state().error:
+                raise PbonetError.from_wire(error)  # type: ignore[arg-type]
             if time.monotonic() > until:
                 raise SppError(
                     "the executive does not run",
@@ -105,20 +107,15 @@ class ProcessTransport:
             time.sleep(_PAUSE)
 
     def _manifest(self, until: float) -> dict[str, Any]:
-        memory, executive = self._parts()
+        memory, _ = self._parts()
         found = memory.manifest(int(until * 1e9))
         if found is None:
-            error = executive.state().error
             self.close()
-            raise (
-                PbonetError.from_wire(error)  # type: ignore[arg-type]
-                if error
-                else SppError(
-                    "the executive does not answer",
-                    where=f"[spp.{self._name}]",
-                    got=f"nothing in {START_TIME:g} s",
-                    remedy="a batch of another task may be too long: see pbonet status",
-                )
+            raise SppError(
+                "the executive does not answer",
+                where=f"[spp.{self._name}]",
+                got=f"nothing in {START_TIME:g} s",
+                remedy="a batch of another task may be too long: see pbonet status",
             )
         if "error" in found:
             self.close()
@@ -185,10 +182,7 @@ class ProcessTransport:
         if self._executive is not None and self._holds:
             self.release()
         if self._memory is not None:
-            try:
-                self._memory.destroy()
-            except XmError:  # the RTPU's files were removed
-                pass
+            self._memory.destroy()
         if self._executive is not None:
             self._executive.close()
         self._memory = self._executive = None

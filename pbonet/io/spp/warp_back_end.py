@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,8 +93,7 @@ def warp() -> Any:  # noqa: ANN401 - a module
     Raises:
         ImportError: It is not installed.
     """
-    import warp as wp
-
+    wp: Any = import_module("warp")
     wp.config.kernel_cache_dir = str(run_folder.folder() / "warp")
     if hasattr(wp.config, "log_level"):
         wp.config.log_level = wp.LOG_WARNING

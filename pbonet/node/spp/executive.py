@@ -220,7 +220,7 @@ class Executive:
         self.state.batches += 1
 
     def _timed(self, loaded: Loaded, batch: bytes) -> bytes:
-        """Return the result of a batch; the kernel ends this process if it is endless."""
+        """Return the result of a batch; an endless one ends this process."""
         signal.setitimer(signal.ITIMER_REAL, self._longest)
         try:
             return loaded.run(batch, self.state.starts)
