@@ -88,7 +88,7 @@ class TaskType(StrEnum):
 
 
 class Needs(StrEnum):
-    """What a task needs of its machine, after ``NEEDS spp``: a device or a back end."""
+    """Need of a task, after ``NEEDS spp``: a device or a back end."""
 
     CUDA = "cuda"
     WARP = "warp"
@@ -145,7 +145,7 @@ class Rmod(Struct, frozen=True, kw_only=True):
     has come twice more."""
     rtpu: str | None = None
     needs: Needs | None = None
-    """What a special purpose processor of the task's machine must have."""
+    """Device or back end that a processor of the machine must have."""
     local: dict[str, LocalLine] = {}
     places: dict[str, Place] = {}
     """Where each keyword stands, for faults that are found later."""

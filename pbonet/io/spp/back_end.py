@@ -1,4 +1,4 @@
-"""What a back end does: make variables, and move their values in and out."""
+"""Base of the back ends: makes variables, and moves their values in and out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class BackEnd(ABC):
 
     @property
     def said(self) -> Any:  # noqa: ANN401 - the back end's own
-        """What routines have as `m.device`."""
+        """The device as routines have it, in `m.device`."""
         return self.device
 
     @abstractmethod

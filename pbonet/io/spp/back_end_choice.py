@@ -39,7 +39,7 @@ class BackEnds:
         self.refused: dict[str, str] = {}
         """Why a back end cannot run here."""
         self.found: dict[str, BackEnd] = {}
-        """Those that can, the first choice first."""
+        """Back ends that can, the first choice first."""
         for one in wanted:
             try:
                 self.found[one] = _MAKERS[one](entry.device)

@@ -168,7 +168,7 @@ def arguments(data: memoryview) -> list[float]:
 
 
 class Result(NamedTuple):
-    """What a batch led to."""
+    """Outcome of a batch."""
 
     number: int
     """The batch's; all before it are done, too."""

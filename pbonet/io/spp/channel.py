@@ -78,7 +78,7 @@ class Place(NamedTuple):
 
 
 class ExecutiveState(Struct, kw_only=True):
-    """What an executive says of itself."""
+    """Description of an executive by itself."""
 
     pid: int = 0
     starts: int = 0
@@ -91,13 +91,13 @@ class ExecutiveState(Struct, kw_only=True):
     error: dict[str, str] = {}
     """Why it cannot run."""
     libraries: list[str] = []
-    """What its clients use, as ``FILE on BACK_END DEVICE``."""
+    """Libraries of its clients, as ``FILE on BACK_END DEVICE``."""
     batches: int = 0
     """Batches carried out, as of the last half second."""
 
 
 class Hello(Struct, kw_only=True):
-    """What a client says of itself."""
+    """Description of a client by itself."""
 
     library: str
     pid: int

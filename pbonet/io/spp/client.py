@@ -63,7 +63,7 @@ class Spp:
 
     Its constructor is the method `init` of the thesis: it downloads the library to the
     executive, and starts that if need be. `call`, `write` and `read` only fill a batch,
-    and `wait` hands it over; none of them waits unless it is told to.
+    and `wait` hands it over; none of them waits without a timeout.
 
     Args:
         name: As in ``[spp.NAME]`` of the agent's ``agent.toml``.
@@ -206,7 +206,8 @@ class Spp:
             SppError: A routine of a batch that is done now has failed.
         """
         self._batch.read(variable.index)
-        self._drain()
+        self._await(1, 0)
+        self._raise()
         if self.max_age:
             self._judge(variable)
         return variable
@@ -218,22 +219,24 @@ class Spp:
             timeout: Seconds to wait at most; 0: not at all; None: without limit.
 
         Returns:
-            Whether all batches are done. A batch is refused, and counted, while as many
-            as `depth` are under way.
+            Whether all batches are done. A batch is refused, and counted, if as many as
+            `depth` are under way then.
 
         Raises:
             SppError: A routine of a batch that is done now has failed.
         """
-        self._drain()
+        until_ns = None if timeout is None else _deadline(timeout)
         if not self._batch.is_empty:
+            self._await(self._depth, until_ns)
             self._submit()
-        elif timeout == 0.0:
-            return self._done == self._submitted
-        until_ns = 0 if timeout == 0.0 else self._until(timeout)
-        while self._done < self._submitted and self._take(until_ns):
-            pass
+        self._await(1, until_ns)
         self._raise()
         return self._done == self._submitted
+
+    def _await(self, count: int, until_ns: int | None) -> None:
+        """Take results until fewer batches than `count` are under way."""
+        while self._submitted - self._done >= count and self._take(until_ns):
+            pass
 
     def lock(self, timeout: float | None = 0.0) -> bool:
         """Reserve the processor: until `release` only this client's batches run.
@@ -281,15 +284,6 @@ class Spp:
         if not self._results.plays:
             given = self._priority
             self._way.submit(batch, names.home().priority() if given is None else given)
-
-    def _until(self, timeout: float | None) -> int | None:
-        return None if timeout is None else _deadline(timeout)
-
-    def _drain(self) -> None:
-        """Take the results that are there."""
-        while self._done < self._submitted and self._take(0):
-            pass
-        self._raise()
 
     def _raise(self) -> None:
         error, self._error = self._error, None

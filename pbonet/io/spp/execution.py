@@ -32,9 +32,12 @@ class Loaded:
         back_end: Where it runs.
         place: Where it was found.
 
-    Raises:
-        SppError: Its setup failed.
+    Attributes:
+        is_lost: Whether its back end cannot be used any more, as after a fault of a
+            kernel with CUDA; only another process can use the device then.
     """
+
+    is_lost = False
 
     def __init__(self, library: Library, back_end: BackEnd, place: str) -> None:
         self.back_end = back_end
@@ -50,10 +53,7 @@ class Loaded:
             **arrays, local=SimpleNamespace(), device=back_end.said
         )
         if setup := library.setups.get(back_end.name):
-            try:
-                setup(self.m)
-            except Exception as error:  # noqa: BLE001 - the library's
-                raise failed("the setup", error) from None
+            setup(self.m)
         back_end.prepare(library.module)
 
     def manifest(self) -> dict[str, Any]:
@@ -93,8 +93,16 @@ class Loaded:
                 values.append((index, taken.tobytes()))
         except Exception as caught:  # noqa: BLE001 - whatever a routine raises
             error, values = failed(f"the routine {routine}", caught), []
+            self.is_lost = self._is_lost()
         stamp_ns = time.monotonic_ns()
         return batches.pack_result(number, starts, stamp_ns, values, error)
+
+    def _is_lost(self) -> bool:
+        try:
+            self.back_end.finish()
+        except Exception:  # noqa: BLE001 - whatever a device's driver raises
+            return True
+        return False
 
 
 class Execution:
@@ -121,7 +129,11 @@ class Execution:
             SppError: It cannot be run, or not here.
         """
         library = kernel_library.load(place)
-        return Loaded(library, self.back_ends.choose(library, place), place)
+        back_end = self.back_ends.choose(library, place)
+        try:
+            return Loaded(library, back_end, place)
+        except Exception as error:  # noqa: BLE001 - such as no room for a variable
+            raise failed("loading", error) from None
 
 
 def failed(what: str, error: Exception) -> SppError:

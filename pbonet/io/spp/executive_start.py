@@ -25,7 +25,7 @@ END_TIME = 5.0
 
 
 class ExecutiveConfig(Struct, frozen=True, kw_only=True):
-    """What an executive must know."""
+    """Settings of an executive, on its command line."""
 
     place: channel.Place
     entry: SppEntry
@@ -81,7 +81,7 @@ class Started:
 
     @property
     def output(self) -> IO[bytes] | None:
-        """What it prints, if that goes to a pipe."""
+        """Its prints, if they go to a pipe."""
         return self.process.stdout
 
     def kill(self) -> None:

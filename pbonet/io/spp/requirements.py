@@ -1,4 +1,4 @@
-"""What a task needs of its machine: ``NEEDS spp cuda`` in its RMOD."""
+"""Needs of a task that its machine must meet: ``NEEDS spp cuda`` in its RMOD."""
 
 from __future__ import annotations
 

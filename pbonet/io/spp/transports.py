@@ -41,6 +41,7 @@ class Transport(Protocol):
         Raises:
             SppError: It cannot be used.
         """
+        ...
 
     def reserve(self, variables: list[Variable], depth: int) -> None:
         """Make room for batches and results."""
@@ -53,6 +54,7 @@ class Transport(Protocol):
 
     def lock(self, until_ns: int | None) -> bool:
         """Take the executive for exclusive use; return whether it was taken."""
+        ...
 
     def release(self) -> None:
         """Give it back."""
@@ -83,7 +85,7 @@ class ProcessTransport:
         hello = channel.Hello(library=place, pid=os.getpid(), owner=owner)
         name = channel.client_name(next(_numbers))
         until = time.monotonic() + START_TIME
-        with taping(None):  # only what the module is told stands in the log
+        with taping(None):  # only answers to the module stand in the log
             if not owner:
                 config = executive_start.ExecutiveConfig(place=self._place, entry=entry)
                 executive_start.ensure(config)

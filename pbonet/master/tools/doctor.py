@@ -259,7 +259,7 @@ def agents(
                 yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
             else:
                 yield from _agent(infos[-1], passed)
-        yield from _told(client, infos)
+        yield from _processors_and_links(client, infos)
         yield from _pairs(client, [info.name for info in infos])
         yield from losses(infos)
         for text in m.mismatched(infos):
@@ -270,7 +270,9 @@ def agents(
         client.close()
 
 
-def _told(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+def _processors_and_links(
+    client: rpc.Client, infos: Sequence[m.AgentInfo]
+) -> Iterator[Finding]:
     """Tell special purpose processors, and links between subsystems.
 
     Agents of one machine see the same links.

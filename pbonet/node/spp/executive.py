@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _IDLE_NS: Final = 500_000_000
 """How often it looks after clients that have died."""
+DEVICE_LOST: Final = 3
+"""Exit status when a back end cannot be used any more by this process."""
 _LOCKED_NS: Final = 2_000_000
 """How often it looks whether it is free again, while batches wait for that."""
 
@@ -92,18 +94,18 @@ class Executive:
         self._find_batches(name)
 
     def serve(self) -> None:
-        """Carry out one batch, or wait for one; look after the clients now and then."""
+        """Carry out one batch, or wait for one; check the clients at times."""
         now = time.monotonic_ns()
         pause = _LOCKED_NS if self._waiting else _IDLE_NS
-        self._hear(0 if self._carried_out else now + pause)
-        while self._hear(0):
+        self._take_ring(0 if self._carried_out else now + pause)
+        while self._take_ring(0):
             pass
         self._carried_out = self._carry_out()
         if now - self._looked_ns > _IDLE_NS:
             self._looked_ns = now
-            self._look_after()
+            self._check_clients()
 
-    def _hear(self, until_ns: int) -> bool:
+    def _take_ring(self, until_ns: int) -> bool:
         """Take a ring at the door; return whether there was one in time."""
         found = self._door.door.letter(until_ns)
         if found is None:
@@ -142,7 +144,7 @@ class Executive:
         self._say()
         return client
 
-    def _look_after(self) -> None:
+    def _check_clients(self) -> None:
         """Forget clients that have died; find batches whose ring was lost."""
         for name, client in list(self._clients.items()):
             if client.memory.is_abandoned:
@@ -218,6 +220,8 @@ class Executive:
         except XmDestroyedError:
             self._leave(name)
         self.state.batches += 1
+        if loaded.is_lost:
+            raise SystemExit(DEVICE_LOST)
 
     def _timed(self, loaded: Loaded, batch: bytes) -> bytes:
         """Return the result of a batch; an endless one ends this process."""

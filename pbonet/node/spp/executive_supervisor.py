@@ -35,7 +35,7 @@ _PART: Final = 65536
 
 
 class _Output:
-    """What routines print, as lines, and not too many of them.
+    """Prints of routines as lines, and not too many of them.
 
     Args:
         tell: Called with each line.
@@ -54,20 +54,20 @@ class _Output:
         now = time.monotonic()
         for line in lines:
             if now - self._since > 1.0:
-                self._tell_of_more()
+                self._report_more()
                 self._since, self._count = now, 0
             self._count += 1
             if self._count <= LINES and line.strip():
                 self._tell(line.decode(errors="replace")[:_LONGEST_LINE])
 
-    def _tell_of_more(self) -> None:
+    def _report_more(self) -> None:
         if self._count > LINES:
             self._tell(f"and {self._count - LINES} more lines")
 
     def end(self) -> None:
         """Tell what is left."""
         self.take(b"\n" if self._rest else b"")
-        self._tell_of_more()
+        self._report_more()
 
 
 class _Watched:
@@ -252,11 +252,11 @@ class Executives:
             self._watched.append(_Watched(config, self._config.files, tell))
 
     def _teller(self, name: str) -> Callable[[Severity, str, str], None]:
-        def tell(severity: Severity, code: str, text: str) -> None:
+        def report(severity: Severity, code: str, text: str) -> None:
             log.log(severity, "%s: spp %s: %s", self._config.name, name, text)
             self._note(rtpu_messages.Note(int(severity), code, f"spp {name}: {text}"))
 
-        return tell
+        return report
 
     def processes(self) -> dict[int, str]:
         """Return their processes, with what each one is."""

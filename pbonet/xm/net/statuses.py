@@ -143,7 +143,7 @@ class SppStatus(Struct, kw_only=True):
     """How often its executive was started."""
     batches: int
     libraries: list[str]
-    """What its clients use, as ``FILE on BACK_END DEVICE``."""
+    """Libraries of its clients, as ``FILE on BACK_END DEVICE``."""
     error: str = ""
     """Why it does not run."""
 
