@@ -141,12 +141,12 @@ class Command(NamedTuple):
     data: memoryview
 
 
-def number_of(batch: bytes) -> int:
+def number_of(batch: bytes | memoryview) -> int:
     """Return the number of a batch."""
     return int(_HEAD.unpack_from(batch)[0])
 
 
-def commands(batch: bytes) -> Iterator[Command]:
+def commands(batch: bytes | memoryview) -> Iterator[Command]:
     """Yield the commands of a batch in their order."""
     view, at = memoryview(batch), _HEAD.size
     for _ in range(_HEAD.unpack_from(batch)[1]):

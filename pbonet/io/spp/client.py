@@ -283,7 +283,8 @@ class Spp:
         batch = self._batch.end(self._submitted)
         if not self._results.plays:
             given = self._priority
-            self._way.submit(batch, names.home().priority() if given is None else given)
+            rank = names.home().priority() if given is None else given
+            self._way.submit(self._submitted, batch, rank)
 
     def _raise(self) -> None:
         error, self._error = self._error, None

@@ -68,7 +68,7 @@ class Loaded:
             "routines": [name for name, _ in self._routines],
         }
 
-    def run(self, batch: bytes, starts: int) -> bytes:
+    def run(self, batch: bytes | memoryview, starts: int) -> bytes:
         """Carry a batch out; return its result."""
         number = batches.number_of(batch)
         wanted: dict[int, None] = {}

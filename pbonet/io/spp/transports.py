@@ -11,15 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from pbonet.config import SppEntry
 from pbonet.errors import PbonetError, SppError
 from pbonet.outside import using as taping
-from pbonet.xm import Full
 from pbonet.xm.ipc import names
 
 from . import batches, channel, executive_start, processors
 from .execution import Execution
 
 if TYPE_CHECKING:
-    from pbonet.xm import Queue
-
     from .execution import Loaded
     from .kernel_library import Variable
 
@@ -46,7 +43,7 @@ class Transport(Protocol):
     def reserve(self, variables: list[Variable], depth: int) -> None:
         """Make room for batches and results."""
 
-    def submit(self, batch: memoryview, priority: int) -> None:
+    def submit(self, number: int, batch: memoryview, priority: int) -> None:
         """Hand a batch over; never waits."""
 
     def receive(self, until_ns: int | None) -> bytes | None:
@@ -73,6 +70,7 @@ class ProcessTransport:
     def __init__(self, name: str) -> None:
         self._name = name
         self._holds = False
+        self._taken = self._finished = 0
         self._executive: channel.Executive | None = None
         self._memory: channel.ClientMemory | None = None
 
@@ -92,8 +90,7 @@ class ProcessTransport:
             self._executive = channel.Executive(self._place)
             self._await_start(self._executive, until)
             self._memory = channel.ClientMemory(self._place, name, hello)
-        self._client = name.encode()
-        self._executive.ring(self._client, here.priority(), holds=False)
+        self._executive.enter(name)
         return self._manifest(until)
 
     def _await_start(self, executive: channel.Executive, until: float) -> None:
@@ -134,33 +131,37 @@ class ProcessTransport:
         return self._memory, self._executive
 
     def reserve(self, variables: list[Variable], depth: int) -> None:
-        memory, _ = self._parts()
+        memory, executive = self._parts()
         sizes = batches.room_of_batch(variables), batches.room_of_result(variables)
         with taping(None):
-            memory.make_queues(*sizes, depth)
+            self._buffers = memory.make_buffers(depth, *sizes)
+        self._bell = executive.bell
 
-    def submit(self, batch: memoryview, priority: int) -> None:
-        memory, executive = self._parts()
-        assert memory.batches is not None  # noqa: S101 - `reserve` made it
-        memory.batches.send(batch, full=Full.DROP)
-        executive.ring(self._client, priority, holds=self._holds)
+    def submit(self, number: int, batch: memoryview, priority: int) -> None:
+        self._buffers.submit(number, batch, priority, holds=self._holds)
+        self._bell.v()
 
     def receive(self, until_ns: int | None) -> bytes | None:
-        memory, _ = self._parts()
-        assert memory.results is not None  # noqa: S101 - `reserve` made it
-        if until_ns == 0:
-            return memory.results.receive(0)
-        return self._wait(memory.results, until_ns)
+        while self._taken >= self._finished:
+            if not self._done(until_ns):
+                return None
+            self._finished = self._buffers.finished
+        self._taken += 1
+        return self._buffers.result(self._taken)
 
-    def _wait(self, results: Queue, until_ns: int | None) -> bytes | None:
+    def _done(self, until_ns: int | None) -> bool:
         """Wait for a result while there is an executive, or one may come."""
+        if until_ns == 0:
+            return bool(self._buffers.done.try_p())
         gone_ns = 0
         while True:
             now = time.monotonic_ns()
             step = now + _LOOK_NS
-            found = results.receive(step if until_ns is None else min(step, until_ns))
-            if found is not None or (until_ns is not None and now >= until_ns):
-                return found
+            step = step if until_ns is None else min(step, until_ns)
+            if self._buffers.done.p(step):
+                return True
+            if until_ns is not None and now >= until_ns:
+                return False
             gone_ns = 0 if self._place.is_running() else gone_ns or now
             if gone_ns and now - gone_ns > _GONE_NS:
                 raise SppError(
@@ -215,8 +216,8 @@ class InlineTransport:
     def reserve(self, variables: list[Variable], depth: int) -> None:
         """Nothing is reserved: a result is kept until it is read."""
 
-    def submit(self, batch: memoryview, priority: int) -> None:
-        del priority
+    def submit(self, number: int, batch: memoryview, priority: int) -> None:
+        del number, priority
         self._results.append(self._loaded.run(bytes(batch), 1))
 
     def receive(self, until_ns: int | None) -> bytes | None:

@@ -2,40 +2,42 @@
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import os
 import signal
 import time
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import PbonetError, XmDestroyedError, XmError
 from pbonet.io.spp import batches, channel
-from pbonet.xm import Full
 
 if TYPE_CHECKING:
     from pbonet.io.spp import Execution, Loaded
 
-_IDLE_NS: Final = 500_000_000
-"""How often it looks after clients that have died."""
 DEVICE_LOST: Final = 3
 """Exit status when a back end cannot be used any more by this process."""
+_IDLE_NS: Final = 500_000_000
+"""How often it checks for clients that have died."""
 _LOCKED_NS: Final = 2_000_000
-"""How often it looks whether it is free again, while batches wait for that."""
+"""How often it tries the lock, while batches wait for that."""
 
 
-class _Client(NamedTuple):
-    memory: channel.ClientMemory
-    loaded: Loaded
+class _Client:
+    """A client, with its library, and how many of its batches wait.
 
+    Args:
+        memory: Its memory.
+        loaded: Its library.
+    """
 
-class _Wanted(NamedTuple):
-    """A batch that waits; the first in order is next."""
+    def __init__(self, memory: channel.ClientMemory, loaded: Loaded) -> None:
+        self.memory, self.loaded = memory, loaded
+        self.waiting = 0
 
-    rank: int
-    turn: int
-    client: str
-    holds: bool
+    def count(self) -> None:
+        """Count the batches that it has handed over since."""
+        buffers = self.memory.find_buffers()
+        while buffers is not None and buffers.handed_over.try_p():
+            self.waiting += 1
 
 
 class Executive:
@@ -60,9 +62,7 @@ class Executive:
         self._door = door
         self._longest = longest
         self._clients: dict[str, _Client] = {}
-        self._waiting: list[_Wanted] = []
-        self._turns = itertools.count()
-        self._looked_ns = self._said = 0
+        self._checked_ns = self._said = 0
         self._carried_out = False
         first = execution.back_ends.first
         self.state = channel.ExecutiveState(
@@ -83,49 +83,48 @@ class Executive:
             self._adopt(name)
 
     def _adopt(self, name: str) -> None:
+        """Serve a client of the executive before; what that had begun is lost."""
         client = self._enter(name)
-        if client is None:
+        buffers = client.memory.find_buffers() if client is not None else None
+        if client is None or buffers is None:
             return
-        memory = client.memory
-        if not memory.attach_queues() or memory.results is None:
-            return
-        data = batches.pack_result(memory.begun, self.state.starts, 0)
-        memory.results.send(data, full=Full.DROP_OLDEST)
-        self._find_batches(name)
+        client.count()
+        client.waiting = buffers.submitted - buffers.begun
+        if buffers.begun != buffers.finished:
+            number = buffers.begun
+            buffers.finish(batches.pack_result(number, self.state.starts, 0))
+        buffers.done.v()  # in case the one before ended just before it did this
 
     def serve(self) -> None:
         """Carry out one batch, or wait for one; check the clients at times."""
         now = time.monotonic_ns()
-        pause = _LOCKED_NS if self._waiting else _IDLE_NS
-        self._take_ring(0 if self._carried_out else now + pause)
-        while self._take_ring(0):
-            pass
+        waits = any(one.waiting for one in self._clients.values())
+        pause = _LOCKED_NS if waits else _IDLE_NS
+        bell = self._door.bell
+        if not self._carried_out and bell.p(now + pause):
+            while bell.try_p():
+                pass
+        while (name := self._door.door.try_receive()) is not None:
+            self._enter(name.decode())
+        self._count()
         self._carried_out = self._carry_out()
-        if now - self._looked_ns > _IDLE_NS:
-            self._looked_ns = now
+        if now - self._checked_ns > _IDLE_NS:
+            self._checked_ns = now
             self._check_clients()
 
-    def _take_ring(self, until_ns: int) -> bool:
-        """Take a ring at the door; return whether there was one in time."""
-        found = self._door.door.letter(until_ns)
-        if found is None:
-            return False
-        text, priority = found
-        name, holds = channel.rung(text)
-        if name in self._clients:
-            self._want(name, priority, holds=holds)
-        else:
-            self._enter(name)
-        return True
-
-    def _want(self, name: str, priority: int, *, holds: bool) -> None:
-        wanted = _Wanted(-priority, next(self._turns), name, holds)
-        heapq.heappush(self._waiting, wanted)
+    def _count(self) -> None:
+        for name, client in list(self._clients.items()):
+            try:
+                client.count()
+            except XmDestroyedError:
+                self._leave(name)
 
     # -- clients -----------------------------------------------------------------------
 
     def _enter(self, name: str) -> _Client | None:
         """Load the library of a client, and answer it."""
+        if name in self._clients:
+            return self._clients[name]
         try:
             memory = channel.ClientMemory(self._place, name)
         except XmError:  # it has gone meanwhile
@@ -133,9 +132,8 @@ class Executive:
         if memory.is_abandoned or memory.hello is None:
             memory.destroy()
             return None
-        hello = memory.hello
         try:
-            loaded = self._execution.load(hello.library)
+            loaded = self._execution.load(memory.hello.library)
         except PbonetError as error:
             memory.answer({"error": error.to_wire()})
             return None
@@ -145,30 +143,15 @@ class Executive:
         return client
 
     def _check_clients(self) -> None:
-        """Forget clients that have died; find batches whose ring was lost."""
+        """Forget clients that have died; say how much was done."""
         for name, client in list(self._clients.items()):
             if client.memory.is_abandoned:
                 self._leave(name)
-        rung = {one.client for one in self._waiting}
-        for name in self._clients.keys() - rung:
-            self._find_batches(name)
         if self.state.batches != self._said:
             self._say()
 
-    def _find_batches(self, name: str) -> None:
-        memory = self._clients[name].memory
-        try:
-            count = len(memory.batches or ()) if memory.attach_queues() else 0
-        except XmError:
-            return
-        for _ in range(count):
-            self._want(name, 0, holds=False)
-
     def _leave(self, name: str) -> None:
-        client = self._clients.pop(name)
-        client.memory.destroy()
-        self._waiting = [one for one in self._waiting if one.client != name]
-        heapq.heapify(self._waiting)
+        self._clients.pop(name).memory.destroy()
         self._say()
 
     def _say(self) -> None:
@@ -184,49 +167,39 @@ class Executive:
 
     def _carry_out(self) -> bool:
         """Carry out the first batch that may run; return whether there was one."""
-        for one in sorted(self._waiting):
-            client = self._clients.get(one.client)
-            if client is None or not client.memory.attach_queues():
-                self._forget(one)
-                continue
-            if one.holds and self._door.lock.holder == client.memory.pid:
-                self._forget(one)
-                self._run(one.client, client)
+        due = [
+            (buffers.wanted(), name)
+            for name, one in self._clients.items()
+            if one.waiting and (buffers := one.memory.find_buffers()) is not None
+        ]
+        for wanted, name in sorted(due):
+            client = self._clients[name]
+            if wanted.holds and self._door.lock.holder == client.memory.pid:
+                self._run(client)
                 return True
             if self._door.lock.try_p():
                 try:
-                    self._forget(one)
-                    self._run(one.client, client)
+                    self._run(client)
                 finally:
                     self._door.lock.v()
                 return True
         return False
 
-    def _forget(self, one: _Wanted) -> None:
-        self._waiting.remove(one)
-        heapq.heapify(self._waiting)
-
-    def _run(self, name: str, client: _Client) -> None:
-        memory, loaded = client
-        if memory.batches is None or memory.results is None:
+    def _run(self, client: _Client) -> None:
+        buffers = client.memory.buffers
+        client.waiting -= 1
+        if buffers is None:
             return
+        batch = buffers.begin()
+        signal.setitimer(signal.ITIMER_REAL, self._longest)  # it ends this process
         try:
-            batch = memory.batches.try_receive()
-            if batch is None:
-                return
-            memory.begun = batches.number_of(batch)
-            result = self._timed(loaded, batch)
-            memory.results.send(result, full=Full.DROP_OLDEST)
-        except XmDestroyedError:
-            self._leave(name)
-        self.state.batches += 1
-        if loaded.is_lost:
-            raise SystemExit(DEVICE_LOST)
-
-    def _timed(self, loaded: Loaded, batch: bytes) -> bytes:
-        """Return the result of a batch; an endless one ends this process."""
-        signal.setitimer(signal.ITIMER_REAL, self._longest)
-        try:
-            return loaded.run(batch, self.state.starts)
+            result = client.loaded.run(batch, self.state.starts)
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
+        try:
+            buffers.finish(result)
+        except XmDestroyedError:
+            client.waiting = 0  # found by `_count`
+        self.state.batches += 1
+        if client.loaded.is_lost:
+            raise SystemExit(DEVICE_LOST)
