@@ -17,7 +17,7 @@ import os
 import sys
 import tempfile
 import time
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,7 +35,7 @@ GOAL = 20.0
 """us that write, call, read and wait may take, 99 % quantile."""
 CLOSE = 1e-5
 """Greatest difference between two back ends."""
-KERNELS = str(Path(__file__).with_name("spp_kernels.py"))
+KERNELS = str(Path(__file__).parents[1] / "tests" / "support" / "spp_kernels.py")
 MANY = np.linspace(-3.0, 3.0, 4096 * 7, dtype="f4").reshape(4096, 7)
 SQUASHED = np.tanh(MANY * np.float32(0.5))
 
@@ -78,32 +78,32 @@ def inline(calls: int) -> bool:
         got = _squashed(loaded)
         apart = float(np.abs(got - SQUASHED).max())
         agree = agree and apart <= CLOSE
-        whole = _batch(1, moves=True)
-        empty = _batch(0)
-        run = loaded.run
+        moves, empty = _batch(loaded, "squash"), _batch(loaded, "nothing")
         sys.stdout.write(
             f"{name}: loaded in {took:.2f} s, {apart:.1e} from numpy; batch of "
             f"{MANY.nbytes // 1024} KiB in and out "
-            f"{quantiles(timed(calls, lambda run=run, b=whole: run(b, 1)))}, "
-            f"empty {quantiles(timed(calls, lambda run=run, b=empty: run(b, 1)))}\n"
+            f"{quantiles(timed(calls, partial(loaded.run, moves, 1)))} us, "
+            f"empty {quantiles(timed(calls, partial(loaded.run, empty, 1)))} us\n"
         )
     return agree
 
 
-def _batch(routine: int, *, moves: bool = False) -> bytes:
-    library = import_module("benchmarks.spp_kernels").library
-    every = list(library.variables.values())
-    batch = batches.Batch(batches.room_of_batch(every), "bench")
+def _batch(loaded: Loaded, routine: str) -> bytes:
+    told = loaded.manifest()
+    names = [name for name, _, _ in told["variables"]]
+    batch = batches.Batch(batches.room_of_batch(loaded.variables), "bench")
+    moves = routine == "squash"
     if moves:
-        batch.write(2, every[2], MANY)
-    batch.call(routine, (0.5,) if routine else ())
+        at = names.index("many")
+        batch.write(at, loaded.variables[at], MANY)
+    batch.call(told["routines"].index(routine), (0.5,) if moves else ())
     if moves:
-        batch.read(3)
+        batch.read(names.index("squashed"))
     return bytes(batch.end(1))
 
 
 def _squashed(loaded: Loaded) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    result = batches.unpack_result(loaded.run(_batch(1, moves=True), 1))
+    result = batches.unpack_result(loaded.run(_batch(loaded, "squash"), 1))
     if result.error is not None:
         raise result.error
     ((_, data),) = result.values

@@ -1,4 +1,4 @@
-"""Kernels of the tests of special purpose processors, for each back end."""
+"""Kernels of tests and benchmarks of special purpose processors, for each back end."""
 
 import os
 import time
@@ -11,6 +11,8 @@ library = Library()
 library.variable("x", (7,))
 library.variable("u", (7,), "f4")
 library.variable("n", (), "i8")
+library.variable("many", (4096, 7), "f4")
+library.variable("squashed", (4096, 7), "f4")
 
 
 @library.routine("numpy")
@@ -34,13 +36,42 @@ def kernels(m):
         i = wp.tid()
         u[i] = wp.float32(gain * wp.tanh(x[i]))
 
-    m.local.squash = squash
+    @wp.kernel
+    def squash_many(
+        many: wp.array2d(dtype=wp.float32),
+        squashed: wp.array2d(dtype=wp.float32),
+        gain: wp.float32,
+    ):
+        i, j = wp.tid()
+        squashed[i, j] = wp.tanh(gain * many[i, j])
+
+    m.local.squash, m.local.squash_many = squash, squash_many
     m.local.launch = wp.launch
 
 
 @library.routine("warp", "update")
 def update_warp(m, gain):
     m.local.launch(m.local.squash, dim=7, inputs=[m.x, m.u, gain], device=m.device)
+
+
+@library.routine("numpy")
+def squash(m, gain):
+    np.tanh(m.many * np.float32(gain), out=m.squashed)
+
+
+@library.routine("torch", "squash")
+def squash_torch(m, gain):
+    m.squashed.copy_((m.many * gain).tanh())
+
+
+@library.routine("warp", "squash")
+def squash_warp(m, gain):
+    m.local.launch(
+        m.local.squash_many,
+        dim=(4096, 7),
+        inputs=[m.many, m.squashed, gain],
+        device=m.device,
+    )
 
 
 def everywhere(function):
@@ -66,6 +97,11 @@ def fail(m, number):  # noqa: ARG001 - the interface
 @everywhere
 def nap(m, seconds):  # noqa: ARG001 - the interface
     time.sleep(seconds)
+
+
+@everywhere
+def nothing(m):
+    """Do nothing."""
 
 
 @everywhere
