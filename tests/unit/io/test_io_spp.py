@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -29,6 +31,7 @@ from pbonet.io.spp import (
 from pbonet.io.spp.channel import Place
 from pbonet.outside import Player, Tape, using as recording
 from pbonet.pbo import Counted, TaskContext
+from pbonet.testing import Bench
 from pbonet.xm.ipc import names
 
 KERNELS = Path(__file__).parents[2] / "support" / "spp_kernels.py"
@@ -410,3 +413,29 @@ def test_clients_go_on_with_the_next_executive_of_the_name():
         idle.finish()
         spp.finish()
         assert not place.clients()
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "spp.md"
+
+
+def test_the_page_runs_as_it_stands(tmp_path, monkeypatch):
+    kernels, module, *_ = re.findall(
+        r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL
+    )
+    (tmp_path / "squash_kernels.py").write_text(kernels)
+    (tmp_path / "squash.py").write_text(module)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    squash = importlib.import_module("squash").Squash
+    with (
+        processors.using({"gpu0": SppEntry(driver="numpy")}),
+        Bench(squash, library=[tmp_path], q=X) as bench,
+    ):
+        bench.on()
+
+        def commanded():
+            bench.step()
+            return bench["U_REF"].any()
+
+        wait_for(commanded, "a result")
+        np.testing.assert_allclose(bench["U_REF"], 2.0 * np.tanh(X), rtol=1e-5)
+        assert not bench.illegal
