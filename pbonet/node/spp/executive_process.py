@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import resource
@@ -85,7 +86,8 @@ def _stay_off(cores: tuple[int, ...]) -> None:
 
 def _be_first_to_go() -> None:
     """When the machine runs out of memory, this process ends, and not a task."""
-    Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
+    with contextlib.suppress(OSError):  # some containers do not allow it
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
 def _limit(execution: Execution, memory: int) -> None:
