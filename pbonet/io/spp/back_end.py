@@ -23,6 +23,28 @@ class BackEnd(ABC):
     name: str
     device: str
 
+    def __init__(self) -> None:
+        self._sent: dict[int, Any] = {}
+        """Memory of the host out of which a variable is written, if it needs that."""
+        self._taken: dict[int, Any] = {}
+        """Memory of the host into which a variable is read."""
+        self._busy: set[int] = set()
+        """Variables whose memory in `_sent` may still be read by the device."""
+
+    def forget(self, array: Any) -> None:  # noqa: ANN401
+        """Give up what was reserved for a variable."""
+        self._sent.pop(id(array), None)
+        self._taken.pop(id(array), None)
+        self._busy.discard(id(array))
+
+    def _free_to_send(self, array: Any) -> Any:  # noqa: ANN401
+        """Return the memory of the host for a write, which the device has read."""
+        key = id(array)
+        if key in self._busy:
+            self.finish()
+        self._busy.add(key)
+        return self._sent[key]
+
     @property
     def said(self) -> Any:  # noqa: ANN401 - the back end's own
         """The device as routines have it, in `m.device`."""

@@ -97,6 +97,11 @@ class Loaded:
         stamp_ns = time.monotonic_ns()
         return batches.pack_result(number, starts, stamp_ns, values, error)
 
+    def close(self) -> None:
+        """Give up its variables."""
+        for one in self._arrays:
+            self.back_end.forget(one)
+
     def _is_lost(self) -> bool:
         try:
             self.back_end.finish()

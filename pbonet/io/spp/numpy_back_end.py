@@ -24,18 +24,20 @@ class NumpyBackEnd(BackEnd):
     name = "numpy"
 
     def __init__(self, device: str = "cpu") -> None:
+        super().__init__()
         self.device = device
-        self._taken: dict[int, NDArray[Any]] = {}
 
     def make(self, variable: Variable) -> NDArray[Any]:
-        return np.zeros(variable.shape, variable.dtype)
+        array = np.zeros(variable.shape, variable.dtype)
+        self._taken[id(array)] = np.empty_like(array)
+        return array
 
     def write(self, array: NDArray[Any], values: NDArray[Any]) -> None:
         np.copyto(array, values)
 
     def read(self, array: NDArray[Any]) -> None:
-        kept = self._taken.setdefault(id(array), np.empty_like(array))
-        np.copyto(kept, array)
+        np.copyto(self._taken[id(array)], array)
 
     def taken(self, array: NDArray[Any]) -> NDArray[Any]:
-        return self._taken[id(array)]
+        found: NDArray[Any] = self._taken[id(array)]
+        return found

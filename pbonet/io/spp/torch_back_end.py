@@ -29,45 +29,35 @@ class TorchBackEnd(BackEnd):
     name = "torch"
 
     def __init__(self, device: str) -> None:
+        super().__init__()
         self._torch: Any = import_module("torch")
         torch = self._torch
         self.device = device
         self._on = torch.device(device)
         self._cuda = self._on.type == "cuda"
         torch.zeros(1, device=self._on)  # a device that is not there is refused now
-        self._staged: dict[int, Any] = {}
-        """Host copies, by the variable."""
-        self._busy: set[int] = set()
 
     @property
     def said(self) -> Any:  # noqa: ANN401 - torch's own
         return self._on
 
     def make(self, variable: Variable) -> Any:  # noqa: ANN401 - torch's own
-        torch = self._torch
-        host = torch.from_numpy(np.zeros(variable.shape, variable.dtype))
-        tensor = host.to(self._on, copy=True)
-        self._staged[id(tensor)] = host.pin_memory() if self._cuda else host
+        zeros = self._torch.from_numpy(np.zeros(variable.shape, variable.dtype))
+        tensor = zeros.to(self._on, copy=True)
+        for kept in (self._sent, self._taken):
+            kept[id(tensor)] = zeros.pin_memory() if self._cuda else zeros.clone()
         return tensor
 
-    def _host(self, tensor: Any) -> Any:  # noqa: ANN401 - torch's own
-        """Return the host's copy of a variable, which no transfer uses any more."""
-        key = id(tensor)
-        if key in self._busy:
-            self.finish()
-        self._busy.add(key)
-        return self._staged[key]
-
     def write(self, array: Any, values: NDArray[Any]) -> None:  # noqa: ANN401
-        host = self._host(array)
+        host = self._free_to_send(array)
         np.copyto(host.numpy(), values)
         array.copy_(host, non_blocking=True)
 
     def read(self, array: Any) -> None:  # noqa: ANN401
-        self._host(array).copy_(array, non_blocking=True)
+        self._taken[id(array)].copy_(array, non_blocking=True)
 
     def taken(self, array: Any) -> NDArray[Any]:  # noqa: ANN401
-        found: NDArray[Any] = self._staged[id(array)].numpy()
+        found: NDArray[Any] = self._taken[id(array)].numpy()
         return found
 
     def finish(self) -> None:

@@ -31,12 +31,10 @@ class WarpBackEnd(BackEnd):
     name = "warp"
 
     def __init__(self, device: str) -> None:
+        super().__init__()
         self._wp = wp = warp()
         self.device = device
         self._on = wp.get_device(device)
-        self._staged: dict[int, Any] = {}
-        """Host copies, by the variable."""
-        self._busy: set[int] = set()
 
     @property
     def said(self) -> Any:  # noqa: ANN401 - Warp's own
@@ -47,36 +45,22 @@ class WarpBackEnd(BackEnd):
         kind = wp.dtype_from_numpy(variable.dtype)
         shape = variable.shape or (1,)
         array = wp.zeros(shape, dtype=kind, device=self._on)
-        if self._on.is_cuda:
-            host = wp.zeros(shape, dtype=kind, device="cpu", pinned=True)
-            self._staged[id(array)] = host
+        pinned = bool(self._on.is_cuda)
+        for kept in (self._sent, self._taken):
+            host = wp.zeros(shape, dtype=kind, device="cpu", pinned=pinned)
+            kept[id(array)] = host
         return array
 
-    def _host(self, array: Any) -> Any:  # noqa: ANN401 - Warp's own
-        """Return the host's copy of a variable, which no transfer uses any more."""
-        key = id(array)
-        if key in self._busy:
-            self.finish()
-        self._busy.add(key)
-        return self._staged[key]
-
     def write(self, array: Any, values: NDArray[Any]) -> None:  # noqa: ANN401
-        if not self._on.is_cuda:
-            np.copyto(array.numpy(), values.reshape(array.shape))
-            return
-        host = self._host(array)
+        host = self._free_to_send(array)
         np.copyto(host.numpy(), values.reshape(array.shape))
         self._wp.copy(array, host)
 
     def read(self, array: Any) -> None:  # noqa: ANN401
-        if self._on.is_cuda:
-            self._wp.copy(self._host(array), array)
-        else:
-            self._staged[id(array)] = array.numpy().copy()
+        self._wp.copy(self._taken[id(array)], array)
 
     def taken(self, array: Any) -> NDArray[Any]:  # noqa: ANN401
-        host = self._staged[id(array)]
-        found: NDArray[Any] = host.numpy() if self._on.is_cuda else host
+        found: NDArray[Any] = self._taken[id(array)].numpy()
         return found
 
     def prepare(self, module: str) -> None:

@@ -151,7 +151,9 @@ class Executive:
             self._say()
 
     def _leave(self, name: str) -> None:
-        self._clients.pop(name).memory.destroy()
+        client = self._clients.pop(name)
+        client.loaded.close()
+        client.memory.destroy()
         self._say()
 
     def _say(self) -> None:
