@@ -76,17 +76,17 @@ class _Watched:
     Args:
         config: Its settings.
         folder: Where its routines open files.
-        tell: Called with a severity, a code and a text.
+        notice: Called with a severity, a code and a text.
     """
 
     def __init__(
         self,
         config: ExecutiveConfig,
         folder: str | None,
-        tell: Callable[[Severity, str, str], None],
+        notice: Callable[[Severity, str, str], None],
     ) -> None:
         self.name = config.place.name
-        self._config, self._folder, self._tell = config, folder, tell
+        self._config, self._folder, self.notice = config, folder, notice
         self._door = channel.Executive(config.place)
         self._ending = threading.Event()
         self._guard = threading.Lock()
@@ -143,7 +143,7 @@ class _Watched:
 
     def _listen(self, process: Started) -> None:
         """Pass its output on until it ends; say what it runs on when that is known."""
-        output = _Output(lambda text: self._tell(Severity.INFO, "SPP_OUTPUT", text))
+        output = _Output(lambda text: self.notice(Severity.INFO, "SPP_OUTPUT", text))
         told = ""
         assert process.output is not None  # noqa: S101 - it is a pipe
         with process.output as said:
@@ -174,7 +174,7 @@ class _Watched:
         if state.libraries:
             text += f": {', '.join(state.libraries)}"
         if text != told:
-            self._tell(Severity.INFO, "SPP_READY", text)
+            self.notice(Severity.INFO, "SPP_READY", text)
         return text
 
     def _again(self, code: int) -> bool:
@@ -196,13 +196,13 @@ class _Watched:
             self._stays_down(f"ended: {how}; it was lost twice in {WINDOW:g} s")
             return False
         text = f"ended: {how}; another one is started, its variables are zero again"
-        self._tell(Severity.ERROR, "SPP_DIED", text)
+        self.notice(Severity.ERROR, "SPP_DIED", text)
         return True
 
     def _stays_down(self, why: str) -> None:
         self._why = why
         text = f"{why}; it is not started again"
-        self._tell(Severity.ERROR, "SPP_DIED", text)
+        self.notice(Severity.ERROR, "SPP_DIED", text)
 
     def stop(self) -> None:
         """End it."""
@@ -248,10 +248,10 @@ class Executives:
             config = ExecutiveConfig(
                 place=place, entry=entry, reserved=tuple(set(reserved))
             )
-            tell = self._teller(name)
-            self._watched.append(_Watched(config, self._config.files, tell))
+            notice = self._noticer(name)
+            self._watched.append(_Watched(config, self._config.files, notice))
 
-    def _teller(self, name: str) -> Callable[[Severity, str, str], None]:
+    def _noticer(self, name: str) -> Callable[[Severity, str, str], None]:
         def report(severity: Severity, code: str, text: str) -> None:
             log.log(severity, "%s: spp %s: %s", self._config.name, name, text)
             self._note(rtpu_messages.Note(int(severity), code, f"spp {name}: {text}"))
