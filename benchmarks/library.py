@@ -38,9 +38,10 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.library_devices import entries
-from pbonet.config import Library, read_svar
+from pbonet.config import Library, SppEntry, read_svar
 from pbonet.errors import PbonetError
 from pbonet.io.drivers import Entry, database, joystick_driver as joystick
+from pbonet.io.spp import processors
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
 from pbonet.testing import Bench
@@ -62,11 +63,25 @@ FOLDER = tempfile.TemporaryDirectory(prefix="pbonet-")
 """Where files that modules need are."""
 AXIS = struct.pack("@6i", 0, -100, 100, 0, 0, 0)
 """What the kernel says of an axis of a joystick."""
+SEES = """
+from pbonet.io.spp import Library
+
+library = Library()
+library.variable("q", 6)
+library.variable("ball", 3)
+library.variable("seen", 6)
+
+
+@library.routine("numpy")
+def look(m, number):
+    m.seen[:] = number, 160.0 + number % 7, 120.0, 2000.0, 1.0, 1.0
+"""
+"""A library for a camera that always sees a ball, and needs no time."""
 FILE = Path(__file__).parents[1] / "docs" / "benchmarks" / "library.json"
 PANDA = Path(__file__).parents[1] / "examples" / "panda"
 QUADRUPED = PANDA.parent / "quadruped"
-FOLDERS = PANDA, QUADRUPED, Path(__file__).parent
-"""Folders in which files of robots are looked for."""
+FOLDERS = PANDA, QUADRUPED, Path(__file__).parent, Path(FOLDER.name)
+"""Folders in which files that parameters name are looked for."""
 HOME = (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.785)
 """A posture of its arm that is not singular, rad."""
 
@@ -99,6 +114,14 @@ def pad() -> str:
     pad = Entry(driver="joystick", address=device(), settings=settings)
     database.use({"pad": pad}, "benchmark")
     return "pad"
+
+
+def camera() -> Mapping[str, Any]:
+    """Return a hand before a ball, and begin an executive that sees this at once."""
+    (Path(FOLDER.name) / "camera.py").write_text(SEES, encoding="utf-8")
+    processors.use({"camera": SppEntry(driver="numpy")}, "")
+    turn = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    return {"ndof": SIZE, "x": np.column_stack((turn, [0.55, -0.1, -0.1]))}
 
 
 def samples() -> str:
@@ -173,6 +196,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
         force="F_FEET",
         ndof="NDOF",
     ),
+    "visual_ball": camera,
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
     "can_position": lambda: {"ndof": 2},
     "can_speed": lambda: {"ndof": 2},

@@ -54,6 +54,7 @@ RUNS = {
     "siblings": "siblings",
     "equal-tasks": "equal_tasks",
     "devices": "devices",
+    "spp": "spp",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -75,6 +76,7 @@ QUICK = {
     "siblings": "--seconds 0.5",
     "equal-tasks": "--seconds 1",
     "devices": "--calls 100",
+    "spp": "--calls 100",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

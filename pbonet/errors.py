@@ -55,6 +55,7 @@ from a task to the master without losing anything.
     │   └── SeveralError                   several places failed, each with its error
     ├── LogError (ValueError)              not a log, damaged, or too new
     └── DeviceError (OSError)              a device is missing or does not answer
+        └── SppError                       ... or a special purpose processor
 """
 
 from __future__ import annotations
@@ -482,6 +483,12 @@ class DeviceError(PbonetError, OSError):
     """A device is missing, refuses, or does not answer."""
 
     code = "DEVICE"
+
+
+class SppError(DeviceError):
+    """A special purpose processor is missing, or a routine of it has failed."""
+
+    code = "SPP"
 
 
 def _tree(kind: type[PbonetError]) -> Iterable[type[PbonetError]]:

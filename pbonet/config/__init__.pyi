@@ -32,6 +32,7 @@ from .model import (
     JobFile as JobFile,
     JobTask as JobTask,
     Limit as Limit,
+    Needs as Needs,
     Place as Place,
     Restart as Restart,
     Rmod as Rmod,
@@ -61,6 +62,7 @@ from .sbs import (
     read_sbs as read_sbs,
     write_sbs as write_sbs,
 )
+from .spp import SPP_DRIVERS as SPP_DRIVERS, SppEntry as SppEntry
 from .svar import (
     parse_svar as parse_svar,
     read_svar as read_svar,

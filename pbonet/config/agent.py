@@ -13,6 +13,7 @@ from .device import DRIVERS, Entry
 from .lines import Word, fault, nearest, quote
 from .model import AgentConfig, Place
 from .reader import MAX_LINE, decode, load
+from .spp import SPP_DRIVERS, SppEntry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -28,6 +29,7 @@ _MOST_CORES = 4096
 _QUEUE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
 _KEY = re.compile(r"(?!.*\*\*\*)[^\s/#?$]+(/[^\s/#?$]+)*")
 _ITEM = re.compile(r"\[(\d+)\]")
+_SPP_DEVICE = re.compile(r"auto|cpu|cuda(:\d+)?")
 _OF_A_PACKAGE = re.compile(r"\w+(\.\w+)*:\w+")
 _KINDS = {
     "bool": "a truth value",
@@ -76,6 +78,8 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
     known = get_type_hints(AgentConfig)
     if devices := _table(table.get("device")):
         _check_devices(devices, text, file)
+    if processors := _table(table.get("spp")):
+        _check_processors(processors, text, file)
     _check_keys(table, known, lambda key: _place(text, file, key))
     config = msgspec.convert(table, AgentConfig)
     _check(config, text, file)
@@ -107,17 +111,7 @@ def _check_keys(
 
 def _check_devices(devices: Mapping[str, Any], text: str, file: str) -> None:
     """Refuse devices that cannot be."""
-    known = get_type_hints(Entry)
-    for name, value in devices.items():
-        where = _header(text, file, name)
-        words.label(Word(name, where.place), "a device")
-        if (table := _table(value)) is None:
-            raise fault(
-                f"the device {name} is no table",
-                where.place,
-                expected=f"[device.{name}]",
-                remedy=f'write [device.{name}], and below it driver = "..."',
-            )
+    for name, table, where in _tables(devices, text, file, ("device", "a device")):
         for key in ("driver", "address"):
             if key not in table:
                 raise fault(
@@ -126,8 +120,65 @@ def _check_devices(devices: Mapping[str, Any], text: str, file: str) -> None:
                     expected=f'{key} = "..."',
                     remedy="add it",
                 )
-        _check_keys(table, known, where.key)
+        _check_keys(table, get_type_hints(Entry), where.key)
         _check_device(msgspec.convert(table, Entry), where)
+
+
+def _check_processors(processors: Mapping[str, Any], text: str, file: str) -> None:
+    """Refuse special purpose processors that cannot be."""
+    what = "spp", "a special purpose processor"
+    for _, table, where in _tables(processors, text, file, what):
+        _check_keys(table, get_type_hints(SppEntry), where.key)
+        entry = msgspec.convert(table, SppEntry)
+        if entry.driver not in SPP_DRIVERS:
+            raise fault(
+                f"there is no back end {quote(entry.driver)}",
+                where.key("driver"),
+                expected=" ".join(SPP_DRIVERS),
+                remedy=nearest(entry.driver, SPP_DRIVERS) or "correct its name",
+            )
+        if not _SPP_DEVICE.fullmatch(entry.device):
+            raise fault(
+                f"there is no device {quote(entry.device)}",
+                where.key("device"),
+                expected='"auto", "cpu", or "cuda:0" and so on',
+                remedy="correct its name",
+            )
+        for key, least in (("memory", 0.0), ("longest", 1e-3)):
+            value: float = getattr(entry, key)
+            if not least <= value <= MAX_LIMIT:
+                raise fault(
+                    f"{key} is out of bounds",
+                    where.key(key),
+                    expected=f"{least:g} to {MAX_LIMIT:g}",
+                    got=f"{value:g}",
+                    remedy="correct the value",
+                )
+
+
+def _tables(
+    tables: Mapping[str, Any], text: str, file: str, what: tuple[str, str]
+) -> Iterator[tuple[str, dict[str, Any], _Header]]:
+    """Yield the tables ``[KIND.NAME]`` of one kind, with where each stands.
+
+    Args:
+        tables: By name.
+        text: The file's text.
+        file: Its name.
+        what: The kind as in the file, and in words.
+    """
+    kind, said = what
+    for name, value in tables.items():
+        where = _header(text, file, name, kind)
+        words.label(Word(name, where.place), said)
+        if (table := _table(value)) is None:
+            raise fault(
+                f"{said.replace('a ', 'the ', 1)} {name} is no table",
+                where.place,
+                expected=f"[{kind}.{name}]",
+                remedy=f'write [{kind}.{name}], and below it driver = "..."',
+            )
+        yield name, table, where
 
 
 def _check_device(entry: Entry, where: _Header) -> None:
@@ -171,7 +222,7 @@ def _check_device(entry: Entry, where: _Header) -> None:
 
 
 class _Header(NamedTuple):
-    """Where ``[device.NAME]`` stands, and the text of its keys."""
+    """Where a table such as ``[device.NAME]`` stands, and the text of its keys."""
 
     place: Place
     below: str
@@ -186,12 +237,12 @@ class _Header(NamedTuple):
         return Place(self.place.file, line, len(found[1]) + 1)
 
 
-def _header(text: str, file: str, name: str) -> _Header:
-    """Return where a device's table is, or else that of all devices."""
-    head = rf"\[[ \t]*device[ \t]*\.[ \t]*[\"']?{re.escape(name)}[\"']?[ \t]*"
+def _header(text: str, file: str, name: str, kind: str) -> _Header:
+    """Return where a table ``[KIND.NAME]`` is, or else that of all of its kind."""
+    head = rf"\[[ \t]*{kind}[ \t]*\.[ \t]*[\"']?{re.escape(name)}[\"']?[ \t]*"
     found = re.search(rf"^[ \t]*{head}[.\]]", text, re.MULTILINE)
     if found is None:
-        return _Header(_place(text, file, "device"), "")
+        return _Header(_place(text, file, kind), "")
     below = text[found.start() :]
     other = re.compile(rf"^[ \t]*(?!{head}\.)\[", re.MULTILINE)
     end = other.search(below, found.end() - found.start())
@@ -206,6 +257,8 @@ def agent_text(config: AgentConfig) -> str:
     for name, device in fields.pop("device").items():
         tables[f"device.{name}.settings"] = device.pop("settings")
         tables[f"device.{name}"] = device
+    for name, processor in fields.pop("spp").items():
+        tables[f"spp.{name}"] = processor
     lines = [f"{k} = {_value(v)}" for k, v in fields.items() if v is not None]
     for name, table in sorted(tables.items()):
         if table:

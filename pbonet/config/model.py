@@ -13,6 +13,7 @@ from typing import Literal, TypeAlias
 from msgspec import Struct
 
 from .device import Entry
+from .spp import SppEntry
 from .types import numpy_type
 
 Restart: TypeAlias = Literal["never", "off", "on"]
@@ -86,6 +87,15 @@ class TaskType(StrEnum):
     BACKGROUND = "background"
 
 
+class Needs(StrEnum):
+    """Need of a task, after ``NEEDS spp``: a device or a back end."""
+
+    CUDA = "cuda"
+    WARP = "warp"
+    TORCH = "torch"
+    NUMPY = "numpy"
+
+
 class LocalLine(Struct, frozen=True):
     """One line of the LOCAL part: the words after the key, not yet decoded."""
 
@@ -134,6 +144,8 @@ class Rmod(Struct, frozen=True, kw_only=True):
     """Seconds that all inputs must have been fresh before it goes on; None: until each
     has come twice more."""
     rtpu: str | None = None
+    needs: Needs | None = None
+    """Device or back end that a processor of the machine must have."""
     local: dict[str, LocalLine] = {}
     places: dict[str, Place] = {}
     """Where each keyword stands, for faults that are found later."""
@@ -310,3 +322,5 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Queues of the RTPU, and the keys whose messages go into them."""
     device: dict[str, Entry] = {}
     """I/O devices of the machine by logical name."""
+    spp: dict[str, SppEntry] = {}
+    """Special purpose processors of the machine by name."""

@@ -14,7 +14,7 @@ from . import words
 from .blocks import Block, Grammar, read_block
 from .bundle import Section, bundled, split
 from .lines import Line, Word, fault, quote
-from .model import LocalLine, Place, Rmod, TaskType
+from .model import LocalLine, Needs, Place, Rmod, TaskType
 from .reader import Reader, decode, load
 from .timing import criticality, read_timing
 from .write import number, same_again, text_line
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 GRAMMAR = Grammar(
     "MODULE|COMBINE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE "
-    "[FREQ|PERIOD] [CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|STALE|RTPU]",
+    "[FREQ|PERIOD] "
+    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|STALE|RTPU|NEEDS]",
     after=("LOCAL", "EOF"),
     either=(("MODULE", "COMBINE"), ("FREQ", "PERIOD")),
 )
@@ -114,6 +115,7 @@ def _parse(
         stale=stale,
         settle=settle,
         rtpu=_rtpu(block),
+        needs=_needs(block),
         local=local,
         places={**block.places, **places},
         **times._asdict(),
@@ -327,6 +329,22 @@ def _rtpu(block: Block) -> str | None:
     return words.label(words.single(line, "an RTPU"), "an RTPU") if line else None
 
 
+def _needs(block: Block) -> Needs | None:
+    """Return what a special purpose processor must have: ``NEEDS spp WHAT``."""
+    line = block.get("NEEDS")
+    if line is None:
+        return None
+    if len(line.words) != 2 or line.words[0].text != "spp":  # noqa: PLR2004
+        raise fault(
+            "NEEDS is malformed",
+            line.place,
+            expected=f"spp, and {' or '.join(Needs)}",
+            got=quote(line.rest) if line.rest else "nothing",
+            remedy="write NEEDS spp cuda",
+        )
+    return words.choice(line.words[1], Needs, "a device or back end")
+
+
 def _local(reader: Reader) -> tuple[dict[str, LocalLine], dict[str, Place]]:
     """Return the lines of the LOCAL part, which ends at EOF, and where it begins."""
     head = reader.peek()
@@ -388,6 +406,8 @@ def _text(record: Rmod) -> str:
         lines.append(text_line("STALE", record.stale + after))
     if record.rtpu is not None:
         lines.append(text_line("RTPU", record.rtpu))
+    if record.needs is not None:
+        lines.append(text_line("NEEDS", f"spp {record.needs}"))
     if record.local:
         lines.append("\nLOCAL\n")
         lines += [text_line(key, " ".join(v.words)) for key, v in record.local.items()]

@@ -27,6 +27,10 @@ device, so that the same code runs in real time, in simulation and in replay. On
     the time of the other end.
 ``mujoco_robot``
     A robot that MuJoCo simulates, behind the interface a real one would have.
+``mujoco_camera``
+    A camera in a scene that MuJoCo draws: for executives only, since drawing takes
+    long; ``blobs`` finds the red thing in its pictures, and ``pinhole`` tells where
+    that is.
 ``optional_packages``
     Packages that only some modules need.
 ``drivers``

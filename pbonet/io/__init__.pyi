@@ -1,13 +1,16 @@
 from pbonet.outside import Outside as Outside
 
 from .arm import SimulatedArm as SimulatedArm
+from .blobs import NOTHING as NOTHING, Blob as Blob, red_blob as red_blob
 from .chain import Chain as Chain
 from .floating_model import FloatingModel as FloatingModel
 from .magellan import AXES as AXES, Ball as Ball
 from .mavlink import MavLink as MavLink
 from .mavlink_clock import PeerClock as PeerClock
+from .mujoco_camera import MujocoCamera as MujocoCamera
 from .mujoco_robot import MujocoRobot as MujocoRobot
 from .optional_packages import from_extra as from_extra
+from .pinhole import Pinhole as Pinhole, Seen as Seen
 from .policy import (
     devices_allowed as devices_allowed,
     no_devices as no_devices,

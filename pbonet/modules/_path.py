@@ -55,7 +55,7 @@ class PosePath:
             _rows(position, len(time), "position"),
             _rows(angles, len(time), "angles"),
         ))
-        self._poses = [_pose(row) for row in rows]
+        self._poses = [pose_of(row) for row in rows]
         self._steps = [
             difference(after, before)
             for before, after in zip(self._poses, self._poses[1:], strict=False)
@@ -100,8 +100,8 @@ def _rows(values: Sequence[float], n: int, name: str) -> Matrix:
     return np.array(values, dtype=np.float64).reshape(n, 3)
 
 
-def _pose(values: Vector) -> Matrix:
-    """Return the pose for x y z roll pitch yaw."""
+def pose_of(values: Vector) -> Matrix:
+    """Return the pose for x y z (m) and roll pitch yaw (rad)."""
     pose = np.empty((3, 4))
     (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:]), np.sin(values[3:])
     pose[:, 0] = cy * cp, sy * cp, -sp

@@ -89,6 +89,7 @@ def status(session: SessionState, given: Given) -> Data:
                 "dispatcher": rtpu.dispatcher,
                 "illegal": rtpu.illegal,
                 "tbufs": [msgspec.to_builtins(link) for link in rtpu.tbufs],
+                "spps": [msgspec.to_builtins(one) for one in rtpu.spps],
                 "stalls": rtpu.stalls,
                 "stalled": rtpu.stalled,
             }

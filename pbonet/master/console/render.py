@@ -156,7 +156,23 @@ def _status(data: Data) -> str:
         for rtpu in data["rtpus"]
         for link in rtpu["tbufs"]
     }
+    lines += [
+        f"SPP> {rtpu['rtpu']}: {processor_line(one)}"
+        for rtpu in data["rtpus"]
+        for one in rtpu.get("spps", ())
+    ]
     return "\n".join([*lines, *links.values()])
+
+
+def processor_line(one: Data) -> str:
+    """Return a special purpose processor as one line."""
+    if one["error"] or not one["back_end"]:
+        return f"{one['name']} does not run: {one['error'] or 'it starts'}"
+    used = f": {', '.join(one['libraries'])}" if one["libraries"] else ""
+    return (
+        f"{one['name']} runs {one['back_end']} on {one['device']}, process "
+        f"{one['pid']}, {one['batches']} batches{used}"
+    )
 
 
 def link_line(link: Data) -> str:

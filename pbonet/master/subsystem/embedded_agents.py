@@ -71,6 +71,7 @@ class Embedded:
         libraries: Folders with modules.
         connect: Endpoints of agents on other machines, which they join.
         runs: Folder of their logs; None for PBONET_RUNS, else ``runs`` here.
+        settings: An ``agent.toml`` for all of them; None: the defaults.
     """
 
     def __init__(
@@ -80,8 +81,10 @@ class Embedded:
         libraries: Sequence[str] = (),
         connect: Sequence[str] = (),
         runs: str | Path | None = None,
+        settings: str | Path | None = None,
     ) -> None:
         self._runs = runs
+        self._settings = settings
         self._domain = domain
         self._libraries = libraries
         self._connect = connect
@@ -221,6 +224,8 @@ class Embedded:
             command += ["--connect", endpoint]
         if keys := credentials.named():
             command += ["--keys", str(keys)]
+        if self._settings is not None:
+            command += ["--config", str(Path(self._settings).absolute())]
         if self._runs is not None:
             command += ["--runs", str(Path(self._runs).absolute())]
         folders = [str(Path(folder).absolute()) for folder in self._libraries]

@@ -80,7 +80,8 @@ class Subsystem:
         take_over: Replace a master that is still alive.
         confirm: Asked, with a sentence, before tasks that are CRITICAL and ON are taken
             over from a master that lives; without it that is refused.
-        embed: Start agents for RTPUs without one; they end with the subsystem.
+        embed: Start agents for RTPUs without one; they end with the subsystem. A path:
+            they have the settings of this ``agent.toml``.
         virtual: Run in virtual time, in this process, without agents and devices: time
             passes only while the program waits.
         partly: Continue with the RTPUs that answer, and warn about the others.
@@ -106,7 +107,7 @@ class Subsystem:
         watch: bool = False,
         take_over: bool = False,
         confirm: Callable[[str], bool] | None = None,
-        embed: bool = False,
+        embed: bool | str | Path = False,
         virtual: bool = False,
         partly: bool = False,
         warned: Callable[[str], None] = log_warning,
@@ -133,7 +134,10 @@ class Subsystem:
             from .embedded_agents import Embedded
 
             folders = [*map(str, self.files.library.folders)]
-            self._agents = Embedded(domain, libraries=folders, connect=connect)
+            settings = None if embed is True else embed
+            self._agents = Embedded(
+                domain, libraries=folders, connect=connect, settings=settings
+            )
         self.shown: tuple[str, ...] = status_fields.DEFAULT
         """Fields that `status` shows; `status_set` sets them."""
         self.baselines = status_fields.Baselines()

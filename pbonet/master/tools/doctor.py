@@ -259,7 +259,7 @@ def agents(
                 yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
             else:
                 yield from _agent(infos[-1], passed)
-        yield from _tbufs(client, infos)
+        yield from _processors_and_links(client, infos)
         yield from _pairs(client, [info.name for info in infos])
         yield from losses(infos)
         for text in m.mismatched(infos):
@@ -270,15 +270,28 @@ def agents(
         client.close()
 
 
-def _tbufs(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
-    """Tell the links between subsystems, those of each machine once."""
-    machines = {info.machine: info for info in infos}
-    asked: dict[str, m.Request] = {info.name: m.Status() for info in machines.values()}
+def _processors_and_links(
+    client: rpc.Client, infos: Sequence[m.AgentInfo]
+) -> Iterator[Finding]:
+    """Tell special purpose processors, and links between subsystems.
+
+    Agents of one machine see the same links.
+    """
+    machines = {info.machine: info.name for info in infos}
+    asked: dict[str, m.Request] = {info.name: m.Status() for info in infos}
     found, _ = client.call_all(asked, m.RtpuStatus)  # silent agents are reported
     for rtpu, status in sorted(found.items()):
-        for link in status.tbufs:
+        for link in status.tbufs if rtpu in machines.values() else ():
             text = f"{rtpu}: link {render.link_line(msgspec.to_builtins(link))}"
             yield Finding(*_judged(link, text))
+        for one in status.spps:
+            line = render.processor_line(msgspec.to_builtins(one))
+            runs = bool(one.back_end) and not one.error
+            yield Finding(
+                Level.PASS if runs else Level.WARN,
+                f"{rtpu}: processor {line}",
+                "" if runs else f"see docs/spp.md and [spp.{one.name}] of agent.toml",
+            )
 
 
 def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:

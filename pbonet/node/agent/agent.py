@@ -29,6 +29,7 @@ from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.node.mirror import TableCarrier
 from pbonet.node.restart import DesiredState, Takeovers, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
+from pbonet.node.spp import Executives
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.versions import LAYERS
@@ -54,7 +55,7 @@ from .recorder_supervisor import Recorders
 from .rtpu_link import RtpuLink
 from .shared_memory_status import SharedMemoryStatus, restarting
 from .shutdown_event import Ending
-from .start_rtpu import choose_core
+from .start_rtpu import choose_core, used_cores
 from .stop_orders import Order, StopOrders
 from .stopped_processes import StoppedProcesses
 from .subsystem_links import Links
@@ -121,9 +122,11 @@ class Agent:
             backend=backend,
             awake=config.awake,
             devices=config.device,
+            spps=config.spp,
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
         self._recorders = Recorders(self._note, config)
+        self._executives = Executives(config, self._note)
         self._mark = f"again-{secrets.token_hex(4)}-"
         file = path_of(config.domain, config.name) if lasts else None
         self._desired = DesiredState(file, self._note, self._mark)
@@ -131,6 +134,7 @@ class Agent:
             *(config.domain, config.name, self._note, self._recorders.fares),
             notes=self._desired.notes,
             devices=config.device,
+            processors=self._executives.status,
         )
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
@@ -209,6 +213,7 @@ class Agent:
         damage = self._desired.load()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
+        self._executives.start([info.core, *used_cores(self.places.folder.parent)])
         self._desired.begin(taken_over=self._link.taken_over)
         self._here = self.places.neighbours()
         self._stopped.start()
@@ -308,7 +313,7 @@ class Agent:
 
     def _processes(self) -> dict[int, str]:
         """Return the processes that this agent keeps running, with what each one is."""
-        found = self._recorders.processes()
+        found = self._recorders.processes() | self._executives.processes()
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
@@ -364,6 +369,7 @@ class Agent:
         try:
             return link.shut_down(timeout) if link is not None else True
         finally:
+            self._executives.stop()
             self._recorders.stop()
             self._leave(keep=keep or not self._started)
 
@@ -374,6 +380,7 @@ class Agent:
             link.leave(ANEW_TIME)
         if self._server is not None:
             self._server.fail_pending("the agent restarts; requests under way continue")
+        self._executives.stop(sweep=False)
         self._recorders.stop(sweep=False)
         self._leave(keep=True)
 

@@ -77,6 +77,7 @@ class SharedMemoryStatus:
         notes: Returns what was done for tasks of a subsystem that were lost with an
             RTPU process before, as `TaskStatus.restarted`.
         devices: I/O devices of the machine.
+        processors: Returns the special purpose processors of the machine.
     """
 
     def __init__(
@@ -88,7 +89,9 @@ class SharedMemoryStatus:
         notes: Callable[[str], Mapping[str, str]] = lambda _: {},
         *,
         devices: Mapping[str, Entry] | None = None,
+        processors: Callable[[], list[m.SppStatus]] = list,
     ) -> None:
+        self._processors = processors
         self._recorder, self._notes = recorder, notes
         self._domain, self._rtpu = domain, rtpu
         self._links = places.StandingLinks(domain)
@@ -245,6 +248,7 @@ class SharedMemoryStatus:
         )
         if self._started_ns:
             found.age = (time.monotonic_ns() - self._started_ns) * 1e-9
+        found.spps = self._processors()
         notes = self._notes(whose)
         for task in found.tasks:
             task.restarted = notes.get(task.task, "")

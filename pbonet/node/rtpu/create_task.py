@@ -239,6 +239,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         libraries=rtpu.config.libraries,
         replaces=request.replaces,
         devices=rtpu.config.devices,
+        spps=rtpu.config.spps,
     )
     child = await rtpu.spawner.fork("task", request.task, spec)
     facts = Facts(

@@ -170,6 +170,12 @@ class Host:
             from pbonet.io.drivers import database
 
             database.use(spec.devices, f"{spec.rtpu}/{spec.task}")
+        needs = {one.needs for one in (self.rmod, *self.rmod.parts) if one.needs}
+        if spec.spps or needs:
+            from pbonet.io.spp import processors, require
+
+            processors.use(spec.spps, f"{spec.rtpu}/{spec.task}")
+            require(needs)
 
     def create(self) -> None:
         """Load the module, bind it to the table, and run its `init`.

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec import Struct
 
-from pbonet.config import Entry
+from pbonet.config import Entry, SppEntry
 from pbonet.errors import NodeError, WireError
 from pbonet.xm.net import Call, prepare
 
@@ -52,6 +52,8 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     awake: bool = False
     devices: dict[str, Entry] = {}
     """I/O devices of the machine by logical name."""
+    spps: dict[str, SppEntry] = {}
+    """Special purpose processors of the machine by name."""
     ready_fd: int = -1
     """Descriptor to which one `Ready` is written when commands are accepted."""
 
@@ -468,6 +470,8 @@ class TaskSpec(Struct, kw_only=True):
     """Tasks that it replaces, and whose constants it takes over."""
     devices: dict[str, Entry] = {}
     """I/O devices that it can open."""
+    spps: dict[str, SppEntry] = {}
+    """Special purpose processors that it can use."""
 
 
 class InspectSpec(Struct, kw_only=True):

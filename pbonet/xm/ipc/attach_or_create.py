@@ -12,12 +12,14 @@ from .segments import Segment
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from .names import Name
+
 
 T = TypeVar("T", Semaphore, Queue, Segment)
 
 
 def semaphore(
-    name: str,
+    name: str | Name,
     *,
     initial: int | None = None,
     maximum: int | None = None,
@@ -51,7 +53,7 @@ def semaphore(
 
 
 def queue(
-    name: str,
+    name: str | Name,
     *,
     policy: Policy | None = None,
     messages: int | None = None,
@@ -93,7 +95,7 @@ def queue(
     )
 
 
-def segment(name: str, size: int | None = None) -> Segment:
+def segment(name: str | Name, size: int | None = None) -> Segment:
     """Attach to a shared memory segment; make it if there is none and `size` is given.
 
     Args:

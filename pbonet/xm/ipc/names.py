@@ -143,19 +143,19 @@ def parse_at(text: str, place: str) -> Name:
     return Name(_home.domain, rtpu, resource)
 
 
-def resolve(text: str, *, remedy: str) -> Name:
+def resolve(text: str | Name, *, remedy: str) -> Name:
     """Return the name of a resource that must be on this machine.
 
     Args:
-        text: The name.
+        text: The name; given as `Name` it is on this machine.
         remedy: What to do if it is on another machine.
 
     Raises:
         XmNameError: `text` is malformed.
         UnreachableError: Its RTPU is on another machine, or does not exist.
     """
-    name = parse(text)
-    if is_here(name):
+    name, here = find(text)
+    if here:
         return name
     raise UnreachableError(
         f"RTPU {name.rtpu} is not on this machine",

@@ -65,7 +65,7 @@ class Segment(shm.Closeable):
         self._map: mmap.mmap | None = mmap.mmap(fd, size)
 
     @classmethod
-    def create(cls, name: str, size: int) -> Self:
+    def create(cls, name: str | Name, size: int) -> Self:
         """Make a segment of zeros; an existing one without users is replaced.
 
         Args:
@@ -96,7 +96,7 @@ class Segment(shm.Closeable):
         return self
 
     @classmethod
-    def attach(cls, name: str) -> Self:
+    def attach(cls, name: str | Name) -> Self:
         """Attach to an existing segment.
 
         Raises:

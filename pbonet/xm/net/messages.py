@@ -32,6 +32,7 @@ from .agents import (
 from .statuses import (
     RtpuStatus as RtpuStatus,  # noqa: PLC0414
     SectionStatus as SectionStatus,  # noqa: PLC0414
+    SppStatus as SppStatus,  # noqa: PLC0414
     TaskProfile as TaskProfile,  # noqa: PLC0414
     TaskStatus as TaskStatus,  # noqa: PLC0414
     TbufStatus as TbufStatus,  # noqa: PLC0414

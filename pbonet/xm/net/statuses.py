@@ -131,6 +131,23 @@ class TbufStatus(Struct, kw_only=True):
     """Age of the newest record, seconds; None before the first."""
 
 
+class SppStatus(Struct, kw_only=True):
+    """State of a special purpose processor (section 7.4)."""
+
+    name: str
+    back_end: str
+    """The first choice of its libraries; empty while its executive does not run."""
+    device: str
+    pid: int
+    starts: int
+    """How often its executive was started."""
+    batches: int
+    libraries: list[str]
+    """Libraries of its clients, as ``FILE on BACK_END DEVICE``."""
+    error: str = ""
+    """Why it does not run."""
+
+
 class RtpuStatus(Struct, kw_only=True):
     """Status of an RTPU and of the requested tasks."""
 
@@ -156,6 +173,8 @@ class RtpuStatus(Struct, kw_only=True):
     """Number of events of each code, by task, including suppressed ones."""
     tbufs: list[TbufStatus] = []
     """The links on the machine, in this RTPU's domain."""
+    spps: list[SppStatus] = []
+    """The special purpose processors of the machine that this RTPU can use."""
     age: float = 0.0
     """Seconds since the start of the RTPU process; 0: not known."""
     versions: dict[str, Range] = {}

@@ -46,17 +46,33 @@ def test_an_empty_environment_says_nothing(monkeypatch):
     assert environment.or_environment(None, None, None) == ("default", [], [])
 
 
-@pytest.mark.usefixtures("variables")
-@pytest.mark.parametrize("connect", [[], ["tcp/10.0.0.9:7447"]])
-@pytest.mark.parametrize("libraries", [[], ["/x", "/y"]])
-def test_agents_of_a_program_have_what_it_has(monkeypatch, connect, libraries):
-    """They take from the environment no more than the program did."""
+@pytest.fixture
+def started(monkeypatch):
+    """The agents that would be started: their words, and how."""
     started = []
     monkeypatch.setattr(
         embedded_agents.subprocess,
         "Popen",
         lambda args, **how: started.append((args, how)),
     )
+    return started
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_agents_of_a_program_have_the_settings_that_it_names(started, told):
+    file = PUMA.with_name("agent.toml")
+    arm = Subsystem(PUMA, domain="here", embed=file if told else True)
+    arm._agents._launch("arm0", 0).output.close()
+    ((words, _),) = started
+    named = [words[n + 1] for n, word in enumerate(words) if word == "--config"]
+    assert named == [str(file)] * told
+
+
+@pytest.mark.usefixtures("variables")
+@pytest.mark.parametrize("connect", [[], ["tcp/10.0.0.9:7447"]])
+@pytest.mark.parametrize("libraries", [[], ["/x", "/y"]])
+def test_agents_of_a_program_have_what_it_has(monkeypatch, started, connect, libraries):
+    """They take from the environment no more than the program did."""
     agents = embedded_agents.Embedded("here", libraries=libraries, connect=connect)
     agents._launch("arm0", 0).output.close()
     ((_, how),) = started

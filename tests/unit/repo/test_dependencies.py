@@ -19,6 +19,7 @@ IMPORTED_AS = {
     "pyserial": {"serial"},
     "python-can": {"can"},
     "foxglove-sdk": {"foxglove"},
+    "warp-lang": {"warp"},
 }
 """Names in import statements, where they are not the package's own."""
 
@@ -59,5 +60,6 @@ def test_what_is_imported_is_declared_and_nothing_else_is() -> None:
         for name in _imports(ast.parse(path.read_text()))
     }
     foreign = found - set(sys.stdlib_module_names) - {"pbonet"}
+    foreign.discard("torch")  # a back end that its user installs, for the own device
     foreign.discard("pytest")  # pbonet.testing.fixtures is a plugin of a running pytest
     assert foreign == _declared([*project["dependencies"], *extras])
