@@ -133,6 +133,22 @@ def samples() -> str:
     return str(path)
 
 
+def planner() -> Mapping[str, Any]:
+    """Return what `mppi_arm` needs; an executive of this program makes small plans."""
+    from pbonet.io.spp import SppEntry, processors
+
+    processors.use({"gpu0": SppEntry(driver="numpy")}, "")
+    params = {
+        "urdf": "panda.urdf",
+        "frame": "hand",
+        "acceleration": (8.0,),
+        "posture": HOME,
+        "rollouts": 2,
+    }
+    goal = [0.5, 0.3, 0.4]
+    return {"ndof": 7, "q": HOME, "q_ref": HOME, "goal": goal, "params": params}
+
+
 USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "grav_comp": puma,
     "forward_kin": puma,
@@ -170,6 +186,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "gravity": lambda: {"ndof": 7, "q": HOME, "params": {"urdf": "panda.urdf"}},
     "computed_torque": lambda: {"ndof": 7, "q": HOME, "q_ref": HOME},
     "ik_placo": lambda: {"ndof": 7, "q_ref": HOME, "x_des": hand()},
+    "mppi_arm": planner,
     "mujoco_arm": lambda: {"ndof": 7, "q": HOME},
     "mujoco_quad": lambda: standing(x="X_MEZ", q="Q_MEZ", tau="T_MEZ", t_ref="T_REF"),
     "mujoco_base": lambda: {

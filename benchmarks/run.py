@@ -55,6 +55,7 @@ RUNS = {
     "equal-tasks": "equal_tasks",
     "devices": "devices",
     "spp": "spp",
+    "mppi": "mppi",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -77,6 +78,7 @@ QUICK = {
     "equal-tasks": "--seconds 1",
     "devices": "--calls 100",
     "spp": "--calls 100",
+    "mppi": "--updates 3 --rollouts 64",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -64,7 +65,8 @@ class WarpBackEnd(BackEnd):
         return found
 
     def prepare(self, module: str) -> None:
-        self._wp.load_module(module, device=self._on)
+        with contextlib.suppress(RuntimeError):  # it has no kernels of its own
+            self._wp.load_module(module, device=self._on)
 
     def finish(self) -> None:
         self._wp.synchronize_device(self._on)
