@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pbonet.errors import SppError
+from pbonet.io.mppi import sizes as at
 from pbonet.io.spp import kernel_library
 from pbonet.io.spp.back_end_choice import BackEnds
 from pbonet.io.spp.numpy_back_end import NumpyBackEnd
-from pbonet.modules import _mppi_sizes as at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pbonet.io.spp.back_end import BackEnd
     from pbonet.io.spp.kernel_library import Library
 
-LIBRARY = "pbonet.modules._mppi_library"
+LIBRARY = "pbonet.io.mppi.kernels"
 JOINTS, STEPS = 7, 30
 ROLLOUTS = 256, 2048, 16384
 WARM_UP = 5

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError, SppError
 from pbonet.io import RobotModel
+from pbonet.io.mppi import sizes as at
 from pbonet.io.spp import Spp
-from pbonet.modules import _mppi_sizes as at
 from pbonet.modules._values import PerElement, keep, spread
 from pbonet.modules._warn_once import WarnOnce
 
 Floats = NDArray[np.float32]
 
-LIBRARY = "pbonet.modules._mppi_library"
+LIBRARY = "pbonet.io.mppi.kernels"
 NS = 1e-9
 _FIXED = {"urdf", "frame", "spp"}
 

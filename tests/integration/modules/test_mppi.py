@@ -49,7 +49,7 @@ def recording(nodes):
         arm.set("plan", "ROLLOUTS", 96)
         goals(arm, 1)
         first = processor(arm)
-        assert first.libraries == ["pbonet.modules._mppi_library on numpy cpu"]
+        assert first.libraries == ["pbonet.io.mppi.kernels on numpy cpu"]
         os.kill(first.pid, signal.SIGKILL)
         wait_for(lambda: processor(arm).starts == 2, "another executive")
         goals(arm, value(arm, "GOALS").sum() + 2)

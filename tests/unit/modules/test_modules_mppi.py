@@ -13,11 +13,11 @@ import pytest
 from pbonet.config import Library
 from pbonet.errors import MethodError
 from pbonet.io import RobotModel, no_devices
+from pbonet.io.mppi import sizes as at
 from pbonet.io.spp import kernel_library
 from pbonet.io.spp.numpy_back_end import NumpyBackEnd
 from pbonet.io.spp.torch_back_end import TorchBackEnd
 from pbonet.io.spp.warp_back_end import WarpBackEnd
-from pbonet.modules import _mppi_sizes as at
 from pbonet.modules.trajectories.mppi_arm import MppiArm, axes_of
 from pbonet.testing import Bench
 
@@ -25,7 +25,7 @@ PANDA = Path(__file__).parents[3] / "examples" / "panda"
 HOME = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.785398])
 MOST = np.array([8.0, 8, 8, 8, 10, 10, 10])
 EXAMPLE = PANDA.parent / "mppi"
-LIBRARY = kernel_library.load("pbonet.modules._mppi_library")
+LIBRARY = kernel_library.load("pbonet.io.mppi.kernels")
 
 
 def model():

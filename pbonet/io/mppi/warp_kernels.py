@@ -1,11 +1,11 @@
-"""The update of `_mppi_library` in Warp, one thread for each rollout.
+"""The update of `kernels` in Warp, one thread for each rollout.
 
 Sums over all rollouts are made of sums over `CHUNK` of them in a fixed order, so that
 results repeat bit by bit on each device.
 """
 
 # Warp reads the annotations of its kernels, so they are no text here.
-# ruff: noqa: ANN202, PLR0915, PLR0917
+# ruff: noqa: PLR0915, PLR0917
 # mypy: ignore-errors
 # pyright: basic, reportInvalidTypeForm=false, reportIndexIssue=false
 # pyright: reportOperatorIssue=false, reportArgumentType=false, reportCallIssue=false
@@ -17,7 +17,7 @@ from typing import Any
 
 import warp as wp
 
-from pbonet.modules._mppi_sizes import (
+from pbonet.io.mppi.sizes import (
     BALL,
     DISTANT,
     EFFORT,
@@ -55,7 +55,7 @@ def update(
     seed: int,
     shift: float,
 ) -> None:
-    """Improve the plan, as `_mppi_library.update` does."""
+    """Improve the plan, as `kernels.update` does."""
     w = _working(m, joints, steps, rollouts)
     chunks = len(w.least)
 

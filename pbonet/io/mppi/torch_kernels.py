@@ -1,4 +1,4 @@
-"""The update of `_mppi_library` in torch: with CUDA it is one graph.
+"""The update of `kernels` in torch: with CUDA it is one graph.
 
 All that changes from call to call is on the device, so that the graph, which is
 captured in the first call of a size, is the whole update.
@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from pbonet.modules._mppi_sizes import (
+from pbonet.io.mppi.sizes import (
     BALL,
     DISTANT,
     EFFORT,
@@ -43,7 +43,7 @@ def update(  # noqa: PLR0917 - as calls give them
     seed: int,
     shift: float,
 ) -> None:
-    """Improve the plan, as `_mppi_library.update` does."""
+    """Improve the plan, as `kernels.update` does."""
     with torch.no_grad():
         w = _working(m, joints, steps, rollouts)
         w.key.fill_(_signed(key_of(seed)))

@@ -3,7 +3,7 @@
 The library of `mppi_arm`: what one update computes is the same on each back end, from
 the same random numbers. Arms of at most `JOINTS` joints and plans of at most `STEPS`
 steps use the upper left part of the variables. The back ends for Warp and torch stand
-in `_mppi_warp` and `_mppi_torch`; here is that of numpy.
+in `warp_kernels` and `torch_kernels`; here is that of numpy.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pbonet.io.spp import Library
-from pbonet.modules._mppi_sizes import (
+from pbonet.io.mppi.sizes import (
     AXIS,
     BALL,
     DISTANT,
@@ -34,6 +33,7 @@ from pbonet.modules._mppi_sizes import (
     TEMPERATURE,
     key_of,
 )
+from pbonet.io.spp import Library
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -237,14 +237,14 @@ def weights(cost: Floats, temperature: np.float32) -> Floats:
 @library.routine("warp", "update")
 def update_by_warp(m: Any, *numbers: float) -> None:  # noqa: ANN401
     """The same in Warp; the first call compiles it, so that `init` need not wait."""
-    from pbonet.modules import _mppi_warp
+    from pbonet.io.mppi import warp_kernels
 
-    _mppi_warp.update(m, *numbers)  # type: ignore[arg-type] # whole numbers are whole
+    warp_kernels.update(m, *numbers)  # type: ignore[arg-type] # whole numbers are whole
 
 
 @library.routine("torch", "update")
 def update_by_torch(m: Any, *numbers: float) -> None:  # noqa: ANN401
     """The same in torch."""
-    from pbonet.modules import _mppi_torch
+    from pbonet.io.mppi import torch_kernels
 
-    _mppi_torch.update(m, *numbers)  # type: ignore[arg-type] # whole numbers are whole
+    torch_kernels.update(m, *numbers)  # type: ignore[arg-type] # whole numbers are whole
