@@ -19,7 +19,7 @@ class TrackedPoint:
     """
 
     def __init__(self) -> None:
-        self._place, self.velocity = np.zeros(3), np.zeros(3)
+        self._place, self.velocity: Vector = np.zeros(3), np.zeros(3)
         self._time: float | None = None
 
     @property
