@@ -19,7 +19,8 @@ class TrackedPoint:
     """
 
     def __init__(self) -> None:
-        self._place, self.velocity: Vector = np.zeros(3), np.zeros(3)
+        self._place: Vector = np.zeros(3)
+        self.velocity: Vector = np.zeros(3)
         self._time: float | None = None
 
     @property
