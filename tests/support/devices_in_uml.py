@@ -190,14 +190,14 @@ def i2c():
 
 
 def j1939():
-    down = refused(open_device, "tool", mode=Mode.RW)
+    down = refused(open_device, "tool", mode=Mode.RW, safe=None)
     link("add", "vcan0", "type", "vcan")
     link("set", "vcan0", "up")
     many = [Group(0xEF00, bytes(range(250)) * 7, 0x20)]
     with (
-        open_device("ecu", 0, mode=Mode.RW) as ecu,
+        open_device("ecu", 0, mode=Mode.RW, safe=None) as ecu,
         open_device("ecu", 1, mode=Mode.READ, wait=Wait.NONE) as same,
-        open_device("tool", mode=Mode.RW) as tool,
+        open_device("tool", mode=Mode.RW, safe=None) as tool,
     ):
         before = time.time_ns()
         tool.write([Group(0xFEF1, b"12345678"), Group(0xFEF2, bytes(100))])
