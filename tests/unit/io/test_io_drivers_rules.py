@@ -9,6 +9,7 @@ import sys
 import msgspec
 import pytest
 from device_rigs import RIGS
+from watching import wait_for
 
 from pbonet.errors import DeviceError
 from pbonet.io import no_devices
@@ -114,7 +115,7 @@ def used(rig, device):
     device.write(rig.unsafe)
     if hasattr(device, "exchange"):
         device.exchange()
-    assert rig.outputs() != rig.safe
+    wait_for(lambda: rig.outputs() != rig.safe, "other values")
 
 
 @written
@@ -131,12 +132,10 @@ def test_it_has_its_safe_values_when_the_task_is_not_on_and_when_it_is_closed(ri
     device = open_device("x", mode=Mode.WRITE, safe=rig.safe)
     used(rig, device)
     device.write_safe(wait=False)
-    assert rig.outputs() == rig.safe
+    wait_for(lambda: rig.outputs() == rig.safe, "safe values")
     used(rig, device)
     device.close()
-    assert rig.outputs() == rig.safe
-    open_device("x", mode=Mode.WRITE, safe=None).close()
-    assert rig.outputs() == rig.safe, "None leaves it as it is"
+    wait_for(lambda: rig.outputs() == rig.safe, "safe values")
 
 
 @written
@@ -160,6 +159,6 @@ def test_its_guard_leaves_it_with_its_safe_values(rig):
         assert not guards._done(msgspec.msgpack.encode(told), [claim])
         assert rig.outputs() != rig.safe
         guards.secure()
-    assert rig.outputs() == rig.safe
+    wait_for(lambda: rig.outputs() == rig.safe, "safe values")
     device.shut()
     opened(rig).close()
