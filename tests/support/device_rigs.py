@@ -168,7 +168,8 @@ class Gpio(Rig):
     library, extra = "gpiod", "gpio"
     ports = 6
     driver = "gpio"
-    safe, unsafe, never_safe = [1], [0], [([1, 1], "expected 1, got 2")]
+    safe, unsafe = [1], [0]
+    never_safe = [([1, 1], "expected 1, got 2"), ([2], "0 to 1, got 2")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -288,7 +289,8 @@ class Servos:
 class Dynamixel(Rig):
     ports = 6
     lost = ""
-    safe, unsafe, never_safe = [0], [1], [([0, 0], "expected 1, got 2")]
+    safe, unsafe = [0], [1]
+    never_safe = [([0, 0], "expected 1, got 2"), ([-1], "0 to 255, got -1")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -747,7 +749,7 @@ class Ethercat(Rig):
     mode = Mode.RW
     lost = "the slaves do not answer"
     expected_wkc = 6
-    safe, unsafe = {1: b"\7\7\1"}, b"\1\2\3\4"  # noqa: RUF012
+    safe, unsafe = {1: b"\7\7\1"}, b"\1\2\3\4"
     never_safe = [({2: bytes(3)}, "0 to 3, got 2 to 4")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):

@@ -488,8 +488,20 @@ class PortDevice(Device):
         ]
 
     def check_safe(self) -> None:
-        """Refuse another number of safe values than opened ports."""
+        """Refuse another number of safe values than ports, and those of more bits."""
         self._must_fit(self.safe)
+        o = self.opening
+        for port, value in enumerate(self.safe, o.start):
+            bits = o.size if o.trunc_lsb else min(o.size, self.port_bits(port))
+            least = -(1 << bits - 1) if o.signed else 0
+            if not least <= value < least + (1 << bits):
+                raise DeviceError(
+                    "a safe value is beyond what its port can have",
+                    where=f"{self.name}, port {port}",
+                    expected=f"{least} to {least + (1 << bits) - 1}",
+                    got=str(value),
+                    remedy="see safe, size and signed of its opening",
+                )
 
     def _must_fit(self, values: Sequence[int]) -> None:
         o = self.opening
