@@ -237,7 +237,7 @@ def test_relays_and_buttons_are_lines_of_a_chip(monkeypatch, tmp_path):
     with database.using({"x": rig.entry()}):
         safe = {**told, "safe": (1.0, 0.0)}
         relays = on_bench(LinearActuator, safe, u=[0.0, 1.0], critical=True)
-        assert chip.values == {2: [1], 3: [0]}
+        assert chip.values == {2: [1, 1], 3: [0, 0]}, "at the request, and after init"
         relays.on()
         relays.step()
         assert [chip.values[k][-1] for k in (2, 3)] == [0, 1]
