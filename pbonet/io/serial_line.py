@@ -57,7 +57,7 @@ class LineSettings(TypedDict, total=False):
 _LAST: Final = 0.2
 """Seconds in which a line that is closed sends what it was given."""
 _AGAIN: Final = 0.001
-"""Seconds between two looks at that."""
+"""Seconds after which that is asked again."""
 
 
 class _Port(Protocol):

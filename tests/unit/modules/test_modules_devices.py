@@ -241,7 +241,7 @@ def test_relays_and_buttons_are_lines_of_a_chip(monkeypatch, tmp_path):
         relays.on()
         relays.step()
         assert [chip.values[k][-1] for k in (2, 3)] == [0, 1]
-        buttons = on_bench(LinearSensor, {**told, "port": 2}, n=2, critical=True)
+        buttons = on_bench(LinearSensor, {**told, "port": 2}, n=2)
         chip.values[4] = [1]
         buttons.on()
         buttons.step()
@@ -256,7 +256,7 @@ def test_relays_and_buttons_are_lines_of_a_chip(monkeypatch, tmp_path):
 @pytest.mark.usefixtures("iio")
 def test_a_safe_value_that_a_port_cannot_have_is_refused():
     with pytest.raises(
-        MethodError, match=r"a safe value is beyond .*port 1.* got -1500"
+        MethodError, match=r"port 1: a safe value is beyond .* got -1500"
     ):
         outlet(safe=(20.0, 25.0))
     open_device("dac", 0, 1, mode=Mode.WRITE, safe=None).close()
