@@ -89,7 +89,7 @@ class Servos(Chip):
         return 32
 
 
-class Drives(FrameDevice):
+class Drives(FrameDevice[Frame]):
     """Two drives that are enabled, and send what they measure when they are read."""
 
     usual_ports = 1
