@@ -9,14 +9,18 @@ may wait half a minute for output that is not read.
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import select
+import struct
 import termios
 from contextlib import suppress
 from importlib import import_module
+from time import monotonic, sleep
 from typing import (
     TYPE_CHECKING,
     Any,
+    Final,
     Literal,
     Protocol,
     Self,
@@ -48,6 +52,12 @@ class LineSettings(TypedDict, total=False):
     """Stop bits, 1 or 2."""
     rtscts: bool
     """Whether the line's handshake wires stop the flow of data."""
+
+
+_LAST: Final = 0.2
+"""Seconds in which a line that is closed sends what it was given."""
+_AGAIN: Final = 0.001
+"""Seconds after which that is asked again."""
 
 
 class _Port(Protocol):
@@ -160,12 +170,16 @@ class SerialPort:
             raise OSError(*error.args) from None
 
     def close(self) -> None:
-        """Close the line and drop unsent output; closing twice is allowed."""
+        """Close the line, and drop output that is not sent within `_LAST` seconds.
+
+        Closing twice is allowed.
+        """
         port, self._port = self._port, None
         if port is None:
             return
         with suppress(OSError, termios.error):
-            port.reset_output_buffer()
+            if not _is_sent(port.fd):
+                port.reset_output_buffer()
         with suppress(OSError, termios.error):
             port.close()
 
@@ -254,7 +268,7 @@ class SerialLine:
         self._ask(self._port.discard, default=None)
 
     def close(self) -> None:
-        """Close the line and drop unsent output; closing twice is allowed."""
+        """Close the line; see `SerialPort.close`."""
         self._opened = False
         self._port.close()
 
@@ -299,3 +313,13 @@ def _distinguish_hangup(fd: int) -> None:
     settings = termios.tcgetattr(fd)
     settings[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, settings)
+
+
+def _is_sent(fd: int) -> bool:
+    """Wait until all output is sent; return False when that takes too long."""
+    ends = monotonic() + _LAST
+    while struct.unpack("i", fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)))[0]:
+        if monotonic() > ends:
+            return False
+        sleep(_AGAIN)
+    return True

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 
 from pbonet.io.drivers import (
     Entry,
+    Group,
     Mode,
     camera_driver,
     iio_buffer_driver,
@@ -46,6 +47,10 @@ class Rig:
     """A mode that it does not have."""
     lost = "No such device"
     """What is told when it is lost."""
+    safe = unsafe = None
+    """Values that it is left with, and others, where it is written."""
+    never_safe = ()
+    """Values that cannot be safe, each with what is told."""
 
     def __init__(self, monkeypatch, tmp_path):
         self.patch, self.folder = monkeypatch, tmp_path
@@ -57,6 +62,10 @@ class Rig:
     def use(self, device):
         """Return what the device gives."""
         return device.read()
+
+    def outputs(self):
+        """Return what it was written last, as `write` takes it."""
+        raise NotImplementedError
 
     def close(self):
         """Leave nothing behind."""
@@ -75,10 +84,7 @@ class Lines:
         self.chip, self.config, self.size = chip, config, size
         self.fd, self._there = os.pipe()
         self.edges, self.number = [], 0
-        for line, one in config.items():
-            assert isinstance(one, gpiod.LineSettings)
-            if one.direction == gpiod.line.Direction.OUTPUT:
-                chip.values[line] = [one.output_value.value]
+        self._drive()
 
     def get_values(self, lines):
         self.chip.check()
@@ -89,6 +95,17 @@ class Lines:
         assert set(values) <= set(self.config)
         for line, value in values.items():
             self.chip.values.setdefault(line, []).append(value.value)
+
+    def reconfigure_lines(self, config):
+        assert set(config) == set(self.config)
+        self.config = config
+        self._drive()
+
+    def _drive(self):
+        for line, one in self.config.items():
+            assert isinstance(one, gpiod.LineSettings)
+            if one.direction == gpiod.line.Direction.OUTPUT:
+                self.chip.values.setdefault(line, []).append(one.output_value.value)
 
     def edge(self, line, rising, stamp_ns):
         self.number += 1
@@ -151,6 +168,8 @@ class Gpio(Rig):
     library, extra = "gpiod", "gpio"
     ports = 6
     driver = "gpio"
+    safe, unsafe = [1], [0]
+    never_safe = [([1, 1], "expected 1, got 2"), ([2], "0 to 1, got 2")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -166,10 +185,14 @@ class Gpio(Rig):
     def lose(self):
         self.chip.lost = True
 
+    def outputs(self):
+        return self.chip.values[2][-1:]
+
 
 class GpioEdges(Gpio):
     driver = "gpio_edges"
     wrong = Mode.RW
+    safe = unsafe = None
 
     def prepare(self):
         self.chip.requests[0].edge(3, True, 7)
@@ -249,7 +272,8 @@ class Servos:
         rest = bytes(values[4:])
         if instruction == 0x83:
             for k in range(0, len(rest), size + 1):
-                self.memory[rest[k]][at : at + size] = rest[k + 1 : k + 1 + size]
+                if rest[k] in self.memory:
+                    self.memory[rest[k]][at : at + size] = rest[k + 1 : k + 1 + size]
             return b""
         answers = b""
         for one in rest:
@@ -265,6 +289,8 @@ class Servos:
 class Dynamixel(Rig):
     ports = 6
     lost = ""
+    safe, unsafe = [0], [1]
+    never_safe = [([0, 0], "expected 1, got 2"), ([-1], "0 to 255, got -1")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -273,6 +299,9 @@ class Dynamixel(Rig):
     def entry(self, **settings):
         settings = {"servos": [1, 7], "timeout": 30.0, **settings}
         return entry("dynamixel", self.servos.path, **settings)
+
+    def outputs(self):
+        return [self.servos.memory[1][64]]
 
     def prepare(self):
         self.servos.memory[7][64] = 1
@@ -290,6 +319,8 @@ class Spi(Rig):
     library, extra = "spidev", "spi"
     mode = Mode.RW
     lost = "Cannot send"
+    safe, unsafe = b"\0\7", b"\1\1"
+    never_safe = [(b"", "expected 1 to 4096 bytes"), (bytes(4097), "got 4097")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -323,6 +354,9 @@ class Spi(Rig):
 
     def prepare(self):
         pass
+
+    def outputs(self):
+        return self.before
 
     def lose(self):
         self.error = errno.ESHUTDOWN
@@ -491,6 +525,7 @@ class Canopen(Rig):
     library = extra = "can"
     ports = 2
     lost = "bus-off"
+    safe, unsafe, never_safe = [6], [15], [([6, 6], "expected 1, got 2")]
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -508,6 +543,9 @@ class Canopen(Rig):
 
     def prepare(self):
         pass
+
+    def outputs(self):
+        return [int.from_bytes(self.node.objects[0x6041, 0], "little")]
 
     def lose(self):
         self.node.send(can.Message(arbitration_id=0x40, is_error_frame=True))
@@ -567,6 +605,9 @@ class J1939(Rig):
     ports = 4
     mode = Mode.RW
     lost = "Network is down"
+    safe = [Group(0xEF00, b"stop", 9), Group(0xFEF1, bytes(9))]  # noqa: RUF012
+    unsafe = [Group(0xFEF1, b"go")]  # noqa: RUF012
+    never_safe = [([1], "a list of Group"), ([Group(1, b"a")], "the low byte 0")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -592,6 +633,12 @@ class J1939(Rig):
 
     def use(self, device):
         return device.read(1)
+
+    def outputs(self):
+        return [
+            Group(pgn, data, to)
+            for data, (_, _, pgn, to) in self.sockets[-1].sent[-len(self.safe) :]
+        ]
 
     def lose(self):
         self.sockets[-1].error = errno.ENETDOWN
@@ -702,6 +749,8 @@ class Ethercat(Rig):
     mode = Mode.RW
     lost = "the slaves do not answer"
     expected_wkc = 6
+    safe, unsafe = {1: b"\7\7\1"}, b"\1\2\3\4"
+    never_safe = [({2: bytes(3)}, "0 to 3, got 2 to 4")]  # noqa: RUF012
 
     def __init__(self, monkeypatch, tmp_path):
         super().__init__(monkeypatch, tmp_path)
@@ -755,6 +804,10 @@ class Ethercat(Rig):
     def use(self, device):
         device.exchange()
         return device.read(3)
+
+    def outputs(self):
+        sent = [one for one in self.log if isinstance(one, list)]
+        return {1: b"".join(sent[-1])[1:]}
 
     def lose(self):
         self.counter = -1

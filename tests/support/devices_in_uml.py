@@ -38,8 +38,8 @@ DEVICES = {
         first=4,
         settings={"filters": ["181/7FF", "18FF0000/1FFF0000"]},
     ),
-    "ecu": Entry(driver="j1939", address="vcan0", ports=2, settings={"source": 0x20}),
-    "tool": Entry(driver="j1939", address="vcan0", first=2, settings={"source": 0x21}),
+    "ecu": Entry(driver="j1939", address="vcan0", ports=3, settings={"source": 0x20}),
+    "tool": Entry(driver="j1939", address="vcan0", first=3, settings={"source": 0x21}),
     "nocan": Entry(driver="can", address="vcan7"),
     "words": Entry(
         driver="i2c",
@@ -84,21 +84,25 @@ def collected(device, count):
 
 PROGRAM = """
 import msgspec, sys, time
-from pbonet.io.drivers import Entry, Frame, Mode, database, open_device
+from pbonet.io.drivers import Entry, Frame, Group, Mode, database, open_device
 entry = msgspec.json.decode(sys.argv[1], type=Entry)
-with database.using({"can": entry}, "uml/acts"):
-    can = open_device("can", 2, mode=Mode.WRITE, safe=[Frame(0, b"\\2\\0")])
-    can.write([Frame(0x201, b"go")])
+safe, go = {
+    "can": ([Frame(0, b"\\2\\0")], [Frame(0x201, b"go")]),
+    "j1939": ([Group(0xFEF3, bytes(100))], [Group(0xFEF1, b"go")]),
+}[entry.driver]
+with database.using({"x": entry}, "uml/acts"):
+    x = open_device("x", 2, mode=Mode.WRITE, safe=safe)
+    x.write(go)
     print("ready", flush=True)
     time.sleep(600)
 """
 
 
-def killed():
-    """Return the frames that a program that was killed leaves on the bus."""
-    entry = msgspec.json.encode(DEVICES["can"]).decode()
+def killed(name, seen):
+    """Return what a program that was killed leaves on the bus."""
+    entry = msgspec.json.encode(DEVICES[name]).decode()
     with (
-        open_device("can", 3, mode=Mode.READ) as seen,
+        seen,
         subprocess.Popen(
             [sys.executable, "-c", PROGRAM, entry], stdout=subprocess.PIPE
         ) as program,
@@ -106,9 +110,9 @@ def killed():
         program.stdout.readline()
         program.kill()
         frames = collected(seen, 2)
-        while list(port_claims.users(DEVICES["can"], range(2, 3))):
+        while list(port_claims.users(DEVICES[name], range(2, 3))):
             time.sleep(0.01)
-    return [(one.id, list(one.data)) for one in frames]
+    return [(one[0], list(one.data)) for one in frames]
 
 
 def can():
@@ -123,7 +127,7 @@ def can():
         Frame(0x182, remote=True),
         Frame(0x181, b"last"),
     ]
-    left = killed()
+    left = killed("can", open_device("can", 3, mode=Mode.READ))
     before = time.time_ns()
     with (
         open_device("can", 0, mode=Mode.RW, safe=None) as a,
@@ -190,14 +194,15 @@ def i2c():
 
 
 def j1939():
-    down = refused(open_device, "tool", mode=Mode.RW)
+    down = refused(open_device, "tool", mode=Mode.RW, safe=None)
     link("add", "vcan0", "type", "vcan")
     link("set", "vcan0", "up")
+    left = killed("ecu", open_device("tool", 1, mode=Mode.READ))
     many = [Group(0xEF00, bytes(range(250)) * 7, 0x20)]
     with (
-        open_device("ecu", 0, mode=Mode.RW) as ecu,
+        open_device("ecu", 0, mode=Mode.RW, safe=None) as ecu,
         open_device("ecu", 1, mode=Mode.READ, wait=Wait.NONE) as same,
-        open_device("tool", mode=Mode.RW) as tool,
+        open_device("tool", mode=Mode.RW, safe=None) as tool,
     ):
         before = time.time_ns()
         tool.write([Group(0xFEF1, b"12345678"), Group(0xFEF2, bytes(100))])
@@ -219,6 +224,7 @@ def j1939():
         lost = refused(collected, ecu, 999), refused(tool.write, [Group(1 << 8, b"x")])
     return {
         "down": down,
+        "killed": left,
         "heard": [(one.pgn, len(one.data), one.source) for one in heard],
         "stamps": stamps,
         "large": [large.data == many[0].data, large.destination, large.source],

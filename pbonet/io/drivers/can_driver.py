@@ -38,8 +38,6 @@ _REFUSALS: Final = (OSError, ValueError, TypeError, ImportError, NotImplementedE
 """Errors of interfaces for settings that they do not have, beside their own ones."""
 _AGAIN: Final = 0.001
 """Seconds after which a full interface is tried again."""
-_PATIENCE: Final = 0.2
-"""Seconds in which a bus takes safe frames."""
 
 
 class BusSettings(Settings, frozen=True, forbid_unknown_fields=True):
@@ -218,7 +216,7 @@ class CanDevice(FrameDevice[Frame]):
         """Hand frames over; see `FrameDevice.write`."""
         self.require(Mode.WRITE)
         for one in frames:
-            self._check(one)
+            self.check_piece(one)
         done: int = self.ask(self._write, frames, default=len(frames))
         return done
 
@@ -249,7 +247,7 @@ class CanDevice(FrameDevice[Frame]):
             is_remote_frame=one.remote,
         )
 
-    def _check(self, one: Frame) -> None:
+    def check_piece(self, one: Frame) -> None:
         """Refuse a frame that this bus cannot have.
 
         Raises:
@@ -274,36 +272,6 @@ class CanDevice(FrameDevice[Frame]):
                     got=f"{one.id:X}h, {len(one.data)} bytes, fd={one.fd}",
                     remedy="see Frame, and [device.NAME.settings] in docs/devices.md",
                 )
-
-    def check_safe(self) -> None:
-        """Refuse safe frames that this bus cannot have."""
-        for one in self.safe:
-            self._check(one)
-
-    def _write_safe(self) -> None:
-        """Hand the safe frames over; a bus without a cable takes none, however long.
-
-        Raises:
-            DeviceError: It took none of them for `_PATIENCE` seconds.
-        """
-        if self.opening.wait is not Wait.ALL:
-            super()._write_safe()
-            return
-        before, left = self.opening, self.safe
-        ends = time.monotonic() + _PATIENCE
-        self.opening = before._replace(wait=Wait.NONE)
-        try:
-            while left := left[self.write(left) :]:
-                if time.monotonic() > ends:
-                    raise DeviceError(
-                        "the CAN bus takes no frames",
-                        where=f"{self.name} ({self.entry.address})",
-                        expected=f"room for {len(left)} within {_PATIENCE:g} s",
-                        remedy="check the cable, and that another node answers",
-                    )
-                time.sleep(_AGAIN)
-        finally:
-            self.opening = before
 
 
 def _filter(text: str) -> dict[str, Any]:

@@ -8,6 +8,7 @@ raw: units are the matter of the modules above it (section 7.3).
 from __future__ import annotations
 
 import sys
+import time
 from abc import ABC, abstractmethod
 from typing import (
     TYPE_CHECKING,
@@ -19,6 +20,7 @@ from typing import (
     NamedTuple,
     Self,
     TypeVar,
+    get_args,
 )
 
 import msgspec
@@ -45,6 +47,10 @@ Kind = Literal["SIO", "PIO", "ADC", "DAC", "RCB", "SBS", "MEM"]
 robot control boards (a process image of several values), subsystems, and memory."""
 SIZES: Final = (8, 16, 32)
 """Bits of an element in the user's buffer."""
+_AGAIN: Final = 0.001
+"""Seconds after which a full interface is tried again."""
+_PATIENCE: Final = 0.2
+"""Seconds in which a bus takes safe frames."""
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -397,6 +403,44 @@ class FrameDevice(Device, Generic[P]):
         del frames
         raise NotImplementedError  # refused at open: a driver that writes has its own
 
+    def check_piece(self, one: P) -> None:
+        """Refuse a piece that this bus cannot have; here: none.
+
+        Raises:
+            DeviceError: It cannot.
+        """
+        del one
+
+    def check_safe(self) -> None:
+        """Refuse safe pieces that this bus cannot have."""
+        for one in self.safe:
+            self.check_piece(one)
+
+    def _write_safe(self) -> None:
+        """Hand the safe pieces over; a bus without a cable takes none, however long.
+
+        Raises:
+            DeviceError: It did not take all of them within `_PATIENCE` seconds.
+        """
+        if self.opening.wait is not Wait.ALL:
+            super()._write_safe()
+            return
+        before, left = self.opening, self.safe
+        ends = time.monotonic() + _PATIENCE
+        self.opening = before._replace(wait=Wait.NONE)
+        try:
+            while left := left[self.write(left) :]:
+                if time.monotonic() > ends:
+                    raise DeviceError(
+                        "the bus takes no frames",
+                        where=f"{self.name} ({self.entry.address})",
+                        expected=f"room for {len(left)} within {_PATIENCE:g} s",
+                        remedy="check the cable, and that another node answers",
+                    )
+                time.sleep(_AGAIN)
+        finally:
+            self.opening = before
+
 
 class PortDevice(Device):
     """A device with ports, each an integer of some bits: PIO, ADC, DAC and RCB.
@@ -433,16 +477,31 @@ class PortDevice(Device):
         """
         self.require(Mode.WRITE)
         self._must_fit(values)
-        o = self.opening
-        raw = [
-            self.reduce(int(value), self.port_bits(o.start + k))
+        self.ask(self.write_ports, self.raw_of(values), default=None)
+
+    def raw_of(self, values: Sequence[int]) -> list[int]:
+        """Return elements of the chosen size as values of the opened ports."""
+        begin = self.opening.start
+        return [
+            self.reduce(int(value), self.port_bits(begin + k))
             for k, value in enumerate(values)
         ]
-        self.ask(self.write_ports, raw, default=None)
 
     def check_safe(self) -> None:
-        """Refuse another number of safe values than opened ports."""
+        """Refuse another number of safe values than ports, and those of more bits."""
         self._must_fit(self.safe)
+        o = self.opening
+        for port, value in enumerate(self.safe, o.start):
+            bits = o.size if o.trunc_lsb else min(o.size, self.port_bits(port))
+            least = -(1 << bits - 1) if o.signed else 0
+            if not least <= value < least + (1 << bits):
+                raise DeviceError(
+                    "a safe value is beyond what its port can have",
+                    where=f"{self.name}, port {port}",
+                    expected=f"{least} to {least + (1 << bits) - 1}",
+                    got=str(value),
+                    remedy="see safe, size and signed of its opening",
+                )
 
     def _must_fit(self, values: Sequence[int]) -> None:
         o = self.opening
@@ -558,17 +617,16 @@ def settings_of(kind: type[Settings], entry: Entry, name: str) -> Settings:
 _NAMES: Final[dict[Any, str]] = {
     bytes: "bytes",
     list[int]: "a number for each port",
-    list[Frame]: "a list of Frame",
     dict[int, bytes]: "bytes by offset, as {0: bytes(4)}",
 }
-"""The safe values of each class of devices, in words."""
+"""Safe values that are no frames of a bus, in words."""
 
 
 def _no_safe(name: str, kind: Any, got: str) -> DeviceError:  # noqa: ANN401
     return DeviceError(
         "the safe values of the device have a wrong type",
         where=name,
-        expected=_NAMES[kind],
+        expected=_NAMES.get(kind) or f"a list of {get_args(kind)[0].__name__}",
         got=got,
         remedy="give them as write() takes them",
     )

@@ -175,13 +175,28 @@ class DynamixelDevice(RequestDevice[Packets]):
 
     def connect(self) -> None:
         """Open the line, and ask each servo; see `Device.connect`."""
+        if self.safe is not None:
+            self.check_safe()
         super().connect()
         try:
             if self.opening.mode is not Mode.NONE:
-                servos = dict.fromkeys(servo for _, servo in self._ports)
-                self.request_now([Packets(k, PING, b"", (k,), 3) for k in servos])
+                self._ask_each()
         except BaseException:
             self.disconnect()
+            raise
+
+    def _ask_each(self) -> None:
+        """Ask each servo; if one is silent, the others get their safe values.
+
+        Raises:
+            DeviceError: One does not answer, or reports an error.
+        """
+        servos = dict.fromkeys(servo for _, servo in self._ports)
+        try:
+            self.request_now([Packets(k, PING, b"", (k,), 3) for k in servos])
+        except DeviceError:
+            if self.safe is not None:
+                self.request_now(self.requests_to_write(self.raw_of(self.safe)))
             raise
 
     def make_line(self) -> DynamixelLine:

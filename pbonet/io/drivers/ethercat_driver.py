@@ -4,7 +4,8 @@ The address is the network interface, such as ``eth1``. `exchange` carries the o
 to all slaves and brings their inputs. `read` returns bytes of these inputs: those of
 the first slave, of the second one, and so on. `write` sets bytes of the outputs, in the
 same order, for the next exchange. Opening brings all slaves to the state OPERATIONAL,
-with outputs of 0; closing brings them back to INIT.
+with their safe values as outputs, and 0 where there are none. Closing carries the safe
+values and brings them back to INIT.
 
 An exchange waits for the bus, at most for the setting `timeout`: some ten microseconds
 for a short bus.
@@ -81,7 +82,7 @@ class EthercatDevice(MemoryDevice):
         self._master.config_map()
 
     def _operate(self) -> None:
-        """Bring all slaves into operation, with the outputs 0.
+        """Bring all slaves into operation, with their safe values as outputs.
 
         Raises:
             DeviceError: One does not go.
@@ -89,8 +90,11 @@ class EthercatDevice(MemoryDevice):
         master, wanted = self._master, self._soem.OP_STATE
         master.state_check(self._soem.SAFEOP_STATE, _STATE_TIMEOUT * _ATTEMPTS)
         self._outputs = bytearray(sum(len(one.output) for one in master.slaves))
-        for one in master.slaves:
-            one.output = bytes(len(one.output))
+        if self.safe is not None:
+            self.check_safe()
+            for at, data in self.safe.items():
+                self._write(data, at)
+        self._lay_out()
         self._exchange_once()
         master.state = wanted
         master.write_state()
@@ -136,10 +140,7 @@ class EthercatDevice(MemoryDevice):
         self.ask(self._exchange, default=None)
 
     def _exchange(self) -> None:
-        at = 0
-        for one in self._master.slaves:
-            one.output = bytes(self._outputs[at : at + len(one.output)])
-            at += len(one.output)
+        self._lay_out()
         got, wanted = self._exchange_once(), self._master.expected_wkc
         if got >= wanted:
             self._missed = 0
@@ -155,6 +156,13 @@ class EthercatDevice(MemoryDevice):
             got=str(got),
             remedy="check cables and power of the slaves; the inputs are old",
         )
+
+    def _lay_out(self) -> None:
+        """Give each slave its part of the outputs."""
+        at = 0
+        for one in self._master.slaves:
+            one.output = bytes(self._outputs[at : at + len(one.output)])
+            at += len(one.output)
 
     def _exchange_once(self) -> int:
         """Send the image and take it back; return the working counter."""
@@ -182,6 +190,28 @@ class EthercatDevice(MemoryDevice):
     def _write(self, data: bytes, at: int) -> None:
         self._check(len(data), at, len(self._outputs))
         self._outputs[at : at + len(data)] = data
+
+    def check_safe(self) -> None:
+        """Refuse safe values beyond the outputs."""
+        for at, data in self.safe.items():
+            self._check(len(data), at, len(self._outputs))
+
+    def _write_safe(self) -> None:
+        """Set the safe values, and carry them to the slaves.
+
+        Raises:
+            DeviceError: Not all slaves answered, in as many exchanges as the setting
+                `lost` says.
+        """
+        super()._write_safe()
+        for left in reversed(range(self.settings.lost)):
+            try:
+                self.exchange()
+            except DeviceError:
+                if not left or not self._is_open:
+                    raise
+            else:
+                return
 
     def mmap(self) -> memoryview:
         """Refuse to map the image.

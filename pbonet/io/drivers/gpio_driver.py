@@ -13,6 +13,7 @@ from abc import abstractmethod
 from contextlib import suppress
 from datetime import timedelta
 from importlib import import_module
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated as A, Any, ClassVar, Literal, NamedTuple
 
 from msgspec import Meta
@@ -25,7 +26,7 @@ from .modes import Mode
 from .stream_waits import read_pieces
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from .port_claims import Claim
 
@@ -46,8 +47,6 @@ class LineSettings(Settings, frozen=True, forbid_unknown_fields=True):
 class GpioSettings(LineSettings, frozen=True, forbid_unknown_fields=True):
     """Settings of lines that are read and written."""
 
-    ones: Lines = ()
-    """Output lines whose first value is 1; that of the others is 0."""
     drive: Literal["push-pull", "open-drain", "open-source"] = "push-pull"
 
 
@@ -84,13 +83,11 @@ class _Lines(Device):
                 self._count: int = chip.get_info().num_lines
                 self.check_ports(self._count - first)
                 if o.mode is not Mode.NONE:
-                    config = {line: self._config(line) for line in self._lines}
-                    self._request = chip.request_lines(
-                        config=config, consumer=f"pbonet {self.name}", **self.more()
-                    )
+                    self._take_lines(chip)
         except DeviceError:
             raise
         except _REFUSALS as error:
+            self.disconnect()
             raise DeviceError(
                 "the lines cannot be had",
                 where=self._where(),
@@ -98,6 +95,17 @@ class _Lines(Device):
                 got=getattr(error, "strerror", None) or str(error),
                 remedy="`gpiodetect` lists the chips, `gpioinfo` their lines and users",
             ) from None
+
+    def _take_lines(self, chip: Any) -> None:  # noqa: ANN401 - of gpiod
+        """Request the lines, each with its settings."""
+        self._request_lines(
+            chip, {line: self._config(line) for line in self._lines}, **self.more()
+        )
+
+    def _request_lines(self, chip: Any, config: dict[int, Any], **more: Any) -> None:  # noqa: ANN401
+        self._request = chip.request_lines(
+            config=config, consumer=f"pbonet {self.name}", **more
+        )
 
     def disconnect(self) -> None:
         """Give the lines back to the kernel."""
@@ -126,7 +134,7 @@ class _Lines(Device):
 
     def _config(self, line: int) -> Any:  # noqa: ANN401 - settings of gpiod
         k, words = self.settings, self._words
-        bias = {
+        bias: dict[str, Any] = {
             "as is": words.Bias.AS_IS,
             "off": words.Bias.DISABLED,
             "up": words.Bias.PULL_UP,
@@ -145,11 +153,38 @@ class _Lines(Device):
 class GpioLines(_Lines, PortDevice):
     """Lines that are inputs, or outputs where they are opened for writing.
 
-    An output has its first value from the moment on in which it becomes one. Opened for
-    both, it is an output whose line is read back.
+    An output has its safe value from the moment on in which it becomes one; without
+    safe values it keeps the value that its line has. Opened for both, it is an output
+    whose line is read back.
     """
 
     settings_type: ClassVar[type[Settings]] = GpioSettings
+    _first: Mapping[int, int] = MappingProxyType({})
+    """The first value of each output."""
+
+    def connect(self) -> None:
+        """Request the lines; see `Device.connect`."""
+        if self.safe is not None:
+            self.check_safe()
+        super().connect()
+
+    def _take_lines(self, chip: Any) -> None:  # noqa: ANN401 - of gpiod
+        """Request the lines; outputs begin with their safe values, or as they are."""
+        if Mode.WRITE not in self.opening.mode:
+            super()._take_lines(chip)
+        elif self.safe is not None:
+            self._first = dict(zip(self._lines, self.raw_of(self.safe), strict=True))
+            super()._take_lines(chip)
+        else:
+            low = self.settings.active_low
+            as_it_is = {
+                line: self._gpiod.LineSettings(active_low=line in low)
+                for line in self._lines
+            }
+            self._request_lines(chip, as_it_is)
+            self._first = dict(zip(self._lines, self.read_ports(), strict=True))
+            config = {line: self._config(line) for line in self._lines}
+            self._request.reconfigure_lines(config)
 
     def line_settings(self, line: int) -> dict[str, Any]:
         """Return direction, drive and first value of a line."""
@@ -159,7 +194,7 @@ class GpioLines(_Lines, PortDevice):
         return {
             "direction": words.Direction.OUTPUT,
             "drive": words.Drive[k.drive.upper().replace("-", "_")],
-            "output_value": words.Value(int(line in k.ones)),
+            "output_value": words.Value(self._first[line]),
         }
 
     def read_ports(self) -> list[int]:

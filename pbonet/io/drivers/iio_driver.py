@@ -62,7 +62,7 @@ class _IioDevice(PortDevice):
         """Open the channels' files; see `Device.connect`."""
         self._fds: list[int] = []
         names = self._channels()[self.entry.first :]
-        self._found = [self._type(name) for name in names]
+        self._types = self._found = [self._type(name) for name in names]
         o = self.opening
         if o.end >= len(names):
             raise DeviceError(

@@ -72,6 +72,7 @@ class J1939Device(FrameDevice[Group]):
     """An end on a bus."""
 
     settings_type: ClassVar[type[Settings]] = J1939Settings
+    safe_type = list[Group]
 
     def connect(self) -> None:
         """Open the bus; see `Device.connect`."""
@@ -136,7 +137,7 @@ class J1939Device(FrameDevice[Group]):
         """Hand groups over; see `FrameDevice.write`."""
         self.require(Mode.WRITE)
         for one in frames:
-            self._check(one)
+            self.check_piece(one)
         done: int = self.ask(self._write, frames, default=len(frames))
         return done
 
@@ -171,7 +172,7 @@ class J1939Device(FrameDevice[Group]):
             done += 1
         return done
 
-    def _check(self, one: Group) -> None:
+    def check_piece(self, one: Group) -> None:
         """Refuse a group that this bus cannot have.
 
         Raises:

@@ -100,7 +100,15 @@ class SpiDevice(StreamDevice):
         answer: bytes = self._asked(self._transfer, data)
         return answer
 
+    def check_safe(self) -> None:
+        """Refuse safe bytes that are not those of one transfer."""
+        self._must_fit(self.safe)
+
     def _asked(self, call: Callable[[bytes], Any], data: bytes) -> Any:  # noqa: ANN401
+        self._must_fit(data)
+        return self.ask(call, data, default=None)
+
+    def _must_fit(self, data: bytes) -> None:
         if not 0 < len(data) <= _MOST:
             raise DeviceError(
                 "a transfer has no such length",
@@ -109,7 +117,6 @@ class SpiDevice(StreamDevice):
                 got=str(len(data)),
                 remedy="make several transfers",
             )
-        return self.ask(call, data, default=None)
 
     def _transfer(self, data: bytes) -> bytes:
         return bytes(self._bus.xfer2(list(data)))

@@ -5,7 +5,6 @@ from typing import Annotated as A, Any, Literal
 import numpy as np
 
 from pbonet import Vector, param
-from pbonet.errors import ParameterError
 from pbonet.io.drivers import Mode, Wait, open_device
 from pbonet.modules._linear_ports import Law, LinearOutput, port_range
 from pbonet.modules._over_device import OverDevice
@@ -51,15 +50,6 @@ class LinearActuator(LinearOutput[Outlet], OverDevice[Outlet]):
         )
         bits: int = min(device.status("PORTSIZE", k.port), 32)
         self._low, self._high = port_range(bits, signed=k.signed)
-        if (safe < self._low).any() or (safe > self._high).any():
-            device.shut()
-            raise ParameterError(
-                "a safe value is beyond what a port of the device can have",
-                where=k.device,
-                expected=f"{self._low} to {self._high} as the device's whole numbers",
-                got=" ".join(f"{one:g}" for one in safe),
-                remedy="see SAFE, SCALE and OFFSET",
-            )
         return device
 
     def _give(self, u: Vector, dt: float) -> None:  # noqa: ARG002 - at once

@@ -28,6 +28,8 @@ def rig(monkeypatch, tmp_path):
 
 
 def opened(start=0, end=2, mode=Mode.RW, **how):
+    if Mode.WRITE in mode:
+        how = {"safe": None, **how}
     return open_device("x", start, end, mode=mode, **how)
 
 
@@ -73,6 +75,15 @@ def test_what_a_node_refuses_is_raised_and_it_works_on(rig, wait):
                 return node.read()
 
         assert wait_for(values, "values")
+
+
+def test_safe_values_wait_for_the_node_behind_what_did_not(rig):
+    node = opened(wait=Wait.NONE, safe=[6, 7, 8])
+    node.write([15, 1, 2])
+    node.write([15, 3, 4])
+    node.close()
+    values = [int.from_bytes(one, "little") for one in rig.node.objects.values()]
+    assert values[-3:] == [6, 7, 8]
 
 
 @pytest.mark.parametrize("value", [b"\1", b"123456789"])

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import sys
 
+import msgspec
 import pytest
 from device_rigs import RIGS
+from watching import wait_for
 
 from pbonet.errors import DeviceError
 from pbonet.io import no_devices
-from pbonet.io.drivers import Mode, database, listed, open_device
+from pbonet.io.drivers import Mode, database, guard, guard_process, listed, open_device
 from pbonet.outside import Player, Tape, using as recording
 
 
@@ -23,7 +27,8 @@ def rig(request, monkeypatch, tmp_path):
 
 
 def opened(rig, *ports, name="x"):
-    return open_device(name, *ports, mode=rig.mode)
+    how = {"safe": None} if Mode.WRITE in rig.mode else {}
+    return open_device(name, *ports, mode=rig.mode, **how)
 
 
 def test_it_gives_what_is_there_and_its_ports_have_one_user(rig):
@@ -45,7 +50,7 @@ def test_what_it_has_not_is_refused_at_open(rig):
         opened(rig, rig.ports)
     if rig.wrong is not None:
         with pytest.raises(DeviceError, match="cannot be opened in this direction"):
-            open_device("x", mode=rig.wrong)
+            open_device("x", mode=rig.wrong, safe=None)
     with pytest.raises(DeviceError) as caught:
         opened(rig, name="none")
     assert caught.value.remedy
@@ -99,3 +104,61 @@ def test_modes_are_kept(rig):
         with pytest.raises(DeviceError, match="not open in this direction"):
             rig.use(one)
         assert one.status("PORTNUM") == rig.ports
+
+
+WRITTEN = [name for name, one in RIGS.items() if one.safe is not None]
+written = pytest.mark.parametrize("rig", WRITTEN, indirect=True)
+
+
+def used(rig, device):
+    """Write what is not safe, and see it there."""
+    device.write(rig.unsafe)
+    if hasattr(device, "exchange"):
+        device.exchange()
+    wait_for(lambda: rig.outputs() != rig.safe, "other values")
+
+
+@written
+def test_what_it_cannot_be_left_with_is_refused_at_open(rig):
+    for values, told in [*rig.never_safe, (object(), "wrong type")]:
+        with pytest.raises(DeviceError) as caught:
+            open_device("x", mode=Mode.WRITE, safe=values)
+        assert told in str(caught.value)
+    assert listed({"x": rig.entry()})[0].users == []
+
+
+@written
+def test_it_has_its_safe_values_when_the_task_is_not_on_and_when_it_is_closed(rig):
+    device = open_device("x", mode=Mode.WRITE, safe=rig.safe)
+    used(rig, device)
+    device.write_safe(wait=False)
+    wait_for(lambda: rig.outputs() == rig.safe, "safe values")
+    used(rig, device)
+    device.close()
+    wait_for(lambda: rig.outputs() == rig.safe, "safe values")
+
+
+@written
+def test_its_guard_leaves_it_with_its_safe_values(rig):
+    """The guard's own code in this process, which alone has what the rig replaces."""
+    device = open_device("x", mode=Mode.WRITE, safe=rig.safe)
+    used(rig, device)
+    device.disconnect()  # the kernel does that for a process that is killed
+    rig.patch.setattr(device, "disconnect", lambda: None)
+    told = guard.Watch(
+        number=1,
+        entry=device.entry,
+        opening=guard.flat(device.opening),
+        safe=device.safe,
+        modules=[],
+    )
+    near, far = socket.socketpair()
+    with near, far:
+        guards = guard_process.GuardProcess(far, -1)
+        claim = os.dup(device._claim.fd)
+        assert not guards._done(msgspec.msgpack.encode(told), [claim])
+        assert rig.outputs() != rig.safe
+        guards.secure()
+    wait_for(lambda: rig.outputs() == rig.safe, "safe values")
+    device.shut()
+    opened(rig).close()

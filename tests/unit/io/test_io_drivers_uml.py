@@ -124,6 +124,12 @@ def test_a_group_for_a_node_that_is_missing_is_told_and_the_bus_works_on(results
     assert j1939["again"] == 1
 
 
+def test_a_program_that_is_killed_leaves_its_safe_group_on_the_bus(results):
+    """It has a hundred bytes, which the kernel sends in many frames."""
+    killed = results["j1939"]["killed"]
+    assert killed == [[0xFEF1, list(b"go")], [0xFEF3, [0] * 100]]
+
+
 def test_a_bus_of_j1939_that_goes_down_is_lost(results):
     j1939 = results["j1939"]
     assert "the bus of J1939 cannot be opened" in j1939["down"]

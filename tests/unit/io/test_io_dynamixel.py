@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
+import subprocess
+import sys
 
+import msgspec
 import pytest
 from device_rigs import Dynamixel
 from watching import wait_for
 
 from pbonet.errors import DeviceError
-from pbonet.io.drivers import Mode, Wait, database, open_device
+from pbonet.io.drivers import Mode, Wait, database, listed, open_device
 from pbonet.io.drivers.dynamixel_driver import packet
 
 TORQUE, GOAL, POSITION = 0, 2, 4
@@ -27,7 +30,46 @@ def rig(monkeypatch, tmp_path):
 
 
 def opened(port, count=2, mode=Mode.RW, **how):
+    if Mode.WRITE in mode:
+        how = {"safe": None, **how}
     return open_device("x", port, port + count - 1, mode=mode, **how)
+
+
+PROGRAM = """
+import sys, msgspec
+from pbonet.io.drivers import Entry, Mode, database, open_device
+entry = msgspec.json.decode(sys.argv[1], type=Entry)
+with database.using({"x": entry}, "arm0/moves"):
+    torque = open_device("x", 0, 1, mode=Mode.WRITE, safe=[0, 0])
+    torque.write([1, 1])
+    print("ready", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_a_process_that_is_killed_leaves_its_servos_limp(rig):
+    text = msgspec.json.encode(rig.entry()).decode()
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, text],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        wait_for(lambda: all(rig.servos.memory[k][64] for k in (1, 7)), "torque")
+        process.kill()
+        process.wait()
+        wait_for(lambda: not listed({"x": rig.entry()})[0].users, "the ports free")
+    wait_for(lambda: [rig.servos.memory[k][64] for k in (1, 7)] == [0, 0], "no torque")
+
+
+def test_servos_are_limp_also_where_another_one_is_missing(rig):
+    """So a guard makes safe what is left of a line."""
+    rig.servos.memory[1][64] = rig.servos.memory[7][64] = 1
+    some = rig.entry(servos=[1, 3, 7], timeout=0.05)
+    with database.using({"x": some}), pytest.raises(DeviceError, match="of servo 3"):
+        opened(0, 3, mode=Mode.WRITE, safe=[0, 0, 0])
+    wait_for(lambda: [rig.servos.memory[k][64] for k in (1, 7)] == [0, 0], "no torque")
 
 
 def test_packets_are_those_of_the_published_examples():

@@ -16,9 +16,9 @@ def bus(monkeypatch, tmp_path):
     return Ethercat(monkeypatch, tmp_path)
 
 
-def opened(bus, mode=Mode.RW, **settings):
+def opened(bus, mode=Mode.RW, safe=None, **settings):
     with database.using({"x": bus.entry(**settings)}):
-        return open_device("x", mode=mode)
+        return open_device("x", mode=mode, safe=safe)
 
 
 def test_slaves_go_into_operation_with_outputs_of_0_and_back(bus):
@@ -27,6 +27,25 @@ def test_slaves_go_into_operation_with_outputs_of_0_and_back(bus):
         assert bus.log[:3] == ["open", "map", [bytes(3), bytes(1)]]
         assert bus.log[3] == pysoem.OP_STATE
         assert image.status("IMAGE") == (3, 4)
+    assert bus.log[-2:] == [pysoem.INIT_STATE, "closed"]
+
+
+def test_slaves_begin_with_safe_values_and_have_them_before_they_leave(bus):
+    with opened(bus, safe={2: b"\5\6"}, lost=3) as image:
+        assert bus.log[2:4] == [[b"\0\0\5", b"\6"], pysoem.OP_STATE]
+        image.write(b"abcd")
+        image.exchange()
+        counters = iter([0, 0, 6])
+        bus.receive_processdata = lambda _: next(counters)
+    assert bus.log[-5:] == [[b"ab\5", b"\6"]] * 3 + [pysoem.INIT_STATE, "closed"]
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_safe_values_that_no_slave_takes_are_told_and_the_bus_leaves(bus, lost):
+    image = opened(bus, safe={0: b"\0"}, lost=lost)
+    bus.counter = 0
+    with pytest.raises(DeviceError, match="the device is gone"):
+        image.close()
     assert bus.log[-2:] == [pysoem.INIT_STATE, "closed"]
 
 

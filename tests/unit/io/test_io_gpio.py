@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 
 import gpiod
 import pytest
-from device_rigs import Gpio, GpioEdges
+from device_rigs import Gpio, GpioEdges, Lines
 
 from pbonet.errors import DeviceError
 from pbonet.io.drivers import Mode, Wait, database, open_device
@@ -26,9 +27,9 @@ def devices(monkeypatch, tmp_path):
     database.use({}, "")
 
 
-def test_an_output_has_its_first_value_when_it_becomes_one(devices):
-    chip = devices(Gpio, ones=[4], active_low=[5], drive="open-drain", bias="up")
-    with open_device("x", 1, 3, mode=Mode.RW) as lines:
+def test_an_output_has_its_safe_value_when_it_becomes_one(devices):
+    chip = devices(Gpio, active_low=[5], drive="open-drain", bias="up")
+    with open_device("x", 1, 3, mode=Mode.RW, safe=[0, 1, 0]) as lines:
         assert chip.values == {3: [0], 4: [1], 5: [0]}, "in the request itself"
         config = chip.requests[0].config
         assert [config[k].active_low for k in (3, 4, 5)] == [False, False, True]
@@ -37,11 +38,35 @@ def test_an_output_has_its_first_value_when_it_becomes_one(devices):
         lines.write([1, 1, 0])
         assert chip.values == {3: [0, 1], 4: [1, 1], 5: [0, 0]}
         assert lines.read() == [1, 1, 0]
+    assert chip.values == {3: [0, 1, 0], 4: [1, 1, 1], 5: [0, 0, 0]}
+    assert chip.requests == []
+
+
+def test_an_output_without_safe_values_keeps_the_value_of_its_line(devices):
+    chip = devices(Gpio, drive="open-source")
+    chip.values = {3: [1], 4: [0]}
+    with open_device("x", 1, 2, mode=Mode.WRITE, safe=None) as lines:
+        (request,) = chip.requests
+        assert request.config[3].direction == gpiod.line.Direction.OUTPUT
+        assert request.config[3].drive == gpiod.line.Drive.OPEN_SOURCE
+        lines.write([1, 1])
+    assert chip.values == {3: [1, 1, 1], 4: [0, 0, 1]}
+
+
+def test_lines_that_cannot_become_outputs_are_given_back(devices, monkeypatch):
+    chip = devices(Gpio)
+
+    def refuse(*_):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(Lines, "reconfigure_lines", refuse)
+    with pytest.raises(DeviceError, match="the lines cannot be had"):
+        open_device("x", mode=Mode.WRITE, safe=None)
     assert chip.requests == []
 
 
 def test_an_input_is_never_driven(devices):
-    chip = devices(Gpio, ones=[2])
+    chip = devices(Gpio)
     chip.values[2] = [1]
     with open_device("x", 0, 1, mode=Mode.READ) as lines:
         assert lines.read() == [1, 0]

@@ -22,9 +22,9 @@ def rig(monkeypatch, tmp_path):
     one.close()
 
 
-def opened(rig, mode=Mode.RW, wait=Wait.NONE, **settings):
+def opened(rig, mode=Mode.RW, wait=Wait.NONE, safe=None, **settings):
     with database.using({"x": rig.entry(**settings)}):
-        return open_device("x", mode=mode, wait=wait)
+        return open_device("x", mode=mode, wait=wait, safe=safe)
 
 
 def test_groups_have_source_destination_and_stamp(rig):
@@ -87,6 +87,20 @@ def test_groups_are_awaited_as_the_device_was_opened(rig, wait, got):
         for _ in range(got or 1):
             rig.sockets[0].put(b"a")
         assert len(bus.read(2)) == got
+
+
+def test_a_bus_that_takes_no_safe_groups_is_told(rig):
+    """And one that has room for some at a time gets all of them, however it waits."""
+    safe = [Group(0xFEF1, b"a"), Group(0xFEF1, b"b")]
+    bus = opened(rig, safe=safe)
+    rig.sockets[0].room = 1
+    with pytest.raises(DeviceError, match=r"the bus takes no frames.*room for 1 with"):
+        bus.close()
+    bus = opened(rig, safe=safe)
+    give = bus._give
+    rig.patch.setattr(bus, "_give", lambda some: give(some[:1]))
+    bus.close()
+    assert [one for one, _ in rig.sockets[1].sent] == [b"a", b"b"]
 
 
 def test_a_kernel_without_it_is_named(rig):

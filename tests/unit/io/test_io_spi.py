@@ -17,6 +17,8 @@ def bus(monkeypatch, tmp_path):
 
 def opened(bus, mode=Mode.RW, settings=None, **how):
     with database.using({"x": bus.entry(**(settings or {}))}):
+        if Mode.WRITE in mode:
+            how["safe"] = None
         return open_device("x", mode=mode, **how)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import struct
 import termios
 import tty
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from pbonet.errors import DeviceError
-from pbonet.io import SerialLine, devices_allowed, no_devices
+from pbonet.io import SerialLine, devices_allowed, no_devices, serial_line
 
 
 @pytest.fixture
@@ -43,6 +44,24 @@ def test_bytes_pass_unchanged_both_ways(pty: tuple[int, str]) -> None:
         while len(got) < 256:
             got += os.read(master, 256)
         assert got == everything
+    assert not line.is_open
+
+
+@pytest.mark.parametrize("unsent", [0, 9])
+def test_a_line_that_is_closed_sends_what_it_was_given_where_it_can(
+    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch, unsent: int
+) -> None:
+    """And drops it where it cannot: closing never waits long."""
+    dropped: list[bool] = []
+    line = SerialLine(pty[1])
+    line.open()
+    port = line._port._port
+    monkeypatch.setattr(port, "reset_output_buffer", lambda: dropped.append(True))
+    monkeypatch.setattr(serial_line, "_LAST", 0.0)
+    left = struct.pack("i", unsent)
+    monkeypatch.setattr(serial_line.fcntl, "ioctl", lambda *_: left)
+    line.close()
+    assert dropped == [True] * bool(unsent)
     assert not line.is_open
 
 

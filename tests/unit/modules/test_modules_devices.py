@@ -12,6 +12,7 @@ import tty
 import numpy as np
 import pytest
 import smbus2
+from device_rigs import Gpio
 from watching import wait_for
 
 from pbonet import State, TimingFailure
@@ -228,9 +229,35 @@ def test_an_actuator_gets_its_safe_values_whatever_ends(iio, end):
         bench.kill()
 
 
+def test_relays_and_buttons_are_lines_of_a_chip(monkeypatch, tmp_path):
+    """A relay begins with its safe value, also one that is closed then."""
+    rig = Gpio(monkeypatch, tmp_path)
+    chip = rig.chip
+    told = {"device": "x", "scale": 1.0}
+    with database.using({"x": rig.entry()}):
+        safe = {**told, "safe": (1.0, 0.0)}
+        relays = on_bench(LinearActuator, safe, u=[0.0, 1.0], critical=True)
+        assert chip.values == {2: [1, 1], 3: [0, 0]}, "at the request, and after init"
+        relays.on()
+        relays.step()
+        assert [chip.values[k][-1] for k in (2, 3)] == [0, 1]
+        buttons = on_bench(LinearSensor, {**told, "port": 2}, n=2)
+        chip.values[4] = [1]
+        buttons.on()
+        buttons.step()
+        assert buttons.outputs.y.tolist() == [1.0, 0.0]
+        relays.off()
+        assert [chip.values[k][-1] for k in (2, 3)] == [1, 0]
+        for bench in (relays, buttons):
+            bench.kill()
+    assert chip.requests == []
+
+
 @pytest.mark.usefixtures("iio")
 def test_a_safe_value_that_a_port_cannot_have_is_refused():
-    with pytest.raises(MethodError, match=r"a safe value is beyond .* got 1000 -1500"):
+    with pytest.raises(
+        MethodError, match=r"port 1: a safe value is beyond .* got -1500"
+    ):
         outlet(safe=(20.0, 25.0))
     open_device("dac", 0, 1, mode=Mode.WRITE, safe=None).close()
 

@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 import scripted_servos as servos
+from device_rigs import Dynamixel as Rig
 from scripted_servos import GOAL, PLACE, SPEED, TORQUE, WATCHDOG, Servos
+from watching import wait_for
 
 from pbonet import State
 from pbonet.errors import MethodError
@@ -133,3 +135,36 @@ def test_servos_that_their_watchdog_stopped_are_freed(table):
     bench.step(n=6)
     assert (bench["READY"], table[WATCHDOG]) == (1, [10, 10])
     assert table[PLACE] == [HALF, HALF + 1024]
+
+
+@pytest.mark.parametrize("hold", [True, False])
+def test_its_registers_reach_servos_over_a_serial_line(monkeypatch, tmp_path, hold):
+    """By the driver, with servos that go where they shall when they have torque."""
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+    rig = Rig(monkeypatch, tmp_path)
+    memory = rig.servos.memory
+    for one in memory.values():
+        one[98], one[132:136] = 255, HALF.to_bytes(4, "little")
+    memory[7][128:132] = (-100).to_bytes(4, "little", signed=True)
+    memory[7][126:128] = (-100).to_bytes(2, "little", signed=True)
+    registers = [[98, 1], [64, 1], [116, 4], [126, 2], [128, 4], [132, 4]]
+    with database.using({"servos": rig.entry(registers=registers)}):
+        bench = on_bench(hold=hold, silent=60.0, beat=2.54)
+        bench.inputs.q_ref = [0.5, -0.25]
+        bench.on()
+
+        def there():
+            bench.step()
+            for one in memory.values():
+                if one[64]:
+                    one[132:136] = one[116:120]
+            return np.allclose(bench["Q_MEZ"], [0.5, -0.25], atol=2e-3)
+
+        wait_for(there, "the servos where they shall be")
+        assert bench["READY"] == 1
+        assert [one[98] for one in memory.values()] == [127, 127]
+        assert bench["Q^_MEZ"][1] == pytest.approx(-22.9 * 2 * math.pi / 60)
+        assert bench["T_MEZ"] == pytest.approx([0.0, -1.0])
+        bench.kill()
+    wait_for(lambda: [one[64] for one in memory.values()] == [hold] * 2, "the torque")
+    rig.close()
