@@ -34,6 +34,8 @@ Kind = Literal["SIO", "PIO", "ADC", "DAC", "RCB", "SBS", "MEM"]
 robot control boards (a process image of several values), subsystems, and memory."""
 SIZES: Final = (8, 16, 32)
 """Bits of an element in the user's buffer."""
+PATIENCE: Final = 2.0
+"""Seconds for which safe values wait for room in a device that takes no more."""
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -76,6 +78,8 @@ class Device(ABC):
         self._claim: Claim | None = None
         self.safe: Any = None
         """The safe values, as `write` takes them; None: it is left as it is."""
+        self.patience: float | None = None
+        """Seconds for which `write` waits for room; None: until there is some."""
         self._guarded = 0
         self._openings = openings.current()
 
@@ -155,11 +159,11 @@ class Device(ABC):
         if not wait:
             self._write_safe()
             return
-        self.opening = opening._replace(wait=Wait.ALL)
+        self.opening, self.patience = opening._replace(wait=Wait.ALL), PATIENCE
         try:
             self._write_safe()
         finally:
-            self.opening = opening
+            self.opening, self.patience = opening, None
 
     def _write_safe(self) -> None:
         self.write(self.safe)
@@ -203,9 +207,11 @@ class Device(ABC):
         if self._is_open:
             self._is_open = False
             self._openings.remove(self)
-            if not self.outside.plays:
-                self.disconnect()
-            self._release()
+            try:
+                if not self.outside.plays:
+                    self.disconnect()
+            finally:
+                self._release()
 
     def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
         """Return what is known of the hardware.

@@ -10,7 +10,6 @@ import os
 import signal
 import socket
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from log_of_real_tasks import finish, record
@@ -18,7 +17,7 @@ from modbus_rig import serving
 from nodekit import fork_server_of, rmod
 from pymodbus.client import ModbusTcpClient
 from pymodbus.server import ModbusTcpServer
-from watching import wait_for
+from watching import processes_of, wait_for
 
 from pbonet.config import Entry
 from pbonet.errors import MethodError
@@ -99,16 +98,6 @@ class Bus:
         ]  # fmt: skip
 
 
-def guards(task):
-    """Return the processes that guard a task."""
-    wanted = f"{GUARD}={task}".encode()
-    found = []
-    for one in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):
-            found += [one] * (wanted in one.read_bytes().split(b"\0"))
-    return found
-
-
 @pytest.fixture(scope="module")
 def plc():
     """The address of a Modbus server with registers that stay."""
@@ -165,12 +154,12 @@ def test_orders_and_errors_leave_safe_values(bus, nodes):
 
 def killed(bus, task, *pids):
     """Kill processes; return when the devices are safe, free, and not guarded."""
-    assert len(guards(task)) == 1
+    assert len(processes_of(GUARD, str(task))) == 1
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
     bus.is_safe()
     wait_for(lambda: task not in {one.pid for one in bus.users()}, "its ports free")
-    wait_for(lambda: not guards(task), "the end of its guard")
+    wait_for(lambda: not processes_of(GUARD, str(task)), "the end of its guard")
 
 
 def test_a_task_that_is_killed_or_loses_its_rtpu_leaves_safe_values(bus, nodes):
