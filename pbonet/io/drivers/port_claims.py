@@ -135,7 +135,7 @@ def _claimed(entry: Entry, opening: Opening) -> Claim:
 
 
 def _has_ended(user: User) -> bool:
-    """Return whether the process has ended, also if nobody has taken note of it."""
+    """Return whether the process has ended, also if its parent has not reaped it."""
     try:
         fd = os.pidfd_open(user.pid)
     except OSError as error:
