@@ -67,15 +67,19 @@ class Claim:
     """
 
     def __init__(self, fd: int) -> None:
-        self.fd = fd
+        self.fd, self._owner = fd, os.getpid()
 
     def release(self) -> None:
-        """Give the ports back, also where another process has the descriptor."""
+        """Give the ports back, also where another process has the descriptor.
+
+        A copy made by fork gives up only its own part in them.
+        """
         fd, self.fd = self.fd, -1
         if fd >= 0:
             none = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
             with suppress(OSError):
-                fcntl.fcntl(fd, fcntl.F_OFD_SETLK, none)
+                if self._owner == os.getpid():
+                    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, none)
             os.close(fd)
 
     def hold(self, entry: Entry, opening: Opening) -> None:

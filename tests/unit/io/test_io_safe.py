@@ -327,6 +327,12 @@ with database.using({"m": Entry(driver="file", address=path, ports=4)}, "arm0/ac
     if how == "lost":  # it did not answer in time, and still lives
         guard.lose()
         other.close()
+    if how == "copied":
+        if not (copy := os.fork()):
+            kept.close()
+            os._exit(0)
+        os.waitpid(copy, 0)
+        kept.write(b"\\1" * 16)
     if how == "forked" and not os.fork():
         time.sleep(60)
     print("ready", flush=True)
@@ -342,7 +348,7 @@ MADE_SAFE = {"closed": {2: 0, 3: 7}, "replaced": {8: 6}}
 
 
 @pytest.mark.parametrize(
-    "how", ["killed", "closed", "forked", "ends", "group", "replaced"]
+    "how", ["killed", "closed", "forked", "ends", "group", "replaced", "copied"]
 )
 def test_a_process_that_is_gone_leaves_safe_values_and_free_ports(file, how):
     with subprocess.Popen(
