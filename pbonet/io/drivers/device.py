@@ -104,7 +104,7 @@ class Device(ABC):
             return
         try:
             self.outside.ask(self.check_safe, default=None)
-            if claim is not None:
+            if claim is not None or self.outside.plays:
                 loaded = [name for name in sys.modules if name not in before]
                 self._watch(claim, guard.Told(self.safe, loaded))
         except BaseException:
@@ -113,9 +113,10 @@ class Device(ABC):
         if claim is not None or self.outside.plays:
             self._openings.add(self)
 
-    def _watch(self, claim: Claim, told: guard.Told) -> None:
+    def _watch(self, claim: Claim | None, told: guard.Told) -> None:
         def watch() -> None:
-            self._guarded = guard.watch(self.entry, self.opening, told, claim.fd)
+            if claim is not None:  # as it is, except in a replay, which calls nothing
+                self._guarded = guard.watch(self.entry, self.opening, told, claim.fd)
 
         self.outside.ask(watch, default=None)
 

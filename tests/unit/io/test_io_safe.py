@@ -17,6 +17,7 @@ from watching import processes_of, wait_for
 
 from pbonet import InVar, OutVar, PortBasedObject
 from pbonet.errors import DeviceError, MethodError
+from pbonet.io import no_devices
 from pbonet.io.drivers import (
     GUARD,
     Entry,
@@ -29,6 +30,7 @@ from pbonet.io.drivers import (
     open_device,
     port_claims,
 )
+from pbonet.outside import Player, Tape, using as recording
 from pbonet.testing import Bench
 
 SAFE = {2: b"\x00\x07"}
@@ -455,3 +457,25 @@ def test_where_there_can_be_no_guard_nothing_is_opened(monkeypatch):
     with pytest.raises(DeviceError, match="no process can guard the device"):
         open_device("m", mode=Mode.RW, safe=SAFE)
     assert not list(port_claims.users(database.entry("m"), range(4)))
+
+
+def test_a_replay_starts_no_guard_and_repeats_that_there_was_none(file, monkeypatch):
+    """The first opening has one, the second is refused, as the record says."""
+
+    def run():
+        open_device("m", mode=Mode.RW, safe=SAFE).close()
+        with monkeypatch.context() as here:
+            here.setattr(sys, "executable", "/no/python")
+            guard.lose()
+            with pytest.raises(DeviceError) as caught:
+                open_device("m", mode=Mode.RW, safe=SAFE)
+        return str(caught.value)
+
+    tape, player = Tape(), Player()
+    with recording(tape):
+        first = run()
+    file.unlink()
+    player.feed(tape.take())
+    monkeypatch.setattr(guard, "watch", None)
+    with no_devices("this is a replay"), recording(player):
+        assert run() == first
