@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from pbonet.errors import DeviceError
-
 
 class Writer(Protocol):
     """An open device with safe values."""
@@ -45,17 +43,17 @@ class Openings:
         for device in self._open:
             device.write_safe(wait=False)
 
-    def make_safe(self, *, close: bool) -> list[DeviceError]:
+    def make_safe(self, *, close: bool) -> list[Exception]:
         """Write the safe values of all devices; return what could not be done.
 
         Args:
             close: Close them as well: the task ends.
         """
-        errors: list[DeviceError] = []
+        errors: list[Exception] = []
         for device in self._open:
             try:
                 (device.close if close else device.write_safe)()
-            except DeviceError as error:
+            except Exception as error:  # noqa: BLE001 - the driver may be anybody's
                 errors.append(error)
         return errors
 

@@ -7,6 +7,7 @@ interface; when there is no more room, SocketCAN drops the newest.
 from __future__ import annotations
 
 import errno
+import math
 import os
 import socket
 import time
@@ -21,6 +22,7 @@ from pbonet.io import from_extra
 
 from .device import Device, Frame, FrameDevice, Settings
 from .modes import Mode, Wait
+from .stream_waits import no_room
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -223,10 +225,13 @@ class CanDevice(FrameDevice[Frame]):
     def _write(self, frames: Sequence[Frame]) -> int:
         need = {Wait.ALL: len(frames), Wait.ONE: min(len(frames), 1)}
         least, done = need.get(self.opening.wait, 0), 0
+        end = math.inf if self.patience is None else time.monotonic() + self.patience
         while done < len(frames):
             if self._give(frames[done]):
                 done += 1
             elif done < least:
+                if time.monotonic() > end:
+                    raise no_room()
                 time.sleep(_AGAIN)
             else:
                 break

@@ -8,7 +8,6 @@ raw: units are the matter of the modules above it (section 7.3).
 from __future__ import annotations
 
 import sys
-import time
 from abc import ABC, abstractmethod
 from typing import (
     TYPE_CHECKING,
@@ -47,10 +46,8 @@ Kind = Literal["SIO", "PIO", "ADC", "DAC", "RCB", "SBS", "MEM"]
 robot control boards (a process image of several values), subsystems, and memory."""
 SIZES: Final = (8, 16, 32)
 """Bits of an element in the user's buffer."""
-_AGAIN: Final = 0.001
-"""Seconds after which a full interface is tried again."""
-_PATIENCE: Final = 0.2
-"""Seconds in which a bus takes safe frames."""
+PATIENCE: Final = 2.0
+"""Seconds for which safe values wait for room in a device that takes no more."""
 
 
 class Settings(Struct, frozen=True, forbid_unknown_fields=True):
@@ -93,6 +90,8 @@ class Device(ABC):
         self._claim: Claim | None = None
         self.safe: Any = None
         """The safe values, as `write` takes them; None: it is left as it is."""
+        self.patience: float | None = None
+        """Seconds for which `write` waits for room; None: until there is some."""
         self._guarded = 0
         self._openings = openings.current()
 
@@ -127,11 +126,12 @@ class Device(ABC):
             self._openings.add(self)
 
     def _watch(self, told: guard.Told) -> None:
-        """Have the claim guarded; a replay has none, and counts the call."""
-        fd = -1 if self._claim is None else self._claim.fd
+        """Have the claim guarded; a replay has none, and calls nothing."""
+        claim = self._claim
 
         def watch() -> None:
-            self._guarded = guard.watch(self.entry, self.opening, told, fd)
+            if claim is not None:
+                self._guarded = guard.watch(self.entry, self.opening, told, claim.fd)
 
         self.outside.ask(watch, default=None)
 
@@ -175,11 +175,11 @@ class Device(ABC):
         if not wait:
             self._write_safe()
             return
-        self.opening = opening._replace(wait=Wait.ALL)
+        self.opening, self.patience = opening._replace(wait=Wait.ALL), PATIENCE
         try:
             self._write_safe()
         finally:
-            self.opening = opening
+            self.opening, self.patience = opening, None
 
     def _write_safe(self) -> None:
         self.write(self.safe)
@@ -223,9 +223,11 @@ class Device(ABC):
         if self._is_open:
             self._is_open = False
             self._openings.remove(self)
-            if not self.outside.plays:
-                self.disconnect()
-            self._release()
+            try:
+                if not self.outside.plays:
+                    self.disconnect()
+            finally:
+                self._release()
 
     def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
         """Return what is known of the hardware.
@@ -415,31 +417,6 @@ class FrameDevice(Device, Generic[P]):
         """Refuse safe pieces that this bus cannot have."""
         for one in self.safe:
             self.check_piece(one)
-
-    def _write_safe(self) -> None:
-        """Hand the safe pieces over; a bus without a cable takes none, however long.
-
-        Raises:
-            DeviceError: It did not take all of them within `_PATIENCE` seconds.
-        """
-        if self.opening.wait is not Wait.ALL:
-            super()._write_safe()
-            return
-        before, left = self.opening, self.safe
-        ends = time.monotonic() + _PATIENCE
-        self.opening = before._replace(wait=Wait.NONE)
-        try:
-            while left := left[self.write(left) :]:
-                if time.monotonic() > ends:
-                    raise DeviceError(
-                        "the bus takes no frames",
-                        where=f"{self.name} ({self.entry.address})",
-                        expected=f"room for {len(left)} within {_PATIENCE:g} s",
-                        remedy="check the cable, and that another node answers",
-                    )
-                time.sleep(_AGAIN)
-        finally:
-            self.opening = before
 
 
 class PortDevice(Device):

@@ -12,6 +12,7 @@ for that: not the RTPU process, the fork server or the agent.
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import socket
 import sys
@@ -69,7 +70,6 @@ class Guard:
 
     def __init__(self) -> None:
         self.owner = os.getpid()
-        self._count = 0
         self._sock, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         mine = os.pidfd_open(self.owner)
         try:
@@ -89,9 +89,9 @@ class Guard:
             OSError: It does not answer.
             DeviceError: It cannot use the driver.
         """
-        self._count += 1
+        number = next(_numbers)
         message = Watch(
-            number=self._count,
+            number=number,
             entry=entry,
             opening=flat(opening),
             safe=told.safe,
@@ -105,7 +105,7 @@ class Guard:
                 got=fault,
                 remedy="see that its driver can be imported by a process of its own",
             )
-        return self._count
+        return number
 
     def forget(self, number: int) -> None:
         """Have it forget a device, and give up its part in the claim.
@@ -138,6 +138,8 @@ class Told(Struct, frozen=True):
     modules: list[str]
 
 
+_numbers: Final = itertools.count(1)
+"""Numbers of devices, also over guards: one that is replaced gives none again."""
 _guards: list[Guard] = []
 """The guard of this process, if it has one; a copy made by fork has its parent's."""
 

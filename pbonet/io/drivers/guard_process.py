@@ -27,12 +27,12 @@ from pbonet.outside import Outside
 from .guard import DONE, Forget, Watch
 from .modes import Mode, Opening, Wait
 from .opening import driver
-from .port_claims import Claim
+from .port_claims import SAFE_TIME, Claim
 
 if TYPE_CHECKING:
     from .device import Device
 
-TRY_TIME: Final = 5.0
+TRY_TIME: Final = SAFE_TIME / 2
 """Seconds for which a device that cannot be written is tried again."""
 _AGAIN: Final = 0.02
 """Seconds between two attempts."""
@@ -109,7 +109,7 @@ class GuardProcess:
         ]
         for one in threads:
             one.start()
-        deadline = time.monotonic() + 2 * TRY_TIME
+        deadline = time.monotonic() + SAFE_TIME
         for one in threads:
             one.join(max(0.0, deadline - time.monotonic()))
 
@@ -132,6 +132,10 @@ def _made(message: Watch) -> Device:
 def _make_safe(one: Watched) -> None:
     """Write the safe values of a device, and give its ports back."""
     deadline = time.monotonic() + TRY_TIME
+    try:
+        one.claim.hold(one.device.entry, one.device.opening)
+    except OSError:  # it was closed, which did not come to here, and is another's now
+        return
     try:
         while fault := _tried(one.device):
             if time.monotonic() > deadline:

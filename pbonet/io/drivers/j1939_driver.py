@@ -143,7 +143,7 @@ class J1939Device(FrameDevice[Group]):
 
     def _write(self, frames: Sequence[Group]) -> int:
         fd, wait = self._socket.fileno(), self.opening.wait
-        return write_all(fd, self._give, frames, wait)
+        return write_all(fd, self._give, frames, wait, self.patience)
 
     def _give(self, frames: Sequence[Group]) -> int:
         """Hand over what there is room for; return how many groups.

@@ -11,7 +11,9 @@ import errno
 import fcntl
 import hashlib
 import os
+import select
 import struct
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -38,6 +40,12 @@ APART: Final[Mapping[str, Any]] = {"unit": 1, "table": "holding"}
 """Settings of drivers that tell devices at one address apart, and their defaults."""
 MOST_PORTS = 1 << 16
 """Greatest number of ports of a physical device."""
+SAFE_TIME: Final = 10.0
+"""Seconds in which a guard has made the devices of a process that has ended safe."""
+_MARGIN: Final = 1.0
+"""Seconds that a port is waited for beyond that."""
+_AGAIN: Final = 0.005
+"""Seconds between two attempts to claim."""
 
 
 class User(NamedTuple):
@@ -59,47 +67,87 @@ class Claim:
     """
 
     def __init__(self, fd: int) -> None:
-        self.fd = fd
+        self.fd, self._owner = fd, os.getpid()
 
     def release(self) -> None:
-        """Give the ports back, also where another process has the descriptor."""
+        """Give the ports back, also where another process has the descriptor.
+
+        A copy made by fork gives up only its own part in them.
+        """
         fd, self.fd = self.fd, -1
         if fd >= 0:
             none = _FLOCK.pack(fcntl.F_UNLCK, os.SEEK_SET, 0, 0, 0)
             with suppress(OSError):
-                fcntl.fcntl(fd, fcntl.F_OFD_SETLK, none)
+                if self._owner == os.getpid():
+                    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, none)
             os.close(fd)
+
+    def hold(self, entry: Entry, opening: Opening) -> None:
+        """Lock the ports; harmless where this claim has them.
+
+        Raises:
+            BlockingIOError: Another claim has one of them.
+        """
+        first = entry.first + opening.start
+        count = opening.end - opening.start + 1
+        lock = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, first, count, 0)
+        fcntl.fcntl(self.fd, fcntl.F_OFD_SETLK, lock)
 
 
 def claim(entry: Entry, opening: Opening) -> Claim:
     """Claim the ports of an opening for this process.
 
+    Ports of a process that has ended are waited for: its guard makes the device safe.
+
     Raises:
         DeviceError: One of them is taken; the error names its user.
     """
-    first, last = entry.first + opening.start, entry.first + opening.end
+    last = entry.first + opening.end
     if last >= MOST_PORTS:
         raise _no_such(opening, last)
+    deadline = time.monotonic() + SAFE_TIME + _MARGIN
+    while True:
+        try:
+            return _claimed(entry, opening)
+        except BlockingIOError:
+            who = list(users(entry, range(opening.start, opening.end + 1)))
+            if not all(map(_has_ended, who)) or time.monotonic() > deadline:
+                raise _taken(opening, who) from None
+        except OSError as error:
+            raise _unusable(opening, error) from None
+        time.sleep(_AGAIN)
+
+
+def _claimed(entry: Entry, opening: Opening) -> Claim:
+    """Claim the ports and write down whose they are.
+
+    Raises:
+        BlockingIOError: One of them is taken.
+        OSError: The file cannot be used.
+    """
+    made = Claim(_open(_path(entry)))
     try:
-        fd = _open(_path(entry))
-    except OSError as error:
-        raise _unusable(opening, error) from None
-    try:
-        lock = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, first, last - first + 1, 0)
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
+        made.hold(entry, opening)
         text = database.owner().encode()[:56]
         record = _RECORD.pack(opening.mode.value, os.getpid(), text)
-        for port in range(first, last + 1):
-            os.pwrite(fd, record, _RECORDS_AT + port * _RECORD.size)
-    except OSError as error:
-        taken = error.errno in {errno.EAGAIN, errno.EACCES}
-        who = list(users(entry, range(opening.start, opening.end + 1))) if taken else []
-        os.close(fd)
-        raise _taken(opening, who) if taken else _unusable(opening, error) from None
+        for port in range(entry.first + opening.start, entry.first + opening.end + 1):
+            os.pwrite(made.fd, record, _RECORDS_AT + port * _RECORD.size)
     except BaseException:
-        os.close(fd)
+        os.close(made.fd)
         raise
-    return Claim(fd)
+    return made
+
+
+def _has_ended(user: User) -> bool:
+    """Return whether the process has ended, also if its parent has not reaped it."""
+    try:
+        fd = os.pidfd_open(user.pid)
+    except OSError as error:
+        return error.errno == errno.ESRCH
+    try:
+        return bool(select.select([fd], [], [], 0)[0])
+    finally:
+        os.close(fd)
 
 
 def _open(path: Path) -> int:

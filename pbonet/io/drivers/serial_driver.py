@@ -76,8 +76,8 @@ class SerialDevice(StreamDevice):
         return done
 
     def _write(self, data: bytes) -> int:
-        line = self._line
-        return write_all(line.fileno(), line.write, data, self.opening.wait)
+        line, wait = self._line, self.opening.wait
+        return write_all(line.fileno(), line.write, data, wait, self.patience)
 
     def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
         """Return what is known of the line: ``SIO_GET`` gives a `SioParam`."""

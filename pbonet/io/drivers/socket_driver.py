@@ -65,7 +65,8 @@ class _SocketDevice(StreamDevice):
         return done
 
     def _write(self, data: bytes) -> int:
-        return write_all(self._socket.fileno(), self.give, data, self.opening.wait)
+        one, wait = self._socket, self.opening.wait
+        return write_all(one.fileno(), self.give, data, wait, self.patience)
 
 
 class TcpSettings(Settings, frozen=True, forbid_unknown_fields=True):

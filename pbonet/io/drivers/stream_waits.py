@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import select
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -71,18 +74,39 @@ def _ready(
     return min(count, len(held))
 
 
-def write_all(fd: int, give: Callable[[S], int], data: S, wait: Wait) -> int:
+def write_all(
+    fd: int,
+    give: Callable[[S], int],
+    data: S,
+    wait: Wait,
+    patience: float | None = None,
+) -> int:
     """Hand bytes or pieces over by the rules of `wait`; return how many were taken.
 
     NOALL is for datagrams and buffers that take all or nothing: what `give` takes.
 
+    Args:
+        fd: The descriptor that becomes writable.
+        give: Hands over what there is room for; returns how many bytes.
+        data: The bytes.
+        wait: How it waits.
+        patience: Seconds for which it waits; None: without end.
+
     Raises:
-        OSError: The device is gone.
+        OSError: The device is gone, or took nothing for so long.
     """
     done = 0
     need = {Wait.ALL: len(data), Wait.ONE: min(len(data), 1)}.get(wait, 0)
+    end = None if patience is None else time.monotonic() + patience
     while True:
         done += give(cast("S", data[done:]))
         if done >= need:
             return done
-        select.select([], [fd], [])
+        left = None if end is None else max(0.0, end - time.monotonic())
+        if not select.select([], [fd], [], left)[1]:
+            raise no_room()
+
+
+def no_room() -> OSError:
+    """Return the error of a device that takes no more for too long."""
+    return OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))

@@ -360,7 +360,12 @@ class Executor:
                 break
         for step in end.steps if end else ():
             self._take(found, step)
-        self._go(end.to if end else found.to)
+        to = end.to if end else found.to
+        if (errors := self._make_safe(to)) and to is not State.ERROR:
+            ended = to is State.NOT_CREATED
+            step = Step.KILL if ended else next(s for s in found.steps if s.is_method)
+            raise StepFailed(step, contained(errors[0]))
+        self._enter_state(to)
 
     def _take(self, found: Rule, step: Step) -> Outcome | None:
         """Take one step; return the outcome of its answer, None to continue."""
@@ -375,11 +380,17 @@ class Executor:
 
     def _go(self, state: State) -> None:
         """Enter `state`; in any but ON the devices of the task have safe values."""
-        if state is not State.ON:
-            gone = state is State.NOT_CREATED
-            for error in self._devices.make_safe(close=gone):
-                self.task.warn(f"the safe values were not written: {error}")
+        self._make_safe(state)
         self._enter_state(state)
+
+    def _make_safe(self, state: State) -> list[Exception]:
+        """Write devices' safe values before `state`; return what was not written."""
+        if state is State.ON:
+            return []
+        errors = self._devices.make_safe(close=state is State.NOT_CREATED)
+        for error in errors:
+            self.task.warn(f"the safe values were not written: {error}")
+        return errors
 
     def _enter_state(self, state: State) -> None:
         task = self.task

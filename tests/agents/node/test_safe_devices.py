@@ -10,7 +10,6 @@ import os
 import signal
 import socket
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from log_of_real_tasks import finish, record
@@ -18,7 +17,7 @@ from modbus_rig import serving
 from nodekit import fork_server_of, rmod
 from pymodbus.client import ModbusTcpClient
 from pymodbus.server import ModbusTcpServer
-from watching import wait_for
+from watching import processes_of, wait_for
 
 from pbonet.config import Entry
 from pbonet.errors import MethodError
@@ -99,16 +98,6 @@ class Bus:
         ]  # fmt: skip
 
 
-def guards(task):
-    """Return the processes that guard a task."""
-    wanted = f"{GUARD}={task}".encode()
-    found = []
-    for one in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):
-            found += [one] * (wanted in one.read_bytes().split(b"\0"))
-    return found
-
-
 @pytest.fixture(scope="module")
 def plc():
     """The address of a Modbus server with registers that stay."""
@@ -165,34 +154,39 @@ def test_orders_and_errors_leave_safe_values(bus, nodes):
 
 def killed(bus, task, *pids):
     """Kill processes; return when the devices are safe, free, and not guarded."""
-    assert len(guards(task)) == 1
+    assert len(processes_of(GUARD, str(task))) == 1
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
     bus.is_safe()
     wait_for(lambda: task not in {one.pid for one in bus.users()}, "its ports free")
-    wait_for(lambda: not guards(task), "the end of its guard")
+    wait_for(lambda: not processes_of(GUARD, str(task)), "the end of its guard")
 
 
-def test_a_task_that_is_killed_or_loses_its_rtpu_leaves_safe_values(bus, nodes):
+def test_whatever_is_killed_the_devices_are_safe(bus, nodes):
+    """Each time something else of what runs is killed, and in the end all of it."""
     arm = nodes.master("arm0", "arm")
-    task, rtpu = start(arm, bus), arm.claimed.agent.rtpu_pid
-    killed(bus, task, task)
+    task = start(arm, bus)
+    os.kill(task, signal.SIGKILL)
     arm.wait_event("TASK_DIED", "acts")
-    task = start(arm, bus)  # its ports are free
-    killed(bus, task, fork_server_of(rtpu))
+    task = start(arm, bus)  # at once: its ports are free when they are safe
+    killed(bus, task, fork_server_of(arm.claimed.agent.rtpu_pid))
     wait_for(lambda: arm.events("FORK_SERVER_DIED"), "what is told")
     arm.kill("acts")
+    task, agent = start(arm, bus), nodes.processes["arm0"]
+    killed(bus, task, agent.pid)
+    arm = again(nodes, bus, agent)
     task = start(arm, bus)
+    rtpu, agent = arm.claimed.agent.rtpu_pid, nodes.processes["arm0"]
     killed(bus, task, rtpu)
+    rtpu = nodes.wait_restarted("arm0", rtpu).rtpu_pid
+    task = start(arm, bus)
+    killed(bus, task, agent.pid, rtpu, fork_server_of(rtpu), task)
+    again(nodes, bus, agent)  # it cleans up
 
 
-def test_an_agent_that_is_killed_alone_or_with_all_leaves_safe_values(bus, nodes):
-    for alone in (True, False):
-        arm = nodes.master("arm0", "arm")
-        task, agent = start(arm, bus), nodes.processes["arm0"]
-        rtpu = arm.claimed.agent.rtpu_pid
-        rest = [] if alone else [rtpu, fork_server_of(rtpu), task]
-        killed(bus, task, agent.pid, *rest)
-        agent.wait()
-        nodes.forget_session()
-        nodes.agent_process("arm0", grace=0.5, device=bus.devices)  # it cleans up
+def again(nodes, bus, agent):
+    """Return the master of a new agent in the place of a killed one."""
+    agent.wait()
+    nodes.forget_session()
+    nodes.agent_process("arm0", grace=0.5, device=bus.devices)
+    return nodes.master("arm0", "arm")

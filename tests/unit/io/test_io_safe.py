@@ -7,15 +7,17 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated as A
 
 import pytest
-from watching import wait_for
+from watching import processes_of, wait_for
 
 from pbonet import InVar, OutVar, PortBasedObject
 from pbonet.errors import DeviceError, MethodError
+from pbonet.io import no_devices
 from pbonet.io.drivers import (
     GUARD,
     Entry,
@@ -23,10 +25,12 @@ from pbonet.io.drivers import (
     Mode,
     Wait,
     database,
+    device,
     guard,
     open_device,
     port_claims,
 )
+from pbonet.outside import Player, Tape, using as recording
 from pbonet.testing import Bench
 
 SAFE = {2: b"\x00\x07"}
@@ -55,6 +59,12 @@ def file(tmp_path, monkeypatch):
 
 def of(file):
     return file.read_bytes()[2:4]
+
+
+def guarded():
+    """Return the taken ports, but for one that is left as it is: a copy may have it."""
+    users = port_claims.users(database.entry("m"), range(4))
+    return [one.port for one in users if one.port != 2]
 
 
 @pytest.mark.parametrize(
@@ -109,6 +119,23 @@ def test_safe_values_are_written_whole_also_where_no_call_waits(file):
             assert far.recv(64) == b"stop"
             assert [one[:2] for one in heard.read(2)] == [(1, b"a"), (2, b"b")]
     assert of(file) == b"\xff\xff"
+
+
+def test_safe_values_do_not_wait_without_end_for_a_device_that_takes_no_more(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr(device, "PATIENCE", 0.01)
+    tmp_path.chmod(0o700)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        where = f"127.0.0.1:{server.getsockname()[1]}"
+        with database.using({"line": Entry(driver="tcp", address=where)}):
+            line = open_device("line", mode=Mode.RW, wait=Wait.NONE, safe=b"stop")
+            for piece in (b"\0" * 65536, b"\0"):
+                while line.write(piece):
+                    pass  # nobody reads
+            with pytest.raises(DeviceError, match="timed out"):
+                line.close()
 
 
 class Acts(PortBasedObject):
@@ -212,14 +239,45 @@ def test_one_task_makes_only_its_own_devices_safe(file):
         assert of(file) == b"\0\0"
 
 
-def test_safe_values_that_cannot_be_written_are_told_and_the_task_goes_off(file):
+@pytest.mark.parametrize(
+    ("order", "state"), [("off", "ERROR"), ("kill", "NOT-CREATED")]
+)
+def test_an_order_whose_safe_values_cannot_be_written_fails(file, order, state):
     with Bench(Quiet) as bench:
         bench.on()
+        bench.step()
         os.truncate(file, 2)
-        bench.executor.signal("off")
-        assert bench.executor.state == "OFF"
+        with pytest.raises(MethodError, match="the device is gone"):
+            bench.executor.signal(order)
+        assert bench.executor.state == state
         told = [str(one) for one in bench.notices()]
         assert any("the safe values were not written" in one for one in told)
+
+
+class Bad(Quiet):
+    """Its device raises what no driver should."""
+
+    def init(self) -> None:
+        super().init()
+        self.first = open_device("m", 1, mode=Mode.RW, safe={4: b"\0"})
+
+    def kill(self) -> None:
+        def fail() -> None:
+            raise ValueError("a driver of somebody")
+
+        self.memory.check = fail
+        self.memory.write = self.memory.disconnect = lambda *_: fail()
+
+
+def test_a_driver_that_raises_anything_keeps_no_other_device_from_being_safe(file):
+    with Bench(Bad) as bench:
+        bench.on()
+        bench.module.first.write(b"\1", 4)
+        with pytest.raises(MethodError, match="a driver of somebody"):
+            bench.executor.signal("kill")
+        assert bench.executor.state == "NOT-CREATED"
+    assert file.read_bytes()[4] == 0
+    assert not list(port_claims.users(database.entry("m"), range(4)))
 
 
 class Follows(PortBasedObject):
@@ -250,7 +308,7 @@ def test_a_device_is_safe_while_the_controller_is_lost(file):
 
 PROGRAM = """
 import os, sys, time
-from pbonet.io.drivers import Entry, Mode, database, open_device
+from pbonet.io.drivers import Entry, Mode, database, guard, open_device
 how, path = sys.argv[1:]
 with database.using({"m": Entry(driver="file", address=path, ports=4)}, "arm0/acts"):
     kept = open_device("m", mode=Mode.RW, safe={2: b"\\0\\7"})
@@ -262,6 +320,21 @@ with database.using({"m": Entry(driver="file", address=path, ports=4)}, "arm0/ac
         other.close()
         other = open_device("m", 1, mode=Mode.RW, safe=None)
         other.write(b"\\1" * 16)
+    if how == "replaced":  # what the first one knew is guarded by nobody
+        os.kill(guard.guard().pid, 9)
+        os.waitpid(guard.guard().pid, 0)
+        new = open_device("m", 3, mode=Mode.RW, safe={8: b"\\6"})
+        kept.close()
+        new.write(b"\\1" * 16)
+    if how == "lost":  # it did not answer in time, and still lives
+        guard.lose()
+        other.close()
+    if how == "copied":
+        if not (copy := os.fork()):
+            kept.close()
+            os._exit(0)
+        os.waitpid(copy, 0)
+        kept.write(b"\\1" * 16)
     if how == "forked" and not os.fork():
         time.sleep(60)
     print("ready", flush=True)
@@ -271,7 +344,14 @@ with database.using({"m": Entry(driver="file", address=path, ports=4)}, "arm0/ac
 """
 
 
-@pytest.mark.parametrize("how", ["killed", "closed", "forked", "ends", "group"])
+PORTS = {"replaced": [1, 3]}
+MADE_SAFE = {"closed": {2: 0, 3: 7}, "replaced": {8: 6}}
+"""The bytes that are safe afterwards, where it is not those of both devices."""
+
+
+@pytest.mark.parametrize(
+    "how", ["killed", "closed", "forked", "ends", "group", "replaced", "copied"]
+)
 def test_a_process_that_is_gone_leaves_safe_values_and_free_ports(file, how):
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM, how, str(file)],
@@ -281,9 +361,7 @@ def test_a_process_that_is_gone_leaves_safe_values_and_free_ports(file, how):
         start_new_session=True,
     ) as process:
         assert process.stdout.readline() == "ready\n"
-        entry = database.entry("m")
-        users = list(port_claims.users(entry, range(4)))
-        assert [one.port for one in users] == [0, 1, 2]
+        assert guarded() == PORTS.get(how, [0, 1])
         assert of(file) == b"\x01\x01"
         try:
             if how == "ends":
@@ -294,15 +372,12 @@ def test_a_process_that_is_gone_leaves_safe_values_and_free_ports(file, how):
             else:
                 process.kill()
             process.stdout.close()
-            wait_for(
-                lambda: not list(port_claims.users(entry, range(2))), "the ports free"
-            )
+            wait_for(lambda: not guarded(), "the ports free")
         finally:
             os.killpg(process.pid, signal.SIGKILL)
     written = bytearray(b"\x01" * 16)
-    written[2:4] = SAFE[2]
-    if how != "closed":
-        written[12] = 5
+    for at, value in MADE_SAFE.get(how, {2: 0, 3: 7, 12: 5}).items():
+        written[at] = value
     assert file.read_bytes() == bytes(written)
 
 
@@ -321,6 +396,46 @@ def test_a_device_that_does_not_answer_is_tried_again(file, tmp_path):
         assert list(port_claims.users(entry, range(2))), "it has not given up"
         (tmp_path / "elsewhere").rename(file)
         wait_for(lambda: of(file) == b"\x00\x07", "safe values")
+
+
+def test_a_guard_that_was_given_up_leaves_alone_what_others_have_opened(file):
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "lost", str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        with open_device("m", 1, mode=Mode.RW, safe=None) as other:
+            other.write(b"\1" * 16)
+            assert len(processes_of(GUARD, str(process.pid))) == 1
+            process.kill()
+            wait_for(
+                lambda: not processes_of(GUARD, str(process.pid)),
+                "the end of the guard",
+            )
+    assert file.read_bytes() == b"\1\1\0\7" + b"\1" * 12
+
+
+def test_a_port_whose_user_has_ended_is_waited_for(file, tmp_path):
+    """A task that comes back opens its device while the guard still has it."""
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "killed", str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        with pytest.raises(DeviceError, match=f"process {process.pid}"):
+            open_device("m", mode=Mode.RW, safe=None)
+        file.rename(tmp_path / "elsewhere")  # the guard has it until it is there
+        process.kill()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # it stays a zombie
+        back = threading.Timer(0.1, (tmp_path / "elsewhere").rename, [file])
+        back.start()
+        with open_device("m", mode=Mode.RW, safe=None):
+            assert of(file) == b"\x00\x07"
+        back.join()
 
 
 def test_a_guard_that_was_killed_is_replaced(file):
@@ -342,3 +457,25 @@ def test_where_there_can_be_no_guard_nothing_is_opened(monkeypatch):
     with pytest.raises(DeviceError, match="no process can guard the device"):
         open_device("m", mode=Mode.RW, safe=SAFE)
     assert not list(port_claims.users(database.entry("m"), range(4)))
+
+
+def test_a_replay_starts_no_guard_and_repeats_that_there_was_none(file, monkeypatch):
+    """The first opening has one, the second is refused, as the record says."""
+
+    def run():
+        open_device("m", mode=Mode.RW, safe=SAFE).close()
+        with monkeypatch.context() as here:
+            here.setattr(sys, "executable", "/no/python")
+            guard.lose()
+            with pytest.raises(DeviceError) as caught:
+                open_device("m", mode=Mode.RW, safe=SAFE)
+        return str(caught.value)
+
+    tape, player = Tape(), Player()
+    with recording(tape):
+        first = run()
+    file.unlink()
+    player.feed(tape.take())
+    monkeypatch.setattr(guard, "watch", None)
+    with no_devices("this is a replay"), recording(player):
+        assert run() == first
