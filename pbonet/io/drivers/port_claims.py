@@ -145,7 +145,9 @@ def _has_ended(user: User) -> bool:
     except OSError as error:
         return error.errno == errno.ESRCH
     try:
-        return bool(select.select([fd], [], [], 0)[0])
+        ended = select.poll()
+        ended.register(fd, select.POLLIN)
+        return bool(ended.poll(0))
     finally:
         os.close(fd)
 

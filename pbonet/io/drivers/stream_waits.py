@@ -7,7 +7,7 @@ import os
 import select
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from .modes import Wait
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 P = TypeVar("P")
 S = TypeVar("S", bound=Sequence[Any])
+_AGAIN: Final = 0.001
+"""Seconds after which what has no room is tried again."""
 
 
 def read_all(
@@ -99,12 +101,16 @@ def write_all(
     need = {Wait.ALL: len(data), Wait.ONE: min(len(data), 1)}.get(wait, 0)
     end = None if patience is None else time.monotonic() + patience
     while True:
-        done += give(cast("S", data[done:]))
+        given = give(cast("S", data[done:]))
+        done += given
         if done >= need:
             return done
         left = None if end is None else max(0.0, end - time.monotonic())
-        if not select.select([], [fd], [], left)[1]:
+        select.select([], [fd], [], left)
+        if end is not None and time.monotonic() >= end:
             raise no_room()
+        if not given:
+            time.sleep(_AGAIN)  # a bus may be writable, and yet have no room
 
 
 def no_room() -> OSError:

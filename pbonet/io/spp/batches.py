@@ -37,6 +37,8 @@ _RESULT: Final = struct.Struct("<QQqII")
 """Number, starts of the executive, stamp, bytes of the error, count of values."""
 _VALUE: Final = struct.Struct("<II")
 """Index of the variable, and bytes that follow."""
+_GOT, _PART = 1500, 400
+"""Bytes of an error's `got`, and of each of its other parts."""
 _PLACES: Final = 64
 _OTHERS: Final = 4096
 """Bytes of a batch for calls."""
@@ -90,14 +92,29 @@ class Batch:
 
     def call(self, index: int, arguments: Sequence[float | int]) -> None:
         """Add a call of a routine."""
+        begin, count = self._at, self._count
         at = self._command(CALL, index, _ARGUMENT_FLOAT.size * len(arguments))
         for one in arguments:
-            if isinstance(one, float):
-                _ARGUMENT_FLOAT.pack_into(self._bytes, at, _FLOAT, one)
-            else:
-                kind = _TRUTH if one is True or one is False else _INTEGER
-                _ARGUMENT_INTEGER.pack_into(self._bytes, at, kind, one)
+            try:
+                self._argument(at, one)
+            except (struct.error, OverflowError):
+                self._at, self._count = begin, count  # no call with other numbers
+                raise SppError(
+                    "an argument of a call cannot be passed",
+                    where=self._name,
+                    expected="a number of 64 bits",
+                    got=f"{type(one).__name__} {one!r:.40}",
+                    remedy="convert it, or write it to a variable",
+                ) from None
             at += _ARGUMENT_FLOAT.size
+
+    def _argument(self, at: int, value: object) -> None:
+        if isinstance(value, (float, np.floating)):
+            _ARGUMENT_FLOAT.pack_into(self._bytes, at, _FLOAT, value)
+        elif isinstance(value, (bool, np.bool_)):
+            _ARGUMENT_INTEGER.pack_into(self._bytes, at, _TRUTH, 1 if value else 0)
+        else:
+            _ARGUMENT_INTEGER.pack_into(self._bytes, at, _INTEGER, value)
 
     def _command(self, kind: int, index: int, size: int) -> int:
         """Add a command; return where its bytes go."""
@@ -189,7 +206,7 @@ def pack_result(
     error: PbonetError | None = None,
 ) -> bytes:
     """Return a result as bytes."""
-    text = msgspec.msgpack.encode(error.to_wire())[:_OTHERS] if error else b""
+    text = msgspec.msgpack.encode(short_wire(error)) if error else b""
     parts: list[bytes] = [
         _RESULT.pack(number, starts, stamp_ns, len(text), len(values)),
         text.ljust(_padded(len(text)), b"\0"),
@@ -198,6 +215,16 @@ def pack_result(
         parts.append(_VALUE.pack(index, len(data)))
         parts.append(data.ljust(_padded(len(data)), b"\0"))
     return b"".join(parts)
+
+
+def short_wire(error: PbonetError) -> dict[str, str]:
+    """Return an error as plain data that a result has room for, and as valid text."""
+    found: dict[str, str] = {}
+    for key in ("code", "what", "where", "expected", "got", "remedy"):
+        most = _GOT if key == "got" else _PART
+        text = str(getattr(error, key)).encode(errors="backslashreplace")[:most]
+        found[key] = text.decode(errors="ignore")
+    return found
 
 
 def unpack_result(data: bytes) -> Result:

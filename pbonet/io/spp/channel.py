@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 from msgspec import Struct
 
-from pbonet.errors import XmError, XmMissingError
+from pbonet.errors import SppError, XmError, XmMissingError
 from pbonet.outside import using as taping
 from pbonet.xm import Full, Queue, Segment, Semaphore, queue, segment, semaphore
 from pbonet.xm.ipc import names
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _NAMES: Final = 128
 _NAME: Final = 64
-_ABOUT: Final = 4096
+_ABOUT: Final = 1 << 16
 _LENGTH: Final = struct.Struct("<Q")
 _MANIFEST: Final = 1 << 16
 _COUNT: Final = struct.Struct("<Q")
@@ -108,6 +108,8 @@ class Hello(Struct, kw_only=True):
     library: str
     pid: int
     owner: str
+    is_loading: bool = False
+    """Whether an executive is loading its library, or ended while it did."""
 
 
 class Executive:
@@ -180,9 +182,28 @@ class ClientMemory:
             _write(self._segment, hello)
         self.buffers: Buffers | None = None
 
+    def say_loading(self, *, is_loading: bool) -> None:
+        """Note that its library is being loaded, for an executive after this one."""
+        if self.hello is not None:
+            self.hello.is_loading = is_loading
+            _write(self._segment, self.hello)
+
     def answer(self, manifest: dict[str, Any]) -> None:
-        """Tell the client what its library has, or why it cannot be used."""
+        """Tell the client what its library has, or why it cannot be used.
+
+        Raises:
+            SppError: It has too many variables and routines.
+            XmDestroyedError: The client has left.
+        """
         data = msgspec.msgpack.encode(manifest)
+        if len(data) > _MANIFEST:
+            raise SppError(
+                "the library has too many variables and routines",
+                where=self.hello.library if self.hello is not None else "",
+                expected=f"at most {_MANIFEST} bytes for names and shapes",
+                got=str(len(data)),
+                remedy="put several numbers into one variable",
+            )
         self._manifest.send(data, full=Full.DROP_OLDEST)
 
     def manifest(self, until_ns: int) -> dict[str, Any] | None:
@@ -201,7 +222,11 @@ class ClientMemory:
         if self.buffers is None:
             name = self._place.resource(f"{self.name}.buffers")
             with contextlib.suppress(XmMissingError):
-                self.buffers = Buffers(name)
+                found = Buffers(name)
+                if found.is_whole:
+                    self.buffers = found
+                else:
+                    found.close()
         return self.buffers
 
     @property
@@ -257,7 +282,7 @@ class Buffers:
         handed = name._replace(resource=f"{name.resource}.in")
         done = name._replace(resource=f"{name.resource}.out")
         if sizes is None:
-            # The segment is made last, so there is all of it or nothing.
+            # The segment is made last, and its sizes are written after that.
             self._segment = Segment.attach(name)
             self.handed_over = Semaphore.attach(handed)
             self.done = Semaphore.attach(done)
@@ -273,6 +298,11 @@ class Buffers:
             self._memory, _SIZES
         )
         self._results_at = _SLOTS_AT + self._depth * self._batch
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the client has written its sizes."""
+        return bool(self._depth and self._batch and self._result)
 
     def _number(self, at: int) -> int:
         return int(_COUNT.unpack_from(self._memory, at)[0])
@@ -339,6 +369,11 @@ class Buffers:
         _COUNT.pack_into(self._memory, at, len(result))
         _COUNT.pack_into(self._memory, _FINISHED, number)
         self.done.v()
+
+    def close(self) -> None:
+        """Detach."""
+        for one in (self._segment, self.handed_over, self.done):
+            one.close()
 
     def destroy(self) -> None:
         """Remove it."""

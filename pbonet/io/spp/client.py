@@ -42,15 +42,17 @@ class Reading:
     Attributes:
         value: What `Spp.read` transferred last, read-only; None before the first.
         stamp_ns: When that batch was done, as ``self.task.now``; 0 before the first.
+        is_stale: Whether the flag is up because of it.
     """
 
-    __slots__ = ("_spp", "index", "name", "stamp_ns", "value", "variable")
+    __slots__ = ("_spp", "index", "is_stale", "name", "stamp_ns", "value", "variable")
 
     def __init__(self, spp: Spp, index: int, name: str, variable: Variable) -> None:
         self._spp = spp
         self.index, self.name, self.variable = index, name, variable
         self.value: NDArray[Any] | None = None
         self.stamp_ns = 0
+        self.is_stale = False
 
     @property
     def age(self) -> float:
@@ -107,7 +109,7 @@ class Spp:
         self._depth = depth
         self._priority = priority
         self._submitted = self._done = 0
-        self._stale = False
+        self._left = False
         self._first_ns = 0
         self._error: Exception | None = None
         self._outside = Outside(f"spp {name}")
@@ -169,8 +171,18 @@ class Spp:
         Raises:
             SppError: They have another shape or type, or the batch is full.
         """
+        self._check(variable, Reading)
         about = variable.variable
-        new = np.asarray(values)
+        try:
+            new = np.asarray(values)
+        except ValueError as error:
+            raise SppError(
+                "the values are no array",
+                where=f"{self.name}: {variable.name}",
+                expected=str(about.shape),
+                got=str(error),
+                remedy="write the whole variable",
+            ) from None
         if new.shape != about.shape:
             raise SppError(
                 "the values have another shape than the variable",
@@ -195,8 +207,9 @@ class Spp:
         """Add to the batch: call a routine with these numbers.
 
         Raises:
-            SppError: The batch is full.
+            SppError: The batch is full, or one of them is no number of 64 bits.
         """
+        self._check(routine, Routine)
         self._batch.call(routine.which, numbers)
 
     def read(self, variable: Reading) -> Reading:
@@ -205,6 +218,7 @@ class Spp:
         Raises:
             SppError: A routine of a batch that is done now has failed.
         """
+        self._check(variable, Reading)
         self._batch.read(variable.index)
         self._await(1, 0)
         self._raise()
@@ -235,6 +249,7 @@ class Spp:
 
     def _await(self, count: int, until_ns: int | None) -> None:
         """Take results until fewer batches than `count` are under way."""
+        self._check_here()
         while self._submitted - self._done >= count and self._take(until_ns):
             pass
 
@@ -247,6 +262,7 @@ class Spp:
         Returns:
             Whether it is reserved now. What a client holds that dies is freed.
         """
+        self._check_here()
         return bool(self._outside.ask(self._lock, timeout, default=True))
 
     def _lock(self, timeout: float | None) -> bool:
@@ -254,11 +270,12 @@ class Spp:
 
     def release(self) -> None:
         """Give up exclusive use."""
-        if not self._outside.plays:
+        if not self._left and not self._outside.plays:
             self._way.release()
 
     def finish(self) -> None:
-        """Leave the processor; its other clients go on."""
+        """Leave the processor; its other clients go on. What follows is refused."""
+        self._left = True
         if not self._outside.plays:
             self._way.close()
 
@@ -271,6 +288,26 @@ class Spp:
         else:
             now = self._outside.ask(time.monotonic_ns)
         return max(0.0, (now - stamp_ns) * 1e-9)
+
+    def _check_here(self) -> None:
+        if self._left:
+            raise SppError(
+                "the processor is not in use",
+                where=self.name,
+                remedy="make a new Spp after finish()",
+            )
+
+    def _check(self, one: object, kind: type) -> None:
+        """Refuse what `translate` has not returned for this."""
+        if not isinstance(one, kind):
+            what = "routine" if kind is Routine else "variable"
+            raise SppError(
+                f"this is no {what}",
+                where=self.name,
+                expected=f"what translate() returned for a {what}",
+                got=getattr(one, "name", "") or f"{one!r:.40}",
+                remedy="call() takes routines; write() and read() take variables",
+            )
 
     # -- batches -----------------------------------------------------------------------
 
@@ -319,8 +356,8 @@ class Spp:
             return
         self._first_ns = self._first_ns or self._task.now
         stale = self.age_of(variable.stamp_ns or self._first_ns) > self.max_age
-        if stale != self._stale:
-            self._stale = stale
+        if stale != variable.is_stale:
+            variable.is_stale = stale
             cause = f"spp {self.name}: {variable.name} is too old"
             (self._task.illegal if stale else self._task.legal)(cause)
 

@@ -91,7 +91,7 @@ class Loaded:
             for index in wanted:
                 taken = self.back_end.taken(self._arrays[index])
                 values.append((index, taken.tobytes()))
-        except Exception as caught:  # noqa: BLE001 - whatever a routine raises
+        except (Exception, SystemExit) as caught:  # noqa: BLE001 - whatever it raises
             error, values = failed(f"the routine {routine}", caught), []
             self.is_lost = self._is_lost()
         stamp_ns = time.monotonic_ns()
@@ -137,17 +137,17 @@ class Execution:
         back_end = self.back_ends.choose(library, place)
         try:
             return Loaded(library, back_end, place)
-        except Exception as error:  # noqa: BLE001 - such as no room for a variable
-            raise failed("loading", error) from None
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - such as no memory
+            raise failed("loading", error, place) from None
 
 
-def failed(what: str, error: Exception) -> SppError:
+def failed(what: str, error: BaseException, place: str = "") -> SppError:
     """Return the error that a client gets for an exception of its library."""
     if isinstance(error, SppError):
         return error
     frames = traceback.extract_tb(error.__traceback__)
     last = next((one for one in reversed(frames) if _is_own(one.filename)), None)
-    where = f"{last.filename}:{last.lineno}" if last else ""
+    where = f"{last.filename}:{last.lineno}" if last else place
     return SppError(
         f"{what} of a library of kernels raised",
         where=where,

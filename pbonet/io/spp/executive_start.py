@@ -84,6 +84,11 @@ class Started:
         """Its prints, if they go to a pipe."""
         return self.process.stdout
 
+    def let_go(self) -> None:
+        """Close this process's end of the pipe, as in a fork of its parent."""
+        with contextlib.suppress(OSError):
+            os.close(self._life)
+
     def kill(self) -> None:
         """Kill it."""
         self.process.kill()
@@ -91,8 +96,7 @@ class Started:
     def wait(self) -> int:
         """Wait until it has ended; return its exit status."""
         code = self.process.wait()
-        with contextlib.suppress(OSError):
-            os.close(self._life)
+        self.let_go()
         return code
 
 
@@ -123,6 +127,16 @@ def ensure(config: ExecutiveConfig) -> None:
     found = _started.get(config.place)
     if found is None or found.process.poll() is not None:
         _started[config.place] = Started(config)
+
+
+def _after_fork() -> None:
+    """Leave the executives to the parent, in a child that was forked."""
+    for one in _started.values():
+        one.let_go()
+    _started.clear()
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 def end_all() -> None:

@@ -177,7 +177,7 @@ def load(place: str) -> Library:
         module = (
             _file(place) if place.endswith(".py") else importlib.import_module(place)
         )
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise SppError(
             "the library of kernels cannot be run",
             where=place,

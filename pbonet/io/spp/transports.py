@@ -70,7 +70,7 @@ class ProcessTransport:
     def __init__(self, name: str) -> None:
         self._name = name
         self._holds = False
-        self._taken = self._finished = 0
+        self._taken = 0
         self._executive: channel.Executive | None = None
         self._memory: channel.ClientMemory | None = None
 
@@ -142,12 +142,12 @@ class ProcessTransport:
         self._bell.v()
 
     def receive(self, until_ns: int | None) -> bytes | None:
-        while self._taken >= self._finished:
-            if not self._done(until_ns):
-                return None
-            self._finished = self._buffers.finished
-        self._taken += 1
-        return self._buffers.result(self._taken)
+        # One result for each P: what comes after it is visible with its own.
+        while self._done(until_ns):
+            if self._taken < self._buffers.finished:
+                self._taken += 1
+                return self._buffers.result(self._taken)
+        return None
 
     def _done(self, until_ns: int | None) -> bool:
         """Wait for a result while there is an executive, or one may come."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +64,8 @@ class WarpBackEnd(BackEnd):
         return found
 
     def prepare(self, module: str) -> None:
-        with contextlib.suppress(RuntimeError):  # it has no kernels of its own
-            self._wp.load_module(module, device=self._on)
+        # By its object: a library that has no kernels of its own is no error then.
+        self._wp.load_module(self._wp.get_module(module), device=self._on)
 
     def finish(self) -> None:
         self._wp.synchronize_device(self._on)

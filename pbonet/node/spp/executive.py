@@ -7,7 +7,7 @@ import signal
 import time
 from typing import TYPE_CHECKING, Final
 
-from pbonet.errors import PbonetError, XmDestroyedError, XmError
+from pbonet.errors import SppError, XmDestroyedError, XmError
 from pbonet.io.spp import batches, channel
 
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 DEVICE_LOST: Final = 3
 """Exit status when a back end cannot be used any more by this process."""
+LOAD_TIME: Final = 90.0
+"""Seconds after which loading a library ends this process; no client waits so long."""
 _IDLE_NS: Final = 500_000_000
 """How often it checks for clients that have died."""
 _LOCKED_NS: Final = 2_000_000
@@ -36,8 +38,22 @@ class _Client:
     def count(self) -> None:
         """Count the batches that it has handed over since."""
         buffers = self.memory.find_buffers()
-        while buffers is not None and buffers.handed_over.try_p():
+        if buffers is None:
+            return
+        while buffers.handed_over.try_p():
             self.waiting += 1
+        # One that was counted by `_adopt` before its V is not counted twice.
+        self.waiting = min(self.waiting, buffers.submitted - buffers.begun)
+
+
+def _refuse_what_ended_another(hello: channel.Hello) -> None:
+    """Refuse a library that was being loaded when the executive before this ended."""
+    if hello.is_loading:
+        raise SppError(
+            "the executive ended while it loaded the library",
+            where=hello.library,
+            remedy="correct what the file runs when it is loaded",
+        )
 
 
 class Executive:
@@ -132,15 +148,34 @@ class Executive:
         if memory.is_abandoned or memory.hello is None:
             memory.destroy()
             return None
-        try:
-            loaded = self._execution.load(memory.hello.library)
-        except PbonetError as error:
-            memory.answer({"error": error.to_wire()})
+        loaded = self._load(memory, memory.hello)
+        if loaded is None:
             return None
-        memory.answer(loaded.manifest())
         client = self._clients[name] = _Client(memory, loaded)
         self._say()
         return client
+
+    def _load(
+        self, memory: channel.ClientMemory, hello: channel.Hello
+    ) -> Loaded | None:
+        """Load a client's library, and answer it; None: it cannot be used."""
+        loaded: Loaded | None = None
+        try:
+            try:
+                _refuse_what_ended_another(hello)
+                memory.say_loading(is_loading=True)
+                signal.setitimer(signal.ITIMER_REAL, max(LOAD_TIME, self._longest))
+                loaded = self._execution.load(hello.library)
+                memory.answer(loaded.manifest())
+            except SppError as error:
+                loaded = None
+                memory.answer({"error": batches.short_wire(error)})
+            memory.say_loading(is_loading=False)
+        except XmDestroyedError:  # it did not wait so long
+            return None
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        return loaded
 
     def _check_clients(self) -> None:
         """Forget clients that have died; say how much was done."""

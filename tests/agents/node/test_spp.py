@@ -66,7 +66,7 @@ class Uses(PortBasedObject[How]):
     y: A[Vector, OutVar("Y", "2", "none", "what came back, and 1 in cycle")]
 
     def init(self) -> None:
-        self.spp = Spp("fpa", "kernels.py", task=self.task, max_age=0.3)
+        self.spp = Spp("fpa", "kernels.py", task=self.task, max_age=0.1)
         self.x, self.u = map(self.spp.translate, ("x", "u"))
         names = "update", "say", "hog", "endless"
         self.routines = {name: self.spp.translate(name) for name in names}

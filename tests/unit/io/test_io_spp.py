@@ -21,9 +21,11 @@ from watching import wait_for
 from pbonet.errors import SppError
 from pbonet.io import no_devices
 from pbonet.io.spp import (
+    Execution,
     Library,
     Spp,
     SppEntry,
+    batches,
     executive_start,
     processors,
     transports,
@@ -414,6 +416,133 @@ def test_clients_go_on_with_the_next_executive_of_the_name():
         idle.finish()
         spp.finish()
         assert not place.clients()
+
+
+@pytest.mark.parametrize("number", [np.float32(0.5), np.bool_(True), np.int16(3)])
+def test_numbers_of_numpy_are_passed_as_what_they_are(number):
+    batch = batches.Batch(5000, "fpa")
+    batch.call(0, (number, 1.0))
+    ((_, _, data),) = batches.commands(batch.end(1))
+    got, _ = batches.arguments(data)
+    assert (type(got), got) == (type(number.item()), number.item())
+
+
+def test_what_is_no_number_or_no_routine_is_refused_and_nothing_is_carried_out(spp):
+    fail, x = map(spp.translate, ("fail", "x"))
+    for wrong in (2**70, "text", None):
+        with pytest.raises(SppError, match="cannot be passed"):
+            spp.call(fail, wrong)
+    with pytest.raises(SppError, match="this is no routine"):
+        spp.call(x, 1.0)
+    with pytest.raises(SppError, match="this is no variable"):
+        spp.write(fail, 1.0)
+    with pytest.raises(SppError, match="no array"):
+        spp.write(x, [[1.0], [1.0, 2.0]])
+    assert spp.wait(None)
+
+
+def test_after_finish_each_use_is_refused(spp):
+    u = spp.translate("u")
+    spp.finish()
+    spp.finish()
+    spp.release()
+    for use_it in (lambda: spp.read(u), spp.wait, spp.lock):
+        with pytest.raises(SppError, match="not in use"):
+            use_it()
+
+
+RAISES = r"""
+import sys
+from pbonet.io.spp import Library
+library = Library()
+@library.routine("numpy")
+def long(m): raise ValueError("\U0001f600" * 1000)
+@library.routine("numpy")
+def odd(m): raise ValueError("\udc80")
+@library.routine("numpy")
+def leave(m): sys.exit(3)
+"""
+
+
+@pytest.mark.usefixtures("executive")
+def test_no_error_of_a_library_ends_the_executive(tmp_path):
+    path = tmp_path / "raises.py"
+    path.write_text(RAISES)
+    spp = Spp("fpa", str(path))
+    for name in ("long", "odd", "leave"):
+        spp.call(spp.translate(name))
+        with pytest.raises(SppError, match=f"routine {name} of a library"):
+            spp.wait(None)
+    many = "for i in range(5000): library.variable(f'variable_{i}')"
+    for text, said in {
+        "raise ValueError('x' * 100_000)": "xxx",
+        "raise ValueError('\\udc80')": "udc80",
+        "import sys; sys.exit(3)": "SystemExit",
+        f"from pbonet.io.spp import Library; library = Library()\n{many}": "too many",
+    }.items():
+        path.write_text(text)
+        with pytest.raises(SppError, match=said):
+            Spp("fpa", str(path))
+    spp.call(spp.translate("odd"))
+    with pytest.raises(SppError, match="udc80"):
+        spp.wait(None)
+    assert spp.starts == 1
+
+
+@pytest.mark.usefixtures("spp")
+def test_a_fork_of_the_program_leaves_the_executive_to_it():
+    (started,) = executive_start._started.values()
+    child = os.fork()
+    if not child:
+        is_open = Path(f"/proc/self/fd/{started._life}").exists()
+        os._exit(bool(executive_start._started) or is_open)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_each_variable_has_a_flag_of_its_own():
+    now = [1_000_000_000]
+    task = TaskContext("t", source=Counted(lambda: now[0]))
+    up = set()
+    task.on_illegal = lambda cause, *, up: said(cause, is_up=up)
+
+    def said(cause, *, is_up):
+        (up.add if is_up else up.discard)(cause)
+
+    with no_devices("this is a simulation"):
+        spp = Spp("fpa", str(KERNELS), task=task, max_age=0.1)
+        x, u = map(spp.translate, ("x", "u"))
+        for is_rare in (True, False, False, True, True):
+            now[0] += 90_000_000
+            for one in (x, u) if is_rare else (u,):
+                spp.read(one)
+            spp.wait()
+            if is_rare:
+                spp.read(x)
+            spp.read(u)
+            spp.wait()
+    assert not up
+
+
+@_needs("warp")
+def test_a_library_needs_no_kernels_of_warp_and_a_fault_of_one_has_its_line(tmp_path):
+    execution = Execution(SppEntry(driver="warp", device="cpu"), "fpa")
+    path = tmp_path / "without.py"
+    path.write_text(ONLY_WARP)
+    assert execution.load(str(path)).back_end.name == "warp"
+    path = tmp_path / "wrong.py"
+    path.write_text(ONLY_WARP + WRONG_KERNEL)
+    line = path.read_text().splitlines().index("    x[0] = wp.nothing_like()") + 1
+    with pytest.raises(SppError, match=f"{path}:{line}") as caught:
+        execution.load(str(path))
+    assert caught.value.where == str(path)
+
+
+WRONG_KERNEL = """
+import warp as wp
+@wp.kernel
+def wrong(x: wp.array(dtype=wp.float32)):
+    x[0] = wp.nothing_like()
+"""
 
 
 PAGE = Path(__file__).parents[3] / "docs" / "spp.md"
