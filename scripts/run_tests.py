@@ -1,7 +1,8 @@
 """Run every test; those of real time that fail are run once more, alone.
 
-Two at a time run where nothing is judged by how long it takes, those that wait long
-first; the rest has the machine to itself. A test of real agents or of real time that
+Where nothing is judged by how long it takes, two run at a time, those that take long
+first, and three of real agents, which wait more than they work; the rest has the
+machine to itself. A test of real agents or of real time that
 fails, and passes when it is run again, is printed as FLAKY: it is to be mended. More
 than a few such failures, or any other one, end with status 1.
 """
@@ -16,7 +17,8 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 CACHE: Final = ROOT / ".pytest_cache" / "v" / "cache" / "lastfailed"
-BESIDE: Final = ("deploy", "agents", "scripted", "unit", "property", "typing", "native")
+BESIDE: Final = ("deploy", "native", "scripted", "unit", "property", "typing")
+AGENTS: Final = ("agents",)
 ALONE: Final = ("integration", "hosts")
 REAL: Final = ("tests/agents/", "tests/integration/", "tests/hosts/")
 MOST_AGAIN: Final = 8
@@ -31,9 +33,10 @@ def run(*arguments: str) -> tuple[int, list[str]]:
 
 
 def main() -> int:
-    """Run both parts, then what failed of real time; return the exit status."""
+    """Run all parts, then what failed of real time; return the exit status."""
     parts = (
         run("-n", "2", "--dist", "worksteal", *(f"tests/{one}" for one in BESIDE)),
+        run("-n", "3", "--dist", "worksteal", *(f"tests/{one}" for one in AGENTS)),
         run(*(f"tests/{one}" for one in ALONE)),
     )
     failed = [test for _, tests in parts for test in tests]
