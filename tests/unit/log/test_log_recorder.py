@@ -171,6 +171,7 @@ def test_rings_that_no_recorder_comes_for_are_bounded_and_swept(
         _begin_to_stop=lambda: None,
         _server=None,
         _recorders=recorders,
+        _executives=SimpleNamespace(stop=lambda **_: None),
         _leave=lambda **_: None,
     )
     Agent.abandon(agent)
