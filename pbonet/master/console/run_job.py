@@ -294,8 +294,6 @@ class Run:
                 self._standstills.update(statuses)
                 events = self._take(listener)
                 self._view.show(passed, statuses, events)
-                fatal = [e.text for e in events if e.severity >= Severity.FATAL]
-                self._faults += fatal
                 if self._over(statuses, passed):
                     break
                 left = _PERIOD
@@ -307,8 +305,9 @@ class Run:
         return seen.last(subsystem.task_set.model.killed)
 
     def _take(self, listener: Listener) -> list[m.Event]:
-        """Return the new events, and show what modules printed."""
+        """Return the new events, show what modules printed, and note what is fatal."""
         events = listener.take()
+        self._faults += [one.text for one in events if one.severity >= Severity.FATAL]
         for one in events:
             if one.code == OUTPUT:
                 self._view.say(render.printed(one))
