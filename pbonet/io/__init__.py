@@ -29,8 +29,8 @@ device, so that the same code runs in real time, in simulation and in replay. On
     A robot that MuJoCo simulates, behind the interface a real one would have.
 ``mujoco_camera``
     A camera in a scene that MuJoCo draws: for executives only, since drawing takes
-    long; ``blobs`` finds the red thing in its pictures, and ``pinhole`` tells where
-    that is.
+    long; ``red_in_picture`` finds the red thing in its pictures, and ``pinhole`` tells
+    where that is.
 ``optional_packages``
     Packages that only some modules need.
 ``drivers``

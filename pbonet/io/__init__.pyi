@@ -1,7 +1,6 @@
 from pbonet.outside import Outside as Outside
 
 from .arm import SimulatedArm as SimulatedArm
-from .blobs import NOTHING as NOTHING, Blob as Blob, red_blob as red_blob
 from .chain import Chain as Chain
 from .floating_model import FloatingModel as FloatingModel
 from .magellan import AXES as AXES, Ball as Ball
@@ -18,6 +17,7 @@ from .policy import (
 )
 from .puma560 import PUMA560 as PUMA560
 from .recorded import RecordedBall as RecordedBall
+from .red_in_picture import NOTHING as NOTHING, Blob as Blob, red_blob as red_blob
 from .robot_model import RobotModel as RobotModel, find_file as find_file
 from .sample_file import Samples as Samples, read_samples as read_samples
 from .serial_line import SerialLine as SerialLine, SerialPort as SerialPort

@@ -57,19 +57,19 @@ class Axes(PortBasedObject[J], abstract=True, module_class="robot interface"):
 
     def _wish(self, dt: float) -> None:
         """Bring `_goal` to what the module reads."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _rest(self) -> None:
         """Make `_goal` what keeps the axes where they are."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _read_goal(self) -> Vector:
         """Return what the module reads."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _take_limits(self) -> None:
         """Take the limits of the parameters."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _is_sound(self) -> bool:
         """Return whether the goal is finite; else the task fails."""

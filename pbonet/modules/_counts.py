@@ -122,7 +122,7 @@ class Counts(PortBasedObject[S], abstract=True, module_class="sensor"):
 
     def _read(self, dt: float) -> Reading:
         """Return counts and index inputs."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _take_scale(self) -> None:
         k, n = self.params, len(self.q)

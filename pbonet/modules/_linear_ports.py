@@ -43,7 +43,7 @@ class LinearInput(PortBasedObject[L], abstract=True, module_class="sensor"):
 
     def _read(self, dt: float) -> "Sequence[int]":
         """Return the raw values; none if there is nothing new."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _take_law(self) -> None:
         self._scale, self._offset = law_of(self.params, len(self.y))
@@ -78,7 +78,7 @@ class LinearOutput(PortBasedObject[L], abstract=True, module_class="robot interf
 
     def _give(self, u: Vector, dt: float) -> None:
         """Give the device values, and say in Y which."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
     def _raw(self, u: Vector, low: float, high: float) -> Vector:
         """Return whole numbers for the device, within its ports' range."""
@@ -90,7 +90,7 @@ class LinearOutput(PortBasedObject[L], abstract=True, module_class="robot interf
 
     def _safe_values(self) -> Vector:
         """Return the values of `stable`."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: the module and its twin have their own
 
 
 FIXED = frozenset({"device", "port", "signed", "wait", "safe", "period", "bits"})

@@ -11,7 +11,7 @@ from .demands import (
     least as least,
     worst as worst,
 )
-from .names_on_rtpus import named_things as named_things, only_home as only_home
+from .devices_on_rtpus import named_things as named_things, only_home as only_home
 from .order import (
     change_order as change_order,
     flow_order as flow_order,

@@ -14,10 +14,10 @@ from msgspec import Struct, structs
 
 from pbonet.errors import VerificationError, did_you_mean
 
+from .devices_on_rtpus import check_names
 from .freshness import check_circles
 from .joins import check_ages, check_units
 from .misspelt import as_meant
-from .names_on_rtpus import check_names
 from .order import check_initialization
 from .parts import check_ports, check_task
 from .records import Code, Configuration, Problem, Severity, Task

@@ -28,7 +28,7 @@ from pbonet.errors import DeviceError
 from .device import Kind, Settings
 from .modes import Mode
 from .request_device import RequestDevice
-from .serial_turns import SharedLine
+from .shared_serial_line import SharedLine
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -16,7 +16,7 @@ from pbonet.errors import DeviceError
 
 from . import inet_sockets
 from .request_device import AT_ONCE, Line
-from .serial_turns import SharedLine
+from .shared_serial_line import SharedLine
 
 if TYPE_CHECKING:
     import socket
