@@ -1,13 +1,12 @@
 from pbonet.config import DRIVERS as DRIVERS, Entry as Entry
 
 from . import database as database, port_claims as port_claims
-from .device import (
-    Device as Device,
+from .device import Device as Device, Settings as Settings
+from .device_classes import (
     Frame as Frame,
     FrameDevice as FrameDevice,
     MemoryDevice as MemoryDevice,
     PortDevice as PortDevice,
-    Settings as Settings,
     StreamDevice as StreamDevice,
 )
 from .device_list import listed as listed

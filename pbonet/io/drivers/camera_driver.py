@@ -31,7 +31,8 @@ from msgspec import Meta
 
 from pbonet.errors import DeviceError
 
-from .device import MemoryDevice, Settings
+from .device import Settings
+from .device_classes import MemoryDevice
 from .modes import Mode, Wait
 
 SHARED: Final = "/dev/shm"  # noqa: S108 - shared memory is what is meant

@@ -20,7 +20,8 @@ from msgspec import Meta
 from pbonet.errors import DeviceError
 from pbonet.io import from_extra
 
-from .device import Device, Frame, FrameDevice, Settings
+from .device import Device, Settings
+from .device_classes import Frame, FrameDevice
 from .modes import Mode, Wait
 from .stream_waits import no_room
 

@@ -25,7 +25,8 @@ from msgspec import Meta
 from pbonet.errors import DeviceError
 from pbonet.io import from_extra
 
-from .device import MemoryDevice, Settings
+from .device import Settings
+from .device_classes import MemoryDevice
 from .modes import Mode
 
 _STATE_TIMEOUT: Final = 50_000

@@ -21,7 +21,8 @@ from msgspec import Meta
 from pbonet.errors import DeviceError
 from pbonet.io import from_extra
 
-from .device import Device, FrameDevice, Kind, PortDevice, Settings
+from .device import Device, Kind, Settings
+from .device_classes import FrameDevice, PortDevice
 from .modes import Mode
 from .stream_waits import read_pieces
 

@@ -17,7 +17,8 @@ from msgspec import Meta
 from pbonet.errors import DeviceError
 from pbonet.io import from_extra
 
-from .device import Kind, PortDevice, Settings
+from .device import Kind, Settings
+from .device_classes import PortDevice
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

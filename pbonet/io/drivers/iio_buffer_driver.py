@@ -25,7 +25,8 @@ from msgspec import Meta
 
 from pbonet.errors import DeviceError
 
-from .device import FrameDevice, Kind, Settings, convert
+from .device import Kind, Settings
+from .device_classes import FrameDevice, convert
 from .iio_driver import by_number
 from .modes import Mode
 from .stream_waits import read_pieces

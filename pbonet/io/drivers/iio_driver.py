@@ -20,7 +20,8 @@ from msgspec import Meta
 
 from pbonet.errors import DeviceError
 
-from .device import Kind, PortDevice, Settings
+from .device import Kind, Settings
+from .device_classes import PortDevice
 from .modes import Mode
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ from msgspec import Meta
 
 from pbonet.errors import DeviceError
 
-from .device import FrameDevice, Settings
+from .device import Settings
+from .device_classes import FrameDevice
 from .modes import Mode
 from .stream_waits import read_pieces, write_all
 

@@ -14,7 +14,8 @@ from typing import ClassVar
 
 from pbonet.errors import DeviceError
 
-from .device import MemoryDevice, Settings
+from .device import Settings
+from .device_classes import MemoryDevice
 from .modes import Mode
 
 

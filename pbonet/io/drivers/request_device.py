@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
 from pbonet.errors import DeviceError
 
-from .device import PortDevice
+from .device_classes import PortDevice
 from .modes import Wait
 
 if TYPE_CHECKING:

@@ -7,7 +7,8 @@ from typing import Any, ClassVar, Literal, NamedTuple
 from pbonet.errors import DeviceError
 from pbonet.io import SerialPort
 
-from .device import Settings, StreamDevice
+from .device import Settings
+from .device_classes import StreamDevice
 from .modes import Mode
 from .stream_waits import read_all, write_all
 

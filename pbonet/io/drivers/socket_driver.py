@@ -11,7 +11,8 @@ from abc import abstractmethod
 from typing import ClassVar
 
 from . import inet_sockets
-from .device import Settings, StreamDevice
+from .device import Settings
+from .device_classes import StreamDevice
 from .modes import Mode
 from .stream_waits import read_all, write_all
 

@@ -19,7 +19,8 @@ from msgspec import Meta
 from pbonet.errors import DeviceError
 from pbonet.io import from_extra
 
-from .device import Settings, StreamDevice
+from .device import Settings
+from .device_classes import StreamDevice
 from .modes import Mode, Wait
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from pbonet.io.drivers import (
     open_device,
     port_claims,
 )
-from pbonet.io.drivers.device import convert
+from pbonet.io.drivers.device_classes import convert
 from pbonet.io.drivers.serial_driver import SioParam
 from pbonet.master.tools import device_owners
 from pbonet.node.rtpu import cleanup
