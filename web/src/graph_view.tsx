@@ -1,0 +1,210 @@
+// The graph: frames, wires and their labels, and the variable that is looked at.
+import {
+  Background, BackgroundVariant, BaseEdge, Controls, EdgeLabelRenderer, MiniMap, ReactFlow, ReactFlowProvider, applyNodeChanges,
+  useReactFlow, useStore, type EdgeProps, type NodeChange,
+} from "@xyflow/react";
+import { memo, useCallback, useEffect, useMemo, useState } from "react";
+import { useClock } from "./controls";
+import { want } from "./connection";
+import { clock, number, seconds, unitText } from "./format";
+import { drawing, refit, shouldCompact, taskId, wirePath, type AnyNode, type Drawing, type WireEdge } from "./graph_layout";
+import { live, useGraph, useLive, useStale, useValue } from "./live_state";
+import { FrameCard, OtherCard, TaskCard } from "./node_cards";
+import { page, usePage } from "./page_state";
+import { parseSeries } from "./series";
+
+const FAR = 0.42;
+const NODE_TYPES = { task: TaskCard, frame: FrameCard, other: OtherCard };
+const EDGE_TYPES = { wire: memo(Wire) };
+
+/** How many labels of a variable are mounted, to watch only what is visible. */
+const labels = new Map<string, number>();
+let labelsTold: ReturnType<typeof setTimeout> | null = null;
+function countLabel(variable: string, by: 1 | -1): void {
+  const count = (labels.get(variable) ?? 0) + by;
+  if (count) labels.set(variable, count); else labels.delete(variable);
+  labelsTold ??= setTimeout(() => { labelsTold = null; want("graph", [...labels.keys()]); }, 120);
+}
+
+function Wire(props: EdgeProps<WireEdge>) {
+  const data = props.data!;
+  const first = data.variables[0] ?? "";
+  const stale = useStale(data.kind === "constant" ? "" : first);
+  const [path, x, y] = data.kind === "fallback"
+    ? archPath(props) : wirePath([props.sourceX, props.sourceY], data.points, [props.targetX, props.targetY]);
+  const marker = data.kind === "device" ? undefined : "url(#arrow)";
+  return (
+    <>
+      <BaseEdge id={props.id} path={path} markerEnd={marker} interactionWidth={14}
+        className={`wire wire-${data.kind}${stale ? " stale" : ""}${props.selected ? " chosen" : ""}`} />
+      {data.labelled && <Label variables={data.variables} kind={data.kind} x={x} y={y} />}
+    </>
+  );
+}
+
+function archPath({ sourceX, sourceY, targetX, targetY }: EdgeProps): [string, number, number] {
+  const top = Math.min(sourceY, targetY) - 46;
+  return [`M${sourceX},${sourceY}C${sourceX},${top} ${targetX},${top} ${targetX},${targetY}`, (sourceX + targetX) / 2, top + 11];
+}
+
+function Label({ variables, kind, x, y }: { variables: string[]; kind: string; x: number; y: number }) {
+  const far = useStore((state) => state.transform[2] < FAR);
+  if (far) return null;
+  const place = { transform: `translate(-50%,-50%) translate(${x}px,${y}px)` };
+  const [only, ...more] = variables;
+  return (
+    <EdgeLabelRenderer>
+      <div className={`wire-label wire-label-${kind} nodrag nopan`} style={place}>
+        {kind === "fallback" ? "fallback of" : more.length ? `${variables.length} variables` : only && <VariableLabel name={only} constant={kind === "constant"} />}
+      </div>
+    </EdgeLabelRenderer>
+  );
+}
+
+function VariableLabel({ name, constant }: { name: string; constant: boolean }) {
+  useEffect(() => {
+    if (constant) return undefined;
+    countLabel(name, 1);
+    return () => countLabel(name, -1);
+  }, [name, constant]);
+  return (
+    <button type="button" tabIndex={-1} onMouseEnter={() => page.hover(name)} onMouseLeave={() => page.hover("")}
+      onClick={() => page.pin(name)} title={live.variables.get(name)?.desc ?? name}>
+      {name}{!constant && <Age name={name} />}
+    </button>
+  );
+}
+
+/** How old a value is, and whether it is stale. */
+export function Age({ name }: { name: string }) {
+  const value = useValue(name);
+  useClock();
+  if (!value) return null;
+  if (value.age === null) return <span className="age live">never written</span>;
+  const age = Math.max(0, live.now() - value.t);
+  return <span className={`age live${value.stale ? " stale" : ""}`}>{value.stale ? "stale " : ""}{age < 0.1 ? "now" : age < 100 ? `${age.toFixed(1)} s` : seconds(age)}</span>;
+}
+
+/** The values of the variable under the mouse, or of the one that was clicked. */
+function Inspector() {
+  usePage("inspected");
+  const name = page.inspected;
+  const value = useValue(name);
+  const about = live.variables.get(name);
+  if (!about) return null;
+  const unit = unitText(about.unit);
+  return (
+    <section className="inspector" aria-label={`variable ${name}`}>
+      <header>
+        <b>{name}</b>{unit && <span className="unit">{unit}</span>}
+        {page.pinned === name && <button type="button" className="close" aria-label="close" onClick={() => page.pin(name)}>×</button>}
+      </header>
+      <p>{about.desc}</p>
+      <ol className="elements live" start={0}>
+        {(value?.v ?? []).slice(0, 36).map((one, k) => <li key={k}><span>{k}</span>{number(one)}</li>)}
+        {about.n > 36 && <li>… {about.n} in all</li>}
+      </ol>
+      {!value && <p className="dim">no value has come yet</p>}
+      <p className="dim">
+        {value?.writer ? `written by ${value.writer}` : about.writers.length ? `${about.writers.join(", ")} can write it` : "no task writes it"}
+        {about.readers.length ? `, read by ${about.readers.join(", ")}` : ""}
+        {value && value.age !== null && <> · {clock(value.t)} · <Age name={name} /></>}
+      </p>
+      <button type="button" onClick={() => page.addSeries(parseSeries(name, live.variables))}>plot</button>
+    </section>
+  );
+}
+
+function Flow() {
+  const graph = useGraph();
+  const choice = usePage("drawing");
+  usePage("selected");
+  const role = useLive("hello");
+  const flow = useReactFlow<AnyNode, WireEdge>();
+  const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
+  const made = useMemo<Drawing>(
+    () => (graph ? drawing(graph, { compact, folded: page.folded, operator: live.steers }) : { nodes: [], edges: [] }),
+    [graph, compact, choice, role], // eslint-disable-line -- `choice` and `role` stand for what is outside of React
+  );
+  const [now, setNow] = useState(made);
+  useEffect(() => { setNow(made); }, [made]);
+  const shape = made.nodes.length;
+  useEffect(() => { if (shape) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 })); }, [shape, compact, flow]);
+
+  const selected = page.selected;
+  const nodes = useMemo(() => {
+    const chosen = new Set(selected.map(taskId));
+    return now.nodes.map((one) => (one.type === "task" && Boolean(one.selected) !== chosen.has(one.id) ? { ...one, selected: chosen.has(one.id) } : one));
+  }, [now.nodes, selected]);
+
+  const changed = useCallback((changes: NodeChange<AnyNode>[]) => {
+    const moves = changes.filter((one) => one.type === "position" || one.type === "dimensions");
+    if (moves.length) setNow((before) => ({ ...before, nodes: applyNodeChanges(moves, before.nodes) }));
+    const picks = changes.filter((one) => one.type === "select");
+    if (!picks.length) return;
+    const kept = new Set(page.selected);
+    for (const one of picks) {
+      const name = one.id.replace(/^task /, "");
+      if (one.selected) kept.add(name); else kept.delete(name);
+    }
+    page.select([...kept]);
+  }, []);
+
+  return (
+    <ReactFlow<AnyNode, WireEdge>
+      nodes={nodes} edges={now.edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
+      onNodeDragStop={() => setNow((before) => refit(before.nodes, before.edges))}
+      onNodeDoubleClick={(_, node) => { if (node.type === "task") page.openTask(node.data.task.name); }}
+      onEdgeMouseEnter={(_, edge) => page.hover(edge.data!.variables[0] ?? "")} onEdgeMouseLeave={() => page.hover("")}
+      onEdgeClick={(_, edge) => { const name = edge.data!.variables[0]; if (name) page.pin(name); }}
+      onlyRenderVisibleElements nodesConnectable={false} deleteKeyCode={null} minZoom={0.08} maxZoom={2.5}
+      colorMode="system" proOptions={{ hideAttribution: true }} elevateNodesOnSelect={false}
+      multiSelectionKeyCode={["Meta", "Control", "Shift"]} selectionKeyCode={null} zoomOnDoubleClick={false}
+    >
+      <svg className="markers" aria-hidden="true"><defs>
+        <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" orient="auto">
+          <path d="M0 1 9 5 0 9Z" />
+        </marker>
+      </defs></svg>
+      <Background variant={BackgroundVariant.Dots} gap={22} size={1} />
+      <Controls showInteractive={false} />
+      {made.nodes.length > 30 && <MiniMap<AnyNode> pannable zoomable nodeClassName={(node) => `mini-${node.type ?? ""}`} ariaLabel="map of the graph" />}
+    </ReactFlow>
+  );
+}
+
+/** Sets a class when the drawing is so small that its small words cannot be read. */
+function Frame() {
+  const far = useStore((state) => state.transform[2] < FAR);
+  const graph = useGraph();
+  usePage("drawing");
+  const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
+  return (
+    <section className={`graph${far ? " far" : ""}`} aria-label="graph of tasks and variables">
+      <Flow />
+      <div className="graph-tools">
+        <button type="button" aria-pressed={compact} onClick={() => page.setCompact(!compact)} title="show tasks without their ports">compact</button>
+        <Legend />
+      </div>
+      {graph && !graph.tasks.length && <p className="empty">No task exists yet. Create one with “spawn”, or start a job.</p>}
+      {!graph && <p className="empty">{live.hello ? "waiting for the graph" : "connecting to the server"}</p>}
+      <Inspector />
+    </section>
+  );
+}
+
+function Legend() {
+  return (
+    <details className="legend">
+      <summary>legend</summary>
+      <ul>
+        {([["variable", "variable"], ["constant", "constant"], ["link", "link to another subsystem"], ["device", "device"], ["fallback", "fallback of a task"]] as const)
+          .map(([kind, text]) => <li key={kind}><svg viewBox="0 0 40 8" aria-hidden="true"><path className={`wire wire-${kind}`} d="M0 4H40" /></svg>{text}</li>)}
+        <li><svg viewBox="0 0 40 8" aria-hidden="true"><path className="wire stale" d="M0 4H40" /></svg>stale: not written within its MAXAGE</li>
+        <li>double click, or Enter on a selected task: its details; Ctrl and click: select several</li>
+      </ul>
+    </details>
+  );
+}
+
+export function GraphView() { return <ReactFlowProvider><Frame /></ReactFlowProvider>; }

@@ -1,0 +1,10 @@
+// Starts the page.
+import { createRoot } from "react-dom/client";
+import "@xyflow/react/dist/style.css";
+import "uplot/dist/uPlot.min.css";
+import "./app.css";
+import { App } from "./app";
+import { connect } from "./connection";
+
+createRoot(document.getElementById("root")!).render(<App />);
+connect();

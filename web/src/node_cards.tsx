@@ -1,0 +1,162 @@
+// The cards of the graph: tasks, RTPUs, other subsystems and devices.
+import { Handle, Position, type NodeProps } from "@xyflow/react";
+import { memo } from "react";
+import { SignalButtons, StateMark, TaskState } from "./controls";
+import { field, short } from "./format";
+import { inHandle, outHandle, portRows, portTop, type FrameNode, type OtherNode, type TaskNode } from "./graph_layout";
+import { live, useLive, useRtpu, useTask } from "./live_state";
+import { page } from "./page_state";
+import type { Port, State, TaskInfo } from "./protocol";
+
+export const TaskCard = memo(function TaskCard({ data }: NodeProps<TaskNode>) {
+  return data.compact ? <SmallCard task={data.task} faulty={data.faulty} /> : <WholeCard task={data.task} faulty={data.faulty} />;
+});
+
+function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
+  const status = useTask(task.name);
+  return (
+    <article className={`card small ${stateClass(status?.state)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
+      <header><TaskState task={task.name} word={false} /><b className="name">{task.name}</b></header>
+      <div className="line live"><span className="word">{status?.state ?? "?"}</span><span>{rate(status?.fields)}</span></div>
+      <Handle type="target" id="in" position={Position.Left} isConnectable={false} />
+      <Handle type="source" id="out" position={Position.Right} isConnectable={false} />
+      <SideHandles />
+    </article>
+  );
+}
+
+function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
+  const status = useTask(task.name);
+  const { ins, outs } = portRows(task);
+  const rows = Math.max(ins.length, outs.length, 1);
+  return (
+    <article className={`card ${stateClass(status?.state)}`} title={task.desc}>
+      <header>
+        <TaskState task={task.name} />
+        <b className="name">{task.name}</b>
+        <Warnings task={task.name} />
+      </header>
+      <div className="kind">{[task.module !== task.name && task.module, task.parts.length > 0 && task.parts.join(" + "), task.class, kindOf(task)].filter(Boolean).join(" · ")}</div>
+      <div className="ports" style={{ height: rows * 22 }}>
+        <ul>{ins.map((one) => <PortName key={one.variable} port={one} faulty={faulty.includes(one.variable)} />)}</ul>
+        <ul className="right">{outs.map((one) => <PortName key={one.variable} port={one} faulty={faulty.includes(one.variable)} />)}</ul>
+      </div>
+      {ins.map((one, k) => <Handle key={one.variable} type="target" id={inHandle(one.variable)} position={Position.Left} isConnectable={false} style={{ top: portTop(k) }} className={one.constant ? "constant" : ""} />)}
+      {outs.map((one, k) => <Handle key={one.variable} type="source" id={outHandle(one.variable)} position={Position.Right} isConnectable={false} style={{ top: portTop(k) }} className={one.constant ? "constant" : ""} />)}
+      <SideHandles />
+      <Figures task={task.name} />
+      <SignalButtons task={task.name} />
+      <Notes task={task.name} />
+    </article>
+  );
+}
+
+function SideHandles() {
+  return (
+    <>
+      <Handle type="target" id="device" position={Position.Left} isConnectable={false} style={{ top: 20 }} className="hidden" />
+      <Handle type="source" id="fallback-out" position={Position.Top} isConnectable={false} style={{ left: "65%" }} className="hidden" />
+      <Handle type="target" id="fallback-in" position={Position.Top} isConnectable={false} style={{ left: "35%" }} className="hidden" />
+    </>
+  );
+}
+
+const stateClass = (state: State | undefined): string => `is-${(state ?? "unknown").toLowerCase()}`;
+const kindOf = (task: TaskInfo): string => (task.freq ? `${task.type} ${short(task.freq)} Hz` : task.type);
+function rate(fields: Record<string, unknown> | undefined): string {
+  if (!fields || typeof fields.mezF !== "number") return "";
+  return typeof fields.refF === "number" ? `${short(fields.mezF)} / ${short(fields.refF)} Hz` : `${short(fields.mezF)} Hz`;
+}
+
+function PortName({ port, faulty }: { port: Port; faulty: boolean }) {
+  const faults = faulty ? live.graph?.faults.filter((one) => one.variables.includes(port.variable) || one.ports.some((each) => each.endsWith(port.port))) : undefined;
+  const about = faults?.map((one) => `${one.text}\n${one.remedy}`).join("\n");
+  return (
+    <li
+      className={`${port.constant ? "constant" : ""}${faulty ? " faulty" : ""}`}
+      title={about ?? `${port.port}${port.port === port.variable ? "" : ` stands for ${port.variable}`} [${port.unit}], ${port.type} ${port.shape.join("×")}${port.constant ? ", a constant" : ""}`}
+      onMouseEnter={() => page.hover(port.variable)} onMouseLeave={() => page.hover("")} onClick={() => page.pin(port.variable)}
+    >{faulty && <span className="fault-sign" role="img" aria-label="fault">!</span>}{port.variable}</li>
+  );
+}
+
+function Warnings({ task }: { task: string }) {
+  const status = useTask(task);
+  if (!status?.warning && !status?.timing) return null;
+  return <span className="warn-sign" role="img" aria-label="warning" title={[status.warning, status.timing].filter(Boolean).join("\n")}>⚠</span>;
+}
+
+/** Hz measured and wanted, CPU, misses and failures. */
+function Figures({ task }: { task: string }) {
+  const status = useTask(task);
+  const fields = status?.fields;
+  if (!fields || status.state === "NOT-CREATED") return <div className="figures" />;
+  const count = (name: string, word: string) => {
+    const value = fields[name];
+    return typeof value === "number" ? <span className={value ? "bad" : ""}><b>{value}</b> {word}</span> : null;
+  };
+  return (
+    <div className="figures live">
+      <div><span className="rate">{rate(fields) || "–"}</span><span>CPU {field(fields.avgU, "%")}</span></div>
+      <div>{typeof fields.cycle === "number" && <span><b>{fields.cycle}</b> cycles</span>}{count("miss", "missed")}{count("failed", "failed")}</div>
+    </div>
+  );
+}
+
+/** Errors and warnings in full, below the card. */
+function Notes({ task }: { task: string }) {
+  const status = useTask(task);
+  if (!status) return null;
+  const notes: [string, string][] = [
+    ["error", status.error], ["warning", status.warning], ["timing", status.timing], ["waits", status.waits],
+    ["standby", status.standby], ["restarted", status.restarted],
+  ];
+  const there = notes.filter(([, text]) => text);
+  if (!there.length) return null;
+  return <div className="notes live">{there.map(([kind, text]) => <p key={kind} className={`note note-${kind}`}><b>{kind}</b> {text}</p>)}</div>;
+}
+
+export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>) {
+  const status = useRtpu(data.rtpu);
+  const load = status ? Math.round(status.load * 100) : null;
+  return (
+    <section className={`frame${data.folded ? " folded" : ""}${status?.silent ? " silent" : ""}${status?.illegal.length ? " illegal" : ""}`}>
+      <header className="nodrag">
+        <button type="button" className="fold nopan" aria-expanded={!data.folded} title={data.folded ? "show its tasks" : "fold its tasks into one card"}
+          aria-label={`${data.folded ? "unfold" : "fold"} ${data.rtpu}`} onClick={() => page.fold(data.rtpu)}>{data.folded ? "▸" : "▾"}</button>
+        <b>{data.rtpu}</b>
+        <span className="dim">{[status?.scheduler, status?.backend, data.keeper && "keeps the table"].filter(Boolean).join(" · ")}</span>
+        {load !== null && <span className="load live" title="share of the core that its tasks took over the last second"><i style={{ width: `${Math.min(100, load)}%` }} />{load} %</span>}
+        {status?.silent && <span className="badge bad">does not answer</span>}
+        {Boolean(status?.stalls) && <span className="badge warn" title="how often its core stood still">{status?.stalls} stalls</span>}
+      </header>
+      {data.folded && <Counts tasks={data.tasks} />}
+      <Handle type="target" id="in" position={Position.Left} isConnectable={false} className="hidden" />
+      <Handle type="source" id="out" position={Position.Right} isConnectable={false} className="hidden" />
+    </section>
+  );
+});
+
+/** How many tasks of a folded RTPU are in which state. */
+function Counts({ tasks }: { tasks: string[] }) {
+  useLive("status");
+  const states: State[] = ["ON", "OFF", "ERROR", "NOT-CREATED"];
+  return (
+    <p className="counts live">
+      {states.map((state) => {
+        const count = tasks.filter((one) => live.tasks.get(one)?.state === state).length;
+        return count ? <span key={state}><StateMark state={state} word={false} /> {count} {state}</span> : null;
+      })}
+    </p>
+  );
+}
+
+export const OtherCard = memo(function OtherCard({ data }: NodeProps<OtherNode>) {
+  return (
+    <div className={`other other-${data.what}`}>
+      <small>{data.what}</small><b>{data.name}</b>
+      <Handle type="target" id="in" position={Position.Left} isConnectable={false} className="hidden" />
+      <Handle type="source" id="out" position={Position.Right} isConnectable={false} className="hidden" />
+    </div>
+  );
+});

@@ -1,0 +1,86 @@
+// The messages between the page and its server, as docs and server define them.
+
+export type State = "OFF" | "ON" | "ERROR" | "NOT-CREATED";
+export type Role = "operator" | "observer";
+export type Severity = "debug" | "info" | "warning" | "error" | "fatal";
+export type Field = string | number | boolean | null;
+
+export interface Arg { name: string; kind: string; doc: string; use: string; last: boolean }
+export interface Command {
+  name: string; usage: string; help: string; changes: boolean;
+  examples: [string, string][]; args: Arg[];
+}
+export interface FieldInfo { name: string; unit: string; doc: string }
+export interface LogInfo { file: string; begin: number; end: number }
+export interface Hello {
+  kind: "hello"; role: Role; name: string; job: string; version: string; now: number;
+  commands: Command[]; fields: FieldInfo[]; log: LogInfo | null;
+}
+
+export interface Port { port: string; variable: string; constant: boolean; unit: string; shape: number[]; type: string }
+export interface ParamInfo {
+  name: string; unit: string; desc: string; shape: number[];
+  low: number | null; high: number | null; value: unknown;
+}
+export interface TaskInfo {
+  name: string; module: string; class: string; desc: string; rtpu: string; freq: number;
+  type: string; crit: string; fallback_of: string; parts: string[]; devices: string[];
+  ins: Port[]; outs: Port[]; params: ParamInfo[]; rmod_file: string;
+}
+export interface Variable {
+  name: string; desc: string; unit: string; type: string; shape: number[]; n: number;
+  constant: boolean; writers: string[]; readers: string[];
+}
+export interface Wire { variable: string; from: string; to: string; constant: boolean }
+export interface Link { name: string; variable: string; direction: "in" | "out"; to?: string; from?: string }
+export interface Fault { text: string; tasks: string[]; variables: string[]; ports: string[]; remedy: string }
+export interface Graph {
+  name: string; job: string; rtpus: { name: string; scheduler: string; keeper: boolean }[];
+  tasks: TaskInfo[]; variables: Variable[]; wires: Wire[]; links: Link[]; faults: Fault[];
+}
+
+export interface TaskStatus {
+  task: string; rtpu: string; state: State; signals: string[]; fields: Record<string, Field>;
+  error: string; warning: string; timing: string; waits: string; standby: string; restarted: string;
+}
+export interface RtpuStatus {
+  rtpu: string; backend: string; scheduler: string; util: number; dispatcher: number;
+  illegal: string[]; silent: boolean; stalls: number; load: number;
+}
+export interface Value { t: number; v: (number | null)[]; writer: string; age: number | null; stale: boolean }
+export interface PbonetEvent {
+  n: number; t: number; task: string; rtpu: string; severity: Severity; code: string; text: string;
+}
+
+export interface StatusMessage {
+  kind: "status"; t: number; whole: boolean; rtpus: RtpuStatus[]; tasks: TaskStatus[]; gone: string[];
+}
+export interface Answer {
+  kind: "answer"; id: number; ok: boolean; text: string; warnings: string[];
+  data: Record<string, unknown> | null;
+}
+export type Message =
+  | Hello
+  | { kind: "graph"; graph: Graph }
+  | { kind: "history"; values: Record<string, { t: number[]; v: (number | null)[][] }>; events?: PbonetEvent[] }
+  | StatusMessage
+  | { kind: "values"; t: number; values: Record<string, Value> }
+  | { kind: "events"; events: PbonetEvent[] }
+  | { kind: "complaints"; texts: string[] }
+  | Answer
+  | { kind: "progress"; id: number; text: string; seconds: number }
+  | { kind: "refused"; text: string };
+
+/** What `swap` and `switch` give: the steps from one configuration to another. */
+export interface Transition {
+  stays: string[]; spawns: Record<string, string>; items: [string, string][]; kills: string[];
+  replaces: Record<string, string[]>; conditions: string[]; states: Record<string, string>;
+}
+/** One parameter as `get` and `set` give it. */
+export interface ParamValue { name: string; value: unknown; type: string; unit: string; doc: string; bounds: string }
+/** One task as `profile` gives it. */
+export interface TaskProfile {
+  task: string; counted: number; least: number | null; most: number | null;
+  quantiles: Record<string, number | null>; delays: Record<string, number | null>;
+  declared: Record<string, number | null>; psi: [number, number][];
+}

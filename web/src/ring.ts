@@ -1,0 +1,77 @@
+// The newest samples of one variable, with their times.
+
+export class Ring {
+  private readonly times: Float64Array;
+  private readonly values: Float64Array;
+  private first = 0;
+  private count = 0;
+
+  /** Keeps up to `capacity` samples of `width` elements each. */
+  constructor(readonly width: number, readonly capacity = 4096) {
+    this.times = new Float64Array(capacity);
+    this.values = new Float64Array(capacity * width);
+  }
+
+  get length(): number { return this.count; }
+  get newest(): number { return this.count ? this.time(this.count - 1) : -Infinity; }
+
+  time(k: number): number { return this.times[(this.first + k) % this.capacity]!; }
+  value(k: number, element: number): number {
+    return this.values[((this.first + k) % this.capacity) * this.width + element]!;
+  }
+
+  /** Adds a sample; one that is not newer than the newest is ignored. Returns whether it was added. */
+  push(t: number, v: readonly (number | null)[]): boolean {
+    if (this.count && t <= this.newest) return false;
+    const place = (this.first + this.count) % this.capacity;
+    if (this.count === this.capacity) this.first = (this.first + 1) % this.capacity;
+    else this.count += 1;
+    this.times[place] = t;
+    for (let e = 0; e < this.width; e++) this.values[place * this.width + e] = v[e] ?? NaN;
+    return true;
+  }
+
+  /** Puts older samples before those that are here already. */
+  putHistory(t: readonly number[], v: readonly (readonly (number | null)[])[]): void {
+    const kept: [number, number[]][] = [];
+    for (let k = 0; k < this.count; k++) {
+      kept.push([this.time(k), Array.from({ length: this.width }, (_, e) => this.value(k, e))]);
+    }
+    this.clear();
+    t.forEach((time, k) => this.push(time, v[k] ?? []));
+    for (const [time, sample] of kept) this.push(time, sample);
+  }
+
+  copy(): Ring {
+    const made = new Ring(this.width, this.capacity);
+    made.times.set(this.times);
+    made.values.set(this.values);
+    made.first = this.first;
+    made.count = this.count;
+    return made;
+  }
+
+  clear(): void { this.first = 0; this.count = 0; }
+
+  /** Returns the place of the first sample at `t` or later; `length` if there is none. */
+  indexOf(t: number): number {
+    let low = 0, high = this.count;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.time(middle) < t) low = middle + 1; else high = middle;
+    }
+    return low;
+  }
+
+  /** Returns times and one element between two times, with one sample before and after. */
+  between(element: number, from: number, to: number): [number[], (number | null)[]] {
+    const times: number[] = [], values: (number | null)[] = [];
+    for (let k = Math.max(0, this.indexOf(from) - 1); k < this.count; k++) {
+      const t = this.time(k), v = this.value(k, element);
+      times.push(t);
+      values.push(Number.isNaN(v) ? null : v);
+      if (t > to) break;
+    }
+    return [times, values];
+  }
+}

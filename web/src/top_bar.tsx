@@ -1,0 +1,110 @@
+// What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded run.
+import { useEffect, useState } from "react";
+import { play, seek, stop } from "./connection";
+import { useClock, useGlobalKey } from "./controls";
+import { clock } from "./format";
+import { illegalCauses, live, useGraph, useLive } from "./live_state";
+import type { Answer } from "./protocol";
+
+export const STOP_KEY = "F8";
+
+export function TopBar() {
+  useLive("hello");
+  useLive("link");
+  const hello = live.hello;
+  return (
+    <header className="top">
+      <div className="who">
+        <h1>{hello?.name ?? "pbonet"}</h1>
+        {hello?.job && <span className="dim">job {hello.job}</span>}
+        {hello && <Role />}
+      </div>
+      <Flag />
+      <LinkState />
+      {live.steers && <Stop />}
+    </header>
+  );
+}
+
+function Role() {
+  if (live.log) return <span className="badge">recorded run</span>;
+  return live.role === "observer"
+    ? <span className="badge" title="the link that this page was opened with lets you look, not steer">observer: looks only</span>
+    : <span className="badge">operator</span>;
+}
+
+function LinkState() {
+  useClock();
+  if (live.link === "live") return <span className="link-state ok"><i aria-hidden="true" />{live.log ? "recorded" : "live"} <time>{live.now() ? clock(live.now(), 0) : ""}</time></span>;
+  return <span className="link-state lost"><i aria-hidden="true" />{live.link === "lost" ? "connection lost" : "connecting"}</span>;
+}
+
+function Flag() {
+  useLive("status");
+  if (!live.rtpus.size) return null;
+  const isIllegal = illegalCauses(live.rtpus.values()).length > 0;
+  return <span className={`flag live ${isIllegal ? "illegal" : "legal"}`}>{isIllegal ? "▲ ILLEGAL" : "✓ legal"}</span>;
+}
+
+function Stop() {
+  const [answer, setAnswer] = useState<Answer | null>(null);
+  const [busy, setBusy] = useState(false);
+  const act = () => {
+    setBusy(true);
+    setAnswer(null);
+    void stop().then((got) => { setAnswer(got); setBusy(false); });
+  };
+  useGlobalKey(STOP_KEY, act);
+  return (
+    <div className="stop-place">
+      <button type="button" className="stop" onClick={act} aria-keyshortcuts={STOP_KEY} title="turn all tasks off and end them, now; it asks nothing">{busy ? "stopping…" : "STOP"} <kbd>{STOP_KEY}</kbd></button>
+      {answer && <div className={`outcome ${answer.ok ? "done" : "refusal"}`} role="alert"><button type="button" className="close" aria-label="close this message" onClick={() => setAnswer(null)}>×</button><pre>{answer.text || "stopped"}</pre></div>}
+    </div>
+  );
+}
+
+/** Bars below the top: lost connection, complaints, causes of the flag, faults of the graph. */
+export function Bars() {
+  useLive("link");
+  useLive("complaints");
+  useLive("status");
+  const graph = useGraph();
+  const causes = illegalCauses(live.rtpus.values());
+  return (
+    <div className="bars">
+      {live.link === "lost" && (
+        <p className="bar lost" role="alert"><b>Connection lost.</b> {live.linkText} What is shown is old: it is from {clock(live.now(), 0)}. Trying again every half second.{live.steers && " Stop cannot be sent from here: use the emergency stop, or “pbonet stop”."}</p>
+      )}
+      {causes.map(({ cause, rtpus }) => <p className="bar illegal live" key={cause} role="alert"><b>ILLEGAL</b> <span className="dim">{rtpus.join(", ")}</span> {cause}</p>)}
+      {graph?.faults.map((one) => <p className="bar fault" key={one.text}><b>fault</b> <span>{one.text}{one.remedy && <em> {one.remedy}</em>}</span></p>)}
+      {live.complaints.map((text) => <p className="bar complaint" key={text} role="status"><b>⚠</b> <span>{text}</span></p>)}
+    </div>
+  );
+}
+
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
+
+/** The time bar of a recorded run. */
+export function LogBar() {
+  useLive("hello");
+  useLive("status");
+  const [speed, setSpeed] = useState(1);
+  const [playing, setPlaying] = useState(false);
+  const [dragged, setDragged] = useState<number | null>(null);
+  const log = live.log;
+  useEffect(() => { if (!log) setPlaying(false); }, [log]);
+  if (!log) return null;
+  const at = dragged ?? Math.max(log.begin, Math.min(log.end, live.now()));
+  const go = (on: boolean, by = speed) => { setPlaying(on); play(on ? by : 0); };
+  const release = () => { if (dragged !== null) { seek(dragged); setDragged(null); } };
+  return (
+    <div className="log-bar row" role="group" aria-label="recorded run">
+      <button type="button" className="primary" onClick={() => go(!playing)}>{playing ? "pause" : "play"}</button>
+      <select value={speed} aria-label="speed" onChange={(event) => { const by = Number(event.target.value); setSpeed(by); if (playing) go(true, by); }}>{SPEEDS.map((one) => <option key={one} value={one}>{one} ×</option>)}</select>
+      <input type="range" min={log.begin} max={log.end} step="any" value={at} aria-label="time in the run" aria-valuetext={`${(at - log.begin).toFixed(1)} s`}
+        onChange={(event) => setDragged(Number(event.target.value))} onPointerUp={release} onKeyUp={release} onBlur={release} />
+      <span>{(at - log.begin).toFixed(1)} / {(log.end - log.begin).toFixed(1)} s</span>
+      <span className="dim" title={log.file}>{clock(at, 1)}</span>
+    </div>
+  );
+}
