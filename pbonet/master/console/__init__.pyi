@@ -14,6 +14,7 @@ from .command_session import (
     CommandSession as CommandSession,
     Reply as Reply,
     convert as convert,
+    read as read,
 )
 from .commands import (
     COMMANDS as COMMANDS,
