@@ -23,6 +23,7 @@ from .commands import (
     Kind as Kind,
     Scope as Scope,
     Use as Use,
+    described as described,
     find as find,
 )
 from .follow_events import Follower as Follower

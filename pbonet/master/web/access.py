@@ -1,9 +1,9 @@
 """Who may open the page, and as what: links, cookies, hosts, and rates.
 
 A link has a token that works once. It is changed into a signed cookie, which no script
-of a page can read and no page of another origin can send. The key that signs cookies is
-a file in the runtime folder: a server that was killed and started again knows its
-browsers, and one that ended in order has removed the file, so that its cookies are void.
+of a page can read and no page of another origin can send. The key that signs cookies
+is a file in the runtime folder: a server that was killed and started again knows its
+browsers; one that ended in order has removed the file, so that its cookies are void.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What has changed since it was last sent: values, and the status of tasks and RTPUs."""
+"""What has changed since it was last sent: values, states of tasks and RTPUs."""
 
 from __future__ import annotations
 
@@ -75,7 +75,9 @@ class States:
             now: Seconds since 1970.
         """
         tasks = {
-            one.task: self._task(one) for rtpu in statuses.values() for one in rtpu.tasks
+            one.task: self._task(one)
+            for rtpu in statuses.values()
+            for one in rtpu.tasks
         }
         unheard = set(silent)
         for name, task in self._tasks.items():
@@ -147,12 +149,6 @@ def _short(value: object) -> object:
 
 
 def signals(state: str) -> list[str]:
-    """Return the signals that a master can send to a task in a state.
-
-    A task that is ON can be killed, too: the master turns it off first.
-    """
+    """Return the signals that a master can send to a task in a state."""
     events = lifecycle.valid(State(state))
-    found = [str(event) for event in events if event in lifecycle.FROM_OUTSIDE]
-    if state == State.ON:
-        found.append("kill")
-    return found
+    return [str(event) for event in events if event in lifecycle.FROM_OUTSIDE]

@@ -19,6 +19,7 @@ from msgspec import Struct
 from pbonet.errors import AccessError, PbonetError, ProtocolError, StateError
 from pbonet.master.console import (
     Call,
+    Reply,
     Scope,
     convert,
     find,
@@ -31,18 +32,24 @@ from pbonet.master.console import (
 from .access import Role
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import AsyncIterator, Callable
     from pathlib import Path
 
     from pbonet.master.configuration import Place
+    from pbonet.master.console import Command
 
 Data = dict[str, Any]
 _SLOW: Final = 0.5
 """Seconds after which a browser is told that its command still runs."""
 _MOST_WAITING: Final = 16
 """Commands that may wait."""
-_UNFIT: Final = {"quit"}
-"""Commands that mean nothing here."""
+_UNFIT: Final = {"quit", "status set"}
+"""Commands that concern one interface alone, and a page has none of its own."""
+
+
+def is_fit(command: Command) -> bool:
+    """Return whether a page can give a command."""
+    return command.scope is not Scope.PROMPT and command.name not in _UNFIT
 
 
 class Watch(Struct, tag_field="do", tag="watch", forbid_unknown_fields=True):
@@ -174,7 +181,7 @@ class Orders:
             number, ok=True, text=text, warnings=reply.warnings, data=reply.data
         )
 
-    def _perform(self, call: Call, role: Role) -> oneshot.Reply:
+    def _perform(self, call: Call, role: Role) -> Reply:
         return oneshot.perform(self._path, call, self._place, kind=f"web-{role}")
 
     async def _stop(self, request: Stop, role: Role) -> Data:
@@ -198,7 +205,7 @@ def _must_be_allowed(call: Call, role: Role) -> None:
         StateError: It is for another interface.
     """
     command = call.command
-    if command.scope is Scope.PROMPT or command.name in _UNFIT:
+    if not is_fit(command):
         raise StateError(
             f"{command.name} is not available here",
             remedy="it is for the prompt and for scripts",
@@ -216,7 +223,9 @@ def _only_operators(command: str) -> AccessError:
 
 
 @contextlib.asynccontextmanager
-async def _progress(number: int, name: str, told: Callable[[Data], None]) -> Any:  # noqa: ANN401
+async def _progress(
+    number: int, name: str, told: Callable[[Data], None]
+) -> AsyncIterator[None]:
     """Tell every half second that a command runs, while the block does."""
     begun = time.monotonic()
 

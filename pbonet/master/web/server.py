@@ -1,70 +1,28 @@
-"""``pbonet web``: the server of the page and of its messages."""
+"""``pbonet web``: where the page is served, with which keys, and its links."""
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import mimetypes
+import ipaddress
 import socket
 import ssl
-import sys
-import time
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pbonet.errors import ConfigFileError, NodeError, PbonetError
-from pbonet.master.console import COMMANDS, CommandSession, Scope, render
-from pbonet.master.subsystem import Subsystem, status_fields
+from pbonet.errors import ConfigFileError, NodeError
+from pbonet.master.console import render
+from pbonet.master.subsystem import Subsystem
 from pbonet.xm.net import credentials
 
-from .access import COOKIE_TIME, Access, KeyFile, Rate, Role
-from .browsers import MOST, MOST_WATCHED, Browser, Browsers
-from .orders import Orders, Watch, decode
-from .watcher import Watcher
+from .access import Access, KeyFile, Role
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from starlette.types import ASGIApp, Message, Receive, Scope as AsgiScope, Send
-    from starlette.websockets import WebSocket
+    from collections.abc import Callable
 
     from pbonet.master.configuration import Place
-
-    Data = dict[str, Any]
-
-DIST: Final = Path(__file__).parent / "dist"
-"""The built page: ``index.html`` and what it loads."""
-_NOT_BUILT: Final = (
-    "The page is not built in this checkout: run 'npm ci && npm run build' in web/. "
-    "Everything but the page is served.\n"
-)
-_HEADERS: Final = {
-    "content-security-policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data: blob:; connect-src 'self'; object-src 'none'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "x-content-type-options": "nosniff",
-    "referrer-policy": "no-referrer",
-    "cross-origin-opener-policy": "same-origin",
-    "cross-origin-resource-policy": "same-origin",
-    "cache-control": "no-store",
-}
-_LONGEST: Final = 64 * 1024
-"""Bytes of a message from a browser."""
-_SEND_TIME: Final = 10.0
-"""Seconds in which a browser must take a message; then it is let go."""
-_REQUESTS: Final = (50.0, 100)
-"""Messages a second of one browser, and how many at once."""
-_LINKS: Final = (2.0, 20)
-"""Attempts a second to open the page without a valid cookie, and how many at once."""
-_CLOSED_FOREIGN: Final = 4403
-_CLOSED_FULL: Final = 4429
-_CLOSED_SLOW: Final = 4408
-"""Codes with which a connection is closed; the page tells what they mean."""
 
 
 class Served(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,209 +42,169 @@ class Served(msgspec.Struct, frozen=True, kw_only=True):
     """How often a second watched values are read."""
 
 
-class Page:
-    """The server of one subsystem's page.
+def serve(
+    path: str | Path, place: Place, served: Served, *, as_data: bool = False
+) -> None:
+    """Serve the page of a subsystem until interrupted.
 
     Args:
         path: The ``.sbs`` file, or a ``.job`` file that names it.
         place: Where the subsystem is.
-        access: Who may do what.
-        hz: How often a second watched values are read.
-        linked: Called with a role and its new link when the one before was used.
+        served: Where and how.
+        as_data: Print the links as JSON.
+
+    Raises:
+        PbonetError: A file is wrong, a package is missing, the address is taken, or it
+            is beyond this machine and there is no TLS.
     """
+    uvicorn = _package("uvicorn")
+    _package("websockets")
+    application = _package("starlette") and import_module(f"{__package__}.application")
+    context = _tls(served)
+    name = Subsystem(path, **place.arguments, watch=True).name
+    listening = _listen(served)
+    port = listening.getsockname()[1]
+    key = KeyFile(place.domain, name, port)
+    roles = (Role.OBSERVER,) if served.observe or _only_looks() else tuple(Role)
+    access = Access(
+        _hosts(served), port, key.read(), roles=roles, secure=context is not None
+    )
+    page = application.Page(
+        path, place, access, hz=served.hz, linked=_say_link(as_data=as_data)
+    )
+    if not (application.DIST / "index.html").is_file():
+        render.print_error(render.warning(application.NOT_BUILT.strip()))
+    _say_links(access.links, as_data=as_data)
+    config = uvicorn.Config(
+        page.app(),
+        log_config=None,
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=application.LONGEST,
+        ws_per_message_deflate=False,
+        server_header=False,
+        proxy_headers=False,
+        limit_concurrency=200,
+        timeout_graceful_shutdown=1,
+    )
+    config.load()
+    config.ssl = context
+    with contextlib.suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run(sockets=[listening])
+    key.remove()
+    raise KeyboardInterrupt
 
-    def __init__(
-        self,
-        path: str | Path,
-        place: Place,
-        access: Access,
-        *,
-        hz: float = 20.0,
-        linked: Callable[[Role, str], None],
-    ) -> None:
-        self.path = path
-        self._place = place
-        self._access = access
-        self._linked = linked
-        self._hz = hz
-        made = self._made()
-        self.name = made.name
-        self._job = made.files.job.name if made.files.job is not None else ""
-        self._planned = graph_data(made)
-        self._watcher = Watcher(self._made, graph_data, self._tell, hz=hz)
-        self._browsers = Browsers(self._watcher.want)
-        self._orders = Orders(path, made.name, place, self._watcher.knows)
-        self._attempts = Rate(*_LINKS)
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._running: set[asyncio.Task[None]] = set()
 
-    def _made(self) -> Subsystem:
-        arguments = self._place.arguments | {"take_over": False, "confirm": None}
-        return Subsystem(
-            self.path, **arguments, kind="web", watch=True, partly=True, warned=_unsaid
-        )
+def _package(name: str) -> Any:  # noqa: ANN401 - it may not be there
+    try:
+        return import_module(name)
+    except ImportError:
+        raise NodeError(
+            "the packages of the web page are not installed",
+            expected="starlette, uvicorn and websockets",
+            got=f"no {name}",
+            remedy='pip install "pbonet[web]"',
+        ) from None
 
-    def app(self) -> ASGIApp:
-        """Return the application that a web server runs."""
-        starlette = import_module("starlette.applications")
-        routing = import_module("starlette.routing")
-        routes = [
-            routing.Route("/", self._index),
-            routing.Route("/{name}", self._asset),
-            routing.WebSocketRoute("/ws", self._socket),
-        ]
-        made = starlette.Starlette(routes=routes, lifespan=self._lifespan)
-        return _Guard(made, self._access)
 
-    @contextlib.asynccontextmanager
-    async def _lifespan(self, _: object) -> AsyncIterator[None]:
-        self._loop = asyncio.get_running_loop()
-        self._watcher.start(self._planned)
-        try:
-            yield
-        finally:
-            self._orders.close()
-            await asyncio.to_thread(self._watcher.close)
+def _tls(served: Served) -> ssl.SSLContext | None:
+    """Return the TLS context; None where everything stays on this machine.
 
-    def _tell(self, message: Data) -> None:
-        """Send a message of the watcher's thread to all browsers."""
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._browsers.tell, message)
-
-    # -- files ------------------------------------------------------------------------
-
-    async def _index(self, request: Request) -> Response:
-        responses = import_module("starlette.responses")
-        token = request.query_params.get("token", "")
-        cookie = request.cookies.get(self._access.cookie, "")
-        known = self._access.role(cookie)
-        if known is None and not self._attempts.allows():
-            return responses.PlainTextResponse("too many attempts; wait\n", 429)
-        role = self._access.use(token) if token else None
-        if role is not None:
-            self._linked(role, self._access.renew(role))
-        role = role or known
-        if role is None:
-            text = "open a link that 'pbonet web' printed; each works once\n"
-            return responses.PlainTextResponse(text, 401)
-        index = DIST / "index.html"
-        if index.is_file():
-            response = responses.FileResponse(index)
-        else:
-            response = responses.PlainTextResponse(_NOT_BUILT, 200)
-        if role is not known:
-            response.set_cookie(
-                self._access.cookie,
-                self._access.sign(role),
-                max_age=round(COOKIE_TIME),
-                httponly=True,
-                samesite="strict",
-                secure=self._access.secure,
+    Raises:
+        NodeError: The address is beyond this machine, and there are no keys.
+        ConfigFileError: The keys cannot be used.
+    """
+    if served.tls is None:
+        if not _is_loopback(served.host):
+            raise NodeError(
+                "serving the page beyond this machine needs TLS",
+                where=f"--host {served.host}",
+                expected="an address of this machine alone, such as 127.0.0.1",
+                remedy="name a folder with cert.pem and key.pem by --tls, or serve "
+                "127.0.0.1 and forward the port by `ssh -L 8080:127.0.0.1:8080 HOST`",
             )
-        return response
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        cert, own = (served.tls / one for one in ("cert.pem", "key.pem"))
+        context.load_cert_chain(cert, own)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigFileError(
+            "the keys for TLS cannot be used",
+            where=str(served.tls),
+            expected="cert.pem and its key.pem",
+            got=str(error),
+            remedy="'pbonet keys' makes such a folder, or your own authority does",
+        ) from None
+    return context
 
-    async def _asset(self, request: Request) -> Response:
-        responses = import_module("starlette.responses")
-        name = request.path_params["name"]
-        there = {one.name for one in DIST.iterdir()} if DIST.is_dir() else set()
-        if name not in there:
-            return responses.PlainTextResponse("there is no such file\n", 404)
-        kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
-        return responses.FileResponse(DIST / name, media_type=kind)
 
-    # -- messages ---------------------------------------------------------------------
+def _listen(served: Served) -> socket.socket:
+    """Return a socket that listens.
 
-    async def _socket(self, socket_: WebSocket) -> None:
-        origin = socket_.headers.get("origin", "")
-        cookie = socket_.cookies.get(self._access.cookie, "")
-        role = self._access.role(cookie)
-        if role is None or not self._access.is_origin(origin):
-            await socket_.close(_CLOSED_FOREIGN, "open the page by its link")
-            return
-        if self._browsers.full:
-            await socket_.close(_CLOSED_FULL, f"{MOST} browsers are connected")
-            return
-        browser = Browser(role)
-        self._browsers.add(browser)
-        sending = None
-        try:
-            await socket_.accept()
-            for message in (self._hello(role), *self._watcher.first()):
-                browser.put(msgspec.json.encode(message))
-            sending = asyncio.create_task(_send(socket_, browser))
-            receiving = asyncio.create_task(self._receive(socket_, browser))
-            await asyncio.wait(
-                (sending, receiving), return_when=asyncio.FIRST_COMPLETED
-            )
-            receiving.cancel()
-        finally:
-            if sending is not None:
-                sending.cancel()
-            self._browsers.remove(browser)
+    Raises:
+        NodeError: The address cannot be had.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(
+            served.host, served.port, type=socket.SOCK_STREAM
+        )[0]
+        made = socket.socket(family, socket.SOCK_STREAM)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(address)
+    except OSError as error:
+        raise NodeError(
+            "the page cannot be served there",
+            where=f"{served.host}:{served.port}",
+            got=error.strerror or str(error),
+            remedy="choose another --port; 0 takes one that is free",
+        ) from None
+    return made
 
-    async def _receive(self, socket_: WebSocket, browser: Browser) -> None:
-        rate = Rate(*_REQUESTS)
-        while True:
-            message = await socket_.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            text = message.get("text")
-            if not rate.allows():
-                refused = "too many messages a second; this one was left out"
-                browser.put(_encoded(kind="refused", text=refused))
-            elif text is None:
-                browser.put(_encoded(kind="refused", text="messages are JSON as text"))
-            else:
-                self._take(text, browser)
 
-    def _take(self, text: str, browser: Browser) -> None:
-        """Carry out one message of a browser."""
-        try:
-            request = decode(text)
-        except PbonetError as error:
-            browser.put(_encoded(kind="refused", text=str(error)))
-            return
-        if isinstance(request, Watch):
-            self._watch(request, browser)
-            return
+def _hosts(served: Served) -> list[str]:
+    """Return the names by which browsers call the server, the one of links first."""
+    local = ["127.0.0.1", "localhost", "::1"] if _is_loopback(served.host) else []
+    anywhere = served.host in {"0.0.0.0", "::"}  # noqa: S104 - compared, not bound
+    own = [socket.gethostname()] if anywhere else [served.host]
+    return list(dict.fromkeys([*served.names, *own, *local]))
 
-        async def carry_out() -> None:
-            answer = await self._orders.answer(
-                request, browser.role, lambda told: browser.put(_encoded(**told))
-            )
-            browser.put(_encoded(**answer))
-            self._watcher.look()
 
-        task = asyncio.create_task(carry_out())
-        self._running.add(task)
-        task.add_done_callback(self._running.discard)
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
-    def _watch(self, request: Watch, browser: Browser) -> None:
-        wanted = frozenset(request.variables)
-        if len(wanted) > MOST_WATCHED:
-            text = f"a page may watch {MOST_WATCHED} variables, not {len(wanted)}"
-            browser.put(_encoded(kind="refused", text=text))
-            return
-        known = {one["name"] for one in self._planned["variables"]}
-        fresh = (wanted & known) - browser.watched
-        browser.watched = wanted & known
-        self._browsers.rewatch()
-        for message in self._watcher.history(sorted(fresh)):
-            browser.put(msgspec.json.encode(message))
 
-    def _hello(self, role: Role) -> Data:
-        return {
-            "kind": "hello",
-            "role": str(role),
-            "name": self.name,
-            "job": self._job,
-            "now": time.time(),
-            "hz": self._hz,
-            "commands": _commands(),
-            "fields": [
-                {"name": one.name, "unit": one.unit, "doc": one.doc}
-                for one in status_fields.FIELDS
-            ],
-            "log": None,
-        }
+def _only_looks() -> bool:
+    """Return whether this program's keys are an observer's."""
+    folder = credentials.named()
+    if folder is None:
+        return False
+    with contextlib.suppress(ConfigFileError):
+        credentials.prove(folder, (credentials.Role.OBSERVER,))
+        return True
+    return False
+
+
+def _say_links(links: dict[Role, str], *, as_data: bool) -> None:
+    if as_data:
+        data = {str(role): link for role, link in links.items()}
+        text = msgspec.json.encode(data).decode()
+    else:
+        text = "\n".join(f"{role:9} {link}" for role, link in links.items())
+        text += "\nEach link works once; the next one is printed when it was used."
+    render.print_line(text)
+
+
+def _say_link(*, as_data: bool) -> Callable[[Role, str], None]:
+    """Return what says the next link of a role, when the one before was used."""
+
+    def say(role: Role, link: str) -> None:
+        _say_links({role: link}, as_data=as_data)
+
+    return say

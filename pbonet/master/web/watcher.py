@@ -182,9 +182,7 @@ class Watcher:
         self._redraw(subsystem, results)
         return sorted({*map(str, errors), *follower.complaints().values()})
 
-    def _redraw(
-        self, subsystem: Subsystem, statuses: dict[str, m.RtpuStatus]
-    ) -> None:
+    def _redraw(self, subsystem: Subsystem, statuses: dict[str, m.RtpuStatus]) -> None:
         """Send the graph when tasks came, went, or run elsewhere or otherwise."""
         shape = [
             (one.task, one.rtpu, one.tid, one.ref_f, one.fallback_of)
