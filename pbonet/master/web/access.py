@@ -89,7 +89,7 @@ class Access:
 
     def use(self, token: str) -> Role | None:
         """Return the role that a link's token gives, which is void from then on."""
-        found = next((t for t in self._tokens if hmac.compare_digest(t, token)), None)
+        found = next((t for t in self._tokens if _are_equal(t, token)), None)
         return self._tokens.pop(found) if found is not None else None
 
     def sign(self, role: Role) -> str:
@@ -101,9 +101,7 @@ class Access:
     def role(self, cookie: str) -> Role | None:
         """Return the role that a cookie gives; None: none."""
         text, _, signature = cookie.rpartition(".")
-        if not hmac.compare_digest(
-            signature.encode(errors="replace"), self._signature(text).encode()
-        ):
+        if not _are_equal(signature, self._signature(text)):
             return None
         role, until, _ = text.split(".", 2)
         found = Role(role)
@@ -122,6 +120,13 @@ class Access:
         """Return whether a page of this ``Origin`` may use the server."""
         scheme, _, host = origin.partition("://")
         return scheme == self.scheme and self.is_host(host)
+
+
+def _are_equal(one: str, other: str) -> bool:
+    """Compare two texts in a time that tells nothing of them."""
+    return hmac.compare_digest(
+        one.encode(errors="replace"), other.encode(errors="replace")
+    )
 
 
 class Rate:

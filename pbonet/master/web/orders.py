@@ -43,8 +43,8 @@ _SLOW: Final = 0.5
 """Seconds after which a browser is told that its command still runs."""
 _MOST_WAITING: Final = 16
 """Commands that may wait."""
-_UNFIT: Final = {"quit", "status set"}
-"""Commands that concern one interface alone, and a page has none of its own."""
+_UNFIT: Final = {"quit", "status set", "sigwait"}
+"""Commands that concern one interface alone, or would keep others waiting."""
 
 
 def is_fit(command: Command) -> bool:
