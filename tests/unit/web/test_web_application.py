@@ -33,7 +33,7 @@ class Served:
         def away():
             raise UnreachableError("no agent can be reached", remedy="start one")
 
-        monkeypatch.setattr(self.page._watcher, "_made", away)  # noqa: SLF001
+        monkeypatch.setattr(self.page._watcher, "_made", away)
         self.client = TestClient(self.page.app(), base_url=URL)
 
     def open(self, role=Role.OPERATOR):
@@ -186,7 +186,7 @@ def test_only_variables_of_the_table_are_watched_and_not_too_many(served):
     with served.connect() as socket:
         socket.send_text(json.dumps({"do": "watch", "variables": ["Q_MEZ", "<b>"]}))
         assert told(socket, "values")["values"] == {}
-        (browser,) = served.page._browsers._browsers  # noqa: SLF001
+        (browser,) = served.page._browsers._browsers
         assert browser.watched == {"Q_MEZ"}
         names = [f"V{n}" for n in range(browsers.MOST_WATCHED + 1)]
         socket.send_text(json.dumps({"do": "watch", "variables": names}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 
 import pytest
@@ -23,7 +24,7 @@ class Given:
         self.gate = threading.Event()
         self.gate.set()
 
-    def perform(self, path, call, place, *, kind=""):
+    def perform(self, _path, call, _place, *, kind=""):
         self.gate.wait(30)
         self.calls.append((call.command.name, call.words, kind))
         if call.given.get("text") == "wrong":
@@ -39,7 +40,8 @@ def carried(monkeypatch):
 
 
 @pytest.fixture
-def made():
+def made(carried):
+    assert carried.calls == []
     made = orders.Orders("arm.job", "arm", Place(), lambda task: task == "pid")
     yield made
     made.close()
@@ -69,7 +71,7 @@ def test_arguments_of_all_kinds_arrive(made, carried):
     ]
 
 
-def test_a_refusal_is_told_word_for_word(made, carried):
+def test_a_refusal_is_told_word_for_word(made):
     answer = ask(made, orders.Line(4, "on pid text=wrong"))
     assert answer == {
         "kind": "answer",
@@ -134,23 +136,22 @@ def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
 
     async def both():
         carried.gate.clear()
-        told = []
+        told = asyncio.Queue()
         slow = asyncio.create_task(
-            made.answer(orders.Line(1, "on pid"), Role.OPERATOR, told.append)
+            made.answer(orders.Line(1, "on pid"), Role.OPERATOR, told.put_nowait)
         )
         await asyncio.sleep(0)
-        stopped = await made.answer(orders.Stop(2), Role.OPERATOR, told.append)
+        stopped = await made.answer(orders.Stop(2), Role.OPERATOR, told.put_nowait)
         assert not slow.done()
-        while not told:
-            await asyncio.sleep(0.01)
+        progress = await told.get()
         carried.gate.set()
-        return stopped, await slow, told
+        return stopped, await slow, progress
 
     stopped, slow, told = asyncio.run(both())
     assert stopped["text"] == "turned off: pid"
     assert slow["ok"]
-    assert told[0]["kind"] == "progress"
-    assert told[0]["id"] == 1
+    assert told["kind"] == "progress"
+    assert told["id"] == 1
 
 
 def test_only_so_many_commands_may_wait(made, carried):
@@ -188,9 +189,5 @@ _JSON = st.recursive(
 
 @given(_JSON.map(lambda data: orders.msgspec.json.encode(data).decode()) | st.text())
 def test_any_text_is_a_request_or_refused(text):
-    try:
-        request = orders.decode(text)
-    except ProtocolError as error:
-        assert "this is no request" in str(error)
-    else:
-        assert isinstance(request, orders.Request)
+    with contextlib.suppress(ProtocolError):
+        assert isinstance(orders.decode(text), orders.Request)
