@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Annotated as A
 
 from . import options
-from .parser import Option
+from .parser import Argument, Option
 
 
 def command(
     *,
-    file: options.File,
+    file: A[
+        Path,
+        Argument("The .job or .sbs file, or a recorded run: a log or its folder."),
+    ],
     host: A[str, Option("The address it serves.", "ADDRESS")] = "127.0.0.1",
     port: A[
         int, Option("The port it serves; 0 takes a free one.", least=0, most=65535)
@@ -37,6 +40,8 @@ def command(
     Examples:
         Serve a job, started or not, and open the link that is printed:
         pbonet web arm.job
+        Show a recorded run:
+        pbonet web runs/last
         Serve a tablet at the machine, with keys for TLS:
         pbonet web arm.job --host 10.0.0.2 --tls web-keys
     """

@@ -16,12 +16,12 @@ from starlette.routing import Route, WebSocketRoute
 
 from pbonet.errors import PbonetError
 from pbonet.master.console import COMMANDS, described
-from pbonet.master.subsystem import Subsystem, status_fields
+from pbonet.master.subsystem import status_fields
 
 from .access import COOKIE_TIME, Access, Rate, Role
 from .browsers import MOST, MOST_WATCHED, Browser, Browsers
-from .orders import Orders, Watch, decode, is_fit
-from .watcher import Watcher
+from .orders import Play, Seek, Watch, decode, is_fit
+from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope as AsgiScope, Send
     from starlette.websockets import WebSocket
 
-    from pbonet.master.configuration import Place
+    from .orders import Line, Order, Orders, Stop
+    from .source import Source
 
     Data = dict[str, Any]
 
@@ -66,51 +67,31 @@ _CLOSED_SLOW: Final = 4408
 
 
 class Page:
-    """The server of one subsystem's page.
+    """The server of one page.
 
     Args:
-        path: The ``.sbs`` file, or a ``.job`` file that names it.
-        place: Where the subsystem is.
+        source: What the page shows.
+        orders: Who carries out commands; None where nothing can be steered.
         access: Who may do what.
-        hz: How often a second watched values are read.
         linked: Called with a role and its new link when the one before was used.
     """
 
     def __init__(
         self,
-        path: str | Path,
-        place: Place,
+        source: Source,
+        orders: Orders | None,
         access: Access,
         *,
-        hz: float = 20.0,
         linked: Callable[[Role, str], None],
     ) -> None:
-        self.path = path
-        self._place = place
+        self._source = source
+        self._orders = orders
         self._access = access
         self._linked = linked
-        self._hz = hz
-        made = self._made()
-        self.name = made.name
-        self._job = made.files.job.name if made.files.job is not None else ""
-        self._planned: Data = msgspec.to_builtins(made.graph())
-        self._watcher = Watcher(self._made, self._graph, self._tell, hz=hz)
-        self._browsers = Browsers(self._watcher.want)
-        self._orders = Orders(path, made.name, place, self._watcher.knows)
+        self._browsers = Browsers(source.want)
         self._attempts = Rate(*_LINKS)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._running: set[asyncio.Task[None]] = set()
-
-    def _made(self) -> Subsystem:
-        arguments = self._place.arguments | {"take_over": False, "confirm": None}
-        return Subsystem(
-            self.path, **arguments, kind="web", watch=True, partly=True, warned=_unsaid
-        )
-
-    def _graph(self, subsystem: Subsystem) -> Data:
-        """Return the graph of the tasks that exist; of the job while there are none."""
-        graph: Data = msgspec.to_builtins(subsystem.graph())
-        return graph if graph["tasks"] else self._planned
 
     def app(self) -> ASGIApp:
         """Return the application that a web server runs."""
@@ -125,15 +106,16 @@ class Page:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: object) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        self._watcher.start(self._planned)
+        self._source.start(self._tell)
         try:
             yield
         finally:
-            self._orders.close()
-            await asyncio.to_thread(self._watcher.close)
+            if self._orders is not None:
+                self._orders.close()
+            await asyncio.to_thread(self._source.close)
 
     def _tell(self, message: Data) -> None:
-        """Send a message of the watcher's thread to all browsers."""
+        """Send a message of the source's thread to all browsers."""
         loop = self._loop
         if loop is not None and not loop.is_closed():
             loop.call_soon_threadsafe(self._browsers.tell, message)
@@ -193,7 +175,7 @@ class Page:
         sending = None
         try:
             await socket_.accept()
-            for message in (self._hello(role), *self._watcher.first()):
+            for message in (self._hello(role), *self._source.first()):
                 browser.put(msgspec.json.encode(message))
             sending = asyncio.create_task(_send(socket_, browser))
             receiving = asyncio.create_task(self._receive(socket_, browser))
@@ -230,18 +212,35 @@ class Page:
             return
         if isinstance(request, Watch):
             self._watch(request, browser)
+        elif isinstance(request, Seek | Play):
+            self._move(request, browser)
+        else:
+            self._command(request, browser)
+
+    def _command(self, request: Order | Line | Stop, browser: Browser) -> None:
+        orders = self._orders
+        if orders is None:
+            browser.put(_encoded(kind="refused", text="a recorded run has no commands"))
             return
 
         async def carry_out() -> None:
-            answer = await self._orders.answer(
+            answer = await orders.answer(
                 request, browser.role, lambda told: browser.put(_encoded(**told))
             )
             browser.put(_encoded(**answer))
-            self._watcher.look()
 
         task = asyncio.create_task(carry_out())
         self._running.add(task)
         task.add_done_callback(self._running.discard)
+
+    def _move(self, request: Seek | Play, browser: Browser) -> None:
+        if not isinstance(self._source, RecordedRun):
+            text = "only a recorded run can be shown at another time"
+            browser.put(_encoded(kind="refused", text=text))
+        elif isinstance(request, Seek):
+            self._source.seek(request.t)
+        else:
+            self._source.play(request.speed)
 
     def _watch(self, request: Watch, browser: Browser) -> None:
         wanted = frozenset(request.variables)
@@ -249,27 +248,25 @@ class Page:
             text = f"a page may watch {MOST_WATCHED} variables, not {len(wanted)}"
             browser.put(_encoded(kind="refused", text=text))
             return
-        known = {one["name"] for one in self._planned["variables"]}
-        fresh = (wanted & known) - browser.watched
-        browser.watched = wanted & known
+        wanted &= self._source.variables
+        fresh = wanted - browser.watched
+        browser.watched = wanted
         self._browsers.rewatch()
-        for message in self._watcher.history(sorted(fresh)):
+        for message in self._source.history(sorted(fresh)):
             browser.put(msgspec.json.encode(message))
 
     def _hello(self, role: Role) -> Data:
+        steered = self._orders is not None
         return {
             "kind": "hello",
-            "role": str(role),
-            "name": self.name,
-            "job": self._job,
+            "role": str(role if steered else Role.OBSERVER),
             "now": time.time(),
-            "hz": self._hz,
-            "commands": described(filter(is_fit, COMMANDS)),
+            "commands": described(filter(is_fit, COMMANDS)) if steered else [],
             "fields": [
                 {"name": one.name, "unit": one.unit, "doc": one.doc}
                 for one in status_fields.FIELDS
             ],
-            "log": None,
+            **self._source.about,
         }
 
 
@@ -328,7 +325,3 @@ async def _send(socket_: WebSocket, browser: Browser) -> None:
 
 def _encoded(**message: object) -> bytes:
     return msgspec.json.encode(message)
-
-
-def _unsaid(_: str) -> None:
-    """Leave out a warning that the page shows otherwise: an RTPU that is silent."""

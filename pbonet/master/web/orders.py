@@ -79,7 +79,21 @@ class Stop(Struct, tag_field="do", tag="stop", forbid_unknown_fields=True):
     id: int
 
 
-Request = Watch | Order | Line | Stop
+class Seek(Struct, tag_field="do", tag="seek", forbid_unknown_fields=True):
+    """Show a recorded run at a time."""
+
+    t: float
+    """Seconds since 1970."""
+
+
+class Play(Struct, tag_field="do", tag="play", forbid_unknown_fields=True):
+    """Let a recorded run go on."""
+
+    speed: float
+    """1 as it was; 0 stands still."""
+
+
+Request = Watch | Order | Line | Stop | Seek | Play
 _DECODER: Final[msgspec.json.Decoder[Request]] = msgspec.json.Decoder(Request)
 
 
@@ -94,10 +108,14 @@ def decode(text: str) -> Request:
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise ProtocolError(
             "this is no request",
-            expected="watch, command, line or stop, as docs/web.md has them",
+            expected="one of docs/web.md: watch, command, line, stop, seek, play",
             got=str(error)[:200],
             remedy="load the page again; it may be of another version",
         ) from None
+
+
+def _nothing() -> None:
+    """Tell nobody that a command was carried out."""
 
 
 class Orders:
@@ -108,6 +126,7 @@ class Orders:
         name: The subsystem's name.
         place: Where the subsystem is.
         knows: Tells whether it has a task of a name.
+        done: Called when a command was carried out.
     """
 
     def __init__(
@@ -116,11 +135,13 @@ class Orders:
         name: str,
         place: Place,
         knows: Callable[[str], bool],
+        done: Callable[[], None] = _nothing,
     ) -> None:
         self._path = path
         self._name = name
         self._place = place
         self._knows = knows
+        self._done = done
         self._one = ThreadPoolExecutor(1, "command")
         self._stops = ThreadPoolExecutor(4, "stop")
         self._waiting = 0
@@ -176,6 +197,7 @@ class Orders:
                 reply = await work
         finally:
             self._waiting -= 1
+            self._done()
         text = render.text(reply.command, reply.data)
         return _answer(
             number, ok=True, text=text, warnings=reply.warnings, data=reply.data
@@ -188,9 +210,12 @@ class Orders:
         if role is not Role.OPERATOR:
             raise _only_operators("stop")
         loop = asyncio.get_running_loop()
-        done = await loop.run_in_executor(self._stops, self._stop_now)
-        text = render.text("stop", done)
-        return _answer(request.id, ok=True, text=text, data=done)
+        try:
+            stopped = await loop.run_in_executor(self._stops, self._stop_now)
+        finally:
+            self._done()
+        text = render.text("stop", stopped)
+        return _answer(request.id, ok=True, text=text, data=stopped)
 
     def _stop_now(self) -> Data:
         place = self._place

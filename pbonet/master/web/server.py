@@ -14,10 +14,12 @@ import msgspec
 
 from pbonet.errors import ConfigFileError, NodeError
 from pbonet.master.console import render
-from pbonet.master.subsystem import Subsystem
 from pbonet.xm.net import credentials
 
 from .access import Access, KeyFile, Role
+from .orders import Orders
+from .recorded_run import RecordedRun
+from .watcher import Watcher
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,10 +47,11 @@ class Served(msgspec.Struct, frozen=True, kw_only=True):
 def serve(
     path: str | Path, place: Place, served: Served, *, as_data: bool = False
 ) -> None:
-    """Serve the page of a subsystem until interrupted.
+    """Serve the page of a subsystem, or of a recorded run, until interrupted.
 
     Args:
-        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        path: The ``.sbs`` file, or a ``.job`` file that names it; or a log, or the
+            folder of a run.
         place: Where the subsystem is.
         served: Where and how.
         as_data: Print the links as JSON.
@@ -61,17 +64,21 @@ def serve(
     _package("websockets")
     application = _package("starlette") and import_module(f"{__package__}.application")
     context = _tls(served)
-    name = Subsystem(path, **place.arguments, watch=True).name
+    recorded = _is_log(Path(path))
+    source = RecordedRun(path) if recorded else Watcher(path, place, hz=served.hz)
+    name = source.about["name"]
     listening = _listen(served)
     port = listening.getsockname()[1]
     key = KeyFile(place.domain, name, port)
-    roles = (Role.OBSERVER,) if served.observe or _only_looks() else tuple(Role)
+    looks = recorded or served.observe or _only_looks()
+    roles = (Role.OBSERVER,) if looks else tuple(Role)
     access = Access(
         _hosts(served), port, key.read(), roles=roles, secure=context is not None
     )
-    page = application.Page(
-        path, place, access, hz=served.hz, linked=_say_link(as_data=as_data)
-    )
+    orders = None
+    if isinstance(source, Watcher):
+        orders = Orders(path, name, place, source.knows, source.look)
+    page = application.Page(source, orders, access, linked=_say_link(as_data=as_data))
     if not (application.DIST / "index.html").is_file():
         render.print_error(render.warning(application.NOT_BUILT.strip()))
     _say_links(access.links, as_data=as_data)
@@ -93,6 +100,11 @@ def serve(
         uvicorn.Server(config).run(sockets=[listening])
     key.remove()
     raise KeyboardInterrupt
+
+
+def _is_log(path: Path) -> bool:
+    """Return whether a path is a recorded run: a log, or a folder with some."""
+    return path.suffix == ".mcap" or path.is_dir()
 
 
 def _package(name: str) -> Any:  # noqa: ANN401 - it may not be there

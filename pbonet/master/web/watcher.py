@@ -20,9 +20,13 @@ from pbonet.xm.net import Event, messages as m
 
 from .differences import States, Values
 from .history import History
+from .source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+    from pbonet.master.configuration import Place
 
     Data = dict[str, Any]
 
@@ -36,29 +40,34 @@ _LARGEST: Final = 64
 log = logging.getLogger("pbonet.master")
 
 
-class Watcher:
+class Watcher(Source):
     """Reads a subsystem until it is closed.
 
     Args:
-        made: Makes the subsystem, which is not open yet.
-        graph: Returns the graph of the subsystem as data; called when its tasks have
-            changed.
-        told: Called with each message, in the watcher's thread.
+        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        place: Where the subsystem is.
         hz: How often a second watched values are read.
+
+    Raises:
+        ConfigError: A file is missing or wrong.
     """
 
-    def __init__(
-        self,
-        made: Callable[[], Subsystem],
-        graph: Callable[[Subsystem], Data],
-        told: Callable[[Data], None],
-        *,
-        hz: float = 20.0,
-    ) -> None:
-        self._made = made
-        self._graph_of = graph
-        self._told = told
+    def __init__(self, path: str | Path, place: Place, *, hz: float = 20.0) -> None:
+        self._path = path
+        self._place = place
         self._pause = 1.0 / hz
+        made = self._made()
+        job = made.files.job
+        self.about = {
+            "name": made.name,
+            "job": job.name if job is not None else "",
+            "hz": hz,
+            "log": None,
+        }
+        self._graph: Data = msgspec.to_builtins(made.graph())
+        self._planned = self._graph
+        self.variables = frozenset(one["name"] for one in self._graph["variables"])
+        self._told: Callable[[Data], None] = _unheard
         self._lock = threading.Lock()
         self._history = History()
         self._values = Values()
@@ -68,14 +77,25 @@ class Watcher:
         self._look = threading.Event()
         self._complaints: list[str] = []
         self._shape: object = None
-        self._graph: Data = {}
         self._last: dict[str, Data] = {}
         """The newest value of each variable."""
         self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
 
-    def start(self, graph: Data) -> None:
-        """Begin to read; until tasks are seen, the graph is this one."""
-        self._graph = graph
+    def _made(self) -> Subsystem:
+        """Return the subsystem, which is not open yet."""
+        arguments = self._place.arguments | {"take_over": False, "confirm": None}
+        return Subsystem(
+            self._path,
+            **arguments,
+            kind="web",
+            watch=True,
+            partly=True,
+            warned=_unsaid,
+        )
+
+    def start(self, told: Callable[[Data], None]) -> None:
+        """Begin to read."""
+        self._told = told
         self._thread.start()
 
     def close(self) -> None:
@@ -192,7 +212,8 @@ class Watcher:
         if shape == self._shape:
             return
         subsystem.task_set.refresh(strict=False)
-        graph = self._graph_of(subsystem)
+        graph: Data = msgspec.to_builtins(subsystem.graph())
+        graph = graph if graph["tasks"] else self._planned
         self._shape = shape
         with self._lock:
             self._graph = graph
@@ -210,3 +231,11 @@ def _event(event: Event) -> Data:
     data["t"] = data.pop("wall")
     data["severity"] = Severity(event.severity).name.lower()
     return data
+
+
+def _unheard(_: Data) -> None:
+    """Tell nobody, before there is somebody."""
+
+
+def _unsaid(_: str) -> None:
+    """Leave out a warning that the page shows otherwise: an RTPU that is silent."""

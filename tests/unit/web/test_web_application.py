@@ -13,6 +13,8 @@ from pbonet.errors import UnreachableError
 from pbonet.master.configuration import Place
 from pbonet.master.web import application, browsers
 from pbonet.master.web.access import Access, Role
+from pbonet.master.web.orders import Orders
+from pbonet.master.web.watcher import Watcher
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma" / "puma.job"
 URL = "http://127.0.0.1:8080"
@@ -26,14 +28,16 @@ class Served:
     def __init__(self, monkeypatch, roles=tuple(Role)):
         self.access = Access(["127.0.0.1"], 8080, b"key", roles=roles)
         self.renewed = []
+        watcher = Watcher(PUMA, Place())
+        orders = Orders(PUMA, "puma", Place(), watcher.knows)
         self.page = application.Page(
-            PUMA, Place(), self.access, linked=lambda *link: self.renewed.append(link)
+            watcher, orders, self.access, linked=lambda *link: self.renewed.append(link)
         )
 
         def away():
             raise UnreachableError("no agent can be reached", remedy="start one")
 
-        monkeypatch.setattr(self.page._watcher, "_made", away)
+        monkeypatch.setattr(watcher, "_made", away)
         self.client = TestClient(self.page.app(), base_url=URL)
 
     def open(self, role=Role.OPERATOR):
