@@ -27,7 +27,7 @@ GROUPS: Final = {
     ),
     "Watch and tune it": (
         *("status", "profile", "freq", "get", "set", "display", "write"),
-        *("events", "sigwait", "sigmask", "view", "ros2"),
+        *("events", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
     "Recordings": ("log", "replay"),
     "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
@@ -36,7 +36,7 @@ GROUPS: Final = {
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
 _OWN: Final = {
     *("new", "check", "simulate", "adopt", "run", "prompt", "stop", "profile"),
-    *("display", "library", "events", "view", "ros2", "log", "replay"),
+    *("display", "library", "events", "web", "view", "ros2", "log", "replay"),
     *("agent", "devices", "doctor", "keys", "completion"),
 }
 """Verbs with a file of their own."""

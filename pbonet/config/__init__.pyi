@@ -32,6 +32,7 @@ from .model import (
     JobFile as JobFile,
     JobTask as JobTask,
     Limit as Limit,
+    LocalLine as LocalLine,
     Needs as Needs,
     Place as Place,
     Restart as Restart,

@@ -36,4 +36,5 @@ from .schema import (
     StepSchema as StepSchema,
     head as head,
 )
+from .states import timelines as timelines
 from .writer import LogWriter as LogWriter

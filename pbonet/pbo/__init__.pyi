@@ -37,7 +37,7 @@ from ._object import (
     PortBasedObject as PortBasedObject,
     interface as interface,
 )
-from ._param import Param as Param, param as param
+from ._param import ANY_COUNT as ANY_COUNT, Param as Param, param as param
 from ._params import (
     Line as Line,
     Params as Params,

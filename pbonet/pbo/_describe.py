@@ -38,6 +38,12 @@ class ParamInfo(Struct, frozen=True, kw_only=True):
     bounds: str = ""
     names: str = ""
     """The kind of thing that its value names, such as ``device``; else empty."""
+    count: int = 0
+    """As in `Param`: 0 for one plain value, a number of values, or `ANY_COUNT`."""
+    low: float | None = None
+    """Bound of each value from below, whether or not it is allowed; None: none."""
+    high: float | None = None
+    """Likewise from above."""
 
 
 class ModuleInfo(Struct, frozen=True, kw_only=True):
@@ -252,9 +258,17 @@ def _params(cls: type[PortBasedObject[Any]]) -> tuple[ParamInfo, ...]:
                 default="" if required else local_text(default),
                 bounds=about.bounds,
                 names=about.names,
+                count=about.count,
+                low=max(_declared(about.ge, about.gt), default=None),
+                high=min(_declared(about.le, about.lt), default=None),
             )
         )
     return tuple(found)
+
+
+def _declared(*bounds: float | None) -> list[float]:
+    """Return the bounds that are declared."""
+    return [bound for bound in bounds if bound is not None]
 
 
 def local_text(value: Any) -> str:  # noqa: ANN401 - whatever a parameter holds

@@ -19,4 +19,18 @@ from .failures import (
 from .recording_plan import RecordingPlan as RecordingPlan
 from .saved_profiles import Saved as Saved, here as here, profile_of as profile_of
 from .subsystem_files import Files as Files, RmodSource as RmodSource
+from .subsystem_graph import (
+    Graph as Graph,
+    GraphFault as GraphFault,
+    GraphParam as GraphParam,
+    GraphPort as GraphPort,
+    GraphRtpu as GraphRtpu,
+    GraphTask as GraphTask,
+    GraphVariable as GraphVariable,
+    Link as Link,
+    Wire as Wire,
+    graph_of as graph_of,
+    job_graph as job_graph,
+    unread as unread,
+)
 from .task_model import Member as Member, TaskModel as TaskModel

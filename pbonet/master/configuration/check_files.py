@@ -186,6 +186,36 @@ def planned(
     Returns:
         None instead of the verdict if a part is too faulty for one.
     """
+    tasks, found = planned_tasks(files, host, code=code)
+    return judged(files, tasks), found
+
+
+def judged(files: Files, tasks: Sequence[legality.Task]) -> legality.Verdict | None:
+    """Return the verdict on the start of a job; None if its `tasks` are not all."""
+    if len(tasks) < sum(len(_lines(line)) for line in files.read_job().tasks):
+        return None  # else one fault would be reported as many
+    empty = legality.Configuration(
+        svar=files.table,
+        rtpus=files.sbs.rtpus,
+        keeper=files.sbs.keeper,
+        alone=files.sbs.alone,
+        strict=files.sbs.strict,
+        producers=files.producers(),
+        limit=PLANNED,
+    )
+    return legality.judge(empty, legality.job(tasks))
+
+
+def planned_tasks(
+    files: Files, host: str, *, code: bool = True
+) -> tuple[list[legality.Task], Findings]:
+    """Return the tasks of a job whose parts can be read, and the faults of the others.
+
+    Args:
+        files: Its files.
+        host: The machine whose saved profiles are used.
+        code: Import the modules, and compare the files with them.
+    """
     job = files.read_job()
     found = Findings(file=job.file, kind="job")
     _take(
@@ -219,18 +249,7 @@ def planned(
         )
         tasks.append(with_times(task, saved))
     found.warnings += unused(files.profiles, tasks, host)
-    empty = legality.Configuration(
-        svar=files.table,
-        rtpus=files.sbs.rtpus,
-        keeper=files.sbs.keeper,
-        alone=files.sbs.alone,
-        strict=files.sbs.strict,
-        producers=files.producers(),
-        limit=PLANNED,
-    )
-    if len(tasks) < len(lines):  # else one fault would be reported as many
-        return None, found
-    return legality.judge(empty, legality.job(tasks)), found
+    return tasks, found
 
 
 def _described(rmod: Rmod, library: Library) -> ModuleInfo:

@@ -14,6 +14,7 @@ from .command_session import (
     CommandSession as CommandSession,
     Reply as Reply,
     convert as convert,
+    read as read,
 )
 from .commands import (
     COMMANDS as COMMANDS,
@@ -22,6 +23,7 @@ from .commands import (
     Kind as Kind,
     Scope as Scope,
     Use as Use,
+    described as described,
     find as find,
 )
 from .follow_events import Follower as Follower

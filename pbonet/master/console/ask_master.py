@@ -13,7 +13,7 @@ from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
 from pbonet.master.subsystem import client_name
 from pbonet.xm.net import codec, key_expressions, messages as m, rpc
 
-from .command_session import Reply
+from .command_session import Call, Reply
 from .network_interface import Order
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Files, Place
 
 _PAUSE = 0.05
+_OF_JOB = {"start", "switch"}
+"""Commands that mean the job of the file that was named, if they name none."""
 _FORWARD_TIME = 60.0
 """Seconds that a command may take which a master carries out for us."""
 
@@ -32,18 +34,21 @@ def through_master(
     opened: zenoh.Session,
     place: Place,
     files: Files,
-    command: str,
-    args: Mapping[str, object],
+    call: Call,
+    kind: str = "",
 ) -> Reply | None:
     """Have a living master carry out a command; None if none serves the port.
 
     The session is closed unless there is none.
     """
     name = files.sbs.subsystem
-    if files.job is not None and args.get("job", "") is None:
+    args = call.words
+    command = call.command.name
+    if files.job is not None and command in _OF_JOB and "job" not in args:
         # The master has a job of its own.
         args = {**args, "job": str(Path(files.job.file).resolve())}
-    client = rpc.Client(opened, place.domain, client_name(command.replace(" ", "-")))
+    caller = client_name(kind or command.replace(" ", "-"))
+    client = rpc.Client(opened, place.domain, caller)
     try:
         if not client.tokens(key_expressions.network(place.domain, name)):
             return None

@@ -63,6 +63,23 @@ class Call(Struct, frozen=True):
         """The task whose RTPU alone is asked; empty if other RTPUs matter, too."""
         return self.given.get("task") or "" if self.command.alone else ""
 
+    @property
+    def words(self) -> dict[str, Any]:
+        """The arguments that are not empty, as `convert` takes them from a message."""
+        return {
+            arg.name: self._words(arg, value)
+            for arg in self.command.args
+            if (value := self.given.get(arg.name)) not in (None, [])
+        }
+
+    @staticmethod
+    def _words(arg: Arg, value: Any) -> Any:  # noqa: ANN401 - by its kind
+        if arg.commas:
+            return ",".join(value)
+        if arg.kind is Kind.ITEM:
+            return [":".join(one) for one in value]
+        return value
+
 
 class CommandSession(SessionState):
     """Takes commands for one interface, and carries them out."""
@@ -78,16 +95,7 @@ class CommandSession(SessionState):
         Raises:
             PbonetError: The line is wrong.
         """
-        try:
-            words = shlex.split(line, comments=True)
-        except ValueError as error:
-            raise StateError(
-                "the line is not understood", got=str(error), remedy="close the quotes"
-            ) from None
-        if not words:
-            return None
-        command, words = split_name(words)
-        return Call(command, bind(command, words, self._knows))
+        return read(line, self._knows)
 
     def execute(self, line: str) -> Reply | None:
         """Carry out one command line; None for a blank line or a comment.
@@ -178,6 +186,28 @@ class CommandSession(SessionState):
 
     def _knows(self, task: str) -> bool:
         return task in self.subsystem.model
+
+
+def read(line: str, knows: Callable[[str], bool]) -> Call | None:
+    """Parse a command line; None for a blank line or a comment.
+
+    Args:
+        line: The line.
+        knows: Tells whether the subsystem has a task of a name.
+
+    Raises:
+        PbonetError: The line is wrong.
+    """
+    try:
+        words = shlex.split(line, comments=True)
+    except ValueError as error:
+        raise StateError(
+            "the line is not understood", got=str(error), remedy="close the quotes"
+        ) from None
+    if not words:
+        return None
+    command, words = split_name(words)
+    return Call(command, bind(command, words, knows))
 
 
 def split_name(words: list[str]) -> tuple[Command, list[str]]:

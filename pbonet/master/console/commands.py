@@ -6,7 +6,7 @@ table: a command's name, its arguments, its help, and what it calls on `Subsyste
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
@@ -169,29 +169,31 @@ _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 def _help(_: SessionState, given: Given) -> Given:
     """Show the commands."""
     name: str | None = given.get("command")
-    wanted = COMMANDS if name is None else (find(name),)
-    return {
-        "commands": [
-            {
-                "name": command.name,
-                "usage": command.usage,
-                "help": command.help,
-                "changes": command.changes,
-                "examples": [list(example) for example in command.examples],
-                "args": [
-                    {
-                        "name": arg.word,
-                        "kind": str(arg.kind),
-                        "doc": arg.doc,
-                        "use": str(arg.use),
-                        "last": arg.last,
-                    }
-                    for arg in command.args
-                ],
-            }
-            for command in wanted
-        ]
-    }
+    return {"commands": described(COMMANDS if name is None else (find(name),))}
+
+
+def described(commands: Iterable[Command]) -> list[Given]:
+    """Return commands as data: names, arguments, and what they do."""
+    return [
+        {
+            "name": command.name,
+            "usage": command.usage,
+            "help": command.help,
+            "changes": command.changes,
+            "examples": [list(example) for example in command.examples],
+            "args": [
+                {
+                    "name": arg.word,
+                    "kind": str(arg.kind),
+                    "doc": arg.doc,
+                    "use": str(arg.use),
+                    "last": arg.last,
+                }
+                for arg in command.args
+            ],
+        }
+        for command in commands
+    ]
 
 
 COMMANDS: Final = (

@@ -39,12 +39,27 @@ def run(
         PbonetError: A file, an argument or an agent is wrong, or the command failed.
     """
     wanted = find(command)
-    call = Call(wanted, convert(wanted, args))
+    return perform(path, Call(wanted, convert(wanted, args)), place)
+
+
+def perform(path: str | Path, call: Call, place: Place, *, kind: str = "") -> Reply:
+    """Carry out one command, whose arguments were read, and leave the subsystem.
+
+    Args:
+        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        call: The command.
+        place: Where the subsystem is.
+        kind: What gives it, as agents and logs name it; the command if left out.
+
+    Raises:
+        PbonetError: A file or an agent is wrong, or the command failed.
+    """
+    wanted = call.command
     opening: list[str] = []
     subsystem = Subsystem(
         path,
         **place.arguments,
-        kind=command.replace(" ", "-"),
+        kind=kind or wanted.name.replace(" ", "-"),
         watch=not call.changes,
         partly=not wanted.whole,
         warned=opening.append,
@@ -53,7 +68,7 @@ def run(
     if call.changes and not place.take_over:
         from .ask_master import through_master
 
-        reply = through_master(opened, place, subsystem.files, command, args)
+        reply = through_master(opened, place, subsystem.files, call, kind)
         if reply is not None:
             return reply
     try:

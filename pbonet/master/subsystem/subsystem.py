@@ -825,6 +825,23 @@ class Subsystem:
         with self._busy:
             return self.task_set.report(self._change(job))
 
+    def graph(self) -> configuration.Graph:
+        """Return its graph: tasks, variables, wires, links to others, and faults.
+
+        `msgspec.to_builtins` makes dictionaries and lists of it.
+
+        Returns:
+            That of the tasks as last read from the RTPUs; before `open`, that of the
+            job with which it was made.
+
+        Raises:
+            ConfigError: It is not open, and the job is wrong.
+        """
+        if self._task_set is None:
+            return configuration.job_graph(self.files)
+        with self._busy:
+            return self.task_set.graph()
+
     def _change(self, job: str | Path | None) -> legality.Change | None:
         """Return the change to check; None for the present tasks."""
         self.task_set.refresh()

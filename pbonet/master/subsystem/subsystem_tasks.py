@@ -512,6 +512,20 @@ class SubsystemTasks:
         now = self.configuration()
         return legality.report(legality.judge(now, change).after if change else now)
 
+    def graph(self) -> configuration.Graph:
+        """Return the graph of the present tasks, and what verification says of them.
+
+        A task whose module is not there any more has ports as its RMOD says.
+        """
+        faults: list[configuration.GraphFault] = []
+        for member in self.model:
+            try:
+                self.with_infos([member])
+            except PbonetError as error:
+                faults.append(configuration.unread(str(error), member.name))
+        tasks = [member.task for member in self.model]
+        return configuration.graph_of(self.files, tasks, self._problems(), faults)
+
     def configuration(self) -> legality.Configuration:
         """Return the present subsystem."""
         return legality.Configuration(

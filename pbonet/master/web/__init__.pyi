@@ -1,0 +1,1 @@
+from .server import Served as Served, serve as serve

@@ -1,0 +1,154 @@
+"""What has changed since it was last sent: values, states of tasks and RTPUs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pbonet.master.subsystem import Window
+from pbonet.node.wire import lifecycle
+from pbonet.pbo import State
+from pbonet.xm.net import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+Data = dict[str, Any]
+_TOTALS = ("cycle", "miss", "failed", "warn")
+"""Fields that are totals since the task was turned on, not of the last second."""
+_UNSEEN = ("nowC", "ptime", "totC")
+"""Fields that change in each status and say nothing that the others do not."""
+
+
+class Values:
+    """The values that were sent, to send only what is new.
+
+    One is new when another task wrote it, or it was written again, or its staleness
+    has changed. Its age is not sent again: who has its time knows it.
+    """
+
+    def __init__(self) -> None:
+        self._sent: dict[str, tuple[str | None, int, bool]] = {}
+
+    def new(self, values: Iterable[m.VarValue], now: float) -> dict[str, Data]:
+        """Return the values that are new, by variable, each with its sample time.
+
+        Args:
+            values: As an RTPU has answered.
+            now: The time at which it answered, seconds since 1970.
+        """
+        found: dict[str, Data] = {}
+        for value in values:
+            mark = (value.writer, value.seq, value.stale)
+            if self._sent.get(value.name) == mark:
+                continue
+            self._sent[value.name] = mark
+            found[value.name] = {
+                "t": None if value.age is None else now - value.age,
+                "v": list(value.values),
+                "writer": value.writer or "",
+                "age": value.age,
+                "stale": value.stale,
+            }
+        return found
+
+    def forget(self) -> None:
+        """Take all values as new at the next call."""
+        self._sent.clear()
+
+
+class States:
+    """The status of tasks and RTPUs that was sent, to send only what has changed."""
+
+    def __init__(self) -> None:
+        self._window = Window()
+        self._tasks: dict[str, Data] = {}
+        self._rtpus: dict[str, Data] = {}
+
+    def new(
+        self, statuses: Mapping[str, m.RtpuStatus], silent: Iterable[str], now: float
+    ) -> Data:
+        """Return the message with what has changed since the last call.
+
+        Args:
+            statuses: By RTPU, of those that answered.
+            silent: RTPUs that did not.
+            now: Seconds since 1970.
+        """
+        tasks = {
+            one.task: self._task(one)
+            for rtpu in statuses.values()
+            for one in rtpu.tasks
+        }
+        unheard = set(silent)
+        for name, task in self._tasks.items():
+            if task["rtpu"] in unheard and name not in tasks:
+                tasks[name] = task  # nothing new is known of it
+        rtpus = {name: self._rtpu(one) for name, one in statuses.items()}
+        for name in unheard:
+            rtpus[name] = {**self._rtpus.get(name, {"rtpu": name}), "silent": True}
+        message = {
+            "kind": "status",
+            "t": now,
+            "whole": False,
+            "rtpus": [r for n, r in rtpus.items() if self._rtpus.get(n) != r],
+            "tasks": [t for n, t in tasks.items() if self._tasks.get(n) != t],
+            "gone": sorted(self._tasks.keys() - tasks.keys()),
+        }
+        self._tasks, self._rtpus = tasks, rtpus
+        return message
+
+    def whole(self, now: float) -> Data:
+        """Return the message with all that is known."""
+        return {
+            "kind": "status",
+            "t": now,
+            "whole": True,
+            "rtpus": list(self._rtpus.values()),
+            "tasks": list(self._tasks.values()),
+            "gone": [],
+        }
+
+    def _task(self, status: m.TaskStatus) -> Data:
+        rates = self._window.rates(status)
+        fields: Data = {name: _short(value) for name, value in rates.items()}
+        fields |= {name: getattr(status, name) for name in _TOTALS}
+        for name in _UNSEEN:
+            fields.pop(name, None)
+        return {
+            "task": status.task,
+            "rtpu": status.rtpu,
+            "state": str(status.state),
+            "signals": signals(status.state),
+            "fields": fields,
+            "error": status.error if status.state == State.ERROR else "",
+            "warning": status.warning,
+            "waits": status.waits,
+            "standby": status.stands_by,
+            "fallback_of": status.fallback_of,
+            "restarted": status.restarted,
+        }
+
+    def _rtpu(self, status: m.RtpuStatus) -> Data:
+        return {
+            "rtpu": status.rtpu,
+            "backend": status.backend,
+            "scheduler": status.scheduler,
+            "util": _short(status.util),
+            "dispatcher": _short(status.dispatcher),
+            "illegal": status.illegal,
+            "stalls": status.stalls,
+            "load": _short(self._window.load(status.tasks)),
+            "log": status.log,
+            "silent": False,
+        }
+
+
+def _short(value: object) -> object:
+    """Return a number with the digits that are shown, so that it seldom changes."""
+    return float(f"{value:.3g}") if isinstance(value, float) else value
+
+
+def signals(state: str) -> list[str]:
+    """Return the signals that a master can send to a task in a state."""
+    events = lifecycle.valid(State(state))
+    return [str(event) for event in events if event in lifecycle.FROM_OUTSIDE]

@@ -1,0 +1,298 @@
+"""A recorded run as a page shows it: at one time, which moves on or is chosen."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+import numpy as np
+
+from pbonet.config import Library
+from pbonet.errors import LogError, Severity
+from pbonet.log import Log, timelines
+from pbonet.master.configuration import Files, job_graph
+
+from .history import EVENTS, SECONDS
+from .source import Source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    Data = dict[str, Any]
+
+PERIOD: Final = 0.05
+"""Seconds between two messages while the run goes on."""
+_STATES: Final = 0.5
+_SAMPLES: Final = 1200
+"""Samples of one variable that a browser is told at once."""
+_FASTEST: Final = 100.0
+
+
+class RecordedRun(Source):
+    """Tells browsers how a recorded run was at one time.
+
+    Args:
+        path: The log, or the folder of a run.
+
+    Raises:
+        LogError: There is no log, or it has no files from which it can be drawn.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._log = Log(path)
+        begin, end = (time_ns * 1e-9 for time_ns in self._log.span_ns)
+        self._begin, self._end = begin, end
+        self._graph = _graph(self._log)
+        self.about = {
+            "name": self._graph["name"],
+            "job": self._graph["job"],
+            "hz": 1.0 / PERIOD,
+            "log": {"file": str(path), "begin": begin, "end": end},
+        }
+        self.variables = frozenset(one["name"] for one in self._graph["variables"])
+        self._written = {
+            name for task in self._log.tasks for name in self._log.variables(task)
+        }
+        self._events = [_event(one) for one in self._log.events()]
+        self._states = _States(self._log, self._graph)
+        self._series: dict[str, tuple[NDArray[np.float64], NDArray[Any]]] = {}
+        self._at = begin
+        self._speed = 0.0
+        self._wanted: frozenset[str] = frozenset()
+        self._lock = threading.Lock()
+        self._moved = threading.Event()
+        self._ended = threading.Event()
+        self._told: Callable[[Data], None] = lambda _: None
+        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+
+    def start(self, told: Callable[[Data], None]) -> None:
+        """Show the beginning, and stand still."""
+        self._told = told
+        self._thread.start()
+
+    def close(self) -> None:
+        """Show nothing more."""
+        self._ended.set()
+        self._moved.set()
+        if self._thread.is_alive():
+            self._thread.join(5.0)
+
+    def want(self, names: Iterable[str]) -> None:
+        """Tell the values of these variables from now on."""
+        self._wanted = frozenset(names)
+
+    def seek(self, at: float) -> None:
+        """Show the run at a time, in seconds since 1970."""
+        if at == at:  # a number, and not NaN  # noqa: PLR0124
+            with self._lock:
+                self._at = min(max(at, self._begin), self._end)
+            self._moved.set()
+
+    def play(self, speed: float) -> None:
+        """Let the run go on so many times as fast as it was; 0 stands still."""
+        if 0.0 <= speed <= _FASTEST:
+            with self._lock:
+                if speed and self._at >= self._end:
+                    self._at = self._begin
+                self._speed = speed
+            self._moved.set()
+
+    def first(self) -> list[Data]:
+        """Return what a new browser is told."""
+        with self._lock:
+            at, speed = self._at, self._speed
+        return [
+            {"kind": "graph", "graph": self._graph},
+            self._states.at(at),
+            {"kind": "history", "values": {}, "events": self._until(at)},
+            {"kind": "complaints", "texts": []},
+            {"kind": "at", "t": at, "speed": speed},
+        ]
+
+    def history(self, names: Iterable[str]) -> list[Data]:
+        """Return the minute before the present time, thinned out."""
+        with self._lock:
+            at = self._at
+        names = list(names)
+        values: dict[str, Data] = {}
+        for name in names:
+            times, numbers = self._of(name)
+            low, high = np.searchsorted(times, (at - SECONDS, at), side="right")
+            step = max(1, -(-int(high - low) // _SAMPLES))
+            chosen = slice(int(low), int(high), step)
+            values[name] = {
+                "t": times[chosen].tolist(),
+                "v": [np.ravel(one).tolist() for one in numbers[chosen]],
+            }
+        now = self._values(names, at)
+        return [
+            {"kind": "history", "values": values, "events": []},
+            {"kind": "values", "t": at, "values": now},
+        ]
+
+    # -- in its own thread ------------------------------------------------------------
+
+    def _run(self) -> None:
+        before, told = self._at, 0.0
+        last = time.monotonic()
+        while not self._ended.is_set():
+            waited = PERIOD if self._speed else None
+            jumped = self._moved.wait(waited)
+            self._moved.clear()
+            now = time.monotonic()
+            with self._lock:
+                if not jumped:
+                    self._at += (now - last) * self._speed
+                if self._at >= self._end:
+                    self._at, self._speed = self._end, 0.0
+                at, speed = self._at, self._speed
+            last = now
+            self._tell(at, speed, before, whole=jumped or now - told >= _STATES)
+            if jumped or now - told >= _STATES:
+                told = now
+            before = at
+
+    def _tell(self, at: float, speed: float, before: float, *, whole: bool) -> None:
+        """Tell how it is at a time; the status and earlier values only now and then."""
+        self._told({"kind": "at", "t": at, "speed": speed})
+        if whole:
+            self._told(self._states.at(at))
+        if at < before or at - before > SECONDS:  # another part of the run
+            for message in self.history(sorted(self._wanted)):
+                self._told({**message, "anew": True})
+            self._told({"kind": "history", "values": {}, "events": self._until(at)})
+            return
+        events = [one for one in self._events if before < one["t"] <= at]
+        if events:
+            self._told({"kind": "events", "events": events})
+        self._told({
+            "kind": "values",
+            "t": at,
+            "values": self._values(self._wanted, at),
+        })
+
+    def _until(self, at: float) -> list[Data]:
+        return [one for one in self._events if one["t"] <= at][-EVENTS:]
+
+    def _values(self, names: Iterable[str], at: float) -> dict[str, Data]:
+        """Return the values of variables as they were at a time."""
+        found: dict[str, Data] = {}
+        for name in names:
+            times, numbers = self._of(name)
+            row = int(np.searchsorted(times, at, side="right")) - 1
+            if row >= 0:
+                found[name] = {
+                    "t": float(times[row]),
+                    "v": np.ravel(numbers[row]).tolist(),
+                    "writer": "",
+                    "age": at - float(times[row]),
+                    "stale": False,
+                }
+        return found
+
+    def _of(self, name: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
+        """Return a variable's times, in seconds since 1970, and its values."""
+        if name not in self._written:
+            return np.zeros(0), np.zeros((0, 1))
+        if name not in self._series:
+            seconds, numbers = self._log.series(name)
+            self._series[name] = seconds + self._log.begin_time_ns * 1e-9, numbers
+        return self._series[name]
+
+
+class _States:
+    """The states of tasks over time, and how many cycles they had run.
+
+    Args:
+        log: The run.
+        graph: Its graph.
+    """
+
+    def __init__(self, log: Log, graph: Data) -> None:
+        self._lines = timelines(log)
+        offset = log.begin_time_ns - log.begin_ns
+        self._cycles = {
+            task: (log.arrays(task)["release_ns"] + offset) * 1e-9 for task in log.tasks
+        }
+        self._tasks = {one["name"]: one for one in graph["tasks"]}
+        self._rtpus = [one["name"] for one in graph["rtpus"]]
+
+    def at(self, at: float) -> Data:
+        """Return the message with the status of all at a time."""
+        return {
+            "kind": "status",
+            "t": at,
+            "whole": True,
+            "rtpus": [
+                {"rtpu": name, "illegal": [], "silent": False} for name in self._rtpus
+            ],
+            "tasks": [self._task(name, at) for name in self._tasks],
+            "gone": [],
+        }
+
+    def _task(self, name: str, at: float) -> Data:
+        begun, state = self._state(name, at)
+        times = self._cycles.get(name, np.zeros(0))
+        ran = np.searchsorted(times, (begun, at - 1.0, at), side="right")
+        about = self._tasks[name]
+        return {
+            "task": name,
+            "rtpu": about["rtpu"],
+            "state": state,
+            "signals": [],
+            "fields": {
+                "refF": about["freq"] or None,
+                "mezF": int(ran[2] - ran[1]) if state == "ON" else None,
+                "cycle": int(ran[2] - ran[0]),
+            },
+            "error": "",
+            "warning": "",
+            "waits": "",
+            "standby": False,
+            "fallback_of": about["fallback_of"],
+            "restarted": "",
+        }
+
+    def _state(self, name: str, at: float) -> tuple[float, str]:
+        """Return since when a task is in its state at a time, and that state."""
+        for stretch in reversed(self._lines.get(name, [])):
+            if stretch.begin_ns * 1e-9 <= at:
+                return stretch.begin_ns * 1e-9, stretch.state
+        return 0.0, "NOT-CREATED"
+
+
+def _graph(log: Log) -> Data:
+    """Return the graph of a run, from the files that are attached to its log.
+
+    Raises:
+        LogError: They are missing.
+    """
+    files = {name: one.data for name, one in log.attached.items()}
+    jobs = [name for name in files if name.endswith(".job")]
+    begin = jobs or [name for name in files if name.endswith(".sbs")]
+    if not begin:
+        raise LogError(
+            "the log has no files from which the page could be drawn",
+            where=str(log.path),
+            expected="a .job or .sbs file attached to it, as `run` and `start` do",
+            remedy="plot it by `pbonet log plot`",
+        )
+    with tempfile.TemporaryDirectory(prefix="pbonet-") as folder:
+        for name, data in files.items():
+            (Path(folder) / Path(name).name).write_bytes(data)
+        found = Files(Path(folder) / Path(begin[0]).name, Library(()))
+        graph: Data = msgspec.to_builtins(job_graph(found, code=False))
+    return graph
+
+
+def _event(event: Data) -> Data:
+    data = dict(event)
+    data["t"] = data.pop("wall", 0.0)
+    data["severity"] = Severity(data["severity"]).name.lower()
+    return data

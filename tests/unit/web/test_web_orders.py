@@ -1,0 +1,193 @@
+"""Commands of browsers: who may give which, and what they hear."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+
+import pytest
+from hypothesis import given, strategies as st
+
+from pbonet.errors import ProtocolError, StateError
+from pbonet.master.configuration import Place
+from pbonet.master.console import COMMANDS, Reply, oneshot, stop_all
+from pbonet.master.web import orders
+from pbonet.master.web.access import Role
+
+
+class Given:
+    """Commands that were carried out, in place of a subsystem's."""
+
+    def __init__(self):
+        self.calls = []
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def perform(self, _path, call, _place, *, kind=""):
+        self.gate.wait(30)
+        self.calls.append((call.command.name, call.words, kind))
+        if call.given.get("text") == "wrong":
+            raise StateError("the task is asleep", got="OFF", remedy="wake it")
+        return Reply(command="on", data={"states": {"pid": "ON"}})
+
+
+@pytest.fixture
+def carried(monkeypatch):
+    carried = Given()
+    monkeypatch.setattr(oneshot, "perform", carried.perform)
+    return carried
+
+
+@pytest.fixture
+def made(carried):
+    assert carried.calls == []
+    made = orders.Orders("arm.job", "arm", Place(), lambda task: task == "pid")
+    yield made
+    made.close()
+
+
+def ask(made, request, role=Role.OPERATOR, told=lambda _: None):
+    return asyncio.run(made.answer(request, role, told))
+
+
+def test_a_command_and_a_line_are_the_same(made, carried):
+    one = ask(made, orders.Order(1, "on", {"task": ["pid"]}))
+    other = ask(made, orders.Line(2, "on pid"))
+    assert one == {**other, "id": 1}
+    assert one["ok"]
+    assert one["text"] == "pid ON"
+    assert carried.calls == 2 * [("on", {"task": ["pid"]}, "web-operator")]
+
+
+def test_arguments_of_all_kinds_arrive(made, carried):
+    ask(made, orders.Line(1, "swap a,b c,d dry_run=yes"))
+    ask(made, orders.Line(2, "reconfig a:off b:on"))
+    ask(made, orders.Line(3, "freq pid 50"))
+    assert [words for _, words, _ in carried.calls] == [
+        {"old": "a,b", "new": "c,d", "dry_run": True},
+        {"item": ["a:off", "b:on"]},
+        {"task": "pid", "hz": 50.0},
+    ]
+
+
+def test_a_refusal_is_told_word_for_word(made):
+    answer = ask(made, orders.Line(4, "on pid text=wrong"))
+    assert answer == {
+        "kind": "answer",
+        "id": 4,
+        "ok": False,
+        "text": str(StateError("the task is asleep", got="OFF", remedy="wake it")),
+        "warnings": [],
+        "data": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("bogus", "there is no command bogus; see 'help'"),
+        ("quit", "quit is not available here"),
+        ("sigwait pid", "sigwait is not available here"),
+        ("network port", "network is not available here"),
+        ("on 'pid", "the line is not understood"),
+    ],
+)
+def test_lines_that_are_refused(made, carried, line, text):
+    answer = ask(made, orders.Line(1, line))
+    assert not answer["ok"]
+    assert answer["text"].startswith(text)
+    assert not carried.calls
+
+
+def test_a_blank_line_does_nothing(made, carried):
+    assert ask(made, orders.Line(1, "  # nothing"))["ok"]
+    assert not carried.calls
+
+
+def test_an_observer_may_look_and_may_not_steer(made, carried, monkeypatch):
+    monkeypatch.setattr(stop_all, "stop", lambda *_, **__: pytest.fail("stopped"))
+    for line in ("on pid", "kill pid", "set pid kp 3", "freq pid 5", "switch other"):
+        answer = ask(made, orders.Line(1, line), Role.OBSERVER)
+        assert not answer["ok"], line
+        assert "this page is an observer's" in answer["text"]
+    assert not ask(made, orders.Stop(1), Role.OBSERVER)["ok"]
+    assert not carried.calls
+    for line in ("status", "freq pid", "switch other dry_run=yes", "display"):
+        assert ask(made, orders.Line(1, line), Role.OBSERVER)["ok"], line
+
+
+def test_every_command_that_changes_is_refused_to_an_observer(made, carried):
+    """Whatever its arguments are, as far as they alone make it change something."""
+    words = {"task": "pid", "rmod": "m", "job": "j", "old": "a", "new": "b"}
+    words |= {"item": "a:on", "param": "kp", "value": "3", "hz": "5", "signal": "s"}
+    words |= {"variable": "X", "portname": "p"}
+    for command in COMMANDS:
+        if not command.changes or not orders.is_fit(command):
+            continue
+        line = " ".join([command.name, *(words.get(a.name, "") for a in command.args)])
+        assert not ask(made, orders.Line(1, line), Role.OBSERVER)["ok"], line
+    assert not carried.calls
+
+
+def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
+    done = {"off": ["pid"], "killed": [], "rtpus": ["arm0"]}
+    monkeypatch.setattr(stop_all, "stop", lambda *_, **__: done)
+
+    async def both():
+        carried.gate.clear()
+        told = asyncio.Queue()
+        slow = asyncio.create_task(
+            made.answer(orders.Line(1, "on pid"), Role.OPERATOR, told.put_nowait)
+        )
+        await asyncio.sleep(0)
+        stopped = await made.answer(orders.Stop(2), Role.OPERATOR, told.put_nowait)
+        assert not slow.done()
+        progress = await told.get()
+        carried.gate.set()
+        return stopped, await slow, progress
+
+    stopped, slow, told = asyncio.run(both())
+    assert stopped["text"] == "turned off: pid"
+    assert slow["ok"]
+    assert told["kind"] == "progress"
+    assert told["id"] == 1
+
+
+def test_only_so_many_commands_may_wait(made, carried):
+    async def many():
+        carried.gate.clear()
+        asked = [
+            asyncio.create_task(
+                made.answer(orders.Line(n, "on pid"), Role.OPERATOR, lambda _: None)
+            )
+            for n in range(20)
+        ]
+        await asyncio.sleep(0.05)
+        carried.gate.set()
+        return await asyncio.gather(*asked)
+
+    answers = asyncio.run(many())
+    refused = [one for one in answers if not one["ok"]]
+    assert len(refused) == 4
+    assert refused[0]["text"].startswith("16 commands wait already")
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.text(max_size=9),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["do", "id", "line", "command", "args", "variables", "x"]),
+            inner | st.sampled_from(["watch", "line", "command", "stop"]),
+            max_size=5,
+        )
+    ),
+    max_leaves=8,
+)
+
+
+@given(_JSON.map(lambda data: orders.msgspec.json.encode(data).decode()) | st.text())
+def test_any_text_is_a_request_or_refused(text):
+    with contextlib.suppress(ProtocolError):
+        assert isinstance(orders.decode(text), orders.Request)
