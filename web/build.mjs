@@ -56,7 +56,7 @@ async function buildPage() {
     metafile: true,
     logLevel: "warning",
   });
-  cpSync(join(here, "index.html"), join(out, "index.html"));
+  for (const name of ["index.html", "icon.svg"]) cpSync(join(here, name), join(out, name));
   let size = 0;
   for (const name of readdirSync(out)) size += gzipSync(readFileSync(join(out, name)), { level: 9 }).length;
   writeFileSync(join(out, "licences.txt"), licences(made.metafile.inputs));

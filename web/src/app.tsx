@@ -66,7 +66,7 @@ export function App() {
       <TopBar />
       <Bars />
       <LogBar />
-      <main className={page.plotsOpen ? "" : "plots-closed"}>
+      <main className={!page.plotsOpen ? "plots-closed" : page.charts.length ? "" : "no-charts"}>
         <GraphView />
         <PlotsPanel />
         <Side />

@@ -1,6 +1,6 @@
 // Changes of the configuration: swap, switch, start and spawn. What would be done is shown first.
 import { useMemo, useState } from "react";
-import { command, type Args } from "./connection";
+import { readingCommand, type Args } from "./connection";
 import { Outcome, WordField, argHelp, commandHelp, useCommand } from "./controls";
 import { live, useGraph, useLive } from "./live_state";
 import { page, usePage } from "./page_state";
@@ -10,7 +10,7 @@ let rmodNames: string[] = [];
 /** Asks once for the names of the library's RMODs. */
 async function askRmods(then: (names: string[]) => void): Promise<void> {
   if (!rmodNames.length) {
-    const answer = await command("library", {});
+    const answer = await readingCommand("library", {});
     const modules = (answer.data?.modules ?? []) as { name: string; rmods?: string[] }[];
     rmodNames = [...new Set(modules.flatMap((one) => one.rmods ?? []).map((one) => one.replace(/\.rmod$/, "").replace(/^.*\//, "")))].sort();
   }
@@ -27,6 +27,7 @@ export function ChangePanel() {
     <div className="panel">
       <Swap />
       <Switch />
+      <Start />
       <Spawn />
     </div>
   );
@@ -72,6 +73,25 @@ function Switch() {
       <WordField label="job" hint={argHelp("switch", "job")} value={job} words={live.hello?.job ? [live.hello.job] : []} change={setJob} />
       <WordField label="wait" hint={argHelp("switch", "wait")} value={wait} words={[]} change={setWait} />
     </Planned>
+  );
+}
+
+function Start() {
+  const running = useCommand();
+  const [job, setJob] = useState("");
+  const [wait, setWait] = useState("");
+  const send = () => void running.run("start", { ...(job.trim() ? { job: job.trim() } : {}), ...(wait.trim() ? { wait: wait.trim() } : {}) });
+  return (
+    <section className="change" aria-label="start">
+      <h3>start</h3>
+      <p className="dim">{commandHelp("start")}</p>
+      <form onSubmit={(event) => { event.preventDefault(); send(); }}>
+        <WordField label="job" hint={argHelp("start", "job")} value={job} words={live.hello?.job ? [live.hello.job] : []} change={setJob} />
+        <WordField label="wait" hint={argHelp("start", "wait")} value={wait} words={[]} change={setWait} />
+        <p className="row"><button type="submit" disabled={running.busy || live.link !== "live"}>start</button></p>
+      </form>
+      <Outcome of={running} done={<pre>{running.answer?.text || "done"}</pre>} />
+    </section>
   );
 }
 

@@ -5,7 +5,7 @@ import { live } from "./live_state";
 import { page } from "./page_state";
 import { alignSeries, type Series, type Table } from "./series";
 
-export const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#aa4499", "#b8860b", "#3fa0d8", "#884422", "#666666"];
+export const COLOURS = ["#2a7fd4", "#d9651b", "#12a06c", "#bb55aa", "#b08a1e", "#3bb3cc", "#a0623f", "#858b96"];
 export const DASHES = [[], [6, 3], [2, 3], [9, 3, 2, 3]];
 export const lineColour = (k: number): string => COLOURS[k % COLOURS.length]!;
 export const lineDash = (k: number): number[] => DASHES[Math.floor(k / COLOURS.length) % DASHES.length]!;
@@ -72,7 +72,7 @@ export class ChartView {
     const grid = { stroke: css("--grid"), width: 1 };
     const axis = { stroke: css("--dim"), grid, ticks: { show: false }, font: `11px ${css("--font")}` };
     return {
-      width: Math.max(200, width), height: HEIGHT, legend: { show: false }, padding: [8, 14, 0, 0],
+      width: Math.max(200, width), height: HEIGHT, legend: { show: false }, padding: [8, 34, 0, 0],
       cursor: {
         sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false, setScale: false }, points: { size: 6 },
         dataIdx: (_, column, hovered) => this.hoverPlace(column, hovered),

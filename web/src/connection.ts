@@ -3,7 +3,9 @@ import { live } from "./live_state";
 import type { Answer, Message } from "./protocol";
 
 const RETRY = 500; // ms
-const SILENCE = 5000; // ms without any message, after which the connection counts as lost
+const QUIET = 1500; // ms without any message, after which the page asks whether the server is there
+const SILENCE = 5000; // ms after which the connection counts as lost
+const EVERY = 10; // attempts after which it is asked why none succeeds
 const MOST_WATCHED = 200;
 
 export interface Sent {
@@ -20,6 +22,7 @@ let heardAt = 0;
 const waiting = new Map<number, (answer: Answer) => void>();
 const wanted = new Map<string, readonly string[]>();
 let watched = "";
+let attempts = 0;
 
 export const sentCommands = (): readonly Sent[] => sent;
 
@@ -41,7 +44,7 @@ function take(data: string): void {
   if (message.kind === "answer") return answered(message);
   if (message.kind === "progress") return change(message.id, { seconds: message.seconds, answer: message.text });
   live.take(message);
-  if (message.kind === "hello") { watched = ""; sendWatch(); }
+  if (message.kind === "hello") { attempts = 0; sendWatch(true); }
 }
 
 function lose(reason: string): void {
@@ -54,14 +57,29 @@ function lose(reason: string): void {
   }
   live.setLink(live.hello ? "lost" : "connecting", reason);
   setTimeout(connect, RETRY);
+  if (++attempts % EVERY === 2) void askWhy();
 }
 
-setInterval(() => {
-  if (live.link !== "live" || live.log || performance.now() - heardAt < SILENCE) return;
-  const silent = socket;
-  lose("the server is silent");
-  silent?.close();
-}, 1000);
+/** Asks for the page itself, as a browser does not say why a socket was refused. */
+async function askWhy(): Promise<void> {
+  try {
+    const answer = await fetch(new URL(".", location.href), { cache: "no-store" });
+    if (answer.status === 401 && live.link !== "live") live.setLink(live.link, "This page's link holds no more: open a new one that “pbonet web” has printed.");
+  } catch { /* the server is not there, as is shown already */ }
+}
+
+/** Notices a server that says nothing more. It answers each `watch`, so that quiet is no silence. */
+export function watchForSilence(): void {
+  setInterval(() => {
+    if (live.link !== "live") return;
+    const quiet = performance.now() - heardAt;
+    if (quiet > SILENCE) {
+      const silent = socket;
+      lose("The server is silent.");
+      silent?.close();
+    } else if (quiet > QUIET) sendWatch(true);
+  }, 500);
+}
 
 function change(id: number, news: Partial<Sent>): void {
   sent = sent.map((one) => (one.id === id ? { ...one, ...news } : one));
@@ -74,9 +92,9 @@ function answered(answer: Answer, outcome: Sent["outcome"] = answer.ok ? "done" 
   waiting.delete(answer.id);
 }
 
-function request(text: string, message: Record<string, unknown>): Promise<Answer> {
+function request(text: string, message: Record<string, unknown>, quiet = false): Promise<Answer> {
   const id = ++lastId;
-  sent = [...sent.slice(-499), { id, text, at: live.now(), outcome: "running", answer: "", warnings: [], seconds: 0 }];
+  if (!quiet) sent = [...sent.slice(-499), { id, text, at: live.now(), outcome: "running", answer: "", warnings: [], seconds: 0 }];
   live.tell("sent");
   return new Promise((resolve) => {
     waiting.set(id, resolve);
@@ -94,6 +112,10 @@ export type Args = Record<string, string | string[]>;
 export function command(name: string, args: Args): Promise<Answer> {
   return request(asLine(name, args), { do: "command", command: name, args });
 }
+/** Gives one that only reads, for the page itself; it is not listed. */
+export function readingCommand(name: string, args: Args): Promise<Answer> {
+  return request(asLine(name, args), { do: "command", command: name, args }, true);
+}
 export function line(text: string): Promise<Answer> { return request(text, { do: "line", line: text }); }
 export function stop(): Promise<Answer> { return request("stop", { do: "stop" }); }
 
@@ -108,7 +130,6 @@ export function asLine(name: string, args: Args): string {
 
 /** Moves to a place of a recorded run. */
 export function seek(t: number): void {
-  live.forgetSamples();
   socket?.send(JSON.stringify({ do: "seek", t }));
 }
 export function play(speed: number): void { socket?.send(JSON.stringify({ do: "play", speed })); }
@@ -125,10 +146,10 @@ export function allWanted(parts: ReadonlyMap<string, readonly string[]>, most = 
   return [...names].slice(0, most);
 }
 
-function sendWatch(): void {
+function sendWatch(anyway = false): void {
   const variables = allWanted(wanted).sort();
   const text = variables.join("\n");
-  if (text === watched || socket?.readyState !== WebSocket.OPEN || live.link !== "live") return;
+  if ((text === watched && !anyway) || socket?.readyState !== WebSocket.OPEN || live.link !== "live") return;
   watched = text;
   socket.send(JSON.stringify({ do: "watch", variables }));
 }

@@ -1,7 +1,7 @@
 // Parts that several panels use: states, buttons of signals, and what became of a command.
 import { useCallback, useEffect, useId, useRef, useState, type ReactNode } from "react";
 import { command, sentCommands, type Args, type Sent } from "./connection";
-import { live, useLive, useTask } from "./live_state";
+import { live, stateOf, useLive, useTask } from "./live_state";
 import type { Answer } from "./protocol";
 
 export type Shown = "ON" | "OFF" | "ERROR" | "NOT-CREATED" | "?";
@@ -22,7 +22,8 @@ export function StateMark({ state, word = true }: { state: Shown; word?: boolean
 }
 
 export function TaskState({ task, word = true }: { task: string; word?: boolean }) {
-  return <StateMark state={useTask(task)?.state ?? "?"} word={word} />;
+  useTask(task);
+  return <StateMark state={stateOf(task)} word={word} />;
 }
 
 export const commandHelp = (name: string): string => live.hello?.commands.find((one) => one.name === name)?.help ?? "";
@@ -80,8 +81,13 @@ export function SignalButtons({ task }: { task: string }) {
   useLive("link");
   const running = useCommand();
   if (!live.steers) return null;
+  const info = live.graph?.tasks.find((one) => one.name === task);
   return (
     <div className="signals nodrag nopan">
+      {!status && info && stateOf(task) === "NOT-CREATED" && (
+        <button type="button" className="signal" title={commandHelp("spawn")} aria-label={`spawn ${task}`} disabled={running.busy || live.link !== "live"}
+          onClick={() => void running.run("spawn", { rmod: task, rtpu: info.rtpu })}>spawn</button>
+      )}
       {(status?.signals ?? []).map((signal) => (
         <button
           key={signal} type="button" className={`signal signal-${signal}`} title={commandHelp(signal)}

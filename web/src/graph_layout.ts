@@ -58,7 +58,8 @@ export function drawing(graph: Graph, options: GraphOptions): Drawing {
 
 export const taskId = (name: string): string => `task ${name}`;
 const frameId = (name: string): string => `rtpu ${name}`;
-const subsystemOf = (link: Link): string => link.to || link.from || link.name;
+/** The other end of a link; its writer does not know who reads it. */
+const otherEnd = (link: Link): string => link.from || link.to || `link ${link.name}`;
 
 function makeNodes(graph: Graph, options: GraphOptions, folded: Set<string>): AnyNode[] {
   const nodes: AnyNode[] = [];
@@ -81,7 +82,7 @@ function makeNodes(graph: Graph, options: GraphOptions, folded: Set<string>): An
     });
   }
   const devices = new Set(graph.tasks.flatMap((one) => one.devices));
-  const subsystems = new Set(graph.links.map(subsystemOf));
+  const subsystems = new Set(graph.links.map(otherEnd));
   for (const name of subsystems) nodes.push(otherNode(name, "subsystem"));
   for (const name of devices) nodes.push(otherNode(name, "device"));
   return nodes;
@@ -125,12 +126,13 @@ function wiringsOf(graph: Graph, options: GraphOptions, folded: Set<string>): Wi
       handle(wire.to, inHandle(wire.variable), "in"), wire.variable, wire.constant ? "constant" : "variable");
   }
   for (const link of graph.links) {
-    const other = `subsystem ${subsystemOf(link)}`;
-    for (const task of graph.tasks) {
-      const has = (ports: Port[]) => ports.some((one) => one.variable === link.variable);
-      if (link.direction === "in" && has(task.ins)) add(other, end(task.name), "out", handle(task.name, inHandle(link.variable), "in"), link.variable, "link");
-      if (link.direction === "out" && has(task.outs)) add(end(task.name), other, handle(task.name, outHandle(link.variable), "out"), "in", link.variable, "link");
-    }
+    const other = `subsystem ${otherEnd(link)}`, task = of.get(link.task);
+    if (!task) continue;
+    // The task of a link that comes in gives the variable to others: its port is an output.
+    const isOut = task.outs.some((one) => one.variable === link.variable);
+    const port = handle(task.name, isOut ? outHandle(link.variable) : inHandle(link.variable), isOut ? "out" : "in");
+    if (link.direction === "in") add(other, end(task.name), "out", isOut ? "device" : port, isOut ? "" : link.variable, "link");
+    else add(end(task.name), other, isOut ? port : "device-out", "in", isOut ? link.variable : "", "link");
   }
   for (const task of graph.tasks) {
     for (const device of task.devices) add(`device ${device}`, end(task.name), "out", folded.has(task.rtpu) ? "in" : "device", "", "device");

@@ -3,8 +3,8 @@ import {
   Background, BackgroundVariant, BaseEdge, Controls, EdgeLabelRenderer, MiniMap, ReactFlow, ReactFlowProvider, applyNodeChanges,
   useReactFlow, useStore, type EdgeProps, type NodeChange,
 } from "@xyflow/react";
-import { memo, useCallback, useEffect, useMemo, useState } from "react";
-import { useClock } from "./controls";
+import { memo, useCallback, useEffect, useMemo, useRef, useState } from "react";
+import { Outcome, commandHelp, useClock, useCommand } from "./controls";
 import { want } from "./connection";
 import { clock, number, seconds, unitText } from "./format";
 import { drawing, refit, shouldCompact, taskId, wirePath, type AnyNode, type Drawing, type WireEdge } from "./graph_layout";
@@ -80,7 +80,8 @@ export function Age({ name }: { name: string }) {
   const value = useValue(name);
   useClock();
   if (!value) return null;
-  if (value.age === null) return <span className="age live">never written</span>;
+  if (value.t === null) return <span className="age live">never written</span>;
+  if (live.link !== "live") return <span className="age">old</span>;
   const age = Math.max(0, live.now() - value.t);
   return <span className={`age live${value.stale ? " stale" : ""}`}>{value.stale ? "stale " : ""}{age < 0.1 ? "now" : age < 100 ? `${age.toFixed(1)} s` : seconds(age)}</span>;
 }
@@ -108,7 +109,7 @@ function Inspector() {
       <p className="dim">
         {value?.writer ? `written by ${value.writer}` : about.writers.length ? `${about.writers.join(", ")} can write it` : "no task writes it"}
         {about.readers.length ? `, read by ${about.readers.join(", ")}` : ""}
-        {value && value.age !== null && <> · {clock(value.t)} · <Age name={name} /></>}
+        {value && value.t !== null && <> · {clock(value.t)} · <Age name={name} /></>}
       </p>
       <button type="button" onClick={() => page.addSeries(parseSeries(name, live.variables))}>plot</button>
     </section>
@@ -128,8 +129,12 @@ function Flow() {
   );
   const [now, setNow] = useState(made);
   useEffect(() => { setNow(made); }, [made]);
-  const shape = made.nodes.length;
-  useEffect(() => { if (shape) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 })); }, [shape, compact, flow]);
+  const shape = made.nodes.length, moved = useRef(false);
+  const width = useStore((state) => state.width), height = useStore((state) => state.height);
+  useEffect(() => { moved.current = false; }, [shape, compact]);
+  useEffect(() => {
+    if (shape && !moved.current) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 }));
+  }, [shape, compact, flow, width, height]);
 
   const selected = page.selected;
   const nodes = useMemo(() => {
@@ -153,6 +158,7 @@ function Flow() {
   return (
     <ReactFlow<AnyNode, WireEdge>
       nodes={nodes} edges={now.edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
+      onMoveStart={(event) => { if (event) moved.current = true; }}
       onNodeDragStop={() => setNow((before) => refit(before.nodes, before.edges))}
       onNodeDoubleClick={(_, node) => { if (node.type === "task") page.openTask(node.data.task.name); }}
       onEdgeMouseEnter={(_, edge) => page.hover(edge.data!.variables[0] ?? "")} onEdgeMouseLeave={() => page.hover("")}
@@ -185,11 +191,27 @@ function Frame() {
       <div className="graph-tools">
         <button type="button" aria-pressed={compact} onClick={() => page.setCompact(!compact)} title="show tasks without their ports">compact</button>
         <Legend />
+        <StartJob />
       </div>
       {graph && !graph.tasks.length && <p className="empty">No task exists yet. Create one with “spawn”, or start a job.</p>}
       {!graph && <p className="empty">{live.hello ? "waiting for the graph" : "connecting to the server"}</p>}
       <Inspector />
     </section>
+  );
+}
+
+/** Starts the job of this page where none of its tasks exists. */
+function StartJob() {
+  useLive("status");
+  useLive("hello");
+  const running = useCommand();
+  const job = live.hello?.job ?? "";
+  if (!live.steers || !job || (live.tasks.size > 0 && !running.busy && !running.answer)) return null;
+  return (
+    <div className="start-job">
+      {live.tasks.size === 0 && <button type="button" className="primary" title={commandHelp("start")} disabled={running.busy || live.link !== "live"} onClick={() => void running.run("start", {})}>start job {job}</button>}
+      <Outcome of={running} />
+    </div>
   );
 }
 

@@ -1,7 +1,7 @@
 // All that the server told last, outside of React: parts of the page subscribe to what they show.
 import { useCallback, useSyncExternalStore } from "react";
 import type {
-  FieldInfo, Graph, Hello, LogInfo, Message, PbonetEvent, Role, RtpuStatus, StatusMessage, TaskStatus, Value, Variable,
+  FieldInfo, Graph, Hello, LogInfo, Message, PbonetEvent, Role, RtpuStatus, State, StatusMessage, TaskStatus, Value, Variable,
 } from "./protocol";
 import { Ring } from "./ring";
 
@@ -84,6 +84,8 @@ export class LiveState extends Keyed {
   rings = new Map<string, Ring>();
   events: PbonetEvent[] = [];
   complaints: string[] = [];
+  /** How fast a recorded run goes on; 0: it stands still. */
+  speed = 0;
   link: Link = "connecting";
   /** Why the last connection ended; empty if the server did not say. */
   linkText = "";
@@ -121,7 +123,11 @@ export class LiveState extends Keyed {
     switch (message.kind) {
       case "hello": return this.takeHello(message);
       case "graph": return this.takeGraph(message.graph);
-      case "history": return this.takeHistory(message.values, message.events);
+      case "history": return this.takeHistory(message);
+      case "at":
+        this.hear(message.t);
+        this.speed = message.speed;
+        return this.tell("at");
       case "status":
         this.hear(message.t);
         this.tell(...mergeStatus(this.tasks, this.rtpus, message), "status");
@@ -139,13 +145,6 @@ export class LiveState extends Keyed {
         this.complaints = [...this.complaints, message.text];
         return this.tell("complaints");
     }
-  }
-
-  /** Forgets samples, as the place in a recorded run changes. */
-  forgetSamples(): void {
-    this.rings.clear();
-    this.values.clear();
-    this.tell("samples");
   }
 
   private hear(t: number): void { this.heard = { t, at: performance.now() }; }
@@ -169,17 +168,18 @@ export class LiveState extends Keyed {
     this.tell("graph");
   }
 
-  private takeHistory(values: Record<string, { t: number[]; v: (number | null)[][] }>, events?: PbonetEvent[]): void {
-    for (const [name, { t, v }] of Object.entries(values)) this.ring(name, v[0]?.length ?? 1).putHistory(t, v);
-    if (events) this.events = mergeEvents(this.events, events);
+  private takeHistory({ values, events, anew }: Extract<Message, { kind: "history" }>): void {
+    if (anew) this.rings.clear();
+    for (const [name, { t, v }] of Object.entries(values)) if (v[0]) this.ring(name, v[0].length).putHistory(t, v);
+    if (events?.length) this.events = this.log ? events : mergeEvents(this.events, events);
     this.tell("samples", "events");
   }
 
   private takeValues(values: Record<string, Value>): void {
     for (const [name, value] of Object.entries(values)) {
       this.values.set(name, value);
-      const isNew = this.ring(name, value.v.length).push(value.t, value.v);
-      if (isNew) this.sampleListeners.forEach((heard) => heard(name, value.t, value.v));
+      const t = value.t;
+      if (t !== null && this.ring(name, value.v.length).push(t, value.v)) this.sampleListeners.forEach((heard) => heard(name, t, value.v));
       this.toShow.add(`value:${name}`);
     }
     this.tell("samples");
@@ -206,6 +206,10 @@ export const useLive = (key: string): number => useKey(live, key);
 export function useStale(name: string): boolean {
   const subscribe = useCallback((changed: () => void) => live.subscribe(`value:${name}`, changed), [name]);
   return useSyncExternalStore(subscribe, () => live.values.get(name)?.stale ?? false);
+}
+/** The state to show: a task of the graph without a status does not exist. */
+export function stateOf(name: string): State | "?" {
+  return live.tasks.get(name)?.state ?? (live.rtpus.size ? "NOT-CREATED" : "?");
 }
 export function useTask(name: string): TaskStatus | undefined {
   useLive(`task:${name}`);

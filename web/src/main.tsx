@@ -4,7 +4,8 @@ import "@xyflow/react/dist/style.css";
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
 import { App } from "./app";
-import { connect } from "./connection";
+import { connect, watchForSilence } from "./connection";
 
 createRoot(document.getElementById("root")!).render(<App />);
 connect();
+watchForSilence();

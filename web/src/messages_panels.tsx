@@ -87,7 +87,7 @@ function SentRow({ one }: { one: Sent }) {
     <li className={`sent-${one.outcome}`}>
       <div><time>{clock(one.at, 0)}</time><code>{one.text}</code><span className="outcome-word">{WORDS[one.outcome]}{one.outcome === "running" && one.seconds > 0 ? ` ${one.seconds.toFixed(1)} s` : ""}</span></div>
       {one.warnings.map((text) => <pre key={text} className="warning">{text}</pre>)}
-      {one.answer && <pre>{one.answer}</pre>}
+      {one.answer && <pre className={one.outcome === "done" ? "output" : ""} tabIndex={one.outcome === "done" ? 0 : undefined}>{one.answer}</pre>}
     </li>
   );
 }

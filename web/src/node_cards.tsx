@@ -4,9 +4,9 @@ import { memo } from "react";
 import { SignalButtons, StateMark, TaskState } from "./controls";
 import { field, short } from "./format";
 import { inHandle, outHandle, portRows, portTop, type FrameNode, type OtherNode, type TaskNode } from "./graph_layout";
-import { live, useLive, useRtpu, useTask } from "./live_state";
+import { live, stateOf, useLive, useRtpu, useTask } from "./live_state";
 import { page } from "./page_state";
-import type { Port, State, TaskInfo } from "./protocol";
+import type { Port, State, TaskInfo, TaskStatus } from "./protocol";
 
 export const TaskCard = memo(function TaskCard({ data }: NodeProps<TaskNode>) {
   return data.compact ? <SmallCard task={data.task} faulty={data.faulty} /> : <WholeCard task={data.task} faulty={data.faulty} />;
@@ -15,9 +15,9 @@ export const TaskCard = memo(function TaskCard({ data }: NodeProps<TaskNode>) {
 function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   const status = useTask(task.name);
   return (
-    <article className={`card small ${stateClass(status?.state)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
+    <article className={`card small ${stateClass(task.name)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
       <header><TaskState task={task.name} word={false} /><b className="name">{task.name}</b></header>
-      <div className="line live"><span className="word">{status?.state ?? "?"}</span><span>{rate(status?.fields)}</span></div>
+      <div className="line live"><span className="word">{stateOf(task.name)}</span><span>{rate(status?.fields)}</span></div>
       <Handle type="target" id="in" position={Position.Left} isConnectable={false} />
       <Handle type="source" id="out" position={Position.Right} isConnectable={false} />
       <SideHandles />
@@ -26,11 +26,11 @@ function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
 }
 
 function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
-  const status = useTask(task.name);
+  useTask(task.name);
   const { ins, outs } = portRows(task);
   const rows = Math.max(ins.length, outs.length, 1);
   return (
-    <article className={`card ${stateClass(status?.state)}`} title={task.desc}>
+    <article className={`card ${stateClass(task.name)}`} title={task.desc}>
       <header>
         <TaskState task={task.name} />
         <b className="name">{task.name}</b>
@@ -55,13 +55,14 @@ function SideHandles() {
   return (
     <>
       <Handle type="target" id="device" position={Position.Left} isConnectable={false} style={{ top: 20 }} className="hidden" />
+      <Handle type="source" id="device-out" position={Position.Right} isConnectable={false} style={{ top: 20 }} className="hidden" />
       <Handle type="source" id="fallback-out" position={Position.Top} isConnectable={false} style={{ left: "65%" }} className="hidden" />
       <Handle type="target" id="fallback-in" position={Position.Top} isConnectable={false} style={{ left: "35%" }} className="hidden" />
     </>
   );
 }
 
-const stateClass = (state: State | undefined): string => `is-${(state ?? "unknown").toLowerCase()}`;
+const stateClass = (task: string): string => `is-${stateOf(task).toLowerCase().replace("?", "unknown")}`;
 const kindOf = (task: TaskInfo): string => (task.freq ? `${task.type} ${short(task.freq)} Hz` : task.type);
 function rate(fields: Record<string, unknown> | undefined): string {
   if (!fields || typeof fields.mezF !== "number") return "";
@@ -82,8 +83,9 @@ function PortName({ port, faulty }: { port: Port; faulty: boolean }) {
 
 function Warnings({ task }: { task: string }) {
   const status = useTask(task);
-  if (!status?.warning && !status?.timing) return null;
-  return <span className="warn-sign" role="img" aria-label="warning" title={[status.warning, status.timing].filter(Boolean).join("\n")}>⚠</span>;
+  if (!status?.warning) return null;
+  const count = status.fields.warn;
+  return <span className="warn-sign" role="img" aria-label={`warning: ${status.warning}`} title={status.warning}>⚠{typeof count === "number" && count > 1 ? ` ${count}` : ""}</span>;
 }
 
 /** Hz measured and wanted, CPU, misses and failures. */
@@ -103,29 +105,34 @@ function Figures({ task }: { task: string }) {
   );
 }
 
+/** What there is to say of a task, each with its kind. */
+export function notesOf(status: TaskStatus): [string, string][] {
+  const standby = status.fallback_of && `${status.standby ? "stands by for" : "the fallback of"} ${status.fallback_of}`;
+  const notes: [string, string][] = [
+    ["error", status.error], ["warning", status.warning], ["waits", status.waits], ["standby", standby], ["restarted", status.restarted],
+  ];
+  return notes.filter(([, text]) => text);
+}
+
 /** Errors and warnings in full, below the card. */
 function Notes({ task }: { task: string }) {
   const status = useTask(task);
   if (!status) return null;
-  const notes: [string, string][] = [
-    ["error", status.error], ["warning", status.warning], ["timing", status.timing], ["waits", status.waits],
-    ["standby", status.standby], ["restarted", status.restarted],
-  ];
-  const there = notes.filter(([, text]) => text);
+  const there = notesOf(status);
   if (!there.length) return null;
   return <div className="notes live">{there.map(([kind, text]) => <p key={kind} className={`note note-${kind}`}><b>{kind}</b> {text}</p>)}</div>;
 }
 
 export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>) {
   const status = useRtpu(data.rtpu);
-  const load = status ? Math.round(status.load * 100) : null;
+  const load = status?.load === undefined ? null : Math.round(status.load * 100);
   return (
     <section className={`frame${data.folded ? " folded" : ""}${status?.silent ? " silent" : ""}${status?.illegal.length ? " illegal" : ""}`}>
       <header className="nodrag">
         <button type="button" className="fold nopan" aria-expanded={!data.folded} title={data.folded ? "show its tasks" : "fold its tasks into one card"}
           aria-label={`${data.folded ? "unfold" : "fold"} ${data.rtpu}`} onClick={() => page.fold(data.rtpu)}>{data.folded ? "▸" : "▾"}</button>
         <b>{data.rtpu}</b>
-        <span className="dim">{[status?.scheduler, status?.backend, data.keeper && "keeps the table"].filter(Boolean).join(" · ")}</span>
+        <span className="dim" title={data.keeper ? "it keeps the table of variables" : undefined}>{[status?.scheduler, status?.backend, data.keeper && "table"].filter(Boolean).join(" · ")}</span>
         {load !== null && <span className="load live" title="share of the core that its tasks took over the last second"><i style={{ width: `${Math.min(100, load)}%` }} />{load} %</span>}
         {status?.silent && <span className="badge bad">does not answer</span>}
         {Boolean(status?.stalls) && <span className="badge warn" title="how often its core stood still">{status?.stalls} stalls</span>}
@@ -144,7 +151,7 @@ function Counts({ tasks }: { tasks: string[] }) {
   return (
     <p className="counts live">
       {states.map((state) => {
-        const count = tasks.filter((one) => live.tasks.get(one)?.state === state).length;
+        const count = tasks.filter((one) => stateOf(one) === state).length;
         return count ? <span key={state}><StateMark state={state} word={false} /> {count} {state}</span> : null;
       })}
     </p>

@@ -17,9 +17,9 @@ export interface Hello {
   commands: Command[]; fields: FieldInfo[]; log: LogInfo | null;
 }
 
-export interface Port { port: string; variable: string; constant: boolean; unit: string; shape: number[]; type: string }
+export interface Port { port: string; variable: string; constant: boolean; unit: string; shape: (number | string)[]; type: string }
 export interface ParamInfo {
-  name: string; unit: string; desc: string; shape: number[];
+  name: string; unit: string; desc: string; type: string; bounds: string; shape: number[];
   low: number | null; high: number | null; value: unknown;
 }
 export interface TaskInfo {
@@ -32,8 +32,8 @@ export interface Variable {
   constant: boolean; writers: string[]; readers: string[];
 }
 export interface Wire { variable: string; from: string; to: string; constant: boolean }
-export interface Link { name: string; variable: string; direction: "in" | "out"; to?: string; from?: string }
-export interface Fault { text: string; tasks: string[]; variables: string[]; ports: string[]; remedy: string }
+export interface Link { name: string; task: string; variable: string; direction: "in" | "out"; to: string; from: string }
+export interface Fault { text: string; severity: "refuse" | "warn"; tasks: string[]; variables: string[]; ports: string[]; remedy: string }
 export interface Graph {
   name: string; job: string; rtpus: { name: string; scheduler: string; keeper: boolean }[];
   tasks: TaskInfo[]; variables: Variable[]; wires: Wire[]; links: Link[]; faults: Fault[];
@@ -41,13 +41,15 @@ export interface Graph {
 
 export interface TaskStatus {
   task: string; rtpu: string; state: State; signals: string[]; fields: Record<string, Field>;
-  error: string; warning: string; timing: string; waits: string; standby: string; restarted: string;
+  error: string; warning: string; waits: string; standby: boolean; fallback_of: string; restarted: string;
 }
 export interface RtpuStatus {
-  rtpu: string; backend: string; scheduler: string; util: number; dispatcher: number;
-  illegal: string[]; silent: boolean; stalls: number; load: number;
+  rtpu: string; illegal: string[]; silent: boolean;
+  /** Missing in a recorded run, and where the RTPU has never answered. */
+  backend?: string; scheduler?: string; util?: number; dispatcher?: number; stalls?: number; load?: number;
 }
-export interface Value { t: number; v: (number | null)[]; writer: string; age: number | null; stale: boolean }
+/** Its time and age are null if it was never written. */
+export interface Value { t: number | null; v: (number | null)[]; writer: string; age: number | null; stale: boolean }
 export interface PbonetEvent {
   n: number; t: number; task: string; rtpu: string; severity: Severity; code: string; text: string;
 }
@@ -62,13 +64,14 @@ export interface Answer {
 export type Message =
   | Hello
   | { kind: "graph"; graph: Graph }
-  | { kind: "history"; values: Record<string, { t: number[]; v: (number | null)[][] }>; events?: PbonetEvent[] }
+  | { kind: "history"; values: Record<string, { t: number[]; v: (number | null)[][] }>; events?: PbonetEvent[]; anew?: boolean }
   | StatusMessage
   | { kind: "values"; t: number; values: Record<string, Value> }
   | { kind: "events"; events: PbonetEvent[] }
   | { kind: "complaints"; texts: string[] }
   | Answer
   | { kind: "progress"; id: number; text: string; seconds: number }
+  | { kind: "at"; t: number; speed: number }
   | { kind: "refused"; text: string };
 
 /** What `swap` and `switch` give: the steps from one configuration to another. */

@@ -1,9 +1,10 @@
 // Everything about one task: signals, frequency, parameters, profile, and its status fields.
 import { useCallback, useEffect, useState } from "react";
-import { command } from "./connection";
+import { readingCommand } from "./connection";
 import { Outcome, SignalButtons, TaskState, argHelp, commandHelp, useCommand, type Running } from "./controls";
 import { field, seconds, short, unitText } from "./format";
 import { live, useGraph, useLive, useTask } from "./live_state";
+import { notesOf } from "./node_cards";
 import { page, usePage } from "./page_state";
 import type { ParamInfo, ParamValue, TaskInfo, TaskProfile } from "./protocol";
 
@@ -28,7 +29,7 @@ export function TaskPanel() {
 
 function About({ task }: { task: TaskInfo }) {
   const status = useTask(task.name);
-  const notes = status ? [["error", status.error], ["warning", status.warning], ["timing", status.timing], ["waits", status.waits], ["standby", status.standby], ["restarted", status.restarted]].filter(([, text]) => text) : [];
+  const notes = status ? notesOf(status) : [];
   return (
     <section>
       <p className="big live"><TaskState task={task.name} /> <span className="dim">on {task.rtpu}</span></p>
@@ -67,21 +68,22 @@ function Parameters({ task }: { task: TaskInfo }) {
   const [params, setParams] = useState<ParamValue[] | null>(null);
   const [refused, setRefused] = useState("");
   const read = useCallback(async () => {
-    const answer = await command("get", { task: task.name });
+    const answer = await readingCommand("get", { task: task.name });
     const found = answer.data?.params;
     if (answer.ok && Array.isArray(found)) { setParams(found as ParamValue[]); setRefused(""); } else setRefused(answer.text);
   }, [task.name]);
   useLive("link");
   const isLive = live.link === "live";
-  useEffect(() => { if (isLive && !live.log) void read(); }, [read, isLive]);
+  const exists = useTask(task.name) !== undefined;
+  useEffect(() => { if (isLive && exists && !live.log) void read(); }, [read, isLive, exists]);
   useSetElsewhere(task.name, read);
-  const known: ParamValue[] = params ?? task.params.map((one) => ({ name: one.name, value: one.value, type: "", unit: one.unit, doc: one.desc, bounds: "" }));
+  const known: ParamValue[] = params ?? task.params.map((one) => ({ name: one.name, value: one.value, type: one.type, unit: one.unit, doc: one.desc, bounds: one.bounds }));
   return (
     <section>
-      <h3>Parameters {!live.log && <button type="button" className="link" onClick={() => void read()}>read again</button>}</h3>
+      <h3>Parameters {!live.log && exists && <button type="button" className="link" onClick={() => void read()}>read again</button>}</h3>
       {refused && <div className="outcome refusal" role="alert"><pre>{refused}</pre></div>}
       {!known.length && <p className="dim">it has none</p>}
-      {known.map((one) => <Parameter key={one.name} task={task.name} about={one} info={task.params.find((each) => each.name === one.name)}
+      {known.map((one) => <Parameter key={one.name} task={task.name} about={one} exists={exists} info={task.params.find((each) => each.name === one.name)}
         took={(news) => setParams((before) => before?.map((each) => news.find((n) => n.name === each.name) ?? each) ?? news)} />)}
     </section>
   );
@@ -95,7 +97,7 @@ function useSetElsewhere(task: string, read: () => Promise<void>): void {
   useEffect(() => { if (newest > seen) { setSeen(newest); void read(); } }, [newest, seen, read]);
 }
 
-function Parameter({ task, about, info, took }: { task: string; about: ParamValue; info: ParamInfo | undefined; took: (news: ParamValue[]) => void }) {
+function Parameter({ task, about, info, exists, took }: { task: string; exists: boolean; about: ParamValue; info: ParamInfo | undefined; took: (news: ParamValue[]) => void }) {
   const known = asWords(about.value);
   const [edited, setEdited] = useState<Words | null>(null);
   const running = useCommand();
@@ -110,19 +112,23 @@ function Parameter({ task, about, info, took }: { task: string; about: ParamValu
   };
   const unit = unitText(about.unit);
   const low = info?.low ?? null, high = info?.high ?? null;
+  const choices = choicesOf(about.type || info?.type || "", info?.type ?? "");
+  const whole = about.type === "int";
   const slides = live.steers && low !== null && high !== null && words.length <= 6 && words.every((one) => Number.isFinite(Number(one)));
   const many = words.length > 1;
   return (
     <form className="parameter" onSubmit={(event) => { event.preventDefault(); if (changed) void send(words); }}>
       <div className="head"><b>{about.name}</b>{unit && <span className="unit">{unit}</span>}<span className="dim">{about.bounds || boundsText(low, high)}</span></div>
       <p className="doc">{about.doc}</p>
-      {live.steers ? (
+      {live.steers && exists ? (
         <div className="row wrap">
           {words.map((word, k) => (
             <span className="element" key={k}>
-              <input size={Math.max(6, word.length)} value={word} spellCheck={false} aria-label={`${about.name}${many ? ` element ${k}` : ""}${unit && ` in ${unit}`}`} onChange={(event) => put(k, event.target.value)} />
+              {choices.length
+                ? <select value={word.toLowerCase() === "true" ? "yes" : word.toLowerCase() === "false" ? "no" : word} aria-label={about.name} onChange={(event) => put(k, event.target.value)}>{choices.map((one) => <option key={one}>{one}</option>)}</select>
+                : <input size={Math.max(6, word.length)} value={word} spellCheck={false} aria-label={`${about.name}${many ? ` element ${k}` : ""}${unit && ` in ${unit}`}`} onChange={(event) => put(k, event.target.value)} />}
               {slides && (
-                <input type="range" min={low} max={high} step="any" value={Number(word)} aria-label={`${about.name}${many ? ` element ${k}` : ""}, slider`}
+                <input type="range" min={low} max={high} step={whole ? 1 : "any"} value={Number(word)} aria-label={`${about.name}${many ? ` element ${k}` : ""}, slider`}
                   onChange={(event) => put(k, String(Number(Number(event.target.value).toPrecision(4))))}
                   onPointerUp={() => { if (changed) void send(words); }} onKeyUp={() => { if (changed) void send(words); }} />
               )}
@@ -135,6 +141,13 @@ function Parameter({ task, about, info, took }: { task: string; about: ParamValu
       <Outcome of={running} />
     </form>
   );
+}
+
+/** Returns the words between which to choose, if the parameter takes no others. */
+export function choicesOf(type: string, described: string): string[] {
+  if (type === "bool") return ["yes", "no"];
+  const found = /^one of (.+)$/.exec(described);
+  return found ? found[1]!.split(", ") : [];
 }
 
 const boundsText = (low: number | null, high: number | null): string =>

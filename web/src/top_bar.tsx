@@ -1,5 +1,5 @@
 // What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded run.
-import { useEffect, useState } from "react";
+import { useState } from "react";
 import { play, seek, stop } from "./connection";
 import { useClock, useGlobalKey } from "./controls";
 import { clock } from "./format";
@@ -76,9 +76,21 @@ export function Bars() {
         <p className="bar lost" role="alert"><b>Connection lost.</b> {live.linkText} What is shown is old: it is from {clock(live.now(), 0)}. Trying again every half second.{live.steers && " Stop cannot be sent from here: use the emergency stop, or “pbonet stop”."}</p>
       )}
       {causes.map(({ cause, rtpus }) => <p className="bar illegal live" key={cause} role="alert"><b>ILLEGAL</b> <span className="dim">{rtpus.join(", ")}</span> {cause}</p>)}
-      {graph?.faults.map((one) => <p className="bar fault" key={one.text}><b>fault</b> <span>{one.text}{one.remedy && <em> {one.remedy}</em>}</span></p>)}
+      {graph?.faults.filter((one) => one.severity !== "warn").map((one) => <p className="bar fault-refuse" key={one.text}><b>✕ fault</b> <span>{one.text}</span></p>)}
+      <Remarks texts={graph?.faults.filter((one) => one.severity === "warn").map((one) => one.text) ?? []} />
       {live.complaints.map((text) => <p className="bar complaint" key={text} role="status"><b>⚠</b> <span>{text}</span></p>)}
     </div>
+  );
+}
+
+/** What is doubtful in the graph: a line that opens, because it is no hindrance. */
+function Remarks({ texts }: { texts: string[] }) {
+  if (!texts.length) return null;
+  return (
+    <details className="bar fault-warn">
+      <summary><b>⚠ {texts.length === 1 ? "one remark" : `${texts.length} remarks`}</b> about the configuration</summary>
+      {texts.map((text) => <p key={text}>{text}</p>)}
+    </details>
   );
 }
 
@@ -88,14 +100,14 @@ const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 export function LogBar() {
   useLive("hello");
   useLive("status");
+  useLive("at");
   const [speed, setSpeed] = useState(1);
-  const [playing, setPlaying] = useState(false);
   const [dragged, setDragged] = useState<number | null>(null);
   const log = live.log;
-  useEffect(() => { if (!log) setPlaying(false); }, [log]);
   if (!log) return null;
   const at = dragged ?? Math.max(log.begin, Math.min(log.end, live.now()));
-  const go = (on: boolean, by = speed) => { setPlaying(on); play(on ? by : 0); };
+  const playing = live.speed > 0;
+  const go = (on: boolean, by = speed) => play(on ? by : 0);
   const release = () => { if (dragged !== null) { seek(dragged); setDragged(null); } };
   return (
     <div className="log-bar row" role="group" aria-label="recorded run">

@@ -95,7 +95,7 @@ test("a compact drawing has one wire for all variables between two tasks", () =>
 
 test("links, devices and fallbacks are drawn", () => {
   const graph = puma();
-  graph.links.push({ name: "seen", variable: "Q_REF", direction: "in", from: "vision" });
+  graph.links.push({ name: "seen", task: "pid", variable: "Q_REF", direction: "in", from: "vision", to: "" });
   graph.tasks[0]!.devices = ["bus"];
   graph.tasks[2]!.fallback_of = "grav";
   const made = drawing(graph, plain);
@@ -107,7 +107,7 @@ test("links, devices and fallbacks are drawn", () => {
 
 test("a fault is at the ports that it names, and at those only", () => {
   const graph = puma();
-  graph.faults.push({ text: "no writer", tasks: ["pid"], variables: ["T"], ports: [], remedy: "" });
+  graph.faults.push({ text: "no writer", severity: "refuse", tasks: ["pid"], variables: ["T"], ports: [], remedy: "" });
   assert.deepEqual(graph.tasks.map((one) => faultyPorts(graph, one)), [["T"], [], []]);
 });
 

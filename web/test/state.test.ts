@@ -5,7 +5,7 @@ import { illegalCauses, mergeEvents, mergeStatus } from "../src/live_state";
 import type { Command, PbonetEvent, RtpuStatus, StatusMessage, TaskStatus } from "../src/protocol";
 
 const status = (task: string, state: TaskStatus["state"] = "ON"): TaskStatus => ({
-  task, rtpu: "arm0", state, signals: [], fields: {}, error: "", warning: "", timing: "", waits: "", standby: "", restarted: "",
+  task, rtpu: "arm0", state, signals: [], fields: {}, error: "", warning: "", waits: "", standby: false, fallback_of: "", restarted: "",
 });
 const rtpu = (name: string, illegal: string[] = []): RtpuStatus => ({
   rtpu: name, backend: "", scheduler: "MUF", util: 0, dispatcher: 0, illegal, silent: false, stalls: 0, load: 0,
