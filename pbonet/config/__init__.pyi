@@ -51,6 +51,12 @@ from .needs import (
     stale_action as stale_action,
 )
 from .reader import load as load
+from .rewrite import (
+    Rewritten as Rewritten,
+    rewrite_job as rewrite_job,
+    rewrite_rmod as rewrite_rmod,
+    rewrite_svar as rewrite_svar,
+)
 from .rmod import (
     parse_rmod as parse_rmod,
     read_rmod as read_rmod,
