@@ -5,7 +5,7 @@ from .agent import (
     read_agent as read_agent,
 )
 from .any_file import read_any as read_any
-from .bundle import Section as Section, bundled as bundled
+from .bundle import Section as Section, bundled as bundled, combines as combines
 from .class_rmod import own_rmod as own_rmod
 from .combining import info_of as info_of
 from .conditions import Parsed as Parsed, parse as parse
@@ -80,5 +80,5 @@ from .types import (
     element_type as element_type,
     numpy_type as numpy_type,
 )
-from .words import MAX_NAME as MAX_NAME
+from .words import MAX_LABEL as MAX_LABEL, MAX_NAME as MAX_NAME
 from .write import meaning as meaning, number as number

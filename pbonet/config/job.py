@@ -311,7 +311,7 @@ def write_job(record: JobFile) -> str:
 
 
 def job_text(record: JobFile) -> str:
-    """Return the text of a ``.job`` file, which may say something else; see `write`."""
+    """Return the text of a ``.job`` file, which may say another thing; see `write`."""
     lines = [
         text_line("JOB", record.name),
         text_line("DESC", record.desc),

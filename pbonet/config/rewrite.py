@@ -1,8 +1,8 @@
 """Changes the text of a file so that it says another record.
 
-Lines whose meaning stays are kept as they are written, with comments, blank lines, DEFINE
-and spacing; the lines of the writers take the place of the others. The result is read
-back, and must mean the record.
+Lines whose meaning stays are kept as they are written, with comments, blank lines,
+DEFINE and spacing; the lines of the writers take the place of the others. The result is
+read back, and must mean the record.
 """
 
 from __future__ import annotations
@@ -191,8 +191,8 @@ def _job_key(last: Key, keyword: str, rest: str) -> Key:
 
 
 def _svar_key(last: Key, keyword: str, rest: str) -> Key:
-    name = rest.split()[0] if keyword == "NAME" and rest else last[0] if last else ""
-    return (name, keyword)
+    before = last[0] if last else ""
+    return (rest.partition(" ")[0] if keyword == "NAME" else before, keyword)
 
 
 def _rmod_key(last: Key, keyword: str, rest: str) -> Key:

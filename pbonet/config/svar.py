@@ -281,7 +281,7 @@ def write_svar(record: SvarFile) -> str:
 
 
 def svar_text(record: SvarFile) -> str:
-    """Return the text of a ``.svar`` file, which may say something else; see `write`."""
+    """Return the text of a ``.svar`` file, which may say another thing; see `write`."""
     blocks = ["".join(f"DEFINE {k} {v}\n" for k, v in record.defines.items())]
     blocks += [_written(variable) for variable in record.variables]
     return "\n".join([*(block for block in blocks if block), "EOF\n"])

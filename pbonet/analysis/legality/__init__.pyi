@@ -38,6 +38,7 @@ from .reports import (
     report_head as report_head,
     report_text as report_text,
 )
+from .shapes import constant_sizes as constant_sizes
 from .shared_cores import Sharing as Sharing, sharing as sharing
 from .timing import (
     Load as Load,
