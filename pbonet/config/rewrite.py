@@ -29,7 +29,7 @@ Record = TypeVar("Record", bound=msgspec.Struct)
 Key = tuple[str, ...]
 """What tells a line of a file from all others: its keyword, and what it is about."""
 
-_COMMENT = re.compile(r"[ \t]#")
+_COMMENT = re.compile(r"[ \t]+#.*")
 _LINE = re.compile(r"[ \t]*(?P<keyword>[^ \t\r\n]+)(?P<gap>[ \t]*)(?P<rest>[^\r\n]*)")
 _WHOLE = frozenset({"DESC", "SBS", "SVARFILE"})
 """Keywords whose argument is the rest of the line; a ``#`` in it begins no comment."""
@@ -179,7 +179,7 @@ def _in_place_of(before: str, line: str) -> str:
         return line
     comment = None if keyword in _WHOLE else _COMMENT.search(was["gap"] + was["rest"])
     begin = before[: was.start("rest")] if was["rest"] else f"{keyword} "
-    end = f" {comment.string[comment.start() :]}" if comment else ""
+    end = comment[0] if comment else ""
     return f"{begin}{now['rest']}{end.rstrip()}\n"
 
 

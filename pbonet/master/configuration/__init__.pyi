@@ -24,7 +24,11 @@ from .failures import (
 )
 from .recording_plan import RecordingPlan as RecordingPlan
 from .saved_profiles import Saved as Saved, here as here, profile_of as profile_of
-from .subsystem_files import Files as Files, RmodSource as RmodSource
+from .subsystem_files import (
+    Files as Files,
+    Producers as Producers,
+    RmodSource as RmodSource,
+)
 from .subsystem_graph import (
     Graph as Graph,
     GraphFault as GraphFault,

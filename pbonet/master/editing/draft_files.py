@@ -22,7 +22,7 @@ from pbonet.config import (
     rewrite_svar,
 )
 from pbonet.errors import ConfigError
-from pbonet.master.configuration import Files
+from pbonet.master.configuration import Files, Producers
 from pbonet.xm.net import check_name
 
 from .saved_files import SavedFiles
@@ -120,20 +120,43 @@ class DraftFiles(Files):
         taken = self._draft_of(name) is not None or path.exists()
         return not taken and name not in self.rmods()
 
+    def producers(self) -> Producers:
+        """Return, by variable, the RMODs that write it, with those of the draft."""
+        return Producers(self._records)
+
+    def _records(self) -> dict[str, Rmod]:
+        """Return all RMODs by name, those of the draft as they are there."""
+        records = dict(self.library.records())
+        for name in [name for name in records if self._is_gone(name)]:
+            del records[name]
+            if name in self._found:
+                records[name] = self.rmod(name).record
+        for path in self.draft.texts:
+            if path.suffix == ".rmod":
+                records[path.stem] = self.rmod(path.stem).record
+        return records
+
+    def _is_gone(self, name: str) -> bool:
+        """Return whether an RMOD is on disk by a save, and not in the draft any more."""
+        path = self.job_path.with_name(f"{name}.rmod")
+        return self.disk.is_made(path) and path not in self.draft.texts
+
     def has_rmod(self, name: str) -> bool:
         """Return whether an RMOD of a name is in a file or in the draft."""
         return self._draft_of(name) is not None or self._find(name) is not None
 
-    def other_jobs(self, rmod: str) -> list[str]:
-        """Return the files of the subsystem's other jobs that run an RMOD."""
+    def other_jobs(self, rmod: Path) -> list[str]:
+        """Return the names of other jobs' files that find an RMOD in this file."""
+        folders = {rmod.parent}
+        if rmod.parent == self.path.parent:  # where the jobs of other folders look, too
+            folders.add(self.job_path.parent)
         found: list[str] = []
-        for name in self.jobs():
-            path = self.path.with_name(f"{name}.job")
-            if path.absolute() == self.job_path.absolute():
+        for path in sorted(one for place in folders for one in place.glob("*.job")):
+            if path == self.job_path:
                 continue
-            with contextlib.suppress(ConfigError):  # it is wrong, or another's
+            with contextlib.suppress(ConfigError):
                 tasks = read_job(path).tasks
-                if any(rmod in {one.rmod, one.fallback} for one in tasks):
+                if any(rmod.stem in {one.rmod, one.fallback} for one in tasks):
                     found.append(path.name)
         return found
 
@@ -144,7 +167,8 @@ class DraftFiles(Files):
         """
         path = Path(record.file)
         own = self.is_own(path) and path.suffix == ".rmod"
-        return not own and bool(self.other_jobs(record.name))
+        copy = self.job_path.with_name(f"{record.name}.rmod")
+        return not own and bool(self.other_jobs(copy))
 
     # -- changes of the draft
 
@@ -190,7 +214,8 @@ class DraftFiles(Files):
             path = self.job_path.with_name(f"{new}.rmod")
         origin = self.draft.origins.get(path)
         if origin is None or name:
-            origin = self.part(record.name, record.freq).text
+            made_by_class = record.file.endswith(".py")
+            origin = "" if made_by_class else self.part(record.name).text
             self.disk.note(path)
         made = structs.replace(record, name=new, file=str(path))
         origins = {**self.draft.origins, path: origin}

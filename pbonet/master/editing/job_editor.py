@@ -354,7 +354,7 @@ class JobEditor:
             path: ["its comments are lost: it is written anew"] for path in draft.bare
         }
         for path in draft.texts:
-            if path.suffix == ".rmod" and (users := self.files.other_jobs(path.stem)):
+            if path.suffix == ".rmod" and (users := self.files.other_jobs(path)):
                 text = f"it changes {path.stem} for {', '.join(users)} too"
                 notes.setdefault(path, []).append(text)
         return notes

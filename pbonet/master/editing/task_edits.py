@@ -14,6 +14,7 @@ from pbonet.config import (
     JobTask,
     LocalLine,
     Rmod,
+    meaning,
     own_rmod,
     parse_rmod,
 )
@@ -242,6 +243,8 @@ def change_rmod(files: DraftFiles, record: Rmod) -> None:
     One of a library is copied beside the job; under a name of its own if other jobs use
     it, because they would find the copy, too. Then the task has that name.
     """
+    if meaning(record) == meaning(record_of(files, record.name)):
+        return
     if files.is_shared(record):
         _rename(files, record, own_name(files, record.name))
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
-from pbonet.analysis.legality import CONNECTORS, Code
+from pbonet.analysis.legality import CONNECTORS, Code, Severity
 from pbonet.config import numpy_type
 from pbonet.errors import PbonetError
 from pbonet.master.tools import scaffold_system
@@ -126,6 +126,8 @@ class Offers:
 
     def _two_writers(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
         (name,) = problem.variables
+        if problem.severity is Severity.WARN:
+            return  # only while the job is started; another fault has all writers
         writers = [t for t in self._verdict.tasks if t.name in problem.tasks]
         if all(name in task.outputs for task in writers):
             yield from self._joins(name, writers)
@@ -156,14 +158,7 @@ class Offers:
         self, ends: Sequence[tuple[str, str]], name: str
     ) -> Iterator[tuple[str, str, list[Step]]]:
         """Yield other variables that fit all of some ports; like names come first."""
-        fitting: list[set[str]] = [
-            {
-                fit.variable
-                for fit in self._fitting.of(task, port)
-                if fit.fits and fit.port and fit.variable != name
-            }
-            for task, port in ends
-        ]
+        fitting = [self._fitting_variables(task, port, name) for task, port in ends]
         if not fitting:
             return
         common = sorted(
@@ -177,6 +172,19 @@ class Offers:
             ]
             told = " and ".join(f"{port} of {task}" for task, port in ends)
             yield "connect", f"connect {told} to {variable} (SVARALIAS)", steps
+
+    def _fitting_variables(self, task: str, port: str, but: str) -> set[str]:
+        """Return variables of other tasks that fit a port; no second writer of one."""
+        side = self._fitting.side(task, port)
+        reads = side is not None and side.port.kind.is_input
+        written = {
+            name for one in self._verdict.tasks for name in (*one.outputs, *one.gives)
+        }
+        return {
+            fit.variable
+            for fit in self._fitting.of(task, port)
+            if fit.fits and fit.port and (reads or fit.variable not in written)
+        } - {but}
 
     def _producers(self, name: str) -> Iterator[tuple[str, str, list[Step]]]:
         there = task_names(self._files)
