@@ -5,7 +5,7 @@ from .agent import (
     read_agent as read_agent,
 )
 from .any_file import read_any as read_any
-from .bundle import Section as Section, bundled as bundled
+from .bundle import Section as Section, bundled as bundled, combines as combines
 from .class_rmod import own_rmod as own_rmod
 from .combining import info_of as info_of
 from .conditions import Parsed as Parsed, parse as parse
@@ -51,6 +51,12 @@ from .needs import (
     stale_action as stale_action,
 )
 from .reader import load as load
+from .rewrite import (
+    Rewritten as Rewritten,
+    rewrite_job as rewrite_job,
+    rewrite_rmod as rewrite_rmod,
+    rewrite_svar as rewrite_svar,
+)
 from .rmod import (
     parse_rmod as parse_rmod,
     read_rmod as read_rmod,
@@ -74,5 +80,5 @@ from .types import (
     element_type as element_type,
     numpy_type as numpy_type,
 )
-from .words import MAX_NAME as MAX_NAME
+from .words import MAX_LABEL as MAX_LABEL, MAX_NAME as MAX_NAME
 from .write import meaning as meaning, number as number

@@ -27,7 +27,7 @@ from pbonet.errors import (
 from pbonet.xm.net import NAME, check_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from pbonet.config import JobFile, Library, Rmod, SbsFile, SvarFile
 
@@ -193,7 +193,7 @@ class Files:
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        return Producers(self.library)
+        return Producers(self.library.records)
 
     def jobs(self) -> list[str]:
         """Return the jobs that are beside the ``.sbs``, sorted."""
@@ -312,14 +312,17 @@ class Producers(Mapping[str, tuple[str, ...]]):
     """The RMODs that write each variable, read from all files when one is asked for.
 
     No module's code runs for this, so that none can harm the master.
+
+    Args:
+        read: Returns all RMODs by name.
     """
 
-    def __init__(self, library: Library) -> None:
-        self._library = library
+    def __init__(self, read: Callable[[], Mapping[str, Rmod]]) -> None:
+        self._read = read
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
-        records = self._library.records()
+        records = self._read()
         return config.producers({n: r for n, r in records.items() if NAME.fullmatch(n)})
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from . import (
     local_modules as local_modules,
     log_plot as log_plot,
     playback as playback,
+    scaffold_system as scaffold_system,
     schedule_job as schedule_job,
     write_new_files as write_new_files,
 )
