@@ -287,7 +287,7 @@ def _check_sequence(
         tasks: Sequence[legality.Task] = ()
         if verdict is not None:
             problems = Findings(file=path, kind="job")
-            _take(problems, verdict.problems)
+            _take(problems, [p for p in verdict.problems if not check.gives(p)])
             found.errors += [e for e in problems.errors if e not in found.errors]
             told = set(found.warnings)
             found.warnings += [t for t in problems.warnings if t not in told]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from pbonet.analysis import legality
@@ -90,6 +91,17 @@ class SequenceCheck:
             self._check_ends(step)
         self._check_fits()
         self._check_flow()
+
+    def gives(self, problem: legality.Problem) -> bool:
+        """Return whether what a job lacks is a constant that a SPAWN line brings."""
+        given: set[str] = set()
+        for line in self._seq.lines:
+            if isinstance(line, Order) and line.command == "spawn":
+                with suppress(PbonetError):  # reported at the line itself
+                    rmod = self._files.rmod(line.words[0]).record
+                    given |= {rmod.svar_name(port) for port in rmod.outconst}
+        lacks = problem.code is legality.Code.NO_CONSTANT
+        return lacks and given.issuperset(problem.variables)
 
     # -- jobs and tasks ----------------------------------------------------------------
 

@@ -179,21 +179,23 @@ class Files:
             raise
 
     def recorded_job(self) -> JobFile:
-        """Return a job with the tasks and RECORD lines of all jobs of the sequence.
+        """Return the job that a run records.
+
+        Of a sequence it is one with the tasks and RECORD lines of all its jobs.
 
         Raises:
             ConfigError: One of them is missing, wrong, or of another subsystem.
         """
+        if self.seq is None:
+            return self.read_job()
         jobs = self._of_steps().values()
         tasks = {task.rmod: task for job in jobs for task in job.tasks}
         lines = {(r.mode, r.names): r for job in jobs for r in job.record}
-        seq = self.seq
-        assert seq is not None  # noqa: S101 - else there were no jobs
         return JobFile(
-            file=seq.file,
-            name=seq.name,
-            desc=seq.desc,
-            sbs=seq.sbs,
+            file=self.seq.file,
+            name=self.seq.name,
+            desc=self.seq.desc,
+            sbs=self.seq.sbs,
             tasks=tuple(tasks.values()),
             record=tuple(lines.values()),
         )
@@ -299,6 +301,14 @@ class Files:
 
     def _no_job(self) -> ConfigError:
         jobs = ", ".join(self.jobs())
+        if self.seq is not None:
+            return ConfigError(
+                "a sequence is not a single job",
+                where=self.seq.file,
+                expected=f"one of its jobs: {', '.join(self.seq.jobs)}",
+                remedy=f"name a .job file; 'pbonet run {self.seq.file} --sim' runs the "
+                "sequence in virtual time",
+            )
         return ConfigError(
             "no job is named",
             where=self.sbs.subsystem,

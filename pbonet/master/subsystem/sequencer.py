@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
     from .subsystem import Subsystem
 
+_KEPT_STEPS: Final = 1000
+_KEPT_ERRORS: Final = 100
 _PAUSE_LOOK: Final = 0.1
 """Seconds between two looks during a pause."""
 
@@ -57,6 +59,8 @@ class Phase(StrEnum):
     """Its tasks were stopped by another command."""
 
 
+STOPPED_ELSEWHERE: Final = "stopped from elsewhere"
+"""The reason of an end that another command, or another master, has caused."""
 ENDED: Final = frozenset({Phase.DONE, Phase.FAILED, Phase.ABORTED, Phase.STOPPED})
 
 
@@ -79,10 +83,15 @@ class SequenceState(Struct, frozen=True, kw_only=True):
     """Whether it pauses, now or before the next line that changes something."""
     since: float = 0.0
     """When the phase began, in seconds of the subsystem's clock."""
+    count: int = 0
+    """How many steps were entered, the safe job included."""
     entered: tuple[str, ...] = ()
-    """The steps that were entered, the newest last, at most 1000."""
+    """The last of them, the newest last, at most 1000."""
+    failed: int = 0
+    """How many errors there were."""
     errors: tuple[str, ...] = ()
-    """Errors that led to an ELSE, to the safe job or to the end, at most 100."""
+    """The last of them, at most 100; each led to an ELSE, to the safe job or to the
+    end."""
     text: str = ""
     """Why it has ended."""
 
@@ -151,6 +160,7 @@ class Sequencer:
         self._begin = 0.0
         self._stops = 0
         self._unhandled = False
+        self._given_up = False
 
     # -- from any thread ---------------------------------------------------------------
 
@@ -189,6 +199,11 @@ class Sequencer:
             reason: Why, for the state.
         """
         self._reason = reason
+        self._abort.set()
+
+    def give_up(self) -> None:
+        """End at once, without the safe job: the subsystem ends."""
+        self._given_up = True
         self._abort.set()
 
     # -- in the thread of the sequence -------------------------------------------------
@@ -301,7 +316,8 @@ class Sequencer:
             return self._subsystem.switch(file, abandon=abandon, note=note)
 
         in_time(attempt, self.seq.wait, self._subsystem.clock, self._abort)
-        self._show(entered=(*self._state.entered, step.name)[-1000:])
+        entered = (*self._state.entered, step.name)[-_KEPT_STEPS:]
+        self._show(entered=entered, count=self._state.count + 1)
         if not step.waits:
             return None
         self._show(phase=Phase.WAITS, waiting=_awaited(step))
@@ -319,7 +335,7 @@ class Sequencer:
     def _go_safe(self) -> None:
         """Go to the safe job; note what fails."""
         step = self.seq.safe
-        if step is None:
+        if step is None or self._given_up:
             return
         self._abort.clear()
         self._limit = None
@@ -356,7 +372,7 @@ class Sequencer:
             _Cut: It is.
         """
         if self._subsystem.stops != self._stops:
-            raise _Cut(Phase.STOPPED, "the subsystem was stopped")
+            raise _Cut(Phase.STOPPED, STOPPED_ELSEWHERE)
         if self._abort.is_set():
             raise _Cut(Phase.ABORTED, self._reason)
         passed = self._subsystem.clock.now() - self._begin
@@ -369,11 +385,12 @@ class Sequencer:
         Raises:
             _Cut: There are no tasks any more.
         """
-        if self._state.entered and not self._subsystem.status_all():
-            raise _Cut(Phase.STOPPED, "its tasks were stopped from elsewhere")
+        if self._state.count and not self._subsystem.status_all():
+            raise _Cut(Phase.STOPPED, STOPPED_ELSEWHERE)
 
     def _note(self, error: object) -> None:
-        self._show(errors=(*self._state.errors, str(error))[-100:])
+        errors = (*self._state.errors, str(error))[-_KEPT_ERRORS:]
+        self._show(errors=errors, failed=self._state.failed + 1)
 
     def _show(self, **changes: object) -> None:
         with self._guard:
