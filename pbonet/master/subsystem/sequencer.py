@@ -26,7 +26,7 @@ from pbonet.config import (
 from pbonet.errors import ConfigError, PbonetError, StateError
 
 from . import step_end
-from .condition_gate import in_time
+from .condition_gate import LOOK_TIME, in_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -253,7 +253,10 @@ class Sequencer:
                 return (Phase.FAILED if line.failed else Phase.DONE), line.text
             try:
                 self._look()
-                at = self._line(at, line)
+                after = self._line(at, line)
+                if after <= at:  # a loop in which no step waits takes some time, too
+                    self._subsystem.clock.wait(LOOK_TIME, self._abort)
+                at = after
             except PbonetError as error:
                 self._look()  # an abort or a stop is the cause
                 self._must_have_tasks()
@@ -262,7 +265,6 @@ class Sequencer:
                     self._unhandled = True
                     where = line.place.line if line.place else 0
                     return Phase.FAILED, f"line {where}, {_shown(line)}: {error}"
-                self._subsystem.inbox.forget()
                 self._abandon = True
                 at = self.seq.at(self._above.otherwise)
         return Phase.DONE, ""
@@ -340,7 +342,6 @@ class Sequencer:
         self._abort.clear()
         self._limit = None
         self._go.set()
-        self._subsystem.inbox.forget()
         self._abandon = True
         self._show(safe=True, pausing=False, line=-1)
         try:

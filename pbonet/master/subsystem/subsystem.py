@@ -722,7 +722,8 @@ class Subsystem:
             dry_run: Only verify, and return what would be done.
             wait: Seconds in which the conditions may become true; None: they must hold
                 now.
-            abandon: Give the present job up: its POST is not asked.
+            abandon: Give the present job up: its POST is not asked, and signals sent so
+                far are taken.
             note: What the event STEP in the log says of it; without, there is none.
 
         Returns:
@@ -747,6 +748,8 @@ class Subsystem:
 
         def attempt() -> Transition:
             with self._changing(partly=False, claimed=not dry_run) as task_set:
+                if abandon and not dry_run:
+                    self.inbox.forget()
                 wanted = self.files.read_job(job)
                 gate = ConditionGate(
                     task_set, wanted, leaves=True, abandons=abandon, note=note
