@@ -141,7 +141,9 @@ def _parts(line: Line) -> list[_Part]:
                 remedy="close the parenthesis" if end < 0 else "write a space after it",
             )
         inner = Place(place.file, place.line, column + 1)
-        found.append(_Part(Word(line.rest[match.start() + 1 : end], inner), True))
+        found.append(
+            _Part(Word(line.rest[match.start() + 1 : end], inner), condition=True)
+        )
         at = end + 1
     return found
 
@@ -156,7 +158,9 @@ def _closed(text: str, start: int) -> int:
     return -1
 
 
-def _malformed(line: Line, expected: str, got: _Part | None, remedy: str) -> ConfigError:
+def _malformed(
+    line: Line, expected: str, got: _Part | None, remedy: str
+) -> ConfigError:
     return fault(
         f"{line.keyword} is malformed",
         got.word.place if got else line.place,
@@ -442,11 +446,11 @@ def _check(record: SeqFile) -> None:
     _unique_labels(record)
     around = loops(record)
     above: SeqLine | None = None
-    for number, line in enumerate(record.lines):
+    for at, line in enumerate(record.lines):
         target = line.step if isinstance(line, Goto) else ""
         target = line.otherwise if isinstance(line, Step) else target
         if target:
-            _must_lead(record, line, target, around, number)
+            _must_lead(record, line, target, around[at], around)
         if isinstance(line, Goto) and line.when is not None and line.when.signal:
             _must_have_ended(line, line.when, above)
         if isinstance(line, Step | Repeat):
@@ -475,10 +479,10 @@ def loops(record: SeqFile) -> list[tuple[int, ...]]:
     """
     found: list[tuple[int, ...]] = []
     inside: tuple[int, ...] = ()
-    for number, line in enumerate(record.lines):
+    for at, line in enumerate(record.lines):
         found.append(inside)
         if isinstance(line, Repeat):
-            inside = (*inside, number)
+            inside = (*inside, at)
         elif isinstance(line, EndRepeat):
             if not inside:
                 raise _unpaired(record, line, "END", "REPEAT")
@@ -502,8 +506,8 @@ def _must_lead(
     record: SeqFile,
     line: SeqLine,
     target: str,
+    here: tuple[int, ...],
     around: Sequence[tuple[int, ...]],
-    number: int,
 ) -> None:
     """Refuse a GOTO or ELSE to no step, to one of several, or into a loop."""
     place = line.place or Place(record.file, 1)
@@ -523,7 +527,7 @@ def _must_lead(
             or f"add STEP {target} after a DONE line, or name another step",
         )
     inner = around[record.at(target)]
-    if around[number][: len(inner)] != inner:
+    if here[: len(inner)] != inner:
         raise fault(
             f"{keyword} leads into a loop from outside",
             place,
@@ -534,8 +538,8 @@ def _must_lead(
         )
 
 
-def _line(record: SeqFile, number: int) -> int:
-    place = record.lines[number].place
+def _line(record: SeqFile, at: int) -> int:
+    place = record.lines[at].place
     return place.line if place else 0
 
 

@@ -81,8 +81,7 @@ def _follows(part: Part, seen: Sequence[Part]) -> bool:
         return True
     bounds = [bound for one in seen for bound in one.bounds]
     return bool(part.bounds) and all(
-        _at_least(wanted, bounds) and _at_most(wanted, bounds)
-        for wanted in part.bounds
+        _at_least(wanted, bounds) and _at_most(wanted, bounds) for wanted in part.bounds
     )
 
 

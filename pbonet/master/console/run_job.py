@@ -1,4 +1,4 @@
-"""A job or a sequence of jobs from one command: agents, verification, assembly, watch, orderly end."""
+"""A job, or a sequence, from one command: agents, verification, watch, orderly end."""
 
 from __future__ import annotations
 

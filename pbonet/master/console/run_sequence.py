@@ -1,4 +1,4 @@
-"""A sequence of jobs within a run: in a thread beside the display, or in virtual time."""
+"""A sequence of jobs within a run: beside the display, or in virtual time."""
 
 from __future__ import annotations
 

@@ -12,8 +12,8 @@ from .rtpu_clients import client_name as client_name
 from .sequencer import (
     STOPPED_ELSEWHERE as STOPPED_ELSEWHERE,
     Phase as Phase,
-    SequenceState as SequenceState,
     Sequencer as Sequencer,
+    SequenceState as SequenceState,
 )
 from .status_fields import (
     Window as Window,

@@ -81,9 +81,7 @@ class ConditionGate:
         posts = [(one.text, *_at(one)) for one in job.post]
         stands = m.Standing(name=job.name, file=job.file, post=posts)
         request = m.Job(told=stands, note=self._note)
-        self._task_set.clients.call(
-            _keeper(self._task_set), request, list[m.Standing]
-        )
+        self._task_set.clients.call(_keeper(self._task_set), request, list[m.Standing])
 
     def _values(self, names: list[str]) -> list[m.VarValue]:
         request = m.Display(names=names)

@@ -101,7 +101,7 @@ class SequenceState(Struct, frozen=True, kw_only=True):
         return self.phase in ENDED
 
 
-class _Cut(Exception):
+class _CutError(Exception):
     """The sequence is to go to its safe job, or to end at once."""
 
     def __init__(self, phase: Phase, text: str) -> None:
@@ -231,7 +231,7 @@ class Sequencer:
             self._subsystem.recordings.of(files.recorded_job(), files)
         try:
             phase, text = self._run()
-        except _Cut as cut:
+        except _CutError as cut:
             phase, text = cut.phase, str(cut)
         except BaseException as error:
             self._show(phase=Phase.FAILED, text=str(error) or type(error).__name__)
@@ -348,7 +348,7 @@ class Sequencer:
             self._do_step(step)
         except PbonetError as error:
             self._note(error)
-        except _Cut as cut:
+        except _CutError as cut:
             self._note(f"the safe job {step.job} was given up: {cut}")
 
     def _hold(self) -> None:
@@ -370,24 +370,24 @@ class Sequencer:
         """Go on, unless the sequence is to end.
 
         Raises:
-            _Cut: It is.
+            _CutError: It is.
         """
         if self._subsystem.stops != self._stops:
-            raise _Cut(Phase.STOPPED, STOPPED_ELSEWHERE)
+            raise _CutError(Phase.STOPPED, STOPPED_ELSEWHERE)
         if self._abort.is_set():
-            raise _Cut(Phase.ABORTED, self._reason)
+            raise _CutError(Phase.ABORTED, self._reason)
         passed = self._subsystem.clock.now() - self._begin
         if self._limit is not None and passed >= self._limit:
-            raise _Cut(Phase.ABORTED, f"{self._limit:g} s are over")
+            raise _CutError(Phase.ABORTED, f"{self._limit:g} s are over")
 
     def _must_have_tasks(self) -> None:
         """Refuse to go on after a stop from elsewhere, which would start it all again.
 
         Raises:
-            _Cut: There are no tasks any more.
+            _CutError: There are no tasks any more.
         """
         if self._state.count and not self._subsystem.status_all():
-            raise _Cut(Phase.STOPPED, STOPPED_ELSEWHERE)
+            raise _CutError(Phase.STOPPED, STOPPED_ELSEWHERE)
 
     def _note(self, error: object) -> None:
         errors = (*self._state.errors, str(error))[-_KEPT_ERRORS:]
@@ -410,7 +410,7 @@ def order(subsystem: Subsystem, line: Order) -> None:
     """
     first, *rest = line.words
     if line.command == "spawn":
-        subsystem.spawn(first, *rest)
+        subsystem.spawn(first, rest[0] if rest else None)
     elif line.command == "kill":
         subsystem.kill(line.words)
     elif line.command == "set":

@@ -106,9 +106,7 @@ def must_be_answerable(subsystem: Subsystem, ends: Sequence[StepEnd]) -> None:
         VerificationError: A variable is unknown, or sizes or units do not fit.
     """
     conditions = [Condition(one.condition, one.place) for one in ends if one.condition]
-    problems = legality.check_conditions(
-        conditions, subsystem.files.table.variables
-    )
+    problems = legality.check_conditions(conditions, subsystem.files.table.variables)
     if problems:
         raise legality.as_error(problems)
 

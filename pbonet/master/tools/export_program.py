@@ -25,8 +25,6 @@ from pbonet.errors import ConfigError
 from .write_new_files import write_files
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pbonet.config import SeqLine
 
 _HEAD: Final = '''\
@@ -78,7 +76,7 @@ def run(cell: Subsystem) -> None:
 _MAIN: Final = '''\
 def main() -> None:
     """Run the sequence, and end its tasks."""
-    words = argparse.ArgumentParser(description={description})
+    words = argparse.ArgumentParser(description=(__doc__ or "").split("\\n\\n")[0])
     words.add_argument("--sim", action="store_true", help="in virtual time")
     sim = words.parse_args().sim
     try:
@@ -86,7 +84,7 @@ def main() -> None:
             try:
                 run(cell)
             except (PbonetError, KeyboardInterrupt) as error:
-                print({safe_text}, flush=True)
+                print("the sequence is given up", flush=True)
                 safe(cell)
                 sys.exit(f"{name}: {{error or 'interrupted'}}")
     except PbonetError as error:
@@ -96,6 +94,7 @@ def main() -> None:
 if __name__ == "__main__":
     main()
 '''
+_NUMBER: Final = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?")
 _TAKEN: Final = {
     *("argparse", "sys", "Path", "TYPE_CHECKING", "Subsystem", "PbonetError"),
     *("Callable", "HERE", "WAIT", "ELSE", "TURNS", "enter", "run", "main", "safe"),
@@ -177,10 +176,8 @@ class _Program:
         parts += [self._else(), _RUN.format(first=self._begins[0]), self._safe()]
         parts.append(
             _MAIN.format(
-                description=_quoted(title),
                 sbs=_quoted(seq.sbs),
                 name=seq.name,
-                safe_text=_quoted("the sequence is given up"),
             )
         )
         return "\n\n".join(parts)
@@ -210,7 +207,9 @@ class _Program:
             if over or at >= len(lines) or at in self._begins:
                 break
         if not over:
-            body.append(f"return {self._begins[at]}" if at < len(lines) else "return None")
+            body.append(
+                f"return {self._begins[at]}" if at < len(lines) else "return None"
+            )
         first = lines[begin]
         doc = _shown(first) if isinstance(first, Step) else "Lines before the next step"
         doc = doc.replace("\\", "\\\\").replace('"', "'")
@@ -228,19 +227,17 @@ class _Program:
         if isinstance(line, Order):
             return [_order(line)]
         if isinstance(line, Goto):
-            target = self._begins[self._seq.at(line.step)]
-            if line.when is None:
-                return [f"return {target}"]
-            asked = f"ended == {_quoted(str(line.when))}"
-            if line.when.condition:
-                asked = f"cell.holds({_quoted(line.when.condition)})"
-            return [f"if {asked}:", f"    return {target}"]
-        if isinstance(line, Finish):
-            if line.failed:
-                return [f"sys.exit({_quoted(line.text or 'the sequence has failed')})"]
-            told = [f"print({_quoted(line.text)}, flush=True)"] if line.text else []
-            return [*told, "return None"]
-        return self._loop(at, line)
+            return self._goto(line)
+        return _finish(line) if isinstance(line, Finish) else self._loop(at, line)
+
+    def _goto(self, line: Goto) -> list[str]:
+        target = self._begins[self._seq.at(line.step)]
+        if line.when is None:
+            return [f"return {target}"]
+        asked = f"ended == {_quoted(str(line.when))}"
+        if line.when.condition:
+            asked = f"cell.holds({_quoted(line.when.condition)})"
+        return [f"if {asked}:", f"    return {target}"]
 
     def _loop(self, at: int, line: SeqLine) -> list[str]:
         """Return the statements of a REPEAT or END line."""
@@ -319,6 +316,13 @@ def _always_leaves(line: SeqLine) -> bool:
     return isinstance(line, Goto) and line.when is None
 
 
+def _finish(line: Finish) -> list[str]:
+    if line.failed:
+        return [f"sys.exit({_quoted(line.text or 'the sequence has failed')})"]
+    told = [f"print({_quoted(line.text)}, flush=True)"] if line.text else []
+    return [*told, "return None"]
+
+
 def _order(line: Order) -> str:
     first, *rest = line.words
     if line.command == "spawn":
@@ -329,8 +333,9 @@ def _order(line: Order) -> str:
     if line.command == "write":
         values = ", ".join(repr(float(one)) for one in rest)
         return f"cell.write({_quoted(first)}, [{values}])"
-    values = ", ".join(map(_quoted, rest[1:]))
-    return f"cell.set({_quoted(first)}, {_quoted(rest[0])}, [{values}])"
+    given = [one if _NUMBER.fullmatch(one) else _quoted(one) for one in rest[1:]]
+    value = given[0] if len(given) == 1 else f"[{', '.join(given)}]"
+    return f"cell.set({_quoted(first)}, {_quoted(rest[0])}, {value})"
 
 
 def _shown(line: SeqLine) -> str:

@@ -89,7 +89,9 @@ def new_module(
     makefile = folder / "Makefile"
     if in_c and makefile.is_file() and makefile.read_text() == texts["Makefile"]:
         del texts["Makefile"]
-    return write_files({folder / file: text for file, text in texts.items()}, force=force)
+    return write_files(
+        {folder / file: text for file, text in texts.items()}, force=force
+    )
 
 
 def new_svar(
