@@ -25,7 +25,6 @@ from pbonet.config import (
 )
 from pbonet.errors import ConfigError, PbonetError, StateError
 
-from . import step_end
 from .condition_gate import LOOK_TIME, in_time
 
 if TYPE_CHECKING:
@@ -302,8 +301,7 @@ class Sequencer:
         if line.when is None:
             return True
         if line.when.condition:
-            step_end.must_be_answerable(self._subsystem, [line.when])
-            return not step_end.refusal(self._subsystem, line.when)
+            return self._subsystem.step_ends.holds(line.when)
         return self._ended_by is not None and str(self._ended_by) == str(line.when)
 
     def _do_step(self, step: Step) -> StepEnd | None:
@@ -326,12 +324,8 @@ class Sequencer:
         within = step.within
         if within is None and step.until and step.seconds is None:
             within = self.seq.within
-        return step_end.wait(
-            self._subsystem,
-            step.until,
-            seconds=step.seconds,
-            timeout=within,
-            look=self._look,
+        return self._subsystem.step_ends.wait(
+            step.until, seconds=step.seconds, timeout=within, look=self._look
         )
 
     def _go_safe(self) -> None:

@@ -64,6 +64,7 @@ if TYPE_CHECKING:
 
     from .embedded_agents import Embedded
     from .status_fields import Profile
+    from .step_end import StepEnds
     from .switching import Transition
 
 
@@ -1180,8 +1181,8 @@ class Subsystem:
 
         ends = [step_end.parsed(one) for one in names_of(end)]
         self.stopped.clear()
-        found = step_end.wait(
-            self, ends, seconds=seconds, timeout=timeout, look=self._must_go_on
+        found = self.step_ends.wait(
+            ends, seconds=seconds, timeout=timeout, look=self._must_go_on
         )
         return str(found or "")
 
@@ -1197,9 +1198,14 @@ class Subsystem:
         """
         from . import step_end
 
-        one = step_end.parsed(f"({condition})")
-        step_end.must_be_answerable(self, [one])
-        return not step_end.refusal(self, one)
+        return self.step_ends.holds(step_end.parsed(f"({condition})"))
+
+    @property
+    def step_ends(self) -> StepEnds:
+        """What waits for the ends of steps."""
+        from .step_end import StepEnds
+
+        return StepEnds(self.task_set, self.inbox, self.clock)
 
     def news(self) -> AbstractContextManager[threading.Event]:
         """Return a context in which an event is set whenever an RTPU publishes one."""
