@@ -29,17 +29,26 @@ from .library_search import (
 from .model import (
     AgentConfig as AgentConfig,
     Condition as Condition,
+    EndRepeat as EndRepeat,
+    Finish as Finish,
+    Goto as Goto,
     JobFile as JobFile,
     JobTask as JobTask,
     Limit as Limit,
     LocalLine as LocalLine,
     Needs as Needs,
+    Order as Order,
     Place as Place,
+    Repeat as Repeat,
     Restart as Restart,
     Rmod as Rmod,
     RtpuEntry as RtpuEntry,
     SbsFile as SbsFile,
     Scheduler as Scheduler,
+    SeqFile as SeqFile,
+    SeqLine as SeqLine,
+    Step as Step,
+    StepEnd as StepEnd,
     SvarFile as SvarFile,
     TaskType as TaskType,
     Variable as Variable,
@@ -68,6 +77,13 @@ from .sbs import (
     parse_sbs as parse_sbs,
     read_sbs as read_sbs,
     write_sbs as write_sbs,
+)
+from .seq import (
+    line_text as line_text,
+    loops as loops,
+    parse_seq as parse_seq,
+    read_seq as read_seq,
+    write_seq as write_seq,
 )
 from .spp import SPP_DRIVERS as SPP_DRIVERS, SppEntry as SppEntry
 from .svar import (

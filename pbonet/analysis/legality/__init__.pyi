@@ -1,3 +1,4 @@
+from .condition_fit import Fit as Fit, fit as fit
 from .conditions import (
     Outcome as Outcome,
     check_conditions as check_conditions,
