@@ -64,6 +64,7 @@ from .rewrite import (
     Rewritten as Rewritten,
     rewrite_job as rewrite_job,
     rewrite_rmod as rewrite_rmod,
+    rewrite_seq as rewrite_seq,
     rewrite_svar as rewrite_svar,
 )
 from .rmod import (

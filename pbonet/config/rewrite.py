@@ -17,13 +17,14 @@ from pbonet.errors import ConfigError
 from .bundle import Section, bundled, split
 from .job import job_text, parse_job
 from .rmod import parse_rmod, rmod_text
+from .seq import parse_seq, write_seq
 from .svar import parse_svar, svar_text
 from .write import meaning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from .model import JobFile, Rmod, SvarFile
+    from .model import JobFile, Rmod, SeqFile, SvarFile
 
 Record = TypeVar("Record", bound=msgspec.Struct)
 Key = tuple[str, ...]
@@ -33,6 +34,10 @@ _COMMENT = re.compile(r"[ \t]+#.*")
 _LINE = re.compile(r"[ \t]*(?P<keyword>[^ \t\r\n]+)(?P<gap>[ \t]*)(?P<rest>[^\r\n]*)")
 _WHOLE = frozenset({"DESC", "SBS", "SVARFILE"})
 """Keywords whose argument is the rest of the line; a ``#`` in it begins no comment."""
+
+
+_ONCE = frozenset({"SEQUENCE", "DESC", "SBS", "SAFE", "WAIT", "WITHIN"})
+"""Keywords of a sequence that it has once."""
 
 
 class Rewritten(NamedTuple):
@@ -71,6 +76,15 @@ def rewrite_svar(before: str, record: SvarFile) -> Rewritten:
         ConfigError: No file can say it.
     """
     return _rewritten(before, record, svar_text, parse_svar, _svar_key)
+
+
+def rewrite_seq(before: str, record: SeqFile) -> Rewritten:
+    """Return the text of a ``.seq`` file changed so that it says `record`.
+
+    Raises:
+        ConfigError: No file can say it.
+    """
+    return _rewritten(before, record, write_seq, parse_seq, _seq_key)
 
 
 def rewrite_rmod(before: str, record: Rmod) -> Rewritten:
@@ -188,6 +202,14 @@ def _job_key(last: Key, keyword: str, rest: str) -> Key:
     if keyword == "TASK":
         return (keyword, *rest.split()[:1])
     return (keyword,)
+
+
+def _seq_key(last: Key, keyword: str, rest: str) -> Key:
+    del last
+    if keyword in _ONCE:
+        return (keyword,)
+    said = rest if keyword in {"DONE", "FAIL"} else _COMMENT.sub("", f" {rest}")
+    return (keyword, " ".join(said.split()))
 
 
 def _svar_key(last: Key, keyword: str, rest: str) -> Key:

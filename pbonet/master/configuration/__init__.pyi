@@ -10,6 +10,7 @@ from .check_files import (
     judged as judged,
     planned as planned,
     planned_tasks as planned_tasks,
+    sequence_findings as sequence_findings,
 )
 from .clock import Clock as Clock, RealClock as RealClock
 from .conditions import (

@@ -129,9 +129,8 @@ def check_file(
             files = Files(path, library, outside=outside, code=code)
             _check_job(found, files, host, code=code)
         elif isinstance(record, SeqFile):
-            found.about = f"sequence {record.name} of {len(record.steps)} steps"
             files = Files(path, library, outside=outside, code=code)
-            _check_sequence(found, files, host, code=code, outside=outside)
+            found = sequence_findings(files, host, code=code, outside=outside)
         elif isinstance(record, AgentConfig):
             found.about = f"agent {record.name or 'without a name'}"
             found.warnings += _not_here(record)
@@ -292,10 +291,29 @@ def _check_job(found: Findings, files: Files, host: str, *, code: bool = True) -
         _take(found, verdict.problems)
 
 
+def sequence_findings(
+    files: Files, host: str = "", *, code: bool = True, outside: bool = False
+) -> Findings:
+    """Return the faults of a sequence: of its jobs, and of how they follow each other.
+
+    Args:
+        files: The files of the subsystem, with the sequence.
+        host: The machine whose saved profiles are used; this one if empty.
+        code: Import the modules, and compare the files with them.
+        outside: Read files outside the sequence's folder if a line names one.
+    """
+    seq = files.seq
+    if seq is None:
+        raise TypeError(files.path)
+    about = f"sequence {seq.name} of {len(seq.steps)} steps"
+    found = Findings(file=seq.file, kind="seq", about=about)
+    _check_sequence(found, files, host or here(), code=code, outside=outside)
+    return found
+
+
 def _check_sequence(
     found: Findings, files: Files, host: str, *, code: bool, outside: bool
 ) -> None:
-    """Judge each job of a sequence, and how they follow each other."""
     from .check_sequence import SequenceCheck, StepJob
 
     def judged(path: str) -> StepJob:

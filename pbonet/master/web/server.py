@@ -8,6 +8,7 @@ import ipaddress
 import signal
 import socket
 import ssl
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from pbonet.master.console import render
 from pbonet.xm.net import credentials
 
 from .access import Access, KeyFile, Role
-from .orders import Orders
+from .orders import Orders, Steered
 from .recorded_run import RecordedRun
 from .watcher import Watcher
 
@@ -81,7 +82,7 @@ def serve(
     )
     orders = None
     if isinstance(source, Watcher):
-        orders = Orders(path, name, place, source.knows, source.look)
+        orders = partial(Orders, Steered(path, name, place), source.knows, source.look)
     page = application.Page(source, orders, access, linked=_say_link(as_data=as_data))
     if not (application.DIST / "index.html").is_file():
         render.print_error(render.warning(application.NOT_BUILT.strip()))
