@@ -1,11 +1,13 @@
 // The page: its parts, and where they stand.
 import { useEffect } from "react";
+import { AssembleView } from "./assemble_view";
 import { ChangePanel } from "./change_panel";
 import { GraphView } from "./graph_view";
 import { live, useLive } from "./live_state";
 import { CommandsPanel, EventsPanel } from "./messages_panels";
 import { TABS, page, usePage, type Tab } from "./page_state";
 import { PlotsPanel, VariableNames } from "./plots_panel";
+import { ProgramView } from "./program_view";
 import { TaskTable, VariableTable } from "./tables";
 import { TaskPanel } from "./task_panel";
 import { Bars, LogBar, TopBar } from "./top_bar";
@@ -49,9 +51,25 @@ function NewErrors() {
   return count ? <span className="count" aria-label={`${count} errors`}>{count}</span> : null;
 }
 
+/** What stands below the bars: by what the page is for now. */
+function Main() {
+  useLive("hello");
+  usePage("mode");
+  usePage("charts");
+  const mode = live.steers ? page.mode : "Watch";
+  if (mode === "Assemble") return <AssembleView />;
+  if (mode === "Program") return <ProgramView />;
+  return (
+    <main className={!page.plotsOpen ? "plots-closed" : page.charts.length ? "" : "no-charts"}>
+      <GraphView />
+      <PlotsPanel />
+      <Side />
+    </main>
+  );
+}
+
 export function App() {
   useLive("link");
-  usePage("charts");
   useEffect(() => {
     const pressed = (event: KeyboardEvent) => {
       const node = (event.target as HTMLElement).closest?.(".react-flow__node-task");
@@ -66,11 +84,7 @@ export function App() {
       <TopBar />
       <Bars />
       <LogBar />
-      <main className={!page.plotsOpen ? "plots-closed" : page.charts.length ? "" : "no-charts"}>
-        <GraphView />
-        <PlotsPanel />
-        <Side />
-      </main>
+      <Main />
       <VariableNames />
     </div>
   );

@@ -117,6 +117,14 @@ export function readingCommand(name: string, args: Args): Promise<Answer> {
   return request(asLine(name, args), { do: "command", command: name, args }, true);
 }
 export function line(text: string): Promise<Answer> { return request(text, { do: "line", line: text }); }
+/** Changes the job that is edited, or asks something about it. */
+export function edit(name: string, args: Record<string, unknown> = {}): Promise<Answer> {
+  return request(`edit ${name}`, { do: "edit", edit: name, args }, true);
+}
+/** Does something with a program of jobs. */
+export function program(name: string, args: Record<string, unknown> = {}): Promise<Answer> {
+  return request(`program ${name}`, { do: "program", program: name, args }, true);
+}
 export function stop(): Promise<Answer> { return request("stop", { do: "stop" }); }
 
 /** Returns a command as it would be typed. */

@@ -1,7 +1,7 @@
 // All that the server told last, outside of React: parts of the page subscribe to what they show.
 import { useCallback, useSyncExternalStore } from "react";
 import type {
-  FieldInfo, Graph, Hello, LogInfo, Message, PbonetEvent, Role, RtpuStatus, State, StatusMessage, TaskStatus, Value, Variable,
+  EditorState, FieldInfo, Graph, Hello, LogInfo, Message, PbonetEvent, Role, RtpuStatus, RunningProgram, State, StatusMessage, TaskStatus, Value, Variable,
 } from "./protocol";
 import { Ring } from "./ring";
 
@@ -82,6 +82,10 @@ export class LiveState extends Keyed {
   rtpus = new Map<string, RtpuStatus>();
   values = new Map<string, Value>();
   rings = new Map<string, Ring>();
+  /** The job that is edited; null before it was opened. */
+  editor: EditorState | null = null;
+  /** The program of jobs that runs, or ran last. */
+  running: RunningProgram | null = null;
   events: PbonetEvent[] = [];
   complaints: string[] = [];
   /** How fast a recorded run goes on; 0: it stands still. */
@@ -138,6 +142,12 @@ export class LiveState extends Keyed {
       case "events":
         this.events = mergeEvents(this.events, message.events);
         return this.tell("events");
+      case "editor":
+        this.editor = message.state;
+        return this.tell("editor");
+      case "program":
+        this.running = message;
+        return this.tell("program");
       case "complaints":
         this.complaints = message.texts;
         return this.tell("complaints");

@@ -6,12 +6,16 @@ import type { Series } from "./series";
 import { Trigger, triggerWindow, type TriggerSettings } from "./trigger";
 
 export const TABS = ["Tasks", "Task", "Variables", "Change", "Events", "Commands"] as const;
+/** What the page is for now: to watch and steer, to assemble a job, or to write a program of jobs. */
+export const MODES = ["Watch", "Assemble", "Program"] as const;
+export type Mode = (typeof MODES)[number];
 export type Tab = (typeof TABS)[number];
 export interface Chart { id: number; series: Series[] }
 /** What the charts show: the newest `width` seconds, or a fixed time for some reason. */
 export type View = { mode: "live" } | { mode: "held"; from: number; to: number; why: "paused" | "zoomed" | "triggered" };
 
 class PageState extends Keyed {
+  mode: Mode = "Watch";
   tab: Tab = "Tasks";
   /** Tasks that are selected, in the order in which they were. */
   selected: string[] = [];
@@ -38,6 +42,7 @@ class PageState extends Keyed {
     live.subscribe("graph", () => this.forgetGone());
   }
 
+  setMode(mode: Mode): void { this.mode = mode; this.tell("mode"); }
   show(tab: Tab): void { this.tab = tab; this.tell("tab"); }
   openTask(task: string): void { this.task = task; this.tell("task"); this.show("Task"); }
   select(tasks: string[]): void {

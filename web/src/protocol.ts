@@ -61,6 +61,28 @@ export interface Answer {
   kind: "answer"; id: number; ok: boolean; text: string; warnings: string[];
   data: Record<string, unknown> | null;
 }
+/** One way to put a fault right; `fault` is its place in the graph's list. */
+export interface Offer { fault: number; kind: string; text: string; steps: unknown[] }
+/** The job that is edited, as the server judges it. */
+export interface EditorState {
+  file: string; jobs?: string[]; graph: Graph; legal: boolean; errors: string[]; warnings: string[];
+  timing: TimingBar[]; settings: Record<string, Record<string, unknown>>; off_order: string[];
+  offers: Offer[]; undo: string; redo: string; unsaved: string[];
+}
+/** The load of one RTPU, as the analysis of the job finds it. */
+export interface TimingBar {
+  rtpu: string; scheduler: string; utilization: number | null; bound: number | null; outlook: string; text: string;
+  late: string[]; unknown: string[];
+  tasks: { task: string; utilization: number | null; maxc: number | null; source: string; guaranteed: boolean }[];
+}
+/** Where a program of jobs is. */
+export interface RunningProgram {
+  kind: "program"; program: string;
+  state: {
+    name: string; phase: string; line: number; step: string; job: string; waiting: string; safe: boolean;
+    pausing: boolean; since: number; count: number; entered: string[]; failed: number; errors: string[]; text: string;
+  };
+}
 export type Message =
   | Hello
   | { kind: "graph"; graph: Graph }
@@ -68,6 +90,8 @@ export type Message =
   | StatusMessage
   | { kind: "values"; t: number; values: Record<string, Value> }
   | { kind: "events"; events: PbonetEvent[] }
+  | { kind: "editor"; state: EditorState }
+  | RunningProgram
   | { kind: "complaints"; texts: string[] }
   | Answer
   | { kind: "progress"; id: number; text: string; seconds: number }

@@ -4,6 +4,7 @@ import { play, seek, stop } from "./connection";
 import { useClock, useGlobalKey } from "./controls";
 import { clock } from "./format";
 import { illegalCauses, live, useGraph, useLive } from "./live_state";
+import { MODES, page, usePage } from "./page_state";
 import type { Answer } from "./protocol";
 
 export const STOP_KEY = "F8";
@@ -19,10 +20,21 @@ export function TopBar() {
         {hello?.job && <span className="dim">job {hello.job}</span>}
         {hello && <Role />}
       </div>
+      {live.steers && <Modes />}
       <Flag />
       <LinkState />
       {live.steers && <Stop />}
     </header>
+  );
+}
+
+/** Chooses what the page is for. */
+function Modes() {
+  usePage("mode");
+  return (
+    <nav className="modes" aria-label="what the page is for">
+      {MODES.map((one) => <button key={one} type="button" aria-pressed={page.mode === one} onClick={() => page.setMode(one)}>{one}</button>)}
+    </nav>
   );
 }
 
