@@ -165,6 +165,7 @@ def _listen(served: Served) -> socket.socket:
         made = socket.socket(family, socket.SOCK_STREAM)
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind(address)
+        made.listen()  # a link that is printed can be opened at once
     except OSError as error:
         raise NodeError(
             "the page cannot be served there",
