@@ -11,7 +11,7 @@ from .parser import Argument, Option
 
 def command(
     *,
-    file: A[list[Path], Argument("The .svar, .rmod, .sbs, .job or .toml files.")],
+    file: A[list[Path], Argument("The .svar, .rmod, .sbs, .job, .seq or .toml files.")],
     no_code: A[
         bool, Option("Import no module: judge what the files alone say.")
     ] = False,
@@ -25,9 +25,10 @@ def command(
     """Check files and report their errors.
 
     Of a job it also says which deadlines are met, and which execution times that rests
-    on. Modules of the file's folder and of the libraries are imported, so their code
-    runs, with your rights: check files that you do not trust with --no-code, which
-    reads files only. The status is 1 if a file is wrong.
+    on; of a sequence of jobs, whether these fit each other. Modules of the file's
+    folder and of the libraries are imported, so their code runs, with your rights:
+    check files that you do not trust with --no-code, which reads files only. The status
+    is 1 if a file is wrong.
 
     Examples:
         Check a job with the files it names, and whether its deadlines are met:

@@ -1,4 +1,4 @@
-"""``pbonet new``: write the first files of a module, of a table, of a job."""
+"""``pbonet new``: write the first files of a module, a table, a job, a program."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated as A
 from . import options
 from .parser import Argument, Option
 
-HELP = "Write the first files of a module, a variable table, or a job."
+HELP = "Write the first files of a module, a variable table, a job, or a program."
 
 Name = A[str, Argument("Its name: letters, digits, underscores.")]
 Rmods = A[
@@ -149,4 +149,29 @@ def job(
     options.show_files(paths, warnings, as_data=json_)
 
 
-COMMANDS = (module, svar, job)
+def program(
+    *,
+    file: A[Path, Argument("The .seq file.", "FILE")],
+    output: A[
+        Path | None,
+        Argument("The program; by default beside the file, as NAME.py.", "PROGRAM"),
+    ] = None,
+    force: Force = False,
+    json_: options.Json = False,
+) -> None:
+    """Write a sequence of jobs (.seq) as a program in Python that does the same.
+
+    The program needs the jobs, and no longer the .seq file.
+
+    Examples:
+        Write carry.py and run it in virtual time:
+        pbonet new program carry.seq && python carry.py --sim
+    """
+    from pbonet.master.tools import export_program
+
+    options.show_files(
+        export_program.new_program(file, output, force=force), as_data=json_
+    )
+
+
+COMMANDS = (module, svar, job, program)

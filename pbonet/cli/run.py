@@ -1,4 +1,4 @@
-"""``pbonet run``: a whole job from one command."""
+"""``pbonet run``: a whole job, or a sequence of jobs, from one command."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from .parser import Argument, Option
 
 def command(
     *,
-    file: A[Path, Argument("The .job file.", "FILE.job")],
+    file: A[Path, Argument("The .job file, or a .seq file.", "FILE")],
     seconds: A[
-        float | None, Option("How long it runs; until Ctrl-C if left out.", least=0.0)
+        float | None,
+        Option("How long it runs, at most; until Ctrl-C if left out.", least=0.0),
     ] = None,
     sim: A[bool, Option("Run in virtual time, without agents and devices.")] = False,
     embed: A[bool, Option("Start an agent for each RTPU that has none.")] = True,
@@ -42,11 +43,14 @@ def command(
     place: options.ChangeTransaction,
     json_: options.Json = False,
 ) -> int:
-    """Run a job from start to end, with agents of its own if need be.
+    """Run a job or a sequence of jobs to its end, with agents of its own if need be.
 
     It starts an agent for each RTPU (executor) that has none, verifies the job, creates
     and turns on its tasks, shows their status, and ends them in order. 'pbonet start'
     does the middle part alone: it needs running agents and leaves the tasks running.
+
+    A sequence (.seq) runs to its end; Ctrl-C, and --seconds when they are over, lead to
+    its safe job first. The status is 1 unless it was done.
 
     The status is 1 if a task ended in ERROR or something was left. With --strict it is
     3 if not all was recorded, 4 if the machine stood still and cycles were lost, and 5
@@ -57,6 +61,8 @@ def command(
         pbonet run puma.job --seconds 15
         Try it in virtual time, without the robot:
         pbonet run puma.job --sim --seconds 15
+        Run a program of jobs:
+        pbonet run carry.seq
     """
     from pbonet.master.console import run
 

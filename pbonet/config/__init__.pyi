@@ -5,7 +5,7 @@ from .agent import (
     read_agent as read_agent,
 )
 from .any_file import read_any as read_any
-from .bundle import Section as Section, bundled as bundled
+from .bundle import Section as Section, bundled as bundled, combines as combines
 from .class_rmod import own_rmod as own_rmod
 from .combining import info_of as info_of
 from .conditions import Parsed as Parsed, parse as parse
@@ -29,17 +29,26 @@ from .library_search import (
 from .model import (
     AgentConfig as AgentConfig,
     Condition as Condition,
+    EndRepeat as EndRepeat,
+    Finish as Finish,
+    Goto as Goto,
     JobFile as JobFile,
     JobTask as JobTask,
     Limit as Limit,
     LocalLine as LocalLine,
     Needs as Needs,
+    Order as Order,
     Place as Place,
+    Repeat as Repeat,
     Restart as Restart,
     Rmod as Rmod,
     RtpuEntry as RtpuEntry,
     SbsFile as SbsFile,
     Scheduler as Scheduler,
+    SeqFile as SeqFile,
+    SeqLine as SeqLine,
+    Step as Step,
+    StepEnd as StepEnd,
     SvarFile as SvarFile,
     TaskType as TaskType,
     Variable as Variable,
@@ -51,6 +60,13 @@ from .needs import (
     stale_action as stale_action,
 )
 from .reader import load as load
+from .rewrite import (
+    Rewritten as Rewritten,
+    rewrite_job as rewrite_job,
+    rewrite_rmod as rewrite_rmod,
+    rewrite_seq as rewrite_seq,
+    rewrite_svar as rewrite_svar,
+)
 from .rmod import (
     parse_rmod as parse_rmod,
     read_rmod as read_rmod,
@@ -63,6 +79,13 @@ from .sbs import (
     read_sbs as read_sbs,
     write_sbs as write_sbs,
 )
+from .seq import (
+    line_text as line_text,
+    loops as loops,
+    parse_seq as parse_seq,
+    read_seq as read_seq,
+    write_seq as write_seq,
+)
 from .spp import SPP_DRIVERS as SPP_DRIVERS, SppEntry as SppEntry
 from .svar import (
     parse_svar as parse_svar,
@@ -74,5 +97,5 @@ from .types import (
     element_type as element_type,
     numpy_type as numpy_type,
 )
-from .words import MAX_NAME as MAX_NAME
+from .words import MAX_LABEL as MAX_LABEL, MAX_NAME as MAX_NAME
 from .write import meaning as meaning, number as number

@@ -9,18 +9,20 @@ from pbonet.errors import ConfigFileError
 
 from .agent import read_agent
 from .job import read_job
-from .model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
+from .model import AgentConfig, JobFile, Rmod, SbsFile, SeqFile, SvarFile
 from .rmod import read_rmod
 from .sbs import read_sbs
+from .seq import read_seq
 from .svar import read_svar
 
-Record = SvarFile | Rmod | SbsFile | JobFile | AgentConfig
+Record = SvarFile | Rmod | SbsFile | JobFile | SeqFile | AgentConfig
 
 _READERS: dict[str, Callable[[str | Path], Record]] = {
     ".svar": read_svar,
     ".rmod": read_rmod,
     ".sbs": read_sbs,
     ".job": read_job,
+    ".seq": read_seq,
     ".toml": read_agent,
 }
 

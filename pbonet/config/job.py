@@ -307,6 +307,11 @@ def write_job(record: JobFile) -> str:
     Raises:
         ConfigError: No file can say it.
     """
+    return same_again(record, job_text(record), parse_job)
+
+
+def job_text(record: JobFile) -> str:
+    """Return the text of a ``.job`` file, which may say another thing; see `write`."""
     lines = [
         text_line("JOB", record.name),
         text_line("DESC", record.desc),
@@ -326,4 +331,4 @@ def write_job(record: JobFile) -> str:
     ]
     if record.off_order:
         lines.append(text_line("OFF", " ".join(record.off_order)))
-    return same_again(record, "".join([*lines, "EOF\n"]), parse_job)
+    return "".join([*lines, "EOF\n"])

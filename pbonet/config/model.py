@@ -288,6 +288,128 @@ class JobFile(Struct, frozen=True, kw_only=True):
     record: tuple[RecordLine, ...] = ()
 
 
+class StepEnd(Struct, frozen=True):
+    """What a step of a sequence waits for: a signal, or a condition."""
+
+    signal: str = ""
+    task: str = ""
+    """Who sends the signal; empty: any task."""
+    condition: str = ""
+    """Instead of a signal: what is to hold."""
+    place: Place | None = None
+
+    def __str__(self) -> str:
+        """Return it as a ``.seq`` file has it."""
+        if self.condition:
+            return f"({self.condition})"
+        return f"{self.task} {self.signal}" if self.task else self.signal
+
+
+class Step(Struct, frozen=True, kw_only=True, tag_field="keyword", tag="STEP"):
+    """A STEP line: a job to change to, and what ends the step."""
+
+    job: str
+    label: str = ""
+    until: tuple[StepEnd, ...] = ()
+    """One of these ends the step; none of them, and no `seconds`: it ends at once."""
+    seconds: float | None = None
+    """After so many seconds it ends in any case."""
+    within: float | None = None
+    """Seconds after which it has failed; None: as the sequence says."""
+    otherwise: str = ""
+    """The step that follows an error; empty: none, the sequence fails."""
+    place: Place | None = None
+
+    @property
+    def name(self) -> str:
+        """Its label, or its job's name."""
+        return self.label or self.job
+
+    @property
+    def waits(self) -> bool:
+        """Whether it lasts until something happens."""
+        return bool(self.until) or self.seconds is not None
+
+
+class Goto(Struct, frozen=True, kw_only=True, tag_field="keyword", tag="GOTO"):
+    """A GOTO line: another step follows, always or in one case."""
+
+    step: str
+    when: StepEnd | None = None
+    """How the step above has ended, or what holds now; None: always."""
+    place: Place | None = None
+
+
+class Repeat(Struct, frozen=True, kw_only=True, tag_field="keyword", tag="REPEAT"):
+    """A REPEAT line: the lines up to its END are done several times."""
+
+    times: int
+    """0: without end."""
+    place: Place | None = None
+
+
+class EndRepeat(Struct, frozen=True, kw_only=True, tag_field="keyword", tag="END"):
+    """An END line: the end of the lines that are repeated."""
+
+    place: Place | None = None
+
+
+class Finish(Struct, frozen=True, kw_only=True, tag_field="keyword", tag="FINISH"):
+    """A DONE or FAIL line: the sequence ends."""
+
+    failed: bool = False
+    text: str = ""
+    place: Place | None = None
+
+
+class Order(Struct, frozen=True, kw_only=True, tag_field="keyword", tag="ORDER"):
+    """A SPAWN, KILL, SET or WRITE line: what the command of that name does."""
+
+    command: Literal["spawn", "kill", "set", "write"]
+    words: tuple[str, ...]
+    """Its arguments, in the command's order."""
+    place: Place | None = None
+
+
+SeqLine: TypeAlias = Step | Goto | Repeat | EndRepeat | Finish | Order
+
+
+class SeqFile(Struct, frozen=True, kw_only=True):
+    """A ``.seq`` file: a program of jobs."""
+
+    file: str
+    name: str
+    desc: str = ""
+    sbs: str
+    """The subsystem's ``.sbs`` file, relative to the file's folder."""
+    safe: Step | None = None
+    """Where an abort, and an error that no step takes, lead to."""
+    wait: float = 0.0
+    """Seconds that PRE and POST may take to become true when a step begins."""
+    within: float | None = None
+    """Seconds after which a step has failed, unless it says so itself; None: never."""
+    lines: tuple[SeqLine, ...]
+
+    @property
+    def steps(self) -> list[Step]:
+        """Its STEP lines."""
+        return [line for line in self.lines if isinstance(line, Step)]
+
+    @property
+    def jobs(self) -> list[str]:
+        """The names of its jobs, each once; with the safe one."""
+        safe = [self.safe] if self.safe else []
+        return list(dict.fromkeys(one.job for one in (*self.steps, *safe)))
+
+    def at(self, step: str) -> int:
+        """Return the index of the line of a step, by its name."""
+        return next(
+            number
+            for number, line in enumerate(self.lines)
+            if isinstance(line, Step) and line.name == step
+        )
+
+
 class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``agent.toml``: what belongs to a machine and not to an application."""
 

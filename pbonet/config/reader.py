@@ -28,7 +28,13 @@ MAX_FILE = 16 << 20
 MAX_LINE = 1 << 20
 """Longest line, in characters."""
 
-_FIRST = {"NAME": ".svar", "MODULE": ".rmod", "SUBSYSTEM": ".sbs", "JOB": ".job"}
+_FIRST = {
+    "NAME": ".svar",
+    "MODULE": ".rmod",
+    "SUBSYSTEM": ".sbs",
+    "JOB": ".job",
+    "SEQUENCE": ".seq",
+}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x0c\x0e-\x1f\x7f]|\r(?!\n)")
 
 

@@ -382,11 +382,11 @@ def write_rmod(record: Rmod) -> str:
     Raises:
         ConfigError: No file can say it, such as a DESC of two lines.
     """
-    return same_again(record, _text(record), parse_rmod)
+    return same_again(record, rmod_text(record), parse_rmod)
 
 
-def _text(record: Rmod) -> str:
-    """Return the text of an RMOD, with those of its parts below it."""
+def rmod_text(record: Rmod) -> str:
+    """Return the text of an RMOD, with those of its parts below it; see `write`."""
     names = " ".join(part.name for part in record.parts)
     first = ("COMBINE", names) if names else ("MODULE", record.module)
     lines = [text_line(*first), text_line("DESC", record.desc)]
@@ -411,5 +411,5 @@ def _text(record: Rmod) -> str:
     if record.local:
         lines.append("\nLOCAL\n")
         lines += [text_line(key, " ".join(v.words)) for key, v in record.local.items()]
-    below = {part.name: Section(_text(part), part.file) for part in record.parts}
+    below = {part.name: Section(rmod_text(part), part.file) for part in record.parts}
     return bundled("".join([*lines, "EOF\n"]), below.__getitem__)

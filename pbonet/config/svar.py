@@ -277,10 +277,14 @@ def write_svar(record: SvarFile) -> str:
     Raises:
         ConfigError: No file can say it, such as a DESC of two lines.
     """
+    return same_again(record, svar_text(record), parse_svar)
+
+
+def svar_text(record: SvarFile) -> str:
+    """Return the text of a ``.svar`` file, which may say another thing; see `write`."""
     blocks = ["".join(f"DEFINE {k} {v}\n" for k, v in record.defines.items())]
     blocks += [_written(variable) for variable in record.variables]
-    text = "\n".join([*(block for block in blocks if block), "EOF\n"])
-    return same_again(record, text, parse_svar)
+    return "\n".join([*(block for block in blocks if block), "EOF\n"])
 
 
 def _written(variable: Variable) -> str:

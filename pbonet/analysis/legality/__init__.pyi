@@ -1,3 +1,4 @@
+from .condition_fit import Fit as Fit, fit as fit
 from .conditions import (
     Outcome as Outcome,
     check_conditions as check_conditions,
@@ -12,6 +13,7 @@ from .demands import (
     worst as worst,
 )
 from .devices_on_rtpus import named_things as named_things, only_home as only_home
+from .joins import CONNECTORS as CONNECTORS, intermediate as intermediate
 from .order import (
     change_order as change_order,
     flow_order as flow_order,
@@ -37,6 +39,7 @@ from .reports import (
     report_head as report_head,
     report_text as report_text,
 )
+from .shapes import constant_sizes as constant_sizes
 from .shared_cores import Sharing as Sharing, sharing as sharing
 from .timing import (
     Load as Load,

@@ -22,7 +22,7 @@ from .records import Code, Problem
 from .units import ANY, conversion, factor, known_unit, same_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -41,6 +41,14 @@ _SIGNS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]] = {
     ast.NotEq: ("!=", operator.ne),
 }
 
+_TURNED: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.Gt,
+    ast.Gt: ast.Lt,
+    ast.LtE: ast.GtE,
+    ast.GtE: ast.LtE,
+}
+"""The sign when both sides change places."""
+
 
 class Outcome(Struct, frozen=True):
     """The outcome of a condition."""
@@ -49,6 +57,27 @@ class Outcome(Struct, frozen=True):
     holds: bool
     seen: str = ""
     """The comparisons that decided it and the values behind them, as text."""
+
+
+class Bound(Struct, frozen=True):
+    """The least and the greatest number that a condition allows for a term."""
+
+    term: str
+    """A part of the condition without spaces, such as ``norm(X-GOAL)``."""
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+    """Whether `low` itself is not allowed."""
+    open_high: bool = False
+
+
+class Part(Struct, frozen=True):
+    """A part of a condition that must hold for itself."""
+
+    text: str
+    """As written, without spaces."""
+    bounds: tuple[Bound, ...] = ()
+    """What it says, if it compares terms with numbers; else nothing."""
 
 
 class _Quantity(NamedTuple):
@@ -114,6 +143,14 @@ def evaluate(
     told += [f"{v} = {_shown(arrays[v], table[v])}" for v in parsed.variables]
     told += [f"{v} is older than its MAXAGE, {table[v].maxage:g} s" for v in old]
     return Outcome(condition, holds and walk.finite and not old, "; ".join(told))
+
+
+def parts(condition: Condition, variables: Sequence[Variable]) -> list[Part]:
+    """Return what a condition demands; `check_conditions` has found nothing in it."""
+    table = {variable.name: variable for variable in variables}
+    values = {name: np.ones(one.nelem) for name, one in table.items()}
+    walk = _Walk(parse(condition.text, condition.place), table, values)
+    return list(walk.parts(walk.parsed.tree))
 
 
 def named(conditions: Iterable[Condition]) -> list[str]:
@@ -188,6 +225,52 @@ class _Walk:
                 self.told.append(f"{one:.6g} {text} {other:.6g}{unit} {word}")
             holds = holds and answer
         return holds
+
+    def parts(self, node: ast.expr) -> Iterator[Part]:
+        """Yield the parts that must all hold."""
+        if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.And):
+            for value in node.values:
+                yield from self.parts(value)
+        elif isinstance(node, ast.Compare):
+            nodes = [node.left, *node.comparators]
+            for at, sign in enumerate(node.ops):
+                bound = self._bound(nodes[at], type(sign), nodes[at + 1])
+                signs = _SIGNS[type(sign)][0]
+                text = f"{self._term(nodes[at])}{signs}{self._term(nodes[at + 1])}"
+                yield Part(text, (bound,) if bound else ())
+        else:
+            no = isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+            inner = node.operand if isinstance(node, ast.UnaryOp) else node
+            term = self._term(inner)
+            simple = isinstance(inner, ast.Name | ast.Subscript)
+            number = 0.0 if no else 1.0
+            bounds = (Bound(term, number, number),) if simple else ()
+            yield Part(self._term(node), bounds)
+
+    def _term(self, node: ast.expr) -> str:
+        """Return a part's text without spaces, its units at the end."""
+        first, end = node.col_offset, node.end_col_offset or 0
+        units = [u for at, u in self.parsed.units.items() if first <= at < end]
+        return "".join([*self.parsed.source(node).split(), *map("[{}]".format, units)])
+
+    def _bound(
+        self, left: ast.expr, sign: type[ast.cmpop], right: ast.expr
+    ) -> Bound | None:
+        """Return what a comparison says of a term; None if of none, or of two."""
+        first, second = self._alike(right, self._quantity(left), self._quantity(right))
+        if first.literal == second.literal or sign is ast.NotEq:
+            return None
+        if first.literal:
+            number, term = self._single(left, first), self._term(right)
+            sign = _TURNED.get(sign, sign)
+        else:
+            number, term = self._single(right, second), self._term(left)
+        strict = sign in {ast.Lt, ast.Gt}
+        if sign is ast.Eq:
+            return Bound(term, number, number)
+        if sign in {ast.Lt, ast.LtE}:
+            return Bound(term, high=number, open_high=strict)
+        return Bound(term, low=number, open_low=strict)
 
     def _single(self, node: ast.expr, found: _Quantity) -> float:
         """Return the only element.

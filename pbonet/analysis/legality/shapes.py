@@ -24,19 +24,38 @@ def check_shapes(configuration: Configuration) -> Iterator[Problem]:
     A name in a shape is one size in a module. If it is a constant's, it is one size in
     the whole configuration, because all tasks read the same constant.
     """
+    problems, sizes = _solve_all(configuration)
+    yield from problems
+    for variable, found in sizes.items():
+        if len(found) > 1:
+            yield _disagreement(variable, found)
+
+
+def constant_sizes(configuration: Configuration) -> dict[str, int]:
+    """Return the sizes that constants must have, by variable, as most tasks see it."""
+    _, sizes = _solve_all(configuration)
+    return {
+        variable: max(found, key=lambda size: len(found[size]))
+        for variable, found in sizes.items()
+    }
+
+
+def _solve_all(
+    configuration: Configuration,
+) -> tuple[list[Problem], dict[str, dict[int, list[str]]]]:
+    """Return tasks' problems, and by constant and size the tasks that see it so."""
+    problems: list[Problem] = []
     sizes: dict[str, dict[int, list[str]]] = {}
     for task in configuration.tasks:
         if task.info is None:
             continue
         solved = _solve(configuration, task, task.info)
         if isinstance(solved, Problem):
-            yield solved
+            problems.append(solved)
             continue
         for variable, size in solved.items():
             sizes.setdefault(variable, {}).setdefault(size, []).append(task.name)
-    for variable, found in sizes.items():
-        if len(found) > 1:
-            yield _disagreement(variable, found)
+    return problems, sizes
 
 
 def _solve(

@@ -1,6 +1,17 @@
-from . import environment as environment
+from . import (
+    environment as environment,
+    graph_svg as graph_svg,
+    graph_text as graph_text,
+)
 from .adopt_times import Adopted as Adopted, adopt as adopt
-from .check_files import check_file as check_file, planned as planned
+from .check_files import (
+    Findings as Findings,
+    check_file as check_file,
+    judged as judged,
+    planned as planned,
+    planned_tasks as planned_tasks,
+    sequence_findings as sequence_findings,
+)
 from .clock import Clock as Clock, RealClock as RealClock
 from .conditions import (
     Asked as Asked,
@@ -18,7 +29,11 @@ from .failures import (
 )
 from .recording_plan import RecordingPlan as RecordingPlan
 from .saved_profiles import Saved as Saved, here as here, profile_of as profile_of
-from .subsystem_files import Files as Files, RmodSource as RmodSource
+from .subsystem_files import (
+    Files as Files,
+    Producers as Producers,
+    RmodSource as RmodSource,
+)
 from .subsystem_graph import (
     Graph as Graph,
     GraphFault as GraphFault,
@@ -31,6 +46,7 @@ from .subsystem_graph import (
     Wire as Wire,
     graph_of as graph_of,
     job_graph as job_graph,
+    planned_graph as planned_graph,
     unread as unread,
 )
 from .task_model import Member as Member, TaskModel as TaskModel

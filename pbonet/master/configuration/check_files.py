@@ -22,6 +22,7 @@ from pbonet.config import (
     Library,
     Rmod,
     SbsFile,
+    SeqFile,
     SvarFile,
     absent,
     info_of,
@@ -71,6 +72,8 @@ class Findings(Struct, kw_only=True):
     """Of a job: what the analysis finds about each RTPU."""
     errors: list[WireError] = []
     warnings: list[str] = []
+    notes: list[str] = []
+    """What a reader should know that is neither wrong nor doubtful."""
 
     @property
     def legal(self) -> bool:
@@ -82,6 +85,7 @@ class Findings(Struct, kw_only=True):
         lines = legality.report_text(self.rtpus).splitlines()
         lines += [f"ERROR> {PbonetError.from_wire(error)}" for error in self.errors]
         lines += [f"WARNING> {text}" for text in self.warnings]
+        lines += [f"NOTE> {text}" for text in self.notes]
         verdict = "legal"
         if self.errors:
             count = len(self.errors)
@@ -100,7 +104,7 @@ def check_file(
     """Return the faults of a file of any kind.
 
     Args:
-        path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job`` or ``.toml`` file.
+        path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job``, ``.seq`` or ``.toml`` file.
         libraries: Folders with modules beside those that pbonet brings.
         host: The machine whose saved profiles are used; this one if empty.
         code: Import the modules, and compare the files with them.
@@ -112,6 +116,7 @@ def check_file(
     try:
         rmod = Path(path).suffix == ".rmod"
         record = library.read_rmod(path) if rmod else read_any(path)
+        host = host or here()
         if isinstance(record, Rmod):
             found.about = f"RMOD {record.name} of module {record.module}"
             _check_rmod(found, record, library, code=code)
@@ -122,13 +127,16 @@ def check_file(
         elif isinstance(record, JobFile):
             found.about = f"job {record.name} of {len(record.tasks)} tasks"
             files = Files(path, library, outside=outside, code=code)
-            _check_job(found, files, host or here(), code=code)
+            _check_job(found, files, host, code=code)
+        elif isinstance(record, SeqFile):
+            files = Files(path, library, outside=outside, code=code)
+            found = sequence_findings(files, host, code=code, outside=outside)
         elif isinstance(record, AgentConfig):
             found.about = f"agent {record.name or 'without a name'}"
             found.warnings += _not_here(record)
         else:
             found.about = f"table of {len(record.variables)} variables"
-        if not code and isinstance(record, Rmod | JobFile):
+        if not code and isinstance(record, Rmod | JobFile | SeqFile):
             found.warnings.append(_NO_CODE)
     except PbonetError as error:
         found.errors.append(error.to_wire())
@@ -281,6 +289,58 @@ def _check_job(found: Findings, files: Files, host: str, *, code: bool = True) -
     if verdict is not None:
         found.rtpus = legality.report(verdict.after)
         _take(found, verdict.problems)
+
+
+def sequence_findings(
+    files: Files, host: str = "", *, code: bool = True, outside: bool = False
+) -> Findings:
+    """Return the faults of a sequence: of its jobs, and of how they follow each other.
+
+    Args:
+        files: The files of the subsystem, with the sequence.
+        host: The machine whose saved profiles are used; this one if empty.
+        code: Import the modules, and compare the files with them.
+        outside: Read files outside the sequence's folder if a line names one.
+    """
+    seq = files.seq
+    if seq is None:
+        raise TypeError(files.path)
+    about = f"sequence {seq.name} of {len(seq.steps)} steps"
+    found = Findings(file=seq.file, kind="seq", about=about)
+    _check_sequence(found, files, host or here(), code=code, outside=outside)
+    return found
+
+
+def _check_sequence(
+    found: Findings, files: Files, host: str, *, code: bool, outside: bool
+) -> None:
+    from .check_sequence import SequenceCheck, StepJob
+
+    def judged(path: str) -> StepJob:
+        mine = Files(path, files.library, outside=outside, code=code)
+        verdict, parts = planned(mine, host, code=code)
+        found.errors += [one for one in parts.errors if one not in found.errors]
+        found.warnings += [t for t in parts.warnings if t not in found.warnings]
+        tasks: Sequence[legality.Task] = ()
+        if verdict is not None:
+            problems = Findings(file=path, kind="job")
+            _take(problems, [p for p in verdict.problems if not check.gives(p)])
+            found.errors += [e for e in problems.errors if e not in found.errors]
+            told = set(found.warnings)
+            found.warnings += [t for t in problems.warnings if t not in told]
+            tasks = verdict.after.tasks
+        return StepJob(mine.read_job(), tuple(tasks) if verdict else None)
+
+    def module(name: str) -> ModuleInfo | None:
+        rmod = files.rmod(name).record
+        return _described(rmod, files.library) if code else None
+
+    check = SequenceCheck(files, judged, module)
+    check.run()
+    found.errors += [one.to_wire() for one in check.errors]
+    found.errors += [legality.as_error([one]).to_wire() for one in check.problems]
+    found.warnings += check.warnings
+    found.notes += check.notes
 
 
 def _take(found: Findings, problems: Sequence[legality.Problem]) -> None:

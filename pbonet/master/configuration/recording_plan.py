@@ -129,6 +129,8 @@ class RecordingPlan:
         paths = [str(files.path)]
         if self._job is not None:
             paths.append(self._job.file)
+        if files.seq is not None:
+            paths += map(str, files.step_jobs().values())
         for path in paths:
             try:
                 found[Path(path).name] = load(path)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet import config
-from pbonet.config import load, parse_sbs, parse_svar, read_job
+from pbonet.config import JobFile, load, parse_sbs, parse_svar, read_job
 from pbonet.errors import (
     ConfigError,
     ConfigFileError,
@@ -27,9 +27,9 @@ from pbonet.errors import (
 from pbonet.xm.net import NAME, check_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
-    from pbonet.config import JobFile, Library, Rmod, SbsFile, SvarFile
+    from pbonet.config import Library, Rmod, SbsFile, SeqFile, Step, SvarFile
 
     from .saved_profiles import Store
 
@@ -45,7 +45,7 @@ class Files:
     """The files of one subsystem.
 
     Args:
-        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        path: The ``.sbs`` file, or a ``.job`` or ``.seq`` file that names it.
         library: The library for RMODs that are beside neither. The folders of these
             files become its first ones.
         outside: Whether SBS and SVARFILE lines may name files outside the folder of
@@ -67,14 +67,19 @@ class Files:
         path = Path(path)
         folder = None if outside else path.parent
         self.job: JobFile | None = None
+        self.seq: SeqFile | None = None
+        first: JobFile | SeqFile | None = None
         if path.suffix == ".job":
-            self.job = read_job(path)
-            path = path.parent / self.job.sbs
-            _within(folder, path, self.job.file, "SBS")
+            first = self.job = read_job(path)
+        elif path.suffix == ".seq":
+            first = self.seq = config.read_seq(path)
+        if first is not None:
+            path = path.parent / first.sbs
+            _within(folder, path, first.file, "SBS")
         self.path = path
         self.library = library
         self._code = code
-        text = _named(path, self.job.file, "SBS") if self.job else load(path)
+        text = _named(path, first.file, "SBS") if first else load(path)
         self.sbs: SbsFile = parse_sbs(text, str(path))
         svar = path.parent / self.sbs.svarfile
         _within(folder, svar, str(path), "SVARFILE")
@@ -82,8 +87,8 @@ class Files:
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self._folders: list[Path] = []
         self._search_first_in(path.parent)
-        if self.job is not None:
-            self._search_first_in(Path(self.job.file).parent)
+        if first is not None:
+            self._search_first_in(Path(first.file).parent)
 
     @cached_property
     def profiles(self) -> Store:
@@ -120,6 +125,80 @@ class Files:
             )
         self._search_first_in(folder)
         return job
+
+    def step_jobs(self) -> dict[str, Path]:
+        """Return the file of each job of the sequence, by name.
+
+        Raises:
+            ConfigError: One is missing, wrong, or of another subsystem; the error says
+                which line names it. Or there is no sequence.
+        """
+        return {name: Path(job.file) for name, job in self._of_steps().items()}
+
+    def _of_steps(self) -> dict[str, JobFile]:
+        """Return the jobs of the sequence, by name."""
+        if self.seq is None:
+            raise ConfigError(
+                "the subsystem has no sequence",
+                where=str(self.path),
+                expected="a .seq file",
+                remedy="open it with one",
+            )
+        safe = [self.seq.safe] if self.seq.safe else []
+        found: dict[str, JobFile] = {}
+        for step in (*self.seq.steps, *safe):
+            if step.job not in found:
+                found[step.job] = self.step_job(step)
+        return found
+
+    def step_job(self, step: Step) -> JobFile:
+        """Return the job of a step, from beside the sequence, else beside the ``.sbs``.
+
+        Raises:
+            ConfigError: It is missing, wrong, or of another subsystem; the error says
+                which line names it.
+        """
+        place = step.place
+        folder = Path(place.file).parent if place else self.path.parent
+        path = folder / f"{step.job}.job"
+        beside = self.path.with_name(path.name)
+        path = path if _is_there(path) or not _is_there(beside) else beside
+        try:
+            return self.read_job(path)
+        except ConfigError as error:
+            if not _is_there(path):
+                known = {one.stem for one in folder.glob("*.job")} | set(self.jobs())
+                raise ConfigFileError(
+                    f"there is no job {step.job}",
+                    where=str(place or ""),
+                    expected=f"the file {path.name} beside the sequence",
+                    remedy=did_you_mean(step.job, known)
+                    or "write it, or name another job",
+                ) from None
+            error.where = f"{place}: {error.where}" if place else error.where
+            raise
+
+    def recorded_job(self) -> JobFile:
+        """Return the job that a run records.
+
+        Of a sequence it is one with the tasks and RECORD lines of all its jobs.
+
+        Raises:
+            ConfigError: One of them is missing, wrong, or of another subsystem.
+        """
+        if self.seq is None:
+            return self.read_job()
+        jobs = self._of_steps().values()
+        tasks = {task.rmod: task for job in jobs for task in job.tasks}
+        lines = {(r.mode, r.names): r for job in jobs for r in job.record}
+        return JobFile(
+            file=self.seq.file,
+            name=self.seq.name,
+            desc=self.seq.desc,
+            sbs=self.seq.sbs,
+            tasks=tuple(tasks.values()),
+            record=tuple(lines.values()),
+        )
 
     def rmod(self, name: str, freq: float | None = None) -> RmodSource:
         """Return the RMOD `name` from its present file, or from its module's class.
@@ -193,7 +272,7 @@ class Files:
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        return Producers(self.library)
+        return Producers(self.library.records)
 
     def jobs(self) -> list[str]:
         """Return the jobs that are beside the ``.sbs``, sorted."""
@@ -222,6 +301,14 @@ class Files:
 
     def _no_job(self) -> ConfigError:
         jobs = ", ".join(self.jobs())
+        if self.seq is not None:
+            return ConfigError(
+                "a sequence is not a single job",
+                where=self.seq.file,
+                expected=f"one of its jobs: {', '.join(self.seq.jobs)}",
+                remedy=f"name a .job file; 'pbonet run {self.seq.file} --sim' runs the "
+                "sequence in virtual time",
+            )
         return ConfigError(
             "no job is named",
             where=self.sbs.subsystem,
@@ -312,14 +399,17 @@ class Producers(Mapping[str, tuple[str, ...]]):
     """The RMODs that write each variable, read from all files when one is asked for.
 
     No module's code runs for this, so that none can harm the master.
+
+    Args:
+        read: Returns all RMODs by name.
     """
 
-    def __init__(self, library: Library) -> None:
-        self._library = library
+    def __init__(self, read: Callable[[], Mapping[str, Rmod]]) -> None:
+        self._read = read
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
-        records = self._library.records()
+        records = self._read()
         return config.producers({n: r for n, r in records.items() if NAME.fullmatch(n)})
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:

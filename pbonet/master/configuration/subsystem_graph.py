@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo, ParamInfo
     from pbonet.ports import Port
 
+    from .check_files import Findings
     from .subsystem_files import Files
 
 _LINKS = {"tbuf_send": "out", "tbuf_receive": "in"}
@@ -143,7 +144,7 @@ class Link(Struct, frozen=True, kw_only=True, rename={"from_": "from"}):
     from_: str = ""
     """Of one that comes in: the subsystem, or the RTPU, of its writer."""
     to: str = ""
-    """Of one that goes out: empty, for its writer does not know who reads it."""
+    """Of one that goes out: empty: its writer does not know its reader."""
 
 
 class GraphFault(Struct, frozen=True, kw_only=True):
@@ -185,7 +186,23 @@ def job_graph(files: Files, host: str = "", *, code: bool = True) -> Graph:
     if files.job is None:
         return graph_of(files, ())
     tasks, found = planned_tasks(files, host or here(), code=code)
-    verdict = judged(files, tasks)
+    return planned_graph(files, tasks, found, judged(files, tasks))
+
+
+def planned_graph(
+    files: Files,
+    tasks: Sequence[legality.Task],
+    found: Findings,
+    verdict: legality.Verdict | None,
+) -> Graph:
+    """Return the graph of a job that was judged.
+
+    Args:
+        files: Its files.
+        tasks: Those of its tasks whose parts can be read; see `planned_tasks`.
+        found: The faults of the others.
+        verdict: The verdict on the job; None if `tasks` are not all.
+    """
     faults = [_fault_of(error) for error in found.errors]
     faults += [GraphFault(text=text, severity="warn") for text in found.warnings]
     whole = [*tasks, *_undescribed(files, tasks)]

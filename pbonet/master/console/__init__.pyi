@@ -28,6 +28,7 @@ from .commands import (
 )
 from .follow_events import Follower as Follower
 from .interfaces import serve as serve
+from .network_interface import Port as Port
 from .program import Subsystem as Subsystem
 from .run_end import Interrupts as Interrupts
 from .run_job import run as run

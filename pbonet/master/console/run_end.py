@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from pbonet.master.subsystem import SequenceState
+
 from . import summary
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ class Outcome(Struct, kw_only=True):
     """How a run went."""
 
     job: str
+    """The name of the job, or of the sequence."""
     seconds: float
     tasks: list[summary.TaskSummary]
     reason: str
@@ -59,6 +62,8 @@ class Outcome(Struct, kw_only=True):
     """The run's folder, with its log; empty when nothing was recorded here."""
     recording: Cycles | None = None
     """The same, to be read."""
+    sequence: SequenceState | None = None
+    """How the sequence has ended; None: it was a job."""
 
     @property
     def status(self) -> int:

@@ -1,4 +1,4 @@
-"""A whole job from one command: agents, verification, assembly, watch, orderly end."""
+"""A job, or a sequence, from one command: agents, verification, watch, orderly end."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from .run_end import (
     is_read,
     unrecorded,
 )
+from .run_sequence import STOPPED_ELSEWHERE, SequenceThread
 from .watch_values import OUTPUT, Listener
 
 if TYPE_CHECKING:
@@ -40,14 +41,13 @@ _PERIOD: Final = 0.5
 """Seconds between two readings of the status."""
 _PATIENCE: Final = 10
 """For so many looks an RTPU may be out of reach: its agent may be restarted."""
-_ELSEWHERE: Final = "stopped from elsewhere"
 
 
 class Run:
-    """One run of a job in real time.
+    """One run of a job, or of a sequence of jobs, in real time.
 
     Args:
-        path: The ``.job`` file.
+        path: The ``.job`` or ``.seq`` file.
         place: Domain, endpoints, libraries.
         view: The display.
         seconds: How long; None: until interrupted, or stopped from elsewhere.
@@ -77,7 +77,7 @@ class Run:
         self._path = path
         self._place = place
         self._view = view
-        self._seconds = seconds
+        self._limit = seconds
         self._embed = embed
         self._wait = wait
         self._recordings = RecordingControl(record)
@@ -91,7 +91,9 @@ class Run:
         self._faults: list[str] = []
         self._unfinished: list[PbonetError] = []
         self.files = Files(path, Library(place.libraries))
-        self.job = self.files.read_job()
+        self.name = self.files.recorded_job().name
+        self._seconds = None if self.files.seq else seconds
+        self._sequence: SequenceThread | None = None
         self._agents = Embedded(
             place.domain,
             libraries=[*map(str, self.files.library.folders)],
@@ -130,7 +132,7 @@ class Run:
                 outcome.faults.append(str(error))
         if text := self._standstills.text(outcome.tasks):
             outcome.shortfalls.append(Shortfall(Status.STOOD_STILL, text))
-        if self._reason == _ELSEWHERE:
+        if STOPPED_ELSEWHERE in self._reason:
             text = "another master, or `pbonet stop`, ended its tasks before the end"
             outcome.shortfalls.append(Shortfall(Status.STOPPED, text))
         return outcome
@@ -165,7 +167,12 @@ class Run:
             with contextlib.suppress(PbonetError):  # the first error counts
                 subsystem.finish()
             raise
+        finally:
+            if self._sequence is not None:
+                self._sequence.end()
         passed = time.monotonic() - begin
+        if self._sequence is not None:
+            self._faults += self._sequence.faults()
         if self._profile:
             self._save_profiles(subsystem)
         self._finish(subsystem)
@@ -174,11 +181,12 @@ class Run:
             text = f"{listener.dropped} events or printed lines came too fast to show"
             self._view.say(render.warning(text))
         return Outcome(
-            job=self.job.name,
+            job=self.name,
             seconds=passed,
             tasks=summary.summarize(statuses),
             reason=self._reason,
             faults=self._faults,
+            sequence=self._sequence.state if self._sequence else None,
         )
 
     def _finish(self, subsystem: Subsystem) -> None:
@@ -255,7 +263,14 @@ class Run:
                 self._view.say(text if found.kept else render.warning(text))
 
     def _start(self, subsystem: Subsystem, infos: dict[str, m.AgentInfo]) -> float:
-        """Assemble the job; an interrupt meanwhile gives it up. Return the time."""
+        """Assemble the job; an interrupt meanwhile gives it up. Return the time.
+
+        A sequence begins, and does the rest in a thread.
+        """
+        if self.files.seq is not None:
+            self._sequence = SequenceThread(subsystem, self._limit, self._view.say)
+            self._sequence.start()
+            return time.monotonic()
         done = threading.Event()
 
         def give_up() -> None:
@@ -278,7 +293,7 @@ class Run:
             for one in statuses
             if one.stands_by
         ]
-        self._view.say("; ".join([f"job {self.job.name} is ON: {told}", *standing]))
+        self._view.say("; ".join([f"job {self.name} is ON: {told}", *standing]))
         return time.monotonic()
 
     def _watch(
@@ -356,12 +371,15 @@ class Run:
         """Return whether the run is over, and note why."""
         if self._reason:
             return True
+        if self._sequence is not None:
+            self._reason = self._sequence.over(self._interrupts.wished)
+            return bool(self._reason)
         if self._interrupts.wished.is_set():
             self._reason = "interrupted"
         elif self._seconds is not None and passed >= self._seconds:
             self._reason = f"{self._seconds:g} s are over"
         elif not self._missing and not any(rtpu.tasks for rtpu in statuses):
-            self._reason = "its tasks are gone" if self._faults else _ELSEWHERE
+            self._reason = "its tasks are gone" if self._faults else STOPPED_ELSEWHERE
         return bool(self._reason)
 
 
@@ -379,12 +397,13 @@ def run(
     quiet: bool = False,
     strict: bool = False,
 ) -> Outcome:
-    """Run a job in real or virtual time, and return the result.
+    """Run a job or a sequence in real or virtual time, and return the result.
 
     Args:
-        path: The ``.job`` file.
+        path: The ``.job`` file, or a ``.seq`` file with a program of jobs.
         place: Domain, endpoints, libraries.
-        seconds: How long; None: until interrupted, or 10 s of virtual time.
+        seconds: How long; None: until interrupted, or 10 s of virtual time. A sequence
+            that lasts longer is aborted; None: it has no limit.
         sim: In virtual time.
         embed: Start agents for RTPUs without one.
         wait: Wait so many seconds for these instead; None: not at all.
@@ -430,7 +449,10 @@ def run(
             profile=profile,
         ).run()
     outcome.strict = strict
-    view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
+    what = "sequence" if outcome.sequence is not None else "job"
+    view.say(
+        f"{what} {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}"
+    )
     view.say(summary.text(outcome.tasks))
     for fault in outcome.faults:
         view.say(f"ERROR> {fault}")

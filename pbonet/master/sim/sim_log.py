@@ -192,7 +192,7 @@ def begin(
     """Return the log of a run that is about to be simulated; None: it has none.
 
     Args:
-        files: Those of the job.
+        files: Those of the job or the sequence.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
@@ -203,7 +203,7 @@ def begin(
         ConfigError: The job names what is neither one of its tasks nor a variable.
     """
     book = RecordingPlan(record)
-    book.of(files.read_job(), files)
+    book.of(files.recorded_job(), files)
     if not book.wanted:
         return None
     return SimLog(book, files, runs, seconds)

@@ -68,8 +68,8 @@ class VirtualRtpus:
         self.log: SimLog | None = None
         """Where it is recorded; without, every cycle is kept in memory."""
         about = {"subsystem": files.sbs.subsystem, "mode": "simulation"}
-        if files.job is not None:
-            about |= {"job": files.job.name, "file": files.job.file}
+        if (first := files.job or files.seq) is not None:
+            about |= {"job": first.name, "file": first.file}
         self.recording = Recording(about)
         self.events: list[str] = []
         self.told: list[Callable[[], None]] = []

@@ -9,6 +9,12 @@ from .event_filter import EventFilter as EventFilter, since as since
 from .missing_tasks import Missing as Missing, find_missing as find_missing
 from .recording_control import RecordingControl as RecordingControl
 from .rtpu_clients import client_name as client_name
+from .sequencer import (
+    STOPPED_ELSEWHERE as STOPPED_ELSEWHERE,
+    Phase as Phase,
+    Sequencer as Sequencer,
+    SequenceState as SequenceState,
+)
 from .status_fields import (
     Window as Window,
     delay_quantile as delay_quantile,

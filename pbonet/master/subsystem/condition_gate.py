@@ -37,13 +37,24 @@ class ConditionGate:
         task_set: The subsystem's tasks.
         job: The job to come.
         leaves: Whether the one that stands is left by that.
+        abandons: Whether it is given up, so that its POST is not asked.
+        note: What leads to the job, for the log.
 
     Raises:
         VerificationError: A condition cannot be answered.
     """
 
-    def __init__(self, task_set: SubsystemTasks, job: JobFile, *, leaves: bool) -> None:
+    def __init__(
+        self,
+        task_set: SubsystemTasks,
+        job: JobFile,
+        *,
+        leaves: bool,
+        abandons: bool = False,
+        note: str = "",
+    ) -> None:
         self._task_set = task_set
+        self._note = note
         self._job = job
         self._table = task_set.files.table.variables
         must_be_answerable(job, self._table)
@@ -53,7 +64,7 @@ class ConditionGate:
         ):
             if leaves and (stands.name, stands.file) == (job.name, job.file):
                 self._asked = []  # it was entered already, and something is done again
-            elif leaves:
+            elif leaves and not abandons:
                 self._asked[:0] = _posts(stands)
 
     def must_hold(self) -> list[str]:
@@ -69,9 +80,8 @@ class ConditionGate:
         job = self._job
         posts = [(one.text, *_at(one)) for one in job.post]
         stands = m.Standing(name=job.name, file=job.file, post=posts)
-        self._task_set.clients.call(
-            _keeper(self._task_set), m.Job(told=stands), list[m.Standing]
-        )
+        request = m.Job(told=stands, note=self._note)
+        self._task_set.clients.call(_keeper(self._task_set), request, list[m.Standing])
 
     def _values(self, names: list[str]) -> list[m.VarValue]:
         request = m.Display(names=names)
@@ -114,7 +124,6 @@ def in_time(
         StateError: A stop came in between.
     """
     check_time(seconds)
-    stopped.clear()
     end = clock.now() + (seconds or 0.0)
     while True:
         try:

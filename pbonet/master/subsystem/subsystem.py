@@ -64,6 +64,7 @@ if TYPE_CHECKING:
 
     from .embedded_agents import Embedded
     from .status_fields import Profile
+    from .step_end import StepEnds
     from .switching import Transition
 
 
@@ -121,6 +122,8 @@ class Subsystem:
         self.warned = warned
         self.stopped = threading.Event()
         """Set by `stop`; a start in progress is then abandoned."""
+        self.stops = 0
+        """How often `stop` was called."""
         self.watch = watch
         self.simulation: VirtualRtpus | None = None
         """The RTPUs in virtual time; it has the ``recording``."""
@@ -703,6 +706,8 @@ class Subsystem:
         *,
         dry_run: bool = False,
         wait: float | None = None,
+        abandon: bool = False,
+        note: str = "",
     ) -> Transition:
         """Change to the configuration of another job; shared tasks continue (3.10).
 
@@ -718,6 +723,9 @@ class Subsystem:
             dry_run: Only verify, and return what would be done.
             wait: Seconds in which the conditions may become true; None: they must hold
                 now.
+            abandon: Give the present job up: its POST is not asked, and signals sent so
+                far are taken.
+            note: What the event STEP in the log says of it; without, there is none.
 
         Returns:
             The signals of the change, and the tasks that are spawned, killed or
@@ -741,13 +749,18 @@ class Subsystem:
 
         def attempt() -> Transition:
             with self._changing(partly=False, claimed=not dry_run) as task_set:
+                if abandon and not dry_run:
+                    self.inbox.forget()
                 wanted = self.files.read_job(job)
-                gate = ConditionGate(task_set, wanted, leaves=True)
+                gate = ConditionGate(
+                    task_set, wanted, leaves=True, abandons=abandon, note=note
+                )
                 plan = switching.plan_job(task_set, wanted)
                 return switching.carry_out(
                     task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
                 )
 
+        self.stopped.clear()
         return in_time(attempt, wait, self.clock, self.stopped)
 
     # -- the whole --------------------------------------------------------------------
@@ -790,6 +803,7 @@ class Subsystem:
                 finally:
                     task_set.settle()
 
+        self.stopped.clear()
         return in_time(attempt, wait, self.clock, self.stopped)
 
     def check(self, job: str | Path | None = None) -> list[str]:
@@ -867,6 +881,7 @@ class Subsystem:
                 agents stop it as soon as they see it again. Or a task failed in its
                 `off` or `kill`; it has ended.
         """
+        self.stops += 1
         self.stopped.set()
         stopped, errors, unsure = self.task_set.stop()
         self.inbox.clear()
@@ -1148,6 +1163,66 @@ class Subsystem:
                 news.clear()
                 self._must_go_on()
                 statuses = self.status_all()
+
+    def until(
+        self,
+        end: str | Sequence[str] = (),
+        *,
+        seconds: float | None = None,
+        timeout: float | None = None,
+    ) -> str:
+        """Wait until a step of a program has ended, and take the signals sent so far.
+
+        What is sent from then on counts for the next step. A task that sends ERROR or
+        SHUTDOWN ends the wait with an error, unless a fallback takes its place, or
+        that signal is waited for.
+
+        Args:
+            end: What ends it, as after UNTIL in a ``.seq`` file: signals, such as
+                ``FINISH`` or ``jaws CLOSED``, and conditions in parentheses.
+            seconds: It ends after so many seconds in any case; None: not by itself.
+            timeout: Seconds after which it has failed; None: wait without a limit.
+
+        Returns:
+            Which of the ends it was; empty if the `seconds` are over.
+
+        Raises:
+            ConfigError: An end is neither a signal nor a condition.
+            VerificationError: A condition cannot be evaluated.
+            UnknownTaskError: A task does not exist.
+            StateError: A task failed, no task has such a signal, or the subsystem was
+                stopped.
+            NoAnswerError: The timeout expired.
+        """
+        from . import step_end
+
+        ends = [step_end.parsed(one) for one in names_of(end)]
+        self.stopped.clear()
+        found = self.step_ends.wait(
+            ends, seconds=seconds, timeout=timeout, look=self._must_go_on
+        )
+        return str(found or "")
+
+    def holds(self, condition: str) -> bool:
+        """Return whether a condition holds now, as those of jobs are judged.
+
+        Args:
+            condition: As after PRE in a ``.job`` file.
+
+        Raises:
+            ConfigError: It is not a condition.
+            VerificationError: It cannot be evaluated.
+        """
+        from . import step_end
+
+        return self.step_ends.holds(step_end.parsed(f"({condition})"))
+
+    @property
+    def step_ends(self) -> StepEnds:
+        """What waits for the ends of steps."""
+        from .step_end import StepEnds
+
+        return StepEnds(self.task_set, self.inbox, self.clock)
 
     def news(self) -> AbstractContextManager[threading.Event]:
         """Return a context in which an event is set whenever an RTPU publishes one."""

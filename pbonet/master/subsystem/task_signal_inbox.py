@@ -147,6 +147,12 @@ class Inbox:
                     return sent
         return None
 
+    def forget(self, *, but: Sequence[str] = ()) -> None:
+        """Take everything that is pending, except signals of some names."""
+        with self._busy:
+            for life in self._lives.values():
+                life.pending = {k: n for k, n in life.pending.items() if k in but}
+
     def _pending(self, statuses: Iterable[m.TaskStatus]) -> list[Sent]:
         there = dict.fromkeys((one.rtpu, one.task) for one in statuses)
         found = [

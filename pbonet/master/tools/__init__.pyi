@@ -1,10 +1,13 @@
 from . import (
     device_owners as device_owners,
     doctor as doctor,
+    draw_graph as draw_graph,
+    export_program as export_program,
     foxglove_server as foxglove_server,
     local_modules as local_modules,
     log_plot as log_plot,
     playback as playback,
+    scaffold_system as scaffold_system,
     schedule_job as schedule_job,
     write_new_files as write_new_files,
 )

@@ -89,7 +89,9 @@ def new_module(
     makefile = folder / "Makefile"
     if in_c and makefile.is_file() and makefile.read_text() == texts["Makefile"]:
         del texts["Makefile"]
-    return _write({folder / file: text for file, text in texts.items()}, force=force)
+    return write_files(
+        {folder / file: text for file, text in texts.items()}, force=force
+    )
 
 
 def new_svar(
@@ -136,7 +138,7 @@ def new_svar(
         text = _joined(before, text)
         parse_svar(text, str(path))
     remedy = "use --add to add what it lacks, or --force to replace it"
-    return _write({path: text}, force=force or add, remedy=remedy), told
+    return write_files({path: text}, force=force or add, remedy=remedy), told
 
 
 def _joined(first: str, second: str) -> str:
@@ -191,7 +193,7 @@ def new_job(
         place = system.file
     job = scaffold_system.new_job(f"{name}.job", name, place, uses, desc)
     texts[job.file] = write_job(job)
-    return _write(
+    return write_files(
         {folder / file: text for file, text in texts.items()}, force=force
     ), told
 
@@ -221,13 +223,21 @@ def _uses(
     return [scaffold_system.Use(one, library.load_rmod(one).info) for one in records]
 
 
-def _write(
+def write_files(
     paths: Mapping[Path, str],
     *,
     force: bool,
     remedy: str = "choose another name or folder, or use --force",
 ) -> list[Path]:
     """Write files.
+
+    Args:
+        paths: Their texts.
+        force: Replace those that exist.
+        remedy: What to do about one that exists.
+
+    Returns:
+        The files.
 
     Raises:
         ConfigFileError: One stands there already, or cannot be written.

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope as AsgiScope, Send
     from starlette.websockets import WebSocket
 
-    from .orders import Line, Order, Orders, Stop
+    from .orders import Orders, Wish
     from .source import Source
 
     Data = dict[str, Any]
@@ -71,7 +71,8 @@ class Page:
 
     Args:
         source: What the page shows.
-        orders: Who carries out commands; None where nothing can be steered.
+        orders: Makes what carries out commands, with what tells all browsers; None
+            where nothing can be steered.
         access: Who may do what.
         linked: Called with a role and its new link when the one before was used.
     """
@@ -79,13 +80,13 @@ class Page:
     def __init__(
         self,
         source: Source,
-        orders: Orders | None,
+        orders: Callable[[Callable[[Data], None]], Orders] | None,
         access: Access,
         *,
         linked: Callable[[Role, str], None],
     ) -> None:
         self._source = source
-        self._orders = orders
+        self._orders = orders(self.tell) if orders is not None else None
         self._access = access
         self._linked = linked
         self._browsers = Browsers(source.want)
@@ -106,16 +107,16 @@ class Page:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: object) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        self._source.start(self._tell)
+        self._source.start(self.tell)
         try:
             yield
         finally:
             if self._orders is not None:
-                self._orders.close()
+                await asyncio.to_thread(self._orders.close)
             await asyncio.to_thread(self._source.close)
 
-    def _tell(self, message: Data) -> None:
-        """Send a message of the source's thread to all browsers."""
+    def tell(self, message: Data) -> None:
+        """Send a message to all browsers; any thread may call it."""
         loop = self._loop
         if loop is not None and not loop.is_closed():
             loop.call_soon_threadsafe(self._browsers.tell, message)
@@ -175,7 +176,8 @@ class Page:
         sending = None
         try:
             await socket_.accept()
-            for message in (self._hello(role), *self._source.first()):
+            running = self._orders.first() if self._orders is not None else []
+            for message in (self._hello(role), *self._source.first(), *running):
                 browser.put(msgspec.json.encode(message))
             sending = asyncio.create_task(_send(socket_, browser))
             receiving = asyncio.create_task(self._receive(socket_, browser))
@@ -217,7 +219,7 @@ class Page:
         else:
             self._command(request, browser)
 
-    def _command(self, request: Order | Line | Stop, browser: Browser) -> None:
+    def _command(self, request: Wish, browser: Browser) -> None:
         orders = self._orders
         if orders is None:
             browser.put(_encoded(kind="refused", text="a recorded run has no commands"))

@@ -11,15 +11,16 @@ import asyncio
 import contextlib
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Final
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 from msgspec import Struct
 
+from pbonet.config import Library
 from pbonet.errors import AccessError, PbonetError, ProtocolError, StateError
 from pbonet.master.console import (
     Call,
-    Reply,
     Scope,
     convert,
     find,
@@ -30,9 +31,11 @@ from pbonet.master.console import (
 )
 
 from .access import Role
+from .job_edits import JobEdits
+from .programs import Programs
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncIterator, Callable, Sequence
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -79,6 +82,22 @@ class Stop(Struct, tag_field="do", tag="stop", forbid_unknown_fields=True):
     id: int
 
 
+class Edit(Struct, tag_field="do", tag="edit", forbid_unknown_fields=True):
+    """Change the job that is edited, or ask something about it; see `JobEdits`."""
+
+    id: int
+    edit: str
+    args: dict[str, Any] = {}
+
+
+class Program(Struct, tag_field="do", tag="program", forbid_unknown_fields=True):
+    """Do something with a program of jobs; see `Programs`."""
+
+    id: int
+    program: str
+    args: dict[str, Any] = {}
+
+
 class Seek(Struct, tag_field="do", tag="seek", forbid_unknown_fields=True):
     """Show a recorded run at a time."""
 
@@ -93,7 +112,9 @@ class Play(Struct, tag_field="do", tag="play", forbid_unknown_fields=True):
     """1 as it was; 0 stands still."""
 
 
-Request = Watch | Order | Line | Stop | Seek | Play
+Wish = Order | Line | Stop | Edit | Program
+"""Requests that are answered."""
+Request = Watch | Order | Line | Stop | Edit | Program | Seek | Play
 _DECODER: Final[msgspec.json.Decoder[Request]] = msgspec.json.Decoder(Request)
 
 
@@ -108,7 +129,7 @@ def decode(text: str) -> Request:
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise ProtocolError(
             "this is no request",
-            expected="one of docs/web.md: watch, command, line, stop, seek, play",
+            expected="watch, command, line, stop, edit, program, seek or play",
             got=str(error)[:200],
             remedy="load the page again; it may be of another version",
         ) from None
@@ -118,62 +139,118 @@ def _nothing() -> None:
     """Tell nobody that a command was carried out."""
 
 
+def _unheard(_: Data) -> None:
+    """Tell no browser."""
+
+
+class Done(NamedTuple):
+    """What came of a request."""
+
+    text: str = ""
+    warnings: Sequence[str] = ()
+    data: Data | None = None
+
+
+class Steered(NamedTuple):
+    """The subsystem that a page steers."""
+
+    path: str | Path
+    """The ``.sbs`` file, or a ``.job`` or ``.seq`` file that names it."""
+    name: str
+    place: Place
+    """Where it is."""
+
+
+class _Work(NamedTuple):
+    """What a request asks for, ready to be done."""
+
+    name: str
+    do: Callable[[], Done]
+    pool: ThreadPoolExecutor
+    """Whose threads do it."""
+
+
 class Orders:
-    """Carries out commands on one subsystem.
+    """Carries out what browsers ask for: commands, edits of jobs, programs, stops.
 
     Args:
-        path: The ``.sbs`` file, or a ``.job`` file that names it.
-        name: The subsystem's name.
-        place: Where the subsystem is.
+        steered: The subsystem.
         knows: Tells whether it has a task of a name.
         done: Called when a command was carried out.
+        told: Called with messages for all browsers: states of the editor and of the
+            program that runs.
     """
 
     def __init__(
         self,
-        path: str | Path,
-        name: str,
-        place: Place,
+        steered: Steered,
         knows: Callable[[str], bool],
         done: Callable[[], None] = _nothing,
+        told: Callable[[Data], None] = _unheard,
     ) -> None:
-        self._path = path
-        self._name = name
-        self._place = place
+        self._steered = steered
         self._knows = knows
         self._done = done
-        self._one = ThreadPoolExecutor(1, "command")
+        path, place = steered.path, steered.place
+        self._edits = JobEdits(path, Library(place.libraries), told)
+        self._programs = Programs(path, place, Library(place.libraries), told)
+        self._commands = ThreadPoolExecutor(1, "command")
+        self._files = ThreadPoolExecutor(1, "files")
         self._stops = ThreadPoolExecutor(4, "stop")
         self._waiting = 0
 
     def close(self) -> None:
         """Carry out nothing more; a command that hangs is abandoned."""
-        self._one.shutdown(wait=False, cancel_futures=True)
-        self._stops.shutdown(wait=False)
+        for pool in (self._commands, self._files, self._stops):
+            pool.shutdown(wait=False, cancel_futures=True)
+        self._programs.close()
+
+    def first(self) -> list[Data]:
+        """Return what a new browser is told of the program that runs."""
+        state = self._programs.state
+        return [state] if state else []
 
     async def answer(
-        self,
-        request: Order | Line | Stop,
-        role: Role,
-        told: Callable[[Data], None],
+        self, request: Wish, role: Role, told: Callable[[Data], None]
     ) -> Data:
-        """Carry out a request; return the answer for the browser.
+        """Do what a browser asks for; return the answer for it.
 
         Args:
             request: What it asked for.
             role: What the browser may do.
             told: Called now and then with how it goes, while that takes long.
         """
+        number = request.id
         try:
-            if isinstance(request, Stop):
-                return await self._stop(request, role)
+            work = self._work(request, role)
+            if work is None:
+                return _answer(number, Done())
+            return _answer(number, await self._carry_out(number, work, told))
+        except PbonetError as error:
+            return _answer(number, Done(text=str(error)), ok=False)
+
+    def _work(self, request: Wish, role: Role) -> _Work | None:
+        """Return what a request asks for; None: nothing.
+
+        Raises:
+            PbonetError: It is refused.
+        """
+        if isinstance(request, Line | Order):
             call = self._call(request)
             if call is None:
-                return _answer(request.id, ok=True)
+                return None
             _must_be_allowed(call, role)
-            return await self._carry_out(request.id, call, role, told)
-        except PbonetError as error:
-            return _answer(request.id, ok=False, text=str(error))
+            perform = partial(self._perform, call, role)
+            return _Work(call.command.name, perform, self._commands)
+        if role is not Role.OPERATOR:
+            raise _only_operators(str(request.__struct_config__.tag))
+        if isinstance(request, Stop):
+            return _Work("stop", self._stop, self._stops)
+        if isinstance(request, Edit):
+            edit = partial(self._edits.do, request.edit, request.args)
+            return _Work(request.edit, lambda: Done(data=edit()), self._files)
+        program = partial(self._programs.do, request.program, request.args)
+        return _Work(request.program, lambda: Done(data=program()), self._files)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):
@@ -182,9 +259,9 @@ class Orders:
         return Call(command, convert(command, request.args))
 
     async def _carry_out(
-        self, number: int, call: Call, role: Role, told: Callable[[Data], None]
-    ) -> Data:
-        if self._waiting >= _MOST_WAITING:
+        self, number: int, work: _Work, told: Callable[[Data], None]
+    ) -> Done:
+        if work.pool is not self._stops and self._waiting >= _MOST_WAITING:
             raise StateError(
                 f"{_MOST_WAITING} commands wait already",
                 remedy="wait for their answers; Stop waits for none",
@@ -192,34 +269,23 @@ class Orders:
         self._waiting += 1
         try:
             loop = asyncio.get_running_loop()
-            work = loop.run_in_executor(self._one, self._perform, call, role)
-            async with _progress(number, call.command.name, told):
-                reply = await work
+            doing = loop.run_in_executor(work.pool, work.do)
+            async with _progress(number, work.name, told):
+                return await doing
         finally:
             self._waiting -= 1
             self._done()
+
+    def _perform(self, call: Call, role: Role) -> Done:
+        path, place = self._steered.path, self._steered.place
+        reply = oneshot.perform(path, call, place, kind=f"web-{role}")
         text = render.text(reply.command, reply.data)
-        return _answer(
-            number, ok=True, text=text, warnings=reply.warnings, data=reply.data
-        )
+        return Done(text, reply.warnings, reply.data)
 
-    def _perform(self, call: Call, role: Role) -> Reply:
-        return oneshot.perform(self._path, call, self._place, kind=f"web-{role}")
-
-    async def _stop(self, request: Stop, role: Role) -> Data:
-        if role is not Role.OPERATOR:
-            raise _only_operators("stop")
-        loop = asyncio.get_running_loop()
-        try:
-            stopped = await loop.run_in_executor(self._stops, self._stop_now)
-        finally:
-            self._done()
-        text = render.text("stop", stopped)
-        return _answer(request.id, ok=True, text=text, data=stopped)
-
-    def _stop_now(self) -> Data:
-        place = self._place
-        return stop_all.stop(self._name, domain=place.domain, connect=place.connect)
+    def _stop(self) -> Done:
+        name, place = self._steered.name, self._steered.place
+        data = stop_all.stop(name, domain=place.domain, connect=place.connect)
+        return Done(render.text("stop", data), data=data)
 
 
 def _must_be_allowed(call: Call, role: Role) -> None:
@@ -268,19 +334,12 @@ async def _progress(
         task.cancel()
 
 
-def _answer(
-    number: int,
-    *,
-    ok: bool,
-    text: str = "",
-    warnings: list[str] | None = None,
-    data: Data | None = None,
-) -> Data:
+def _answer(number: int, done: Done, *, ok: bool = True) -> Data:
     return {
         "kind": "answer",
         "id": number,
         "ok": ok,
-        "text": text,
-        "warnings": warnings or [],
-        "data": data,
+        "text": done.text,
+        "warnings": list(done.warnings),
+        "data": done.data,
     }

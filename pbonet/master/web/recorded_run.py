@@ -31,6 +31,8 @@ PERIOD: Final = 0.05
 _STATES: Final = 0.5
 _SAMPLES: Final = 1200
 """Samples of one variable that a browser is told at once."""
+_AT_ONCE: Final = 10
+"""Samples of one variable in a message while the run goes on."""
 _FASTEST: Final = 100.0
 
 
@@ -119,21 +121,25 @@ class RecordedRun(Source):
         """Return the minute before the present time, thinned out."""
         with self._lock:
             at = self._at
-        names = list(names)
+        return self._between(list(names), at - SECONDS, at, _SAMPLES)
+
+    def _between(
+        self, names: Iterable[str], begin: float, at: float, most: int
+    ) -> list[Data]:
+        """Return the values of a time, thinned out, and those at its end."""
         values: dict[str, Data] = {}
         for name in names:
             times, numbers = self._of(name)
-            low, high = np.searchsorted(times, (at - SECONDS, at), side="right")
-            step = max(1, -(-int(high - low) // _SAMPLES))
+            low, high = np.searchsorted(times, (begin, at), side="right")
+            step = max(1, -(-int(high - low) // most))
             chosen = slice(int(low), int(high), step)
             values[name] = {
                 "t": times[chosen].tolist(),
                 "v": [np.ravel(one).tolist() for one in numbers[chosen]],
             }
-        now = self._values(names, at)
         return [
             {"kind": "history", "values": values, "events": []},
-            {"kind": "values", "t": at, "values": now},
+            {"kind": "values", "t": at, "values": self._values(names, at)},
         ]
 
     # -- in its own thread ------------------------------------------------------------

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ipaddress
+import signal
 import socket
 import ssl
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +20,14 @@ from pbonet.master.console import render
 from pbonet.xm.net import credentials
 
 from .access import Access, KeyFile, Role
-from .orders import Orders
+from .orders import Orders, Steered
 from .recorded_run import RecordedRun
 from .watcher import Watcher
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import uvicorn
 
     from pbonet.master.configuration import Place
 
@@ -60,7 +65,7 @@ def serve(
         PbonetError: A file is wrong, a package is missing, the address is taken, or it
             is beyond this machine and there is no TLS.
     """
-    uvicorn = _package("uvicorn")
+    uvicorn_ = _package("uvicorn")
     _package("websockets")
     application = _package("starlette") and import_module(f"{__package__}.application")
     context = _tls(served)
@@ -77,12 +82,12 @@ def serve(
     )
     orders = None
     if isinstance(source, Watcher):
-        orders = Orders(path, name, place, source.knows, source.look)
+        orders = partial(Orders, Steered(path, name, place), source.knows, source.look)
     page = application.Page(source, orders, access, linked=_say_link(as_data=as_data))
     if not (application.DIST / "index.html").is_file():
         render.print_error(render.warning(application.NOT_BUILT.strip()))
     _say_links(access.links, as_data=as_data)
-    config = uvicorn.Config(
+    config = uvicorn_.Config(
         page.app(),
         log_config=None,
         access_log=False,
@@ -96,10 +101,22 @@ def serve(
     )
     config.load()
     config.ssl = context
-    with contextlib.suppress(KeyboardInterrupt):
-        uvicorn.Server(config).run(sockets=[listening])
+    asyncio.run(_until_interrupted(uvicorn_.Server(config), listening))
     key.remove()
-    raise KeyboardInterrupt
+
+
+async def _until_interrupted(server: uvicorn.Server, listening: socket.socket) -> None:
+    """Run a server until this process is told to end."""
+
+    def end() -> None:
+        server.should_exit = True
+
+    loop = asyncio.get_running_loop()
+    for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(one, end)
+    # Its own handlers would end the process before it has cleaned up.
+    server.capture_signals = contextlib.nullcontext  # type: ignore[assignment]
+    await server.serve(sockets=[listening])
 
 
 def _is_log(path: Path) -> bool:
@@ -165,7 +182,7 @@ def _listen(served: Served) -> socket.socket:
         made = socket.socket(family, socket.SOCK_STREAM)
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind(address)
-        made.listen()  # a link that is printed can be opened at once
+        made.listen()
     except OSError as error:
         raise NodeError(
             "the page cannot be served there",

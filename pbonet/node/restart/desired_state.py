@@ -280,7 +280,7 @@ class DesiredState:
             case _:
                 kept = self.subsystems.get(request.subsystem)
                 if kept is not None and isinstance(request, _KEPT):
-                    kept.put(request)
+                    kept.put(_again(request))
 
     def _ranked(self, request: m.Rank) -> None:
         """Keep the ranks of several tasks one by one."""
@@ -514,6 +514,13 @@ def _task_of(request: Kept) -> str:
     if isinstance(request, m.Rank):
         return next(iter(request.tasks))
     return "" if isinstance(request, m.Record | m.Job) else request.task
+
+
+def _again(request: Kept) -> Kept:
+    """Return a request as it is given again, when nobody enters a job."""
+    if isinstance(request, m.Job):
+        return msgspec.structs.replace(request, note="")
+    return request
 
 
 def _key(request: Kept) -> tuple[str, ...]:

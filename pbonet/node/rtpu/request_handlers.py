@@ -284,6 +284,13 @@ class RequestHandlers:
         claims = self._rtpu.claims
         if request.changes:
             claims.stand(request.subsystem, request.told)
+        if request.told is not None and request.note:
+            self._rtpu.events.add(
+                Severity.INFO,
+                "STEP",
+                f"job {request.told.name} is entered: {request.note}",
+                subsystem=request.subsystem,
+            )
         entry = claims.get(request.subsystem)
         return [entry.job] if entry and entry.job else [], []
 

@@ -396,6 +396,8 @@ class Job(Request, tag="job"):
 
     told: Standing | None = None
     forget: bool = False
+    note: str = ""
+    """What led to it, such as the step of a sequence; the event STEP has it."""
 
     @property
     def changes(self) -> bool:

@@ -13,7 +13,7 @@ from pbonet.errors import UnreachableError
 from pbonet.master.configuration import Place
 from pbonet.master.web import application, browsers
 from pbonet.master.web.access import Access, Role
-from pbonet.master.web.orders import Orders
+from pbonet.master.web.orders import Orders, Steered
 from pbonet.master.web.watcher import Watcher
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma" / "puma.job"
@@ -29,9 +29,13 @@ class Served:
         self.access = Access(["127.0.0.1"], 8080, b"key", roles=roles)
         self.renewed = []
         watcher = Watcher(PUMA, Place())
-        orders = Orders(PUMA, "puma", Place(), watcher.knows)
         self.page = application.Page(
-            watcher, orders, self.access, linked=lambda *link: self.renewed.append(link)
+            watcher,
+            lambda told: Orders(
+                Steered(PUMA, "puma", Place()), watcher.knows, told=told
+            ),
+            self.access,
+            linked=lambda *link: self.renewed.append(link),
         )
 
         def away():

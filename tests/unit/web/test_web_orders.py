@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
+from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
@@ -14,6 +15,8 @@ from pbonet.master.configuration import Place
 from pbonet.master.console import COMMANDS, Reply, oneshot, stop_all
 from pbonet.master.web import orders
 from pbonet.master.web.access import Role
+
+PUMA = Path(__file__).parents[3] / "examples" / "puma" / "puma.job"
 
 
 class Given:
@@ -42,7 +45,9 @@ def carried(monkeypatch):
 @pytest.fixture
 def made(carried):
     assert carried.calls == []
-    made = orders.Orders("arm.job", "arm", Place(), lambda task: task == "pid")
+    made = orders.Orders(
+        orders.Steered(PUMA, "puma", Place()), lambda task: task == "pid"
+    )
     yield made
     made.close()
 

@@ -1,0 +1,190 @@
+"""A job that is edited, run in virtual time by another process."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import ConfigError, PbonetError, WireError
+from pbonet.log import Log
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from .draft_files import DraftFiles
+
+MOST_POINTS = 2000
+"""Number of values of one variable that are returned, evenly spread over the run."""
+
+
+class SimulatedRun(Struct, frozen=True, kw_only=True):
+    """What a run in virtual time gave."""
+
+    ok: bool
+    problems: list[str]
+    """What went wrong, in words."""
+    output: str
+    """What the run printed: its last lines."""
+    tasks: list[dict[str, Any]] = []
+    """Cycles, misses, errors and the last state of each task."""
+    series: dict[str, dict[str, list[Any]]] = {}
+    """By variable: ``t`` in seconds, and ``v``, the elements at that time."""
+
+
+def simulate_draft(
+    files: DraftFiles,
+    seconds: float,
+    variables: Sequence[str],
+    *,
+    limit: float,
+    libraries: Iterable[str | Path] = (),
+) -> SimulatedRun:
+    """Run the job of a draft in virtual time.
+
+    The files of the job's folders are there by links, and those that differ by copies.
+
+    Args:
+        files: The files, with the draft's texts.
+        seconds: How much virtual time passes.
+        variables: Those whose values are returned.
+        limit: Seconds that the process may take; then it is ended.
+        libraries: Folders of modules.
+
+    Raises:
+        ConfigError: The job has no task, or the time is none.
+    """
+    if not files.draft.job.tasks:
+        raise ConfigError(
+            "the job has no task to simulate",
+            where=files.draft.job.file,
+            remedy="add one from the library",
+        )
+    if not 0.0 < seconds < math.inf:
+        raise ConfigError(
+            "the time to simulate is not above 0",
+            got=f"{seconds} s",
+            expected="seconds of virtual time",
+            remedy="say how long",
+        )
+    with tempfile.TemporaryDirectory(prefix="pbonet-edit-") as name:
+        root, runs = Path(name) / "files", Path(name) / "runs"
+        real = _copy(files, root)
+        job = root / files.job_path.absolute().relative_to(real)
+        command = [sys.executable, "-P", "-m", "pbonet.cli", "run", str(job), "--sim"]
+        command += ["--seconds", repr(seconds), "--record", "all", "--runs", str(runs)]
+        command += ["--json"]
+        for one in libraries:
+            command += ["--library", str(one)]
+        try:
+            done = subprocess.run(
+                command,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=limit,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            text = f"it took longer than {limit:g} s and was ended"
+            return SimulatedRun(ok=False, problems=[text], output="")
+        done.stdout = done.stdout.replace(str(root), str(real))
+        done.stderr = done.stderr.replace(str(root), str(real))
+        return _outcome(done, runs, variables)
+
+
+def _outcome(
+    done: subprocess.CompletedProcess[str], runs: Path, variables: Sequence[str]
+) -> SimulatedRun:
+    outcome = _json(done.stdout)
+    problems = [str(text) for text in outcome.get("faults", [])]
+    problems += [
+        f"{task['task']}: {task['error']}"
+        for task in outcome.get("tasks", [])
+        if task.get("error")
+    ]
+    if done.returncode and not problems:
+        problems.append(_said(outcome) or done.stderr.strip() or "the run failed")
+    series, lacking = _series(runs, variables)
+    return SimulatedRun(
+        ok=done.returncode == 0,
+        problems=[*problems, *lacking],
+        output=done.stderr[-4000:],
+        tasks=outcome.get("tasks", []),
+        series=series,
+    )
+
+
+def _json(text: str) -> dict[str, Any]:
+    """Return what the run said about itself; nothing if it said nothing."""
+    try:
+        return msgspec.json.decode(text, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return {}
+
+
+def _said(outcome: Mapping[str, Any]) -> str:
+    """Return the error that a run ended with; empty: none."""
+    if "error" not in outcome:
+        return ""
+    return str(PbonetError.from_wire(msgspec.convert(outcome["error"], WireError)))
+
+
+def _series(
+    runs: Path, variables: Sequence[str]
+) -> tuple[dict[str, dict[str, list[Any]]], list[str]]:
+    """Return the values of variables, and what is wrong with some."""
+    logs = sorted(runs.iterdir()) if runs.is_dir() else []
+    if not logs or not variables:
+        return {}, []
+    found: dict[str, dict[str, list[Any]]] = {}
+    problems: list[str] = []
+    log = Log(logs[-1])
+    for name in variables:
+        try:
+            times, values = log.series(name)
+        except PbonetError as error:
+            problems.append(str(error))
+            continue
+        every = max(1, math.ceil(len(times) / MOST_POINTS))
+        rows = values[::every].reshape(len(times[::every]), -1).tolist()
+        found[name] = {
+            "t": times[::every].tolist(),
+            "v": [[_finite(one) for one in row] for row in rows],
+        }
+    return found, problems
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _copy(files: DraftFiles, folder: Path) -> Path:
+    """Make the folders of a job again, with the draft's files.
+
+    Returns:
+        The folder that `folder` stands for.
+    """
+    texts = {path.absolute(): text for path, text in files.draft.texts.items()}
+    paths = [files.job_path, files.path, files.svar_path, *texts]
+    own = {path.absolute().parent for path in paths}
+    above = {one for place in own for one in (place, *place.parents)}
+    root = Path(os.path.commonpath([*map(str, own)]))
+    for place in sorted(own):  # a folder before those in it
+        new = folder / place.relative_to(root)
+        new.mkdir(parents=True, exist_ok=True)
+        for entry in place.iterdir():
+            gone = entry in texts or entry in above or files.disk.is_made(entry)
+            if not gone:
+                (new / entry.name).symlink_to(entry)
+    for path, text in texts.items():
+        (folder / path.relative_to(root)).write_bytes(text.encode())
+    return root

@@ -1,0 +1,198 @@
+"""Jobs and programs of jobs as the page edits them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from pbonet.config import Library, read_seq
+from pbonet.errors import ConfigError, ConfigFileError, NodeError, StateError
+from pbonet.master.configuration import Place, check_file
+from pbonet.master.web.job_edits import JobEdits
+from pbonet.master.web.programs import Programs
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+@pytest.fixture
+def puma(tmp_path):
+    """A copy of the PUMA's example, and its editor with what it told."""
+    shutil.copytree(EXAMPLES / "puma", tmp_path / "puma")
+    told = []
+    edits = JobEdits(tmp_path / "puma" / "puma.job", Library(()), told.append)
+    return edits, told, tmp_path / "puma"
+
+
+def names(state):
+    return [one["name"] for one in state["graph"]["tasks"]]
+
+
+def test_a_job_is_opened_edited_and_saved_and_check_agrees(puma):
+    edits, told, folder = puma
+    before = (folder / "puma.job").read_bytes()
+    state = edits.do("open", {})["state"]
+    assert names(state) == ["puma_pidg", "grav_comp", "qrdiff", "jttrace"]
+    assert state["jobs"] == ["puma"]
+    assert edits.do("changes", {}) == {"changes": []}
+    assert edits.do("save", {})["written"] == []
+    assert (folder / "puma.job").read_bytes() == before
+    state = edits.do("remove_task", {"task": "qrdiff"})["state"]
+    assert not state["legal"]
+    assert told[-1] == {"kind": "editor", "state": state}
+    json.dumps(state)  # all of it can be sent
+    (offer,) = [one for one in state["offers"] if "add qrdiff" in one["text"]]
+    state = edits.do("apply", {"offer": offer})["state"]
+    assert state["legal"]
+    (change,) = edits.do("changes", {})["changes"]
+    assert change["file"].endswith("puma.job")
+    assert edits.do("save", {})["written"] == [str(folder / "puma.job")]
+    assert check_file(folder / "puma.job").legal
+    state = edits.do("undo", {})["state"]
+    assert not state["legal"]
+    assert edits.do("redo", {})["state"]["legal"]
+
+
+def test_a_new_job_is_begun_beside_the_others(puma):
+    edits, _, folder = puma
+    state = edits.do("open", {"job": "second"})["state"]
+    assert names(state) == []
+    state = edits.do("add_task", {"module": "jttrace"})["state"]
+    assert names(state) == ["jttrace"]
+    fits = edits.do("fitting", {"task": "jttrace", "port": "Q_REF"})["fits"]
+    assert any(one["fits"] for one in fits)
+    assert not (folder / "second.job").exists()
+    with pytest.raises(NodeError, match="not a valid name"):
+        edits.do("open", {"job": "../../etc/job"})
+
+
+@pytest.mark.parametrize(
+    ("name", "args", "text"),
+    [
+        ("fly", {}, "there is no edit fly"),
+        ("remove_task", {}, "task"),
+        ("remove_task", {"task": "x", "do": "y"}, ""),
+        ("apply", {"offer": 3}, "this is no offer"),
+        ("simulate", {"seconds": 1e9}, "is not simulated on a page"),
+        ("simulate", {"seconds": "x"}, "is not simulated on a page"),
+        ("fitting", {}, "the job has no task"),
+        ("set_field", {"task": "qrdiff", "field": "f", "value": []}, ""),
+    ],
+)
+def test_wrong_edits_are_refused_and_change_nothing(puma, name, args, text):
+    edits, _, _ = puma
+    before = edits.do("open", {})["state"]
+    with pytest.raises((NodeError, ConfigError, StateError, KeyError)) as refused:
+        edits.do(name, args)
+    assert text in str(refused.value)
+    assert edits.do("open", {})["state"] == before
+
+
+def test_a_job_is_simulated_in_place(puma):
+    edits, _, folder = puma
+    run = edits.do("simulate", {"seconds": 0.2, "variables": ["Q_MEZ"]})["run"]
+    assert run["ok"], run
+    assert len(run["series"]["Q_MEZ"]["t"]) > 10
+    assert not list(folder.glob("runs*"))
+
+
+@pytest.fixture
+def cell(tmp_path):
+    """A copy of the pick-and-place example, and its programs."""
+    shutil.copytree(EXAMPLES / "pick_and_place", tmp_path / "cell")
+    folder = tmp_path / "cell"
+    path = folder / "cell.sbs"
+    return Programs(path, Place(), Library(()), lambda _: None), folder
+
+
+def test_programs_and_the_icons_of_jobs_are_listed(cell):
+    programs, _ = cell
+    listed = programs.do("list", {})
+    assert listed["programs"] == ["carry"]
+    jobs = {one["name"]: one for one in listed["jobs"]}
+    assert {"approach", "grasp", "lift"} <= jobs.keys()
+    assert jobs["lift"]["pre"]
+    assert not any(one["fault"] for one in jobs.values())
+
+
+def test_a_program_is_opened_and_saved_without_a_change(cell):
+    programs, folder = cell
+    before = (folder / "carry.seq").read_bytes()
+    opened = programs.do("open", {"name": "carry"})
+    assert opened["errors"] == []
+    assert programs.do("save", {"name": "carry", "seq": opened["seq"]})["written"] == []
+    assert (folder / "carry.seq").read_bytes() == before
+
+
+def test_a_changed_program_keeps_the_comments_of_other_lines(cell):
+    programs, folder = cell
+    seq = programs.do("open", {"name": "carry"})["seq"]
+    step = next(one for one in seq["lines"] if one.get("job") == "move")
+    step["within"] = 12.0
+    checked = programs.do("check", {"name": "carry", "seq": seq})
+    assert checked["errors"] == []
+    assert programs.do("save", {"name": "carry", "seq": seq})["comments"]
+    text = (folder / "carry.seq").read_text()
+    assert "WITHIN 12" in text
+    assert "# refused unless a part is held" in text
+    assert check_file(folder / "carry.seq").legal
+
+
+def test_three_icons_make_a_program_that_runs(cell):
+    programs, folder = cell
+    end = [{"signal": "FINISH"}]
+    lines = [
+        {"keyword": "STEP", "job": job, "until": end}
+        for job in ("approach", "descend", "retreat")
+    ]
+    fingers = {"keyword": "ORDER", "command": "spawn", "words": ["short_fingers"]}
+    seq = {"name": "short", "wait": 5.0, "lines": [fingers, *lines]}
+    checked = programs.do("check", {"name": "short", "seq": seq})
+    assert checked["about"] == "sequence short of 3 steps"
+    assert programs.do("save", {"name": "short", "seq": seq})["written"]
+    assert [one.job for one in read_seq(folder / "short.seq").steps] == [
+        "approach", "descend", "retreat"
+    ]  # fmt: skip
+    exported = programs.do("export", {"name": "short"})
+    (folder / exported["file"]).write_text(exported["text"])
+    done = subprocess.run(
+        [sys.executable, str(folder / "short.py"), "--sim"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_neighbour_that_does_not_fit_is_told_before_the_start(cell):
+    programs, _ = cell
+    seq = programs.do("open", {"name": "carry"})["seq"]
+    seq["lines"] = [{"keyword": "STEP", "job": "nosuch"}]
+    (error, *_) = programs.do("check", {"name": "carry", "seq": seq})["errors"]
+    assert "nosuch" in error
+
+
+def test_what_is_no_program_is_refused_and_one_changed_meanwhile_is_kept(cell):
+    programs, folder = cell
+    with pytest.raises(NodeError, match="this is no program"):
+        programs.do("save", {"name": "carry", "seq": {"lines": 3}})
+    with pytest.raises(NodeError, match="not a valid name"):
+        programs.do("save", {"name": "../x", "seq": {}})
+    with pytest.raises(NodeError, match="nothing to do with a program called fly"):
+        programs.do("fly", {})
+    with pytest.raises(StateError, match="no program runs"):
+        programs.do("pause", {})
+    opened = programs.do("open", {"name": "carry"})
+    other = (folder / "carry.seq").read_text().replace("WAIT     5", "WAIT     6")
+    (folder / "carry.seq").write_text(other)
+    opened["seq"]["wait"] = 7.0
+    with pytest.raises(ConfigFileError):
+        programs.do("save", {"name": "carry", "seq": opened["seq"]})
+    assert (folder / "carry.seq").read_text() == other
+    json.dumps(msgspec.to_builtins(opened))

@@ -1,0 +1,113 @@
+"""A recorded run as its page is told of it."""
+
+from __future__ import annotations
+
+import queue
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbonet.cli import main
+from pbonet.errors import LogError
+from pbonet.log import Log, last_run
+from pbonet.master.web.recorded_run import RecordedRun
+
+PUMA = Path(__file__).parents[3] / "examples" / "puma" / "puma.job"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The recording of two seconds of the PUMA's job."""
+    runs = tmp_path_factory.mktemp("runs")
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(PUMA), "--sim", "--seconds", "2", "--runs", str(runs)])
+    assert not ended.value.code
+    return last_run(runs)
+
+
+@pytest.fixture
+def shown(folder):
+    """The run, and what browsers were told."""
+    run, told = RecordedRun(folder), queue.SimpleQueue()
+    run.want(["Q_MEZ"])
+    run.start(told.put)
+    yield run, told
+    run.close()
+
+
+def wait(told, kind, good=lambda _: True):
+    while True:
+        message = told.get(timeout=60)
+        if message["kind"] == kind and good(message):
+            return message
+
+
+def test_it_is_drawn_from_the_files_in_the_log(folder):
+    run = RecordedRun(folder)
+    assert (run.about["name"], run.about["job"]) == ("puma", "teleop")
+    log = run.about["log"]
+    assert 1.9 < log["end"] - log["begin"] < 3.0
+    assert {"Q_MEZ", "T_GRAV"} <= run.variables
+    graph, status, *_ = run.first()
+    names = {one["name"] for one in graph["graph"]["tasks"]}
+    assert names == {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
+    assert {one["task"] for one in status["tasks"]} == names
+
+
+def test_values_states_and_events_are_those_of_the_chosen_time(shown, folder):
+    run, told = shown
+    log = Log(folder)
+    begin = log.begin_time_ns * 1e-9
+    run.seek(begin + 1.0)
+    value = wait(told, "values", lambda one: one["values"])["values"]["Q_MEZ"]
+    seconds, numbers = log.series("Q_MEZ")
+    row = int(np.searchsorted(seconds + begin, begin + 1.0, side="right")) - 1
+    assert value["v"] == numbers[row].tolist()
+    assert value["t"] == pytest.approx(begin + seconds[row])
+    _, status, history, _, at = run.first()
+    puma = next(one for one in status["tasks"] if one["task"] == "puma_pidg")
+    assert (puma["state"], puma["signals"]) == ("ON", [])
+    assert puma["fields"]["mezF"] == pytest.approx(500, abs=2)
+    assert all(one["t"] <= begin + 1.0 for one in history["events"])
+    assert {one["code"] for one in history["events"]} >= {"STATE"}
+    assert at["t"] == pytest.approx(begin + 1.0)
+
+
+def test_it_goes_on_to_the_end_and_stands_there(shown):
+    run, told = shown
+    log = run.about["log"]
+    run.seek(log["end"] - 0.5)
+    run.play(2.0)
+    last = wait(told, "at", lambda one: one["t"] == log["end"] and not one["speed"])
+    assert last["speed"] == 0.0
+    run.play(1.0)  # from the beginning again
+    assert wait(told, "at", lambda one: one["speed"])["t"] < log["begin"] + 1.0
+
+
+def test_times_outside_the_run_and_senseless_speeds_are_bounded(shown):
+    run, told = shown
+    log = run.about["log"]
+    run.seek(0.0)
+    assert wait(told, "at")["t"] == log["begin"]
+    run.seek(1e12)
+    assert wait(told, "at", lambda one: one["t"] > log["begin"])["t"] == log["end"]
+    for speed in (-1.0, 1e9, float("nan")):
+        run.play(speed)
+    run.seek(float("nan"))
+    run.seek(log["begin"])
+    assert wait(told, "at")["speed"] == 0.0
+
+
+def test_values_come_before_a_browser_that_watches_later(shown):
+    run, _ = shown
+    run.seek(run.about["log"]["end"])
+    history, now = run.history(["Q_REF", "T_GRAV"])
+    assert history["values"]["Q_REF"]["t"]
+    assert len(history["values"]["T_GRAV"]["t"]) <= 1200
+    assert now["values"].keys() == {"Q_REF", "T_GRAV"}
+
+
+def test_a_log_without_files_is_refused(tmp_path):
+    with pytest.raises(LogError):
+        RecordedRun(tmp_path / "none.mcap")
