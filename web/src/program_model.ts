@@ -183,7 +183,7 @@ export function fit(seq: Seq, at: number, jobs: readonly Job[], judged: Judged |
   const sole = step.seconds === null && step.until.length === 1 ? step.until[0]!.condition : "";
   const found = { from: stepName(step), to: stepName(line), gives: [...one.post, ...(sole ? [sole] : [])], needs: other.pre };
   if (!other.pre.length || step.job === line.job) return { ...found, mark: "fits", text: "" };
-  const says = (text: string) => text.includes(`POST of ${one.name} `) && text.includes(`PRE of ${other.name}`);
+  const says = (text: string) => text.includes(`POST of ${one.name} `) && (text.includes(`PRE of ${other.name}:`) || text.includes(`PRE of ${other.name} `));
   const error = judged?.errors.find(says), warning = judged?.warnings.find(says);
   if (error ?? warning) return { ...found, mark: error ? "conflict" : "asked", text: said(error ?? warning!) };
   return { ...found, mark: !judged || judged.errors.length ? "unknown" : "fits", text: "" };

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -330,6 +331,8 @@ class _Run:
     def message(self) -> Data:
         """Its state as a message for browsers."""
         state = msgspec.to_builtins(self.sequencer.state)
+        if state["since"]:
+            state["since"] += time.time() - self._subsystem.clock.now()  # Unix time
         return {"kind": "program", "program": self.name, "state": state}
 
     def start(self) -> None:
