@@ -81,10 +81,10 @@ export function lineText(line: Content): string {
     case "ORDER": return [line.command, ...line.words].join(" ");
   }
 }
-/** The letters of an icon: the first of each word of the name, at most two. */
+/** The letters of an icon: the first of each word of a name, or the first ones of its only word. */
 export function initials(name: string): string {
   const words = name.split(/[^A-Za-z0-9]+/).filter(Boolean);
-  return (words.length > 1 ? words[0]![0]! + words[1]![0]! : (words[0] ?? "?").slice(0, 2)).toUpperCase();
+  return (words.length > 1 ? words.slice(0, 3).map((one) => one[0]).join("") : (words[0] ?? "?").slice(0, 3)).toUpperCase();
 }
 /** A number for a name, the same each time. */
 export function hash(name: string): number {

@@ -49,6 +49,7 @@ export function RunBar() {
   if (!running || (ENDED.has(running.state.phase) && !here)) return null;
   const { state, program: name } = running;
   const ended = ENDED.has(state.phase);
+  const errors = state.errors.filter((one) => !ended || !state.text.includes(one)); // why it ended is said already
   const steer = (what: string) => { setAnswer(null); void program(what).then(setAnswer); };
   const kind = !ended ? (state.safe || state.failed ? "troubled" : "runs") : state.phase === "done" ? "done" : "ended";
   return (
@@ -56,9 +57,9 @@ export function RunBar() {
       <div className="row wrap">
         <span className="run-mark" aria-hidden="true">{ended ? (state.phase === "done" ? "✓" : "■") : state.pausing ? "❚❚" : "▶"}</span>
         <b>{name}</b>
-        <span className="where" role="status">{where(state)}{ended && state.text && `: ${short(state.text)}`}{!ended && state.pausing && state.phase !== "paused" && " – pauses before the next line"}</span>
+        <span className="where" role="status"><b>{where(state)}</b>{ended && state.text && `: ${short(state.text)}`}{!ended && state.pausing && state.phase !== "paused" && " – pauses before the next line"}</span>
         {!ended && <Since t={state.since} />}
-        <span className="dim">{state.count === 1 ? "1 step" : `${state.count} steps`} entered{ended && state.safe && `; the safe job ${state.job} is ON`}</span>
+        <span className="dim">{state.count === 1 ? "1 step" : `${state.count} steps`} entered{ended && state.safe && (state.entered.at(-1) === state.step ? `; went to the safe job ${state.job}` : `; the safe job ${state.job} was not reached`)}</span>
         {live.steers && <span className="row run-buttons">
           {!ended && !state.safe && (state.pausing
             ? <><button type="button" onClick={() => steer("resume")}>resume</button><button type="button" onClick={() => steer("step")} title="carry out the next line, then pause again">step</button></>
@@ -69,7 +70,7 @@ export function RunBar() {
         </span>}
       </div>
       <Refusal of={answer} close={() => setAnswer(null)} />
-      {state.errors.length > 0 && <details open={ended}><summary className="bad">{state.failed === 1 ? "1 error" : `${state.failed} errors`}: each led to an ELSE, to the safe job or to the end</summary>{state.errors.map((text, k) => <pre key={k}>{short(text)}</pre>)}</details>}
+      {errors.length > 0 && <details open={ended}><summary className="bad">{errors.length === 1 ? "1 error" : `${errors.length} errors`}{ended && errors.length < state.errors.length && " beside it"}</summary>{errors.map((text, k) => <pre key={k}>{short(text)}</pre>)}</details>}
     </section>
   );
 }

@@ -108,7 +108,9 @@ class ProgramState extends Keyed {
   isUnsaved(draft: Draft): boolean { return text(draft.seq) !== draft.saved; }
   /** What was done since a program was saved, in words. */
   unsaved(draft: Draft): string[] {
-    if (!this.isUnsaved(draft)) return [];
+    return this.isUnsaved(draft) ? this.since(draft).filter((one, k, all) => one !== all[k - 1]) : [];
+  }
+  private since(draft: Draft): string[] {
     if (!draft.saved) return ["a new program", ...draft.past.map((one) => one.label)];
     if (draft.savedAt >= 0 && draft.past.length >= draft.savedAt) return draft.past.slice(draft.savedAt).map((one) => one.label);
     if (draft.savedAt < 0) return draft.past.map((one) => one.label);

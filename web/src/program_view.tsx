@@ -177,7 +177,7 @@ function Tools() {
     <header className="program-tools">
       <div className="row wrap">
         <h2>{draft.name}</h2>
-        <button type="button" className="primary" disabled={off || runs} onClick={() => void run(false)} title={runs ? "a program runs already" : "run the saved program on the subsystem"}>▶ {first}run</button>
+        <button type="button" className="primary" disabled={off || runs} onClick={() => void run(false)} title={runs ? "a program runs already" : "run the saved program on the subsystem"}><span aria-hidden="true">▶ </span>{first}run</button>
         <button type="button" disabled={off || runs} onClick={() => void run(true)} title="begin with a pause, to go step by step">{first}run paused</button>
         <span className="gap" />
         <button type="button" disabled={!draft.past.length} onClick={() => programs.undo()} aria-keyshortcuts="Control+Z" title={draft.past.length ? `take back: ${draft.past.at(-1)!.label}` : ""}>undo</button>
