@@ -81,7 +81,7 @@ export function ProgramRow({ told }: { told: Map<number, Remark[]> }) {
       onDragOver={over} onDragLeave={(event) => { if (event.target === box.current) setTarget(-1); }}
       onDrop={(event) => { event.preventDefault(); setTarget(-1); drop(place(event)); }}
     >
-      <Arcs box={box} />
+      <Arcs />
       {draw(structure(seq), count)}
     </div>
   );
@@ -135,7 +135,7 @@ function Tile({ line, remarks, first }: { line: Line; remarks: Remark[]; first: 
       type="button" className={`tile ${kind} kind-${line.keyword.toLowerCase()}${chosen ? " chosen" : ""}${lit ? " lit" : ""}${worst ? ` has-${worst.severity}` : ""}`}
       data-key={line.key} draggable aria-pressed={chosen} aria-label={about} title={remarks.map((one) => short(one.text)).join("\n") || undefined}
       aria-current={lit ? "step" : undefined} tabIndex={chosen || (first && programs.at < 0) ? 0 : -1}
-      onClick={() => programs.choose(line.key)}
+      onClick={() => programs.choose(line.key)} onFocus={() => { if (!chosen) programs.choose(line.key); }}
       onDragStart={(event) => { dragged.key = line.key; event.dataTransfer.effectAllowed = "move"; event.dataTransfer.setData("text/plain", lineText(line)); }}
       onDragEnd={() => { delete dragged.key; }}
     >
@@ -175,22 +175,24 @@ function OtherFace({ line }: { line: Exclude<Content, Step> }) {
 interface Arc { path: string; why: "goto" | "else"; near: boolean }
 
 /** Lines behind the tiles, from each GOTO and ELSE to its step. */
-function Arcs({ box }: { box: React.RefObject<HTMLDivElement | null> }) {
+function Arcs() {
   usePrograms("draft");
   usePrograms("chosen");
   const [arcs, setArcs] = useState<Arc[]>([]);
   const [size, setSize] = useState(0);
+  const own = useRef<SVGSVGElement>(null);
   const seq = programs.draft!.seq;
   useLayoutEffect(() => {
     const seen = new ResizeObserver(() => setSize((one) => one + 1));
-    if (box.current) seen.observe(box.current);
+    if (own.current) seen.observe(own.current);
     return () => seen.disconnect();
-  }, [box]);
+  }, []);
   useLayoutEffect(() => {
-    const area = box.current?.getBoundingClientRect();
+    const box = own.current?.parentElement;
+    const area = box?.getBoundingClientRect();
     const middle = (at: number) => {
-      const tile = box.current?.querySelector(`.tile[data-key="${seq.lines[at]!.key}"]`)?.getBoundingClientRect();
-      return tile && area && { x: tile.x - area.x + box.current!.scrollLeft + tile.width / 2, y: tile.bottom - area.y + box.current!.scrollTop };
+      const tile = box?.querySelector(`.tile[data-key="${seq.lines[at]!.key}"]`)?.getBoundingClientRect();
+      return tile && area && { x: tile.x - area.x + tile.width / 2, y: tile.bottom - area.y };
     };
     setArcs(jumps(seq).flatMap(({ from, to, why }) => {
       const a = middle(from), b = middle(to);
@@ -199,9 +201,9 @@ function Arcs({ box }: { box: React.RefObject<HTMLDivElement | null> }) {
       const near = [seq.lines[from]!.key, seq.lines[to]!.key].includes(programs.chosen as number);
       return [{ path: `M${a.x + side} ${a.y}C${a.x + side} ${a.y + deep} ${b.x + side} ${b.y + deep + 4} ${b.x + side} ${b.y + 3}`, why, near }];
     }));
-  }, [seq, programs.chosen, size, box]);
+  }, [seq, programs.chosen, size]);
   return (
-    <svg className="arcs" aria-hidden="true">
+    <svg ref={own} className="arcs" aria-hidden="true">
       <defs>{(["goto", "else"] as const).map((one) => <marker key={one} id={`arc-${one}`} viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto"><path className={`arc-${one}`} d="M0 0 8 4 0 8Z" /></marker>)}</defs>
       {arcs.map((one, k) => <path key={k} className={`arc arc-${one.why}${one.near ? " near" : ""}`} d={one.path} markerEnd={`url(#arc-${one.why})`} />)}
     </svg>

@@ -57,7 +57,7 @@ export function RunBar() {
       <div className="row wrap">
         <span className="run-mark" aria-hidden="true">{ended ? (state.phase === "done" ? "✓" : "■") : state.pausing ? "❚❚" : "▶"}</span>
         <b>{name}</b>
-        <span className="where" role="status"><b>{where(state)}</b>{ended && state.text && `: ${short(state.text)}`}{!ended && state.pausing && state.phase !== "paused" && " – pauses before the next line"}</span>
+        <span className="where" role="status"><b>{where(state)}</b>{ended && state.text && state.text !== state.phase && `: ${short(state.text)}`}{!ended && state.pausing && state.phase !== "paused" && " – pauses before the next line"}</span>
         {!ended && <Since t={state.since} />}
         <span className="dim">{state.count === 1 ? "1 step" : `${state.count} steps`} entered{ended && state.safe && (state.entered.at(-1) === state.step ? `; went to the safe job ${state.job}` : `; the safe job ${state.job} was not reached`)}</span>
         {live.steers && <span className="row run-buttons">

@@ -227,18 +227,22 @@ function Verdict() {
     const line = draft.judgedSeq?.lines[at];
     return at === -1 ? "safe job" : line?.keyword === "STEP" ? stepName(line) : `line ${at + 1}`;
   };
+  const list = (of: typeof flat) => (
+    <ul>{of.map((one) => (
+      <li key={`${one.at} ${one.text}`} className={`remark-${one.severity}`}>
+        <span className="sign">{one.severity}</span>
+        {one.at >= -1 && <button type="button" className="link" onClick={() => programs.choose(one.at === -1 ? "safe" : draft.judgedSeq?.lines[one.at]?.key ?? "program")}>{name(one.at)}</button>}
+        <pre>{short(one.at >= -1 ? said(one.text) : one.text)}</pre>
+      </li>
+    ))}</ul>
+  );
   const state = programs.checking ? "checking" : draft.refusal ? "faulty" : count ? "faulty" : judged ? "good" : "empty";
   return (
     <footer className={`verdict verdict-${state}`} aria-label="check">
       <p role="status"><b>{programs.checking ? "… checking" : draft.refusal ? "✕ not checked" : count ? `✕ ${count === 1 ? "1 fault" : `${count} faults`}` : judged ? "✓ no fault" : ""}</b> <span className="dim">{draft.seq.lines.length ? `${steps(draft.seq).length} steps` : "no step yet"}{mine && ` in ${mine}`}</span></p>
       {draft.refusal && <pre className="remark remark-error">{draft.refusal}</pre>}
-      <ul>{flat.map((one) => (
-        <li key={`${one.at} ${one.text}`} className={`remark-${one.severity}`}>
-          <span className="sign">{one.severity}</span>
-          {one.at >= -1 && <button type="button" className="link" onClick={() => programs.choose(one.at === -1 ? "safe" : draft.judgedSeq?.lines[one.at]?.key ?? "program")}>{name(one.at)}</button>}
-          <pre>{short(one.at >= -1 ? said(one.text) : one.text)}</pre>
-        </li>
-      ))}</ul>
+      {list(flat.filter((one) => one.severity === "error"))}
+      {flat.length > count && <details><summary>{flat.length - count === 1 ? "one remark" : `${flat.length - count} remarks`}</summary>{list(flat.filter((one) => one.severity !== "error"))}</details>}
     </footer>
   );
 }

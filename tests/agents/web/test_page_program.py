@@ -112,7 +112,9 @@ def test_three_icons_make_a_program_that_is_saved_and_runs(page, programs, cell)
     put(page, "each step at most (WITHIN)", "60")
     do(page, "safe job")
     field(page, "job").select_option("retreat")
-    verdict(page, "no task produces the constant TOOL_LENGTH")
+    verdict(page, "✓ no fault")
+    page.locator(".verdict summary").click()
+    page.locator(".verdict").get_by_text("no task produces the constant TOOL_LENGTH").first.wait_for()
     tile(page, "approach").focus()
     do(page, "command")  # after the chosen line, or at the end
     put(page, "rmod", "short_fingers")
@@ -202,9 +204,10 @@ def test_a_program_is_steered_from_every_browser_and_aborted_to_its_safe_job(
 ):
     (cell / "stay.seq").write_text(
         "SEQUENCE stay\nDESC\nSBS cell.sbs\nSAFE retreat\nWAIT 5\n"
-        "SPAWN short_fingers arm1\nSTEP retreat UNTIL FINISH WITHIN 60\n"
-        "STEP approach FOR 600\nEOF\n"
+        "SPAWN short_fingers arm1\nSTEP approach FOR 600\nEOF\n"
     )
+    page.keyboard.press("F8")  # the tasks of a program that has ended go on
+    page.locator(".stop-place .outcome.done").wait_for()
     page.reload()
     page.get_by_role("button", name="Program", exact=True).click()
     page.locator(".program-names button", has_text="stay").click()
@@ -222,6 +225,7 @@ def test_a_program_is_steered_from_every_browser_and_aborted_to_its_safe_job(
         looker.get_by_text("step approach, waits for 600 s").wait_for()
         keep_picture(looker, "program-watched")
         do(page, "abort")
-        bar.get_by_text("aborted; went to the safe job retreat").wait_for()
+        bar.get_by_text("2 steps entered; went to the safe job retreat").wait_for()
+        assert bar.locator(".where").inner_text() == "aborted"
         looker.locator(".run-bar").wait_for(state="detached")
     keep_picture(page, "program-aborted")
