@@ -205,7 +205,7 @@ function SafeTile() {
     <div className="safe-place">
       <small>after an abort, or an error that no ELSE takes</small>
       <button type="button" className={`tile step safe${lit ? " lit" : ""}${programs.chosen === "safe" ? " chosen" : ""}`} aria-pressed={programs.chosen === "safe"} aria-current={lit ? "step" : undefined} onClick={() => programs.choose("safe")}>
-        {safe ? <StepFace step={safe} /> : <><span className="glyph" aria-hidden="true">＋</span><b>no safe job</b><small>the present job stays</small></>}
+        {safe ? <StepFace step={safe} /> : <><span className="glyph" aria-hidden="true">+</span><b>no safe job</b><small>the present job stays</small></>}
         {lit && <span className="tile-runs" aria-hidden="true">▶</span>}
       </button>
     </div>
@@ -216,7 +216,7 @@ function SafeTile() {
 function Verdict() {
   usePrograms("check");
   usePrograms("draft");
-  const draft = programs.draft!, judged = draft.seq.lines.length ? draft.judged : null;
+  const draft = programs.draft!, judged = draft.seq.lines.length && draft.judgedSeq?.lines.length ? draft.judged : null;
   const count = judged?.errors.length ?? 0;
   const mine = judged?.seq?.file.replace(/.*\//, "");
   const what = judged ? remarks(judged, draft.judgedSeq?.lines.length ?? 0) : new Map<number, never>();

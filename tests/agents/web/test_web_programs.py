@@ -54,7 +54,9 @@ def server(nodes, tmp_path):
         "p.seq": SEQ,
     }
     for name in ("rest", "work", "more"):
-        files[f"{name}.job"] = f"JOB {name}\nDESC\nSBS c.sbs\nTASK {name}_tick arm0\nEOF\n"
+        files[f"{name}.job"] = (
+            f"JOB {name}\nDESC\nSBS c.sbs\nTASK {name}_tick arm0\nEOF\n"
+        )
         files[f"{name}_tick.rmod"] = RMOD
     for name, text in files.items():
         (tmp_path / name).write_text(text)
