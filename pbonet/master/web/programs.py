@@ -311,7 +311,8 @@ class _Run:
         self.name = path.stem
         self.ended = False
         self._tell = told
-        arguments = place.arguments | {"take_over": False, "confirm": None}
+        more = {"take_over": False, "confirm": None}
+        arguments = dict[str, Any](place.arguments, **more)
         self._subsystem = Subsystem(
             path, **arguments, kind="web-operator", warned=_unsaid
         )
