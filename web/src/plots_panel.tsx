@@ -134,7 +134,7 @@ function ChartCard({ chart }: { chart: Chart }) {
         ))}
         <i ref={time} className="cursor-time" />
         <AddSeries label="this chart" chart={chart.id} />
-        <button type="button" className="link" onClick={() => page.removeChart(chart.id)}>remove chart</button>
+        <button type="button" className="close" aria-label="remove this chart" title="remove this chart" onClick={() => page.removeChart(chart.id)}>×</button>
       </header>
       <div className="live" ref={place} />
     </article>
