@@ -224,8 +224,7 @@ function placeMany(nodes: AnyNode[], edges: WireEdge[], open: FrameNode[], frame
   const blocks: AnyNode[] = [...open, ...nodes.filter((one) => !frameOf.has(one.id) && !open.some((each) => each === one))];
   for (const frame of open) {
     const inside = nodes.filter((one) => frameOf.get(one.id) === frame.id);
-    const ids = new Set(inside.map((one) => one.id));
-    arranged(inside, edges.filter((one) => ids.has(one.source) && ids.has(one.target)), { ranksep: GAP_X, nodesep: GAP_Y });
+    intoColumns(inside, edges);
     fitFrame(frame, nodes, frameOf);
     const shape = frame.width! / frame.height!;
     if (shape > WIDEST || shape < 1 / WIDEST) { intoRows(inside); fitFrame(frame, nodes, frameOf); }
@@ -241,6 +240,31 @@ function placeMany(nodes: AnyNode[], edges: WireEdge[], open: FrameNode[], frame
     }
     x += block.width! + GAP_X;
     tallest = Math.max(tallest, block.height!);
+  }
+}
+
+/**
+ * Places cards in columns: each to the right of those whose variables it reads, but for wires that lead back.
+ * dagre's own way takes seconds for hundreds of cards.
+ */
+function intoColumns(cards: AnyNode[], edges: WireEdge[]): void {
+  const before = new Map<string, string[]>(cards.map((one) => [one.id, []]));
+  for (const edge of edges) if (before.has(edge.source) && edge.data!.kind !== "fallback") before.get(edge.target)?.push(edge.source);
+  const columns = new Map<string, number>();
+  const columnOf = (id: string): number => {
+    const known = columns.get(id);
+    if (known !== undefined) return known;
+    columns.set(id, 0); // who leads back here comes to stand on the right
+    const found = Math.max(0, ...before.get(id)!.map((one) => columnOf(one) + 1));
+    columns.set(id, found);
+    return found;
+  };
+  cards.forEach((one) => columnOf(one.id));
+  const bottoms = new Map<number, number>();
+  for (const card of cards) {
+    const column = columns.get(card.id)!, y = bottoms.get(column) ?? 0;
+    card.position = { x: column * (card.width! + GAP_X), y };
+    bottoms.set(column, y + card.height! + GAP_Y);
   }
 }
 
