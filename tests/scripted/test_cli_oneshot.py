@@ -311,6 +311,17 @@ def test_watched_status_renews_itself_until_ctrl_c(standing, world, puma):
     assert "Traceback" not in text
 
 
+def test_the_graph_of_the_tasks_that_exist(standing, tmp_path):
+    done = standing("graph", "--running", "--svg", tmp_path / "now.svg")
+    assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'now.svg'}\n")
+    drawn = (tmp_path / "now.svg").read_text("utf-8")
+    assert "● ON" in drawn
+    assert "○ OFF" in drawn
+    data = json.loads(standing("graph", "--running", "--json").stdout)
+    assert data["states"] == {"puma_pidg": "OFF", "jttrace": "ON"}
+    assert [wire["variable"] for wire in data["wires"]] == ["NDOF", "Q_REF"]
+
+
 def test_script_from_standard_input(pbonet, agents):
     text = "# two tasks\nspawn puma_pidg arm0\n\nspawn jttrace arm1\non\nwait 0.01\n"
     done = pbonet("prompt", "--leave", stdin=text)
