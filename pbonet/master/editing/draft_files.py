@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,9 +13,11 @@ from pbonet.config import (
     JobFile,
     Section,
     SvarFile,
+    bundled,
     combines,
     load,
     parse_job,
+    parse_rmod,
     parse_svar,
     read_job,
     rewrite_job,
@@ -22,7 +25,7 @@ from pbonet.config import (
     rewrite_svar,
 )
 from pbonet.errors import ConfigError
-from pbonet.master.configuration import Files, Producers
+from pbonet.master.configuration import Files, Producers, RmodSource
 from pbonet.xm.net import check_name
 
 from .saved_files import SavedFiles
@@ -82,6 +85,19 @@ class DraftFiles(Files):
 
     # -- RMODs
 
+    def rmod(self, name: str, freq: float | None = None) -> RmodSource:
+        """Return an RMOD, of the draft first; the same text is read once only.
+
+        Raises:
+            NodeError: No task can have that name.
+            ConfigFileError: There is none of that name.
+            ConfigError: Its file is wrong, or its class does not say all.
+            ModuleLoadError: The module's code does not load.
+        """
+        name = check_name("a task", name.removesuffix(".rmod"))
+        main, file = self.part(name, freq)
+        return _read(bundled(main, self.part), file)
+
     def part(self, name: str, freq: float | None = None) -> Section:
         """Return the text of an RMOD, of the draft first, and its file.
 
@@ -127,19 +143,15 @@ class DraftFiles(Files):
     def _records(self) -> dict[str, Rmod]:
         """Return all RMODs by name, those of the draft as they are there."""
         records = dict(self.library.records())
-        for name in [name for name in records if self._is_gone(name)]:
-            del records[name]
+        for path in self.disk.made() - self.draft.texts.keys():
+            name = path.stem  # on disk by a save, and not in the draft any more
+            records.pop(name, None)
             if name in self._found:
                 records[name] = self.rmod(name).record
         for path in self.draft.texts:
             if path.suffix == ".rmod":
                 records[path.stem] = self.rmod(path.stem).record
         return records
-
-    def _is_gone(self, name: str) -> bool:
-        """Return whether an RMOD is on disk by a save, and not in the draft any more."""
-        path = self.job_path.with_name(f"{name}.rmod")
-        return self.disk.is_made(path) and path not in self.draft.texts
 
     def has_rmod(self, name: str) -> bool:
         """Return whether an RMOD of a name is in a file or in the draft."""
@@ -226,7 +238,7 @@ class DraftFiles(Files):
         """Have an RMOD in the draft that is on disk because it was saved here."""
         section = self.part(name)
         path = Path(section.file)
-        if self.disk.is_made(path):
+        if path in self.disk.made():
             texts = {**self.draft.texts, path: section.text}
             origins = {**self.draft.origins, path: section.text}
             self.show(structs.replace(self.draft, texts=texts, origins=origins))
@@ -273,6 +285,11 @@ class DraftFiles(Files):
         bare = others if new.comments else others | {path}
         texts = {**self.draft.texts, path: new.text}
         return structs.replace(self.draft, texts=texts, bare=bare)
+
+
+@lru_cache(maxsize=2048)
+def _read(text: str, file: str) -> RmodSource:
+    return RmodSource(parse_rmod(text, file), text)
 
 
 def _new_job(sbs: Path, name: str) -> JobFile:

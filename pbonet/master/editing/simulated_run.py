@@ -177,12 +177,13 @@ def _copy(files: DraftFiles, folder: Path) -> Path:
     paths = [files.job_path, files.path, files.svar_path, *texts]
     own = {path.absolute().parent for path in paths}
     above = {one for place in own for one in (place, *place.parents)}
+    made = {path.absolute() for path in files.disk.made()}
     root = Path(os.path.commonpath([*map(str, own)]))
     for place in sorted(own):  # a folder before those in it
         new = folder / place.relative_to(root)
         new.mkdir(parents=True, exist_ok=True)
         for entry in place.iterdir():
-            gone = entry in texts or entry in above or files.disk.is_made(entry)
+            gone = entry in texts or entry in above or entry in made
             if not gone:
                 (new / entry.name).symlink_to(entry)
     for path, text in texts.items():

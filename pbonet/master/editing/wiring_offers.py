@@ -40,10 +40,10 @@ class Step(Struct, frozen=True):
 
 
 class Offer(Struct, frozen=True, kw_only=True):
-    """A way to put one fault right."""
+    """A way to put a fault, or several, right."""
 
-    fault: int
-    """The place of the fault in the graph's list."""
+    faults: tuple[int, ...]
+    """The places of the faults in the graph's list."""
     kind: str
     """``connect``, ``join``, ``add-task``, ``add-variable`` or another word."""
     text: str
@@ -62,10 +62,11 @@ class Offers:
     def __init__(self, files: DraftFiles, verdict: JobVerdict) -> None:
         self._files, self._verdict = files, verdict
         self._fitting = Fitting(files, verdict)
+        self._producers = files.producers()
         self._entries = _missing_entries(files, verdict)
 
     def all(self) -> list[Offer]:
-        """Return the offers, in the order of the faults."""
+        """Return the offers, in the order of the faults; each once."""
         by_code: dict[Code, Callable[[Problem], Iterator[tuple[str, str, list[Step]]]]]
         by_code = {
             Code.UNKNOWN_VARIABLE: self._unknown_variable,
@@ -77,13 +78,17 @@ class Offers:
             Code.UNKNOWN_RTPU: self._unknown_rtpu,
             Code.NO_STABLE: self._no_stable,
         }
+        found: dict[str, Offer] = {}
         first = self._verdict.first_problem
-        return [
-            Offer(fault=number, kind=kind, text=text, steps=tuple(steps))
-            for number, problem in enumerate(self._verdict.problems, first)
-            if problem.code in by_code
-            for kind, text, steps in by_code[problem.code](problem)
-        ]
+        for number, problem in enumerate(self._verdict.problems, first):
+            find = by_code.get(problem.code)
+            for kind, text, steps in find(problem) if find else ():
+                same = found.get(text)
+                faults = (*same.faults, number) if same else (number,)
+                found[text] = Offer(
+                    faults=faults, kind=kind, text=text, steps=tuple(steps)
+                )
+        return list(found.values())
 
     # -- by kind of fault
 
@@ -111,11 +116,13 @@ class Offers:
                 if task.rmod.svar_name(port) == name
             ]
             yield from self._others(ends, name)
-            yield from self._producers(name)
+            yield from self._from_library(name)
 
     def _no_constant(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
         (name,), (task,), (port,) = problem.variables, problem.tasks, problem.ports
-        yield from self._producers(name)
+        yield from self._from_library(name)
+        if problem.severity is Severity.WARN:
+            return  # it has the value of its INIT line
         yield from self._others([(task, port)], name)
         size = self._fitting.sizes.get(name)
         known = self._fitting.table.get(name)
@@ -186,9 +193,9 @@ class Offers:
             if fit.fits and fit.port and (reads or fit.variable not in written)
         } - {but}
 
-    def _producers(self, name: str) -> Iterator[tuple[str, str, list[Step]]]:
+    def _from_library(self, name: str) -> Iterator[tuple[str, str, list[Step]]]:
         there = task_names(self._files)
-        for rmod in self._files.producers().get(name, ()):
+        for rmod in self._producers.get(name, ()):
             if rmod not in there:
                 step = Step("add_task", {"module": rmod})
                 yield "add-task", f"add {rmod}, which writes {name}", [step]

@@ -194,7 +194,8 @@ def test_offers_name_their_fault(puma):
     editor.add_task("jttrace")
     faults = editor.state()["graph"]["faults"]
     for offer in editor.offers():
-        assert "both write Q_REF" in faults[offer.fault]["text"]
+        (place,) = offer.faults
+        assert "both write Q_REF" in faults[place]["text"]
 
 
 def test_ports_are_disconnected_into_variables_of_their_own(puma):
