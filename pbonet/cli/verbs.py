@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 GROUPS: Final = {
     "Write and check files (no agent needed)": (
-        *("library", "new", "check", "simulate", "adopt"),
+        *("library", "new", "check", "graph", "simulate", "adopt"),
     ),
     "Run a subsystem": ("run", "prompt", "start", "switch", "stop"),
     "Change its tasks": (
@@ -35,7 +35,7 @@ GROUPS: Final = {
 """The verbs as the help shows them."""
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
 _OWN: Final = {
-    *("new", "check", "simulate", "adopt", "run", "prompt", "stop", "profile"),
+    *("new", "check", "graph", "simulate", "adopt", "run", "prompt", "stop", "profile"),
     *("display", "library", "events", "view", "ros2", "log", "replay"),
     *("agent", "devices", "doctor", "keys", "completion"),
 }

@@ -36,4 +36,5 @@ from .schema import (
     StepSchema as StepSchema,
     head as head,
 )
+from .series import Series as Series
 from .writer import LogWriter as LogWriter

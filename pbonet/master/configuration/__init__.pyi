@@ -1,4 +1,8 @@
-from . import environment as environment
+from . import (
+    environment as environment,
+    graph_svg as graph_svg,
+    graph_text as graph_text,
+)
 from .adopt_times import Adopted as Adopted, adopt as adopt
 from .check_files import (
     Findings as Findings,

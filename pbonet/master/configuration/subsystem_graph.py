@@ -144,7 +144,7 @@ class Link(Struct, frozen=True, kw_only=True, rename={"from_": "from"}):
     from_: str = ""
     """Of one that comes in: the subsystem, or the RTPU, of its writer."""
     to: str = ""
-    """Of one that goes out: empty, for its writer does not know who reads it."""
+    """Of one that goes out: empty: its writer does not know its reader."""
 
 
 class GraphFault(Struct, frozen=True, kw_only=True):

@@ -1,6 +1,7 @@
 from . import (
     device_owners as device_owners,
     doctor as doctor,
+    draw_graph as draw_graph,
     foxglove_server as foxglove_server,
     local_modules as local_modules,
     log_plot as log_plot,
