@@ -138,9 +138,9 @@ class DraftFiles(Files):
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it, with those of the draft."""
-        return Producers(self._records)
+        return Producers(self.records)
 
-    def _records(self) -> dict[str, Rmod]:
+    def records(self) -> dict[str, Rmod]:
         """Return all RMODs by name, those of the draft as they are there."""
         records = dict(self.library.records())
         for path in self.disk.made() - self.draft.texts.keys():

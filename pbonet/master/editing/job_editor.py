@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
-from pbonet.config import Library
+from pbonet.analysis.legality import same_unit
+from pbonet.config import Library, Search
 from pbonet.errors import ConfigError, PbonetError, did_you_mean
 
 from .draft_files import Draft, DraftFiles
 from .fitting_ports import Fit, Fitting
 from .history import History
 from .job_verdict import JobVerdict, judge_job
+from .module_palette import ModulePalette
 from .simulated_run import SimulatedRun, simulate_draft
 from .steps import make_step
 from .task_edits import JOB_FIELDS, RMOD_FIELDS, find_line, record_of, task_names
@@ -55,9 +57,16 @@ class JobEditor:
         self._libraries = list(libraries)
         self._host = host
         self.files = DraftFiles(path, Library(self._libraries), name)
+        self._palette = ModulePalette(self.files, self._libraries)
         self._history: History[Draft] = History(self.files.draft)
         self._judged: tuple[Draft, JobVerdict] | None = None
         self._offered: tuple[Draft, list[Offer]] | None = None
+        self._load_tools()
+
+    def _load_tools(self) -> None:
+        """Have at hand what the first change would wait for: units, and the library."""
+        same_unit("rad/s", "radians/second")
+        len(self.files.producers())
 
     # -- what there is
 
@@ -96,6 +105,33 @@ class JobEditor:
         if self._offered is None or self._offered[0] is not draft:
             self._offered = draft, Offers(self.files, self.verdict).all()
         return self._offered[1]
+
+    def palette(
+        self,
+        *words: str,
+        module_class: str = "",
+        reads: str = "",
+        writes: str = "",
+        unit: str = "",
+    ) -> list[State]:
+        """Return the modules that can be added, with their ports and RMODs.
+
+        The first call takes a second, because another process describes all modules.
+
+        Args:
+            words: Words that the description has, or the name of one module.
+            module_class: Its class in the library, or the beginning of it.
+            reads: A variable that it can read.
+            writes: A variable that it can write.
+            unit: The unit of such a port.
+
+        Raises:
+            ModuleLoadError: None fits, or they cannot be described.
+            ConfigError: There is no such class.
+        """
+        return self._palette.find(
+            Search(text=words, class_=module_class, in_=reads, out=writes, unit=unit)
+        )
 
     def fitting(self, task: str, port: str) -> list[Fit]:
         """Return the ports and variables that fit a port, and why the others do not.
