@@ -47,7 +47,7 @@ class Draft(Struct, frozen=True, kw_only=True):
     origins: dict[Path, str]
     """The texts that these were made from, whose comments and layout they keep."""
     bare: frozenset[Path] = frozenset()
-    """Files that had to be written anew, without the comments they had."""
+    """Files that were written as a whole, without the comments they had."""
 
 
 class DraftFiles(Files):

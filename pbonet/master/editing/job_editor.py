@@ -387,7 +387,8 @@ class JobEditor:
         """Return what is to be said of files that are written."""
         draft = self.files.draft
         notes: dict[Path, list[str]] = {
-            path: ["its comments are lost: it is written anew"] for path in draft.bare
+            path: ["its comments are lost: all of it is rewritten"]
+            for path in draft.bare
         }
         for path in draft.texts:
             if path.suffix == ".rmod" and (users := self.files.other_jobs(path)):

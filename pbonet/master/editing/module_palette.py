@@ -24,7 +24,7 @@ LIMIT = 120.0
 
 
 class _Described(msgspec.Struct):
-    """What the command prints."""
+    """The output of the command."""
 
     modules: list[ModuleInfo] = []
     error: WireError | None = None

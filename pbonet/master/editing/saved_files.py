@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class FileChange(Struct, frozen=True, kw_only=True):
-    """What saving does to one file."""
+    """A change that saving makes to one file."""
 
     file: str
     kind: str

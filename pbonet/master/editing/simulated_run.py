@@ -26,13 +26,13 @@ MOST_POINTS = 2000
 
 
 class SimulatedRun(Struct, frozen=True, kw_only=True):
-    """What a run in virtual time gave."""
+    """The result of a run in virtual time."""
 
     ok: bool
     problems: list[str]
-    """What went wrong, in words."""
+    """Errors and faults, in words."""
     output: str
-    """What the run printed: its last lines."""
+    """The last lines that the run printed."""
     tasks: list[dict[str, Any]] = []
     """Cycles, misses, errors and the last state of each task."""
     series: dict[str, dict[str, list[Any]]] = {}

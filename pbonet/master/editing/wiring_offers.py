@@ -48,7 +48,7 @@ class Offer(Struct, frozen=True, kw_only=True):
     kind: str
     """``connect``, ``join``, ``add-task``, ``add-variable`` or another word."""
     text: str
-    """What it does, for a button."""
+    """The words for a button."""
     steps: tuple[Step, ...]
 
 
