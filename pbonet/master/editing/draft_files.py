@@ -11,6 +11,7 @@ from msgspec import Struct, structs
 
 from pbonet.config import (
     JobFile,
+    JobTask,
     Section,
     SvarFile,
     bundled,
@@ -23,6 +24,7 @@ from pbonet.config import (
     rewrite_job,
     rewrite_rmod,
     rewrite_svar,
+    write_job,
 )
 from pbonet.errors import ConfigError
 from pbonet.master.configuration import Files, Producers, RmodSource
@@ -63,6 +65,9 @@ class DraftFiles(Files):
     """
 
     draft: Draft
+    """The state that is shown."""
+    first: Draft
+    """The state of the files when they were opened."""
 
     def __init__(self, path: str | Path, library: Library, name: str = "") -> None:
         self.disk = SavedFiles()
@@ -75,7 +80,8 @@ class DraftFiles(Files):
         texts = {self.svar_path: self.table_text}
         if job.tasks:
             texts[self.job_path] = load(self.job_path)
-        self.show(Draft(job=job, table=self.table, texts=texts, origins=texts))
+        self.first = Draft(job=job, table=self.table, texts=texts, origins=texts)
+        self.show(self.first)
 
     def show(self, draft: Draft) -> None:
         """Have the texts of a draft from now on."""
@@ -171,6 +177,19 @@ class DraftFiles(Files):
                 if any(rmod.stem in {one.rmod, one.fallback} for one in tasks):
                     found.append(path.name)
         return found
+
+    def other_jobs_of_table(self) -> list[str]:
+        """Return the names of other jobs' files that use the table."""
+        found: list[str] = []
+        for path in sorted({*self.path.parent.glob("*.job"), *self._beside_job()}):
+            with contextlib.suppress(ConfigError):
+                system = path.parent / read_job(path).sbs
+                if path != self.job_path and system.resolve() == self.path.resolve():
+                    found.append(path.name)
+        return found
+
+    def _beside_job(self) -> Iterable[Path]:
+        return self.job_path.parent.glob("*.job")
 
     def is_shared(self, record: Rmod) -> bool:
         """Return whether a copy of an RMOD under its name would change other jobs.
@@ -300,7 +319,15 @@ def _new_job(sbs: Path, name: str) -> JobFile:
         ConfigError: It is there already.
     """
     check_name("a job", name)
-    path = sbs.with_name(f"{name}.job")
+    job = JobFile(
+        file=str(sbs.with_name(f"{name}.job")),
+        name=name,
+        desc=f"job {name}",
+        sbs=sbs.name,
+        tasks=(JobTask(rmod="any"),),
+    )
+    write_job(job)  # refused if a file cannot say its name
+    path = Path(job.file)
     if path.exists():
         raise ConfigError(
             "the job is there already",
@@ -308,6 +335,4 @@ def _new_job(sbs: Path, name: str) -> JobFile:
             expected="the name of a new job",
             remedy="open that one, or choose another name",
         )
-    return JobFile(
-        file=str(path), name=name, desc=f"job {name}", sbs=sbs.name, tasks=()
-    )
+    return structs.replace(job, tasks=())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 
 from pbonet.analysis.legality import same_unit
-from pbonet.config import Library, Search
+from pbonet.config import Library, Search, meaning
 from pbonet.errors import ConfigError, PbonetError, did_you_mean
 
 from .draft_files import Draft, DraftFiles
@@ -26,6 +26,8 @@ from .wiring_offers import Offer, Offers, Step
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
+
+    from pbonet.config import SvarFile
 
     from .saved_files import FileChange
 
@@ -346,7 +348,12 @@ class JobEditor:
         return self.files.disk.save(self.files.draft.texts, self.files.job_path)
 
     def simulate(
-        self, seconds: float, variables: Sequence[str] = (), *, limit: float = 60.0
+        self,
+        seconds: float,
+        variables: Sequence[str] = (),
+        *,
+        limit: float = 60.0,
+        conditions: bool = True,
     ) -> SimulatedRun:
         """Run the present state in virtual time, in another process.
 
@@ -354,12 +361,19 @@ class JobEditor:
             seconds: How much virtual time passes.
             variables: Those whose values are returned.
             limit: Seconds that it may take at most.
+            conditions: Whether PRE and POST are judged; a job in the middle of a
+                program may have a PRE that no start fulfils.
 
         Raises:
             ConfigError: The job has no task, or the time is none.
         """
         return simulate_draft(
-            self.files, seconds, variables, limit=limit, libraries=self._libraries
+            self.files,
+            seconds,
+            variables,
+            limit=limit,
+            conditions=conditions,
+            libraries=self._libraries,
         )
 
     # -- parts of them
@@ -390,11 +404,21 @@ class JobEditor:
             path: ["its comments are lost: all of it is rewritten"]
             for path in draft.bare
         }
+        changed = _changed(self.files.first.table, draft.table)
+        if changed and (users := self.files.other_jobs_of_table()):
+            text = f"it changes {', '.join(changed)} for {', '.join(users)} too"
+            notes.setdefault(self.files.svar_path, []).append(text)
         for path in draft.texts:
             if path.suffix == ".rmod" and (users := self.files.other_jobs(path)):
                 text = f"it changes {path.stem} for {', '.join(users)} too"
                 notes.setdefault(path, []).append(text)
         return notes
+
+
+def _changed(before: SvarFile, after: SvarFile) -> list[str]:
+    """Return the variables that are not there any more, or are others."""
+    now = {one.name: meaning(one) for one in after.variables}
+    return [one.name for one in before.variables if now.get(one.name) != meaning(one)]
 
 
 def _label(do: str, args: State) -> str:

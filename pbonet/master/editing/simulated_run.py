@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 
+from pbonet.config import write_job
 from pbonet.errors import ConfigError, PbonetError, WireError
 from pbonet.log import Log
 
@@ -45,6 +46,7 @@ def simulate_draft(
     variables: Sequence[str],
     *,
     limit: float,
+    conditions: bool = True,
     libraries: Iterable[str | Path] = (),
 ) -> SimulatedRun:
     """Run the job of a draft in virtual time.
@@ -56,6 +58,7 @@ def simulate_draft(
         seconds: How much virtual time passes.
         variables: Those whose values are returned.
         limit: Seconds that the process may take; then it is ended.
+        conditions: Whether PRE and POST are judged.
         libraries: Folders of modules.
 
     Raises:
@@ -78,6 +81,9 @@ def simulate_draft(
         root, runs = Path(name) / "files", Path(name) / "runs"
         real = _copy(files, root)
         job = root / files.job_path.absolute().relative_to(real)
+        if not conditions:
+            bare = structs.replace(files.draft.job, pre=(), post=())
+            job.write_bytes(write_job(bare).encode())
         command = [sys.executable, "-P", "-m", "pbonet.cli", "run", str(job), "--sim"]
         command += ["--seconds", repr(seconds), "--record", "all", "--runs", str(runs)]
         command += ["--json"]
