@@ -251,5 +251,7 @@ def test_one_key_stops_everything_and_a_button_starts_the_job(page):
     page.locator(".card.is-not-created").nth(3).wait_for()
     keep_picture(page, "stopped")
     page.get_by_role("button", name="start job teleop").click()
-    page.wait_for_timeout(6000); print("OUT", page.locator(".start-job").all_inner_texts()); keep_picture(page, "started")
+    page.wait_for_timeout(6000)
+    print("OUT", page.locator(".start-job").all_inner_texts())
+    keep_picture(page, "started")
     page.locator(".card.is-on").nth(3).wait_for()

@@ -411,7 +411,7 @@ def test_the_exported_program_does_the_same(shop, monkeypatch, capsys):
     out = capsys.readouterr().out.splitlines()
     names = [line.split()[-1] for line in out if line[:1] == " "]
     assert [name for name in names if name in state.entered] == list(state.entered)
-    assert out[-1] == "it's \"done\""
+    assert out[-1] == 'it\'s "done"'
     assert any(line.startswith("broken: ") and "sent ERROR" in line for line in out)
 
 
