@@ -271,3 +271,20 @@ def test_the_palette_finds_modules_and_rmods_of_the_folder_too(puma):
     assert found[:2] == ["grav_comp", "gravity"]
     with pytest.raises(ModuleLoadError, match="the library has no such module"):
         editor.palette("nothing of that kind")
+
+
+def test_a_constant_of_the_size_that_is_there_is_taken_for_a_join(puma):
+    editor = JobEditor(puma)
+    editor.add_variable("PAIR", nelem=2, units="rad", desc="two angles")
+    editor.add_variable("TWO", type="int", desc="a size", init=[2])
+    for number in (1, 2):
+        editor.add_task(
+            "constant",
+            name=f"pair{number}",
+            params={"VALUE": "1 2"},
+            aliases={"Y": "PAIR", "NDOF": "TWO"},
+        )
+    state = editor.apply(offers(editor, "join")[0])
+    assert state["legal"], state["errors"]
+    (task,) = (t for t in state["graph"]["tasks"] if t["name"].startswith("join"))
+    assert {p["port"]: p["variable"] for p in task["ins"]}["NDOF"] == "TWO"
