@@ -1,6 +1,8 @@
 """A job is edited step by step: tasks, wires, settings, undo, and saving."""
 
+import errno
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -486,3 +488,33 @@ def test_measured_times_count_until_the_variables_are_others(puma):
     state = editor.set_variable("Q_REF", "type", "float")
     assert any("other variables" in text for text in state["warnings"])
     assert editor.undo()["timing"][1]["utilization"] == pytest.approx(0.2)
+
+
+def test_a_disk_that_is_full_loses_nothing(puma, monkeypatch):
+    editor = JobEditor(puma)
+    editor.add_task("jttrace")
+    editor.set_variable("Q_REF", "maxage", 0.1)
+    first = content(puma.parent)
+    calls = []
+
+    def fsync(handle):
+        calls.append(handle)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(ConfigFileError, match="No space left") as full:
+        editor.save()
+    assert str(full.value).endswith(
+        f"saved before it: {puma.parent / 'jttrace_2.rmod'}"
+    )
+    now = content(puma.parent)
+    assert now.pop("jttrace_2.rmod")
+    assert now == first  # no part of a file, and the job does not name the new one yet
+    assert [Path(path).name for path in editor.state()["unsaved"]] == [
+        "puma.svar",
+        "puma.job",
+    ]
+    editor.save()
+    assert editor.changes() == []
+    assert b"jttrace_2" in puma.read_bytes()
