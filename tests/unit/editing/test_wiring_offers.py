@@ -288,3 +288,27 @@ def test_a_constant_of_the_size_that_is_there_is_taken_for_a_join(puma):
     assert state["legal"], state["errors"]
     (task,) = (t for t in state["graph"]["tasks"] if t["name"].startswith("join"))
     assert {p["port"]: p["variable"] for p in task["ins"]}["NDOF"] == "TWO"
+
+
+def test_a_port_of_another_size_is_offered_what_fits(puma):
+    editor = JobEditor(puma)
+    editor.add_variable("HAND", nelem=3, units="rad", desc="three angles")
+    state = editor.connect("grav_comp", "Q_MEZ", "HAND")
+    (fault,) = (f for f in state["graph"]["faults"] if "disagree" in f["text"])
+    assert (fault["tasks"], fault["ports"]) == (["grav_comp"], ["DH", "Q_MEZ"])
+    assert fault["variables"] == ["DH", "HAND"]
+    found = [o.text for o in offers(editor, "connect")]
+    assert "connect Q_MEZ of grav_comp to Q_MEZ (SVARALIAS)" in found
+    chosen = found.index("connect Q_MEZ of grav_comp to Q_MEZ (SVARALIAS)")
+    assert editor.apply(offers(editor, "connect")[chosen])["legal"]
+
+
+def test_a_fault_of_a_file_names_the_task(puma):
+    editor = JobEditor(puma)
+    state = editor.set_parameter("jttrace", "REPEET", "no")
+    (fault,) = (f for f in state["graph"]["faults"] if "REPEET" in f["text"])
+    assert fault["tasks"] == ["jttrace"]
+    editor.undo()
+    state = editor.add_task("jttrace", name="other", params={"SPEED": "fast"})
+    (fault,) = (f for f in state["graph"]["faults"] if "fast" in f["text"])
+    assert fault["tasks"] == ["other"]
