@@ -61,7 +61,8 @@ class RecordedRun(Source):
         self._written = {
             name for task in self._log.tasks for name in self._log.variables(task)
         }
-        self._events = [_event(one) for one in self._log.events()]
+        events = enumerate(self._log.events(), 1)
+        self._events = [_event(one, number) for number, one in events]
         self._states = _States(self._log, self._graph)
         self._series: dict[str, tuple[NDArray[np.float64], NDArray[Any]]] = {}
         self._at = begin
@@ -297,8 +298,8 @@ def _graph(log: Log) -> Data:
     return graph
 
 
-def _event(event: Data) -> Data:
-    data = dict(event)
+def _event(event: Data, number: int) -> Data:
+    data = {**event, "n": number}
     data["t"] = data.pop("wall", 0.0)
     data["severity"] = Severity(data["severity"]).name.lower()
     return data

@@ -6,6 +6,7 @@ the status twice a second, and hands on what has changed. Nothing is asked of a 
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
@@ -77,6 +78,7 @@ class Watcher(Source):
         self._look = threading.Event()
         self._complaints: list[str] = []
         self._shape: object = None
+        self._count = itertools.count(1)
         self._last: dict[str, Data] = {}
         """The newest value of each variable."""
         self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
@@ -189,7 +191,7 @@ class Watcher(Source):
             self._told({"kind": "values", "t": time.time(), "values": new})
 
     def _read_states(self, subsystem: Subsystem, follower: Follower) -> list[str]:
-        events = [_event(one) for one in follower.take()]
+        events = [_event(one, next(self._count)) for one in follower.take()]
         results, errors = subsystem.clients.each(lambda _: m.Status(), m.RtpuStatus)
         silent = [name for name in subsystem.clients.names if name not in results]
         with self._lock:
@@ -230,8 +232,10 @@ class Watcher(Source):
             self._told({"kind": "complaints", "texts": texts})
 
 
-def _event(event: Event) -> Data:
+def _event(event: Event, number: int) -> Data:
+    """Return an event as browsers are told of it; RTPUs number theirs apart."""
     data: Data = msgspec.to_builtins(event)
+    data["n"] = number
     data["t"] = data.pop("wall")
     data["severity"] = Severity(event.severity).name.lower()
     return data
