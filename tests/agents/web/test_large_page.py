@@ -212,7 +212,9 @@ def test_two_hundred_tasks_are_drawn_folded_and_only_what_is_seen_is_watched(lar
         page.locator("#tab-Variables").click()
         page.get_by_label("filter variables").fill("V49")
         wait_for(lambda: len(source.wanted) == 11, "V49 and V490 to V499 are watched")
-        row = page.locator("#panel tr", has=page.get_by_role("button", name="plot V499"))
+        row = page.locator(
+            "#panel tr", has=page.get_by_role("button", name="plot V499")
+        )
         wait_for(lambda: row.locator(".values").inner_text() != "–", "a value")
         page.get_by_role("button", name="compact").click()
         page.locator(".card:not(.small)").first.wait_for()
