@@ -838,7 +838,8 @@ class Subsystem:
 
         Returns:
             That of the tasks as last read from the RTPUs; before `open`, that of the
-            job with which it was made.
+            job with which it was made. Parameters have the values of the RMODs; `get`
+            returns those that were set since.
 
         Raises:
             ConfigError: It is not open, and the job is wrong.
