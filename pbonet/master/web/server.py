@@ -131,7 +131,7 @@ def _packages() -> tuple[Any, Any]:
     """
     try:
         import_module("websockets")
-        application = import_module(".application", __package__)
+        application = import_module(f"{__package__}.application")
         return import_module("uvicorn"), application
     except ImportError as error:
         raise NodeError(
