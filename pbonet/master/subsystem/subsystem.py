@@ -753,7 +753,10 @@ class Subsystem:
         from . import switching
         from .condition_gate import ConditionGate, in_time
 
+        again = False
+
         def attempt() -> Transition:
+            nonlocal again
             with self._changing(partly=False, claimed=not dry_run) as task_set:
                 if abandon and not dry_run:
                     self.inbox.forget()
@@ -761,6 +764,9 @@ class Subsystem:
                 gate = ConditionGate(
                     task_set, wanted, leaves=True, abandons=abandon, note=note
                 )
+                if again:  # nothing is planned before its conditions hold
+                    gate.must_hold()
+                again = True
                 plan = switching.plan_job(task_set, wanted)
                 return switching.carry_out(
                     task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
