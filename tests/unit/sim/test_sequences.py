@@ -12,7 +12,7 @@ import pytest
 from watching import wait_for
 
 from pbonet import cli
-from pbonet.errors import ConfigError, NoAnswerError, StateError
+from pbonet.errors import ConditionError, ConfigError, NoAnswerError, StateError
 from pbonet.master import Subsystem
 from pbonet.master.configuration import check_file
 from pbonet.master.subsystem import Phase, Sequencer
@@ -237,6 +237,19 @@ def test_post_is_asked_when_no_error_came_first(shop):
     assert state.phase is Phase.FAILED
     assert "POST of slow does not hold" in state.text
     assert "within 0.05 s" in state.text, "as long as WAIT says"
+
+
+def test_a_job_can_be_given_up_without_its_post(shop):
+    with Subsystem(shop / "slow.job", virtual=True) as subsystem:
+        subsystem.start()
+        with pytest.raises(ConditionError, match="POST of slow does not hold"):
+            subsystem.switch("quick")
+        subsystem.wait(0.55)
+        subsystem.switch("silent")
+        subsystem.switch("slow")
+        assert [one.signal for one in subsystem.signals()] == []
+        subsystem.switch("both", abandon=True)
+        assert [one.task for one in subsystem.status()] == ["both"]
 
 
 def test_an_order_that_fails_leads_to_the_else_of_the_step_above(shop):
