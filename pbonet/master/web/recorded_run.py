@@ -30,7 +30,7 @@ PERIOD: Final = 0.05
 """Seconds between two messages while the run goes on."""
 _STATES: Final = 0.5
 _SAMPLES: Final = 1200
-"""Samples of one variable that a browser is told at once."""
+"""Samples of one variable in a message with earlier ones."""
 _AT_ONCE: Final = 10
 """Samples of one variable in a message while the run goes on."""
 _FASTEST: Final = 100.0
@@ -107,7 +107,7 @@ class RecordedRun(Source):
             self._moved.set()
 
     def first(self) -> list[Data]:
-        """Return what a new browser is told."""
+        """Return the first messages for a new browser."""
         with self._lock:
             at, speed = self._at, self._speed
         return [
@@ -160,12 +160,12 @@ class RecordedRun(Source):
                     self._at, self._speed = self._end, 0.0
                 at, speed = self._at, self._speed
             last = now
-            self._tell(at, speed, before, whole=jumped or now - told >= _STATES)
+            self._send(at, speed, before, whole=jumped or now - told >= _STATES)
             if jumped or now - told >= _STATES:
                 told = now
             before = at
 
-    def _tell(self, at: float, speed: float, before: float, *, whole: bool) -> None:
+    def _send(self, at: float, speed: float, before: float, *, whole: bool) -> None:
         """Tell how it is at a time; the status and earlier values only now and then."""
         self._told({"kind": "at", "t": at, "speed": speed})
         if whole:

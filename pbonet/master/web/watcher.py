@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     Data = dict[str, Any]
 
 STATES: Final = 0.5
-"""Seconds between two looks at the status, the events and all values."""
+"""Seconds between two requests of the status, the events and all values."""
 RETRY: Final = 1.0
 """Seconds between two attempts to reach the subsystem's agents."""
 _LARGEST: Final = 64
-"""Numbers of a variable up to which its history is kept though nobody watches it."""
+"""Numbers of a variable whose history is kept though no browser watches it, at most."""
 
 log = logging.getLogger("pbonet.master")
 
@@ -111,7 +111,7 @@ class Watcher(Source):
         """Read these variables at the full rate from now on."""
         self._wanted = frozenset(names)
 
-    def look(self) -> None:
+    def refresh_soon(self) -> None:
         """Read the status now, because a command was carried out."""
         self._look.set()
 
@@ -120,7 +120,7 @@ class Watcher(Source):
         return any(one["name"] == task for one in self._graph.get("tasks", ()))
 
     def first(self) -> list[Data]:
-        """Return what a new browser is told: graph, status, events, complaints."""
+        """Return the first messages: graph, status, events, complaints."""
         with self._lock:
             return [
                 {"kind": "graph", "graph": self._graph},
@@ -233,7 +233,7 @@ class Watcher(Source):
 
 
 def _event(event: Event, number: int) -> Data:
-    """Return an event as browsers are told of it; RTPUs number theirs apart."""
+    """Return an event as a message has it; RTPUs number theirs apart."""
     data: Data = msgspec.to_builtins(event)
     data["n"] = number
     data["t"] = data.pop("wall")
@@ -242,7 +242,7 @@ def _event(event: Event, number: int) -> Data:
 
 
 def _unheard(_: Data) -> None:
-    """Tell nobody, before there is somebody."""
+    """Drop a message, before there is a server."""
 
 
 def _unsaid(_: str) -> None:

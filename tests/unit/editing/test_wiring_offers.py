@@ -262,6 +262,7 @@ def test_a_module_that_cannot_be_critical(puma):
     assert editor.apply(offer)["legal"]
 
 
+@pytest.mark.slow
 def test_the_palette_finds_modules_and_rmods_of_the_folder_too(puma):
     editor = JobEditor(puma)
     editor.add_task("jttrace", name="other")
