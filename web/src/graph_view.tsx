@@ -125,7 +125,7 @@ function Flow() {
   const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
   const made = useMemo<Drawing>(
     () => (graph ? drawing(graph, { compact, folded: page.folded, operator: live.steers }) : { nodes: [], edges: [] }),
-    [graph, compact, choice, role], // eslint-disable-line -- `choice` and `role` stand for what is outside of React
+    [graph, compact, choice, role], // `choice` and `role` stand for what is outside of React
   );
   const [now, setNow] = useState(made);
   useEffect(() => { setNow(made); }, [made]);
@@ -142,6 +142,11 @@ function Flow() {
     return now.nodes.map((one) => (one.type === "task" && Boolean(one.selected) !== chosen.has(one.id) ? { ...one, selected: chosen.has(one.id) } : one));
   }, [now.nodes, selected]);
 
+  const edges = useMemo(() => {
+    const chosen = new Set(selected.map(taskId));
+    return chosen.size ? now.edges.map((one) => (chosen.has(one.source) || chosen.has(one.target) ? { ...one, selected: true } : one)) : now.edges;
+  }, [now.edges, selected]);
+
   const changed = useCallback((changes: NodeChange<AnyNode>[]) => {
     const moves = changes.filter((one) => one.type === "position" || one.type === "dimensions");
     if (moves.length) setNow((before) => ({ ...before, nodes: applyNodeChanges(moves, before.nodes) }));
@@ -157,7 +162,7 @@ function Flow() {
 
   return (
     <ReactFlow<AnyNode, WireEdge>
-      nodes={nodes} edges={now.edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
+      nodes={nodes} edges={edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
       onMoveStart={(event) => { if (event) moved.current = true; }}
       onNodeDragStop={() => setNow((before) => refit(before.nodes, before.edges))}
       onNodeDoubleClick={(_, node) => { if (node.type === "task") page.openTask(node.data.task.name); }}
@@ -168,7 +173,7 @@ function Flow() {
       multiSelectionKeyCode={["Meta", "Control", "Shift"]} selectionKeyCode={null} zoomOnDoubleClick={false}
     >
       <svg className="markers" aria-hidden="true"><defs>
-        <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" orient="auto">
+        <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="11" markerHeight="11" markerUnits="userSpaceOnUse" orient="auto">
           <path d="M0 1 9 5 0 9Z" />
         </marker>
       </defs></svg>
@@ -186,7 +191,7 @@ function Frame() {
   usePage("drawing");
   const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
   return (
-    <section className={`graph${far ? " far" : ""}`} aria-label="graph of tasks and variables">
+    <section className={`graph${far ? " far" : ""}${compact ? " many" : ""}`} aria-label="graph of tasks and variables">
       <Flow />
       <div className="graph-tools">
         <button type="button" aria-pressed={compact} onClick={() => page.setCompact(!compact)} title="show tasks without their ports">compact</button>

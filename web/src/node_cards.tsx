@@ -15,7 +15,7 @@ export const TaskCard = memo(function TaskCard({ data }: NodeProps<TaskNode>) {
 function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   const status = useTask(task.name);
   return (
-    <article className={`card small ${stateClass(task.name)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
+    <article className={`card small ${stateClass(task.name)}${useUnheard(task.rtpu)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
       <header><TaskState task={task.name} word={false} /><b className="name">{task.name}</b></header>
       <div className="line live"><span className="word">{stateOf(task.name)}</span><span>{rate(status?.fields)}</span></div>
       <Handle type="target" id="in" position={Position.Left} isConnectable={false} />
@@ -30,7 +30,7 @@ function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   const { ins, outs } = portRows(task);
   const rows = Math.max(ins.length, outs.length, 1);
   return (
-    <article className={`card ${stateClass(task.name)}`} title={task.desc}>
+    <article className={`card ${stateClass(task.name)}${useUnheard(task.rtpu)}`} title={task.desc}>
       <header>
         <TaskState task={task.name} />
         <b className="name">{task.name}</b>
@@ -62,6 +62,8 @@ function SideHandles() {
   );
 }
 
+/** Returns the class of what is old because its RTPU does not answer. */
+export const useUnheard = (rtpu: string): string => (useRtpu(rtpu)?.silent ? " unheard" : "");
 const stateClass = (task: string): string => `is-${stateOf(task).toLowerCase().replace("?", "unknown")}`;
 const kindOf = (task: TaskInfo): string => (task.freq ? `${task.type} ${short(task.freq)} Hz` : task.type);
 function rate(fields: Record<string, unknown> | undefined): string {

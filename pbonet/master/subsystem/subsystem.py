@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     import zenoh
+    from numpy.typing import NDArray
 
     from pbonet.config import Found, SbsFile
     from pbonet.master.configuration import Clock, Saved, TaskModel
@@ -181,6 +182,11 @@ class Subsystem:
     def sbs(self) -> SbsFile:
         """The record of its ``.sbs`` file."""
         return self.files.sbs
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is connected to its RTPUs."""
+        return self._task_set is not None
 
     @property
     def task_set(self) -> SubsystemTasks:
@@ -707,7 +713,6 @@ class Subsystem:
         dry_run: bool = False,
         wait: float | None = None,
         abandon: bool = False,
-        note: str = "",
     ) -> Transition:
         """Change to the configuration of another job; shared tasks continue (3.10).
 
@@ -725,7 +730,6 @@ class Subsystem:
                 now.
             abandon: Give the present job up: its POST is not asked, and signals sent so
                 far are taken.
-            note: What the event STEP in the log says of it; without, there is none.
 
         Returns:
             The signals of the change, and the tasks that are spawned, killed or
@@ -744,24 +748,48 @@ class Subsystem:
                 which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
-        from . import switching
-        from .condition_gate import ConditionGate, in_time
+        from .condition_gate import in_time
 
         def attempt() -> Transition:
-            with self._changing(partly=False, claimed=not dry_run) as task_set:
-                if abandon and not dry_run:
-                    self.inbox.forget()
-                wanted = self.files.read_job(job)
-                gate = ConditionGate(
-                    task_set, wanted, leaves=True, abandons=abandon, note=note
-                )
-                plan = switching.plan_job(task_set, wanted)
-                return switching.carry_out(
-                    task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
-                )
+            return self.change_to(job, dry_run=dry_run, abandon=abandon)
 
         self.stopped.clear()
         return in_time(attempt, wait, self.clock, self.stopped)
+
+    def change_to(
+        self,
+        job: str | Path | None = None,
+        *,
+        dry_run: bool = False,
+        abandon: bool = False,
+        note: str = "",
+    ) -> Transition:
+        """Change to another job as `switch` does, if its conditions hold now.
+
+        Args:
+            job: The ``.job`` file or its name.
+            dry_run: Only verify, and return what would be done.
+            abandon: Give the present job up.
+            note: The reason of the change, for the event STEP in the log; without it
+                there is no such event.
+
+        Raises:
+            PbonetError: As `switch` says.
+        """
+        from . import switching
+        from .condition_gate import ConditionGate
+
+        with self._changing(partly=False, claimed=not dry_run) as task_set:
+            if abandon and not dry_run:
+                self.inbox.forget()
+            wanted = self.files.read_job(job)
+            gate = ConditionGate(
+                task_set, wanted, leaves=True, abandons=abandon, note=note
+            )
+            plan = switching.plan_job(task_set, wanted)
+            return switching.carry_out(
+                task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
+            )
 
     # -- the whole --------------------------------------------------------------------
 
@@ -846,7 +874,8 @@ class Subsystem:
 
         Returns:
             That of the tasks as last read from the RTPUs; before `open`, that of the
-            job with which it was made.
+            job with which it was made. Parameters have the values of the RMODs; `get`
+            returns those that were set since.
 
         Raises:
             ConfigError: It is not open, and the job is wrong.
@@ -1081,6 +1110,49 @@ class Subsystem:
         values.sort(key=lambda one: names.index(one.name))
         return [one for one in values if writer in {None, task_of(one.writer)}]
 
+    def values(
+        self, variable: str | Iterable[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Return values of variables as numpy arrays, all of one instant.
+
+        Args:
+            variable: Names, in which * and ? match any text; None: all.
+
+        Returns:
+            By name, each with the type of the table: shape ``(n,)``, or ``()`` of a
+            variable with one element. `display` also has unit, age and writer.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+        """
+        from .variable_arrays import array_of
+
+        table = {one.name: one for one in self.files.table.variables}
+        found = self.display(variable)
+        return {one.name: array_of(one.values, table[one.name]) for one in found}
+
+    def value(self, variable: str) -> NDArray[Any]:
+        """Return the value of one variable as a numpy array, as `values` does.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+        """
+        self.files.must_have(variable)
+        return self.values(variable)[variable]
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a table of the tasks, and their graph.
+
+        What cannot be read is said in its place: a notebook would show a stack.
+        """
+        from . import subsystem_html
+
+        try:
+            statuses = self.status_all() if self.is_open else None
+            return subsystem_html.page(self.graph(), statuses)
+        except PbonetError as error:
+            return subsystem_html.failed(self.name, error)
+
     def library(
         self,
         text: str | Sequence[str] = (),
@@ -1219,7 +1291,7 @@ class Subsystem:
 
     @property
     def step_ends(self) -> StepEnds:
-        """What waits for the ends of steps."""
+        """The waits for the ends of steps."""
         from .step_end import StepEnds
 
         return StepEnds(self.task_set, self.inbox, self.clock)

@@ -86,7 +86,7 @@ class Page:
         linked: Callable[[Role, str], None],
     ) -> None:
         self._source = source
-        self._orders = orders(self.tell) if orders is not None else None
+        self._orders = orders(self.send_to_all) if orders is not None else None
         self._access = access
         self._linked = linked
         self._browsers = Browsers(source.want)
@@ -107,7 +107,7 @@ class Page:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: object) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
-        self._source.start(self.tell)
+        self._source.start(self.send_to_all)
         try:
             yield
         finally:
@@ -115,11 +115,11 @@ class Page:
                 await asyncio.to_thread(self._orders.close)
             await asyncio.to_thread(self._source.close)
 
-    def tell(self, message: Data) -> None:
+    def send_to_all(self, message: Data) -> None:
         """Send a message to all browsers; any thread may call it."""
         loop = self._loop
         if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._browsers.tell, message)
+            loop.call_soon_threadsafe(self._browsers.send, message)
 
     # -- files ------------------------------------------------------------------------
 

@@ -101,7 +101,7 @@ class Browsers:
         """Take in that a browser watches other variables."""
         self._watched(frozenset().union(*(one.watched for one in self._browsers)))
 
-    def tell(self, message: Data) -> None:
+    def send(self, message: Data) -> None:
         """Send a message to all."""
         if message["kind"] == "values":
             for browser in self._browsers:

@@ -321,7 +321,7 @@ class _Run:
             self._port = Port(
                 self._subsystem, self._subsystem.name, handover=False, told=_unsaid
             )
-            self.sequencer = Sequencer(self._subsystem, told=self._told)
+            self.sequencer = Sequencer(self._subsystem, told=self._send_state)
             self._port.open()
         except BaseException:
             self._subsystem.detach()
@@ -348,7 +348,7 @@ class _Run:
             self.sequencer.abort("the page's server ends")
         self._thread.join(_END_TIME)
 
-    def _told(self, _: SequenceState) -> None:
+    def _send_state(self, _: SequenceState) -> None:
         self._tell(self.message)
 
     def _run(self) -> None:

@@ -6,6 +6,7 @@ the status twice a second, and hands on what has changed. Nothing is asked of a 
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
     Data = dict[str, Any]
 
 STATES: Final = 0.5
-"""Seconds between two looks at the status, the events and all values."""
+"""Seconds between two requests of the status, the events and all values."""
 RETRY: Final = 1.0
 """Seconds between two attempts to reach the subsystem's agents."""
 _LARGEST: Final = 64
-"""Numbers of a variable up to which its history is kept though nobody watches it."""
+"""Numbers of a variable whose history is kept though no browser watches it, at most."""
 
 log = logging.getLogger("pbonet.master")
 
@@ -77,6 +78,7 @@ class Watcher(Source):
         self._look = threading.Event()
         self._complaints: list[str] = []
         self._shape: object = None
+        self._count = itertools.count(1)
         self._last: dict[str, Data] = {}
         """The newest value of each variable."""
         self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
@@ -109,7 +111,7 @@ class Watcher(Source):
         """Read these variables at the full rate from now on."""
         self._wanted = frozenset(names)
 
-    def look(self) -> None:
+    def refresh_soon(self) -> None:
         """Read the status now, because a command was carried out."""
         self._look.set()
 
@@ -119,7 +121,7 @@ class Watcher(Source):
         return drawn or task in self._states  # it was created a moment ago
 
     def first(self) -> list[Data]:
-        """Return what a new browser is told: graph, status, events, complaints."""
+        """Return the first messages: graph, status, events, complaints."""
         with self._lock:
             return [
                 {"kind": "graph", "graph": self._graph},
@@ -190,7 +192,7 @@ class Watcher(Source):
             self._told({"kind": "values", "t": time.time(), "values": new})
 
     def _read_states(self, subsystem: Subsystem, follower: Follower) -> list[str]:
-        events = [_event(one) for one in follower.take()]
+        events = [_event(one, next(self._count)) for one in follower.take()]
         results, errors = subsystem.clients.each(lambda _: m.Status(), m.RtpuStatus)
         silent = [name for name in subsystem.clients.names if name not in results]
         with self._lock:
@@ -214,8 +216,12 @@ class Watcher(Source):
             return
         subsystem.task_set.refresh(strict=False)
         graph: Data = msgspec.to_builtins(subsystem.graph())
+        drawn = {one["name"] for one in graph["tasks"]}
+        complete = drawn == {one[0] for one in shape}
         graph = graph if graph["tasks"] else self._planned
-        self._shape = shape
+        self._shape = shape if complete else None  # it is drawn again at the next look
+        if graph == self._graph:
+            return
         with self._lock:
             self._graph = graph
         self._told({"kind": "graph", "graph": graph})
@@ -227,15 +233,17 @@ class Watcher(Source):
             self._told({"kind": "complaints", "texts": texts})
 
 
-def _event(event: Event) -> Data:
+def _event(event: Event, number: int) -> Data:
+    """Return an event as a message has it; RTPUs number theirs apart."""
     data: Data = msgspec.to_builtins(event)
+    data["n"] = number
     data["t"] = data.pop("wall")
     data["severity"] = Severity(event.severity).name.lower()
     return data
 
 
 def _unheard(_: Data) -> None:
-    """Tell nobody, before there is somebody."""
+    """Drop a message, before there is a server."""
 
 
 def _unsaid(_: str) -> None:
