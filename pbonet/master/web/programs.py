@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec import structs
 
 from pbonet.config import SeqFile, load, parse_seq, read_job, rewrite_seq
 from pbonet.errors import PbonetError, ProtocolError, StateError, did_you_mean
@@ -228,9 +229,9 @@ class _Run:
         self.name = path.stem
         self.ended = False
         self._tell = told
-        arguments = place.arguments | {"take_over": False, "confirm": None}
+        place = structs.replace(place, take_over=False, confirm=None)
         self._subsystem = Subsystem(
-            path, **arguments, kind="web-operator", warned=_unsaid
+            path, **place.arguments, kind="web-operator", warned=_unsaid
         )
         self._subsystem.open()
         try:
