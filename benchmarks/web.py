@@ -6,8 +6,8 @@ server and of all agents with their tasks, in percent of a core; values that cam
 second; and releases that the 500 Hz task missed. A browser is here a client of the
 socket that reads all that comes.
 
-Goals: the server takes at most 6 % with one browser and 9 % with five, the agents at most 2 % more than
-without.
+Goals: the server takes at most 6 % with one browser and 9 % with five, the agents at
+most 2 % more than without.
 
     python -m benchmarks.web [--seconds 60] [--turns 2] [--quick]
 """

@@ -24,7 +24,7 @@ from .orders import Play, Seek, Watch, decode, is_fit
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncGenerator, Callable
 
     from starlette.requests import Request
     from starlette.responses import Response
@@ -105,7 +105,7 @@ class Page:
         return _Guard(made, self._access)
 
     @contextlib.asynccontextmanager
-    async def _lifespan(self, _: object) -> AsyncIterator[None]:
+    async def _lifespan(self, _: object) -> AsyncGenerator[None]:
         self._loop = asyncio.get_running_loop()
         self._source.start(self.send_to_all)
         try:
@@ -153,7 +153,7 @@ class Page:
 
     async def _asset(self, request: Request) -> Response:
         name = request.path_params["name"]
-        there = {one.name for one in DIST.iterdir()} if DIST.is_dir() else set()
+        there = {one.name for one in DIST.glob("*")}
         if name not in there:
             return PlainTextResponse("there is no such file\n", 404)
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"

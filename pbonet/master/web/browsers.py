@@ -99,7 +99,7 @@ class Browsers:
 
     def rewatch(self) -> None:
         """Take in that a browser watches other variables."""
-        self._watched(frozenset().union(*(one.watched for one in self._browsers)))
+        self._watched({name for one in self._browsers for name in one.watched})
 
     def send(self, message: Data) -> None:
         """Send a message to all."""

@@ -35,7 +35,7 @@ from .job_edits import JobEdits
 from .programs import STEERING, Programs
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Sequence
+    from collections.abc import AsyncGenerator, Callable, Sequence
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -317,7 +317,7 @@ def _only_operators(command: str) -> AccessError:
 @contextlib.asynccontextmanager
 async def _progress(
     number: int, name: str, told: Callable[[Data], None]
-) -> AsyncIterator[None]:
+) -> AsyncGenerator[None]:
     """Tell every half second that a command runs, while the block does."""
     begun = time.monotonic()
 

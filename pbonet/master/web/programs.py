@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
+from msgspec import structs
 
 from pbonet.config import SeqFile, load, parse_seq, read_job, rewrite_seq
 from pbonet.errors import (
@@ -26,7 +27,7 @@ from pbonet.master.editing import SavedFiles
 from pbonet.master.subsystem import Sequencer, Subsystem
 from pbonet.master.tools import export_program
 from pbonet.pbo import PREDEFINED
-from pbonet.xm.net import check_name
+from pbonet.xm.net import check_name, convert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -201,10 +202,13 @@ class Programs:
         path = self._path(args)
         try:
             given = {"file": str(path), "sbs": self._files.path.name}
-            seq = msgspec.convert({**args.get("seq", {}), **given}, SeqFile)
+            seq = convert({**args.get("seq", {}), **given}, SeqFile)
         except (msgspec.ValidationError, TypeError) as error:
             raise ProtocolError(
-                "this is no program", where=path.name, got=str(error)[:200]
+                "this is no program",
+                where=path.name,
+                got=str(error)[:200],
+                remedy="see docs/web.md for its form",
             ) from None
         return path, seq
 
@@ -311,10 +315,9 @@ class _Run:
         self.name = path.stem
         self.ended = False
         self._tell = told
-        more = {"take_over": False, "confirm": None}
-        arguments = dict[str, Any](place.arguments, **more)
+        place = structs.replace(place, take_over=False, confirm=None)
         self._subsystem = Subsystem(
-            path, **arguments, kind="web-operator", warned=_unsaid
+            path, **place.arguments, kind="web-operator", warned=_unsaid
         )
         self._subsystem.open()
         try:

@@ -13,6 +13,7 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec import structs
 
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.console import Follower
@@ -85,10 +86,10 @@ class Watcher(Source):
 
     def _made(self) -> Subsystem:
         """Return the subsystem, which is not open yet."""
-        arguments = self._place.arguments | {"take_over": False, "confirm": None}
+        place = structs.replace(self._place, take_over=False, confirm=None)
         return Subsystem(
             self._path,
-            **arguments,
+            **place.arguments,
             kind="web",
             watch=True,
             partly=True,

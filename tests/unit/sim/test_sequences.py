@@ -456,8 +456,11 @@ def test_run_sim_runs_a_sequence_and_its_status_says_how(shop, capsys, text, las
     assert last in out
     assert "step 1: job " in out
     assert "every cycle is in" in out
-    assert verb("log", "events", next(runs.iterdir())) == 0
+    (log,) = runs.iterdir()
+    assert verb("log", "events", log) == 0
     assert "is entered: test: STEP" in capsys.readouterr().out
+    assert verb("replay", log) == 0, "the sequence is simulated again from its log"
+    assert "identical" in capsys.readouterr().out
 
 
 def test_simulate_says_how_to_run_a_sequence(shop, capsys):
