@@ -239,7 +239,7 @@ function Verdict() {
   const state = programs.checking ? "checking" : draft.refusal ? "faulty" : count ? "faulty" : judged ? "good" : "empty";
   return (
     <footer className={`verdict verdict-${state}`} aria-label="check">
-      <p role="status"><b>{programs.checking ? "… checking" : draft.refusal ? "✕ not checked" : count ? `✕ ${count === 1 ? "1 fault" : `${count} faults`}` : judged ? "✓ no fault" : ""}</b> <span className="dim">{draft.seq.lines.length ? `${steps(draft.seq).length} steps` : "no step yet"}{mine && ` in ${mine}`}</span></p>
+      <p role="status"><b>{programs.checking ? "… checking" : draft.refusal ? "✕ not checked" : count ? `✕ ${count === 1 ? "1 fault" : `${count} faults`}` : judged ? "✓ no fault" : ""}</b> <span className="dim">{draft.seq.lines.length ? `${steps(draft.seq).length} ${steps(draft.seq).length === 1 ? "step" : "steps"}` : "no step yet"}{mine && ` in ${mine}`}</span></p>
       {draft.refusal && <pre className="remark remark-error">{draft.refusal}</pre>}
       {list(flat.filter((one) => one.severity === "error"))}
       {flat.length > count && <details><summary>{flat.length - count === 1 ? "one remark" : `${flat.length - count} remarks`}</summary>{list(flat.filter((one) => one.severity !== "error"))}</details>}

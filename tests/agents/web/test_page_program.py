@@ -218,6 +218,48 @@ def test_branches_and_loops_are_drawn_and_edited_by_keyboard(page, cell):
     ).wait_for()
 
 
+def test_the_forms_write_the_file_and_a_foreign_change_is_not_overwritten(page, cell):
+    begin(page, "forms")
+    for job in ("approach", "lift"):
+        page.locator(".jobs button", has_text=job).press("Enter")
+    put(page, "or after (FOR)", "x")
+    form(page).get_by_text("“x” is no number above 0").wait_for()
+    put(page, "or after (FOR)", "3")
+    field(page, "after an error (ELSE)").select_option("approach")
+    tile(page, "approach").click()
+    do(page, "add an end")
+    field(page, "by").select_option("condition")
+    put(page, "condition", "WIDTH > 7 [cm]")
+    do(page, "repeat")
+    do(page, "go to")
+    field(page, "go to").select_option("lift")
+    field(page, "when").select_option("if")
+    field(page, "by").select_option("condition")
+    put(page, "condition", "HELD")
+    page.locator(".loop .tile", has_text="if (HELD)").wait_for()
+    keep_picture(page, "program-loop")
+    do(page, "save")
+    page.locator(".program-tools .outcome", has_text="saved: forms.seq").wait_for()
+    file = cell / "forms.seq"
+    lines = file.read_text().splitlines()[3:]
+    assert [" ".join(line.split()) for line in lines] == [
+        "STEP approach UNTIL (WIDTH > 7 [cm])", "REPEAT 2", "GOTO lift IF (HELD)", "END",
+        "STEP lift FOR 3.0 ELSE approach", "EOF",
+    ]  # fmt: skip
+    file.write_text(file.read_text().replace("FOR 3.0", "FOR 4.0"))
+    tile(page, "lift").click()
+    put(page, "or after (FOR)", "5")
+    do(page, "save")
+    page.get_by_role("alert").filter(has_text="since it was opened").wait_for()
+    assert "FOR 4.0" in file.read_text()
+    do(page, "open it again")
+    tile(page, "lift").get_by_text("until 4 s").wait_for()
+    do(page, "undo")
+    do(page, "save")
+    page.locator(".program-tools .outcome", has_text="saved: forms.seq").wait_for()
+    assert "FOR 5.0" in file.read_text()
+
+
 def test_a_program_is_steered_from_every_browser_and_aborted_to_its_safe_job(
     page, browser, server, cell
 ):
