@@ -243,8 +243,8 @@ def test_the_forms_write_the_file_and_a_foreign_change_is_not_overwritten(page, 
     file = cell / "forms.seq"
     lines = file.read_text().splitlines()[3:]
     assert [" ".join(line.split()) for line in lines] == [
-        "STEP approach UNTIL (WIDTH > 7 [cm])", "REPEAT 2", "GOTO lift IF (HELD)", "END",
-        "STEP lift FOR 3.0 ELSE approach", "EOF",
+        "STEP approach UNTIL (WIDTH > 7 [cm])", "REPEAT 2", "GOTO lift IF (HELD)",
+        "END", "STEP lift FOR 3.0 ELSE approach", "EOF",
     ]  # fmt: skip
     file.write_text(file.read_text().replace("FOR 3.0", "FOR 4.0"))
     tile(page, "lift").click()

@@ -76,6 +76,28 @@ def test_arguments_of_all_kinds_arrive(made, carried):
     ]
 
 
+def test_a_program_is_steered_while_a_simulation_keeps_others_waiting(
+    made, monkeypatch
+):
+    gate = threading.Event()
+    monkeypatch.setattr(made._edits, "do", lambda *_: gate.wait(30))
+    monkeypatch.setattr(made._programs, "do", lambda name, _: {"did": name})
+
+    async def steer():
+        told = []
+        simulated = made.answer(orders.Edit(1, "simulate"), Role.OPERATOR, told.append)
+        waiting = asyncio.create_task(simulated)
+        await asyncio.sleep(0)
+        asked = [orders.Program(2, name) for name in ("abort", "pause")]
+        answers = [await made.answer(one, Role.OPERATOR, told.append) for one in asked]
+        assert not waiting.done()
+        gate.set()
+        await waiting
+        return [one["data"]["did"] for one in answers]
+
+    assert asyncio.run(steer()) == ["abort", "pause"]
+
+
 def test_a_refusal_is_told_word_for_word(made):
     answer = ask(made, orders.Line(4, "on pid text=wrong"))
     assert answer == {
