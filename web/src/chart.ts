@@ -25,7 +25,7 @@ export class ChartView {
 
   constructor(private readonly series: Series[], place: HTMLElement, private readonly atCursor: AtCursor) {
     this.plot = new uPlot(this.options(place.clientWidth), this.table as uPlot.AlignedData, place);
-    const resized = new ResizeObserver(() => { if (place.clientWidth > 60) this.plot.setSize({ width: place.clientWidth, height: HEIGHT }); });
+    const resized = new ResizeObserver(() => { if (place.clientWidth > 60) this.plot.setSize({ width: place.clientWidth, height: Math.max(HEIGHT, place.clientHeight) }); });
     resized.observe(place);
     this.stops.push(
       () => resized.disconnect(),

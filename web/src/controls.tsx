@@ -67,7 +67,7 @@ export function Outcome({ of, done = "" }: { of: Running; done?: ReactNode }) {
   }
   if (!answer || (answer.ok && !answer.warnings.length && !done)) return null;
   return (
-    <div className={`outcome ${answer.ok ? "done" : "refusal"}`} role={answer.ok ? "status" : "alert"}>
+    <div className={`outcome ${!answer.ok ? "refusal" : answer.warnings.length ? "warned" : "done"}`} role={answer.ok ? "status" : "alert"}>
       <button type="button" className="close" onClick={of.clear} aria-label="close this message">×</button>
       {answer.ok ? done : <pre>{answer.text}</pre>}
       {answer.warnings.map((text) => <pre key={text} className="warning">{text}</pre>)}

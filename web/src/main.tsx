@@ -9,3 +9,4 @@ import { connect, watchForSilence } from "./connection";
 createRoot(document.getElementById("root")!).render(<App />);
 connect();
 watchForSilence();
+if (location.search) history.replaceState(null, "", location.pathname); // a link works once; the cookie goes on
