@@ -10,7 +10,11 @@ const FRAME_PAD = 22, FRAME_HEAD = 34;
 const LANE = 14;
 const MANY_TASKS = 40;
 
-export interface GraphOptions { compact: boolean; folded: ReadonlySet<string>; operator: boolean }
+export interface GraphOptions {
+  compact: boolean; folded: ReadonlySet<string>; operator: boolean;
+  /** Whether RTPUs without a task are drawn, too. */
+  empty?: boolean;
+}
 export type TaskNode = Node<{ task: TaskInfo; compact: boolean; faulty: string[] }, "task">;
 export type FrameNode = Node<{ rtpu: string; keeper: boolean; tasks: string[]; folded: boolean }, "frame">;
 export type OtherNode = Node<{ name: string; what: "subsystem" | "device" }, "other">;
@@ -65,8 +69,8 @@ function makeNodes(graph: Graph, options: GraphOptions, folded: Set<string>): An
   const nodes: AnyNode[] = [];
   for (const rtpu of rtpusOf(graph)) {
     const tasks = graph.tasks.filter((one) => one.rtpu === rtpu).map((one) => one.name);
-    if (!tasks.length) continue;
-    const isFolded = folded.has(rtpu);
+    if (!tasks.length && !options.empty) continue;
+    const isFolded = folded.has(rtpu) || !tasks.length;
     nodes.push({
       id: frameId(rtpu), type: "frame", position: { x: 0, y: 0 }, selectable: false, zIndex: -1,
       ...(isFolded ? { width: 250, height: 92 } : {}),

@@ -72,7 +72,8 @@ class JobEditor:
         """Return all that a page shows, as plain values.
 
         ``graph`` is that of `pbonet.master.configuration.Graph`; ``settings`` has the
-        fields of each task's form, ``table`` those of each variable.
+        fields of each task's form, ``table`` those of each variable, ``about`` those of
+        the job.
         """
         verdict = self.verdict
         return {
@@ -83,6 +84,8 @@ class JobEditor:
             "warnings": verdict.warnings,
             "timing": verdict.timing(),
             "settings": {name: self._settings(name) for name in task_names(self.files)},
+            "table": self._table(),
+            "about": self._about(),
             "off_order": list(self.files.draft.job.off_order),
             "offers": msgspec.to_builtins(self.offers()),
             "undo": self._history.undo_label,
@@ -346,6 +349,21 @@ class JobEditor:
             found[name] = getattr(record, name) if said is None else said
         found["module"] = record.module
         return cast("State", msgspec.to_builtins(found))
+
+    def _table(self) -> State:
+        """Return the fields of each variable's form."""
+        found: State = {}
+        for one in self.files.draft.table.variables:
+            about = cast("State", msgspec.to_builtins(one))
+            found[one.name] = {k: v for k, v in about.items() if k != "place"}
+        return found
+
+    def _about(self) -> State:
+        """Return the fields of the job's form."""
+        job = self.files.draft.job
+        conditions = {"pre": job.pre, "post": job.post}
+        texts = {key: [one.text for one in every] for key, every in conditions.items()}
+        return {"name": job.name, "desc": job.desc, **texts}
 
     def _notes(self) -> dict[Path, list[str]]:
         """Return what is to be said of files that are written."""

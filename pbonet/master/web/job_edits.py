@@ -106,9 +106,12 @@ class JobEdits:
     def _open(self, args: Data) -> Data:
         """Open a job beside the ``.sbs`` file; one that is not there begins empty.
 
-        Without a name it is the one with which the page was opened, if any, else the
-        first there is, else a new one of the subsystem's name.
+        Without a name it is the one that is open, with its changes. If none is, it is
+        the one with which the page was opened, if any, else the first there is, else a
+        new one of the subsystem's name.
         """
+        if self._editor is not None and not args.get("job"):
+            return self._editor.state() | {"jobs": self._files.jobs()}
         name = str(args.get("job") or self._default())
         check_name("a job", name)
         path = self._beside(name)
@@ -146,7 +149,8 @@ class JobEdits:
 
     def _save(self, _: Data) -> Data:
         written = [str(path) for path in self._now.save()]
-        return self._shown(self._now.state()) | {"written": written}
+        state = self._now.state() | {"jobs": self._files.jobs()}
+        return self._shown(state) | {"written": written}
 
     def _simulate(self, args: Data) -> Data:
         seconds, names = args.get("seconds", 2.0), args.get("variables", [])
