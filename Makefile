@@ -8,7 +8,7 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o -name '*.h')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup native demo hosts-demo check lint mypy pyright test bench docs clean
+.PHONY: help setup native page demo hosts-demo check lint mypy pyright test bench docs clean
 
 help:  ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -36,10 +36,18 @@ $(VENV)/.packages: $(VENV)/.demo
 	$(PIP) "pip>=25.1"
 	$(PIP) \
 	  --group test --group dev --group typing --group docs --group deploy \
-	  "pbonet[robot,placo,mujoco,design,mpc,trajectory,devices,plot,parquet,view,web,ros2,keys,files,mavlink,can,i2c,gpio,spi,ethercat]"
+	  "pbonet[robot,placo,mujoco,design,mpc,trajectory,devices,plot,parquet,pandas,view,web,ros2,keys,files,mavlink,can,i2c,gpio,spi,ethercat]"
 	@touch $@
 
 native: $(VENV)/.native  ## Build the native parts again after a change
+
+# The page in the browser. Without npm there is none, and all else works.
+PAGE := pbonet/master/web/dist/index.html
+$(PAGE): web/package-lock.json web/package.json web/build.mjs $(shell find web/src -type f)
+	@command -v npm >/dev/null || { echo "npm is not installed, so the page of pbonet web is not built"; exit 1; }
+	cd web && npm ci --no-audit --no-fund && npm run build
+
+page: $(PAGE)  ## Build the page of pbonet web (needs npm)
 
 demo: $(VENV)/.native  ## Run the PUMA 560 example for 15 s and plot it
 	$(BIN)/python examples/puma/demo.py

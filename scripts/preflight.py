@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -36,13 +37,13 @@ def lacks_to_compile() -> list[str]:
     if not has_headers():
         lacks.append("Python's C headers are missing; apt-get install python3-dev")
     named = os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc"
-    compiler = shutil.which(named.split()[0])
-    if compiler is None:
+    command = shlex.split(named)
+    if shutil.which(command[0]) is None:
         lacks.append(
-            f"the C compiler {named.split()[0]} was not found; name another one with "
+            f"the C compiler {command[0]} was not found; name another one with "
             "CC, or apt-get install gcc libc6-dev"
         )
-    elif not compiles(compiler):
+    elif not compiles(command):
         lacks.append("the C library's headers are missing; apt-get install libc6-dev")
     return lacks
 
@@ -57,11 +58,16 @@ def has_headers() -> bool:
     return (Path(sysconfig.get_path("include")) / "Python.h").exists()
 
 
-def compiles(compiler: str) -> bool:
-    """Tell whether a compiler finds the headers of the C library."""
-    command = [compiler, "-fsyntax-only", "-x", "c", "-"]
+def compiles(command: list[str]) -> bool:
+    """Tell whether a compiler, with its first arguments, finds the C library's headers.
+
+    It may be a compiler behind another program, such as ``ccache gcc``.
+    """
     done = subprocess.run(
-        command, input=b"#include <stdlib.h>\n", capture_output=True, check=False
+        [*command, "-fsyntax-only", "-x", "c", "-"],
+        input=b"#include <stdlib.h>\n",
+        capture_output=True,
+        check=False,
     )
     return done.returncode == 0
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated as A, Any, Final
 
 from pbonet.master.console import Arg, Command, Kind, find
 
 from . import options
-from .parser import Compound, Parameter, Verb, parameter
+from .parser import Compound, Option, Parameter, Verb, parameter
 
 if TYPE_CHECKING:
     from pbonet.master.configuration import Place
@@ -18,6 +18,25 @@ _FILE = "arm.sbs"
 """The subsystem of examples."""
 _TYPES = {Kind.FLAG: bool, Kind.NUMBER: float, Kind.COUNT: int}
 """Types of words that the command line checks; the others are the command's matter."""
+
+
+_EVERY = "Repeat with so many seconds between; 0.5 on a terminal, else 5."
+_REPEAT = Compound(
+    (
+        parameter(
+            "watch",
+            A[bool, Option("Repeat until Ctrl-C, over the last table.")],
+            default=False,
+        ),
+        parameter("every", A[float | None, Option(_EVERY, least=0.05)]),
+        parameter(
+            "count", A[int | None, Option("Repeat so many times at most.", least=1)]
+        ),
+    ),
+    dict,
+)
+_WATCHED: Final = {"status": ("--watch", "Watch all tasks until Ctrl-C.")}
+"""Commands that a verb may repeat; the words of an example, and its use."""
 
 
 def verb(name: str) -> Verb:
@@ -29,11 +48,15 @@ def verb(name: str) -> Verb:
         file: Path,
         place: Place,
         json_: bool,
+        repeat: dict[str, Any] | None = None,
         **given: object,
     ) -> None:
         from pbonet.errors import StateError
         from pbonet.master.console import oneshot
 
+        if repeat and any(repeat.values()):
+            _watch(file, given, place, repeat, as_data=json_)
+            return
         try:
             reply = oneshot.run(file, command.name, given, place)
         except StateError as error:
@@ -53,13 +76,42 @@ def verb(name: str) -> Verb:
             need=True,
         ),
         *arguments(name).parts,
+        *(_REPEAT.parts if name in _WATCHED else ()),
         *place.parts,
         parameter("json_", options.Json, default=False),
     ]
     examples = tuple((example(command, line), use) for line, use in command.examples)
     compounds = {"place": place}
+    if name in _WATCHED:
+        words, use = _WATCHED[name]
+        examples += ((f"pbonet {name} {_FILE} {words}", use),)
+        compounds["repeat"] = _REPEAT
     made = Verb(name, command.help, examples, tuple(parameters), run, compounds)
     return made
+
+
+def _watch(
+    file: Path,
+    given: dict[str, object],
+    place: Place,
+    repeat: dict[str, Any],
+    *,
+    as_data: bool,
+) -> None:
+    """Show the status again and again.
+
+    Raises:
+        StateError: The extremes are to be restarted, too.
+    """
+    from pbonet.errors import StateError
+    from pbonet.master.console import watch_status
+
+    if given.get("reset"):
+        raise StateError(
+            "--reset and --watch exclude each other", remedy="reset first, then watch"
+        )
+    every, count = repeat["every"], repeat["count"]
+    watch_status.watch(file, given, place, every=every, count=count, as_data=as_data)
 
 
 def arguments(name: str) -> Compound:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Record = TypeVar("Record", bound=msgspec.Struct)
 Key = tuple[str, ...]
-"""What tells a line of a file from all others: its keyword, and what it is about."""
+"""A line of a file: its keyword, and the thing that it is about."""
 
 _COMMENT = re.compile(r"[ \t]+#.*")
 _LINE = re.compile(r"[ \t]*(?P<keyword>[^ \t\r\n]+)(?P<gap>[ \t]*)(?P<rest>[^\r\n]*)")

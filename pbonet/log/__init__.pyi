@@ -36,5 +36,6 @@ from .schema import (
     StepSchema as StepSchema,
     head as head,
 )
+from .series import Series as Series
 from .states import timelines as timelines
 from .writer import LogWriter as LogWriter

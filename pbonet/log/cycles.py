@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from pbonet.errors import UnknownVariableError, did_you_mean
+
+from .series import Series
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -100,14 +103,20 @@ class Cycles(ABC):
             remedy=did_you_mean(variable, known) or "name one that was written",
         )
 
-    def series(self, variable: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    def unit(self, variable: str) -> str:
+        """Return the unit of a variable that a task wrote; empty if it is not known."""
+        del variable
+        return ""
+
+    def series(self, variable: str) -> Series:
         """Return a variable over time: seconds since the run began, and its values.
 
         The values of all its writers are included, as after a swap; see `writers`.
 
         Returns:
-            The releases of the writers' cycles, shape ``(n,)``, in seconds; and the
-            values, shape ``(n, ...)`` with the variable's own shape last, in its unit.
+            A pair that can be plotted: the releases of the writers' cycles, shape
+            ``(n,)``, in seconds; and the values, shape ``(n, ...)`` with the variable's
+            own shape last, in its unit.
 
         Raises:
             UnknownVariableError: No task of the run wrote it.
@@ -117,7 +126,9 @@ class Cycles(ABC):
         values = np.concatenate([one.values for one in each])
         order = np.argsort(releases, kind="stable")
         seconds = (releases[order] - self.begin_ns).astype(np.float64) * 1e-9
-        return seconds, values[order]
+        pair = seconds, values[order]
+        writers = partial(self.writers, variable)
+        return Series.of(pair, variable, self.unit(variable), writers)
 
     def writers(self, variable: str) -> list[tuple[float, str]]:
         """Return the tasks that wrote a variable, each time that the writer changed.

@@ -204,6 +204,11 @@ class Log(Cycles):
         about = self.task_about(task)
         return [v.name for v in about.outvar if v.name not in about.hidden]
 
+    def unit(self, variable: str) -> str:
+        """Return the unit of a variable; empty if no task wrote it."""
+        written = (one for life in self._lives for one in life.about.outvar)
+        return next((one.units for one in written if one.name == variable), "")
+
     def arrays(self, task: str) -> dict[str, NDArray[Any]]:
         """Return the columns and variables of a task's cycles, by name.
 

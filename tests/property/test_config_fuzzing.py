@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from pbonet import config
-from pbonet.config import agent, job, rmod, sbs, svar
+from pbonet.config import agent, job, rmod, sbs, seq, svar
 from pbonet.config.write import meaning
 from pbonet.errors import ConfigError
 
@@ -16,6 +16,7 @@ PARSE = {
     ".rmod": config.parse_rmod,
     ".sbs": config.parse_sbs,
     ".job": config.parse_job,
+    ".seq": config.parse_seq,
     ".toml": config.parse_agent,
 }
 WRITE = {
@@ -23,6 +24,7 @@ WRITE = {
     ".rmod": config.write_rmod,
     ".sbs": config.write_sbs,
     ".job": config.write_job,
+    ".seq": config.write_seq,
 }
 KEYWORDS = [
     *svar.GRAMMAR.keywords,
@@ -30,6 +32,7 @@ KEYWORDS = [
     *sbs.HEAD.keywords,
     *sbs.RTPU.keywords,
     *job.GRAMMAR.keywords,
+    *seq.GRAMMAR.keywords,
     "LOCAL",
     "DEFINE",
     "EOF",
@@ -38,7 +41,8 @@ VALUES = [
     "double", "int", "bool", "struct[32]", "struct[A]", "A", "-A", "B", "0", "1", "2.5",
     "-1", "1e999", "0x7f", "nan", "inf", "yes", "no", "none", "clip", "periodic",
     "synchronous", "sporadic", "deferrable", "0.01", "MUF", "shared", "Z=Q", "Z", "Q",
-    "#", "\u00e9", "x" * 99,
+    "#", "\u00e9", "x" * 99, "UNTIL", "FOR", "WITHIN", "ELSE", "IF", "OR", "(Q > 1)",
+    "a:", "a", "forever",
 ]  # fmt: skip
 endings = st.sampled_from(sorted(PARSE))
 lines = st.builds(

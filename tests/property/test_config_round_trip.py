@@ -8,15 +8,24 @@ from msgspec import structs
 from pbonet import config
 from pbonet.config.model import (
     Condition,
+    EndRepeat,
     ErrPrint,
+    Finish,
+    Goto,
     JobFile,
     JobTask,
     Limit,
     LocalLine,
+    Order,
+    Repeat,
     Rmod,
     RtpuEntry,
     SbsFile,
     Scheduler,
+    SeqFile,
+    SeqLine,
+    Step,
+    StepEnd,
     SvarFile,
     TaskType,
     Usage,
@@ -254,3 +263,82 @@ def test_sbs(record: SbsFile) -> None:
 def test_job(record: JobFile) -> None:
     again = config.parse_job(config.write_job(record), record.file)
     assert meaning(again) == meaning(record)
+
+
+def end_signals(condition: st.SearchStrategy[str]) -> st.SearchStrategy[StepEnd]:
+    signals = st.builds(StepEnd, signal=labels, task=st.just("") | labels)
+    return signals | st.builds(StepEnd, condition=condition)
+
+
+@st.composite
+def steps(draw: st.DrawFn, label: str, targets: list[str]) -> Step:
+    until = tuple(draw(st.lists(end_signals(questions), max_size=3)))
+    lasts = draw(st.none() | seconds)
+    within = draw(st.none() | seconds) if until and lasts is None else None
+    return Step(
+        job=draw(labels),
+        label=label,
+        until=until,
+        seconds=lasts,
+        within=within,
+        otherwise=draw(st.sampled_from(["", *targets])),
+    )
+
+
+@st.composite
+def orders(draw: st.DrawFn) -> Order:
+    command = draw(st.sampled_from(["spawn", "kill", "set", "write"]))
+    floats = st.floats(-1e9, 1e9).map(repr)
+    rest = {
+        "spawn": st.lists(labels, max_size=1),
+        "kill": st.lists(labels, max_size=3),
+        "set": st.lists(words, min_size=2, max_size=4),
+        "write": st.lists(floats, min_size=1, max_size=4),
+    }
+    given_words = (draw(labels), *draw(rest[command]))
+    return Order(command=command, words=given_words)  # type: ignore[arg-type]
+
+
+@st.composite
+def gotos(draw: st.DrawFn, targets: list[str], above: Step) -> Goto:
+    known = [one for one in above.until if one.signal]
+    whens = st.none() | st.builds(StepEnd, condition=questions)
+    return Goto(
+        step=draw(st.sampled_from(targets)),
+        when=draw(whens | st.sampled_from(known) if known else whens),
+    )
+
+
+@st.composite
+def seqs(draw: st.DrawFn) -> SeqFile:
+    """Steps, each with a label, lines after it, and maybe a loop around some."""
+    targets = [f"L{number}" for number in range(draw(st.integers(1, 5)))]
+    lines: list[SeqLine] = []
+    for target in targets:
+        step = draw(steps(target, targets))
+        lines.append(step)
+        for _ in range(draw(st.integers(0, 3))):
+            ends = st.builds(Finish, failed=st.booleans(), text=text)
+            lines.append(draw(orders() | gotos(targets, step) | ends))
+    times = st.integers(0, 1000)
+    if draw(st.booleans()):  # around the whole, so that no line leads into it
+        lines = [Repeat(times=draw(times)), *lines, EndRepeat()]
+    safe = draw(st.none() | steps("", [""]))
+    return SeqFile(
+        file="a.seq",
+        name=draw(labels),
+        desc=draw(text),
+        sbs=draw(sentence),
+        safe=safe,
+        wait=draw(st.just(0.0) | seconds),
+        within=draw(st.none() | seconds),
+        lines=tuple(lines),
+    )
+
+
+@given(seqs())
+def test_seq(record: SeqFile) -> None:
+    written = config.write_seq(record)
+    again = config.parse_seq(written, record.file)
+    assert meaning(again) == meaning(record)
+    assert config.write_seq(again) == written

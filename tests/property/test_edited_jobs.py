@@ -113,7 +113,7 @@ def _shown(state):
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(_edit(), max_size=7))
 def test_edits_are_undone_to_the_byte_and_saved_as_shown(edits):
     with tempfile.TemporaryDirectory() as name:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
+import os
+import pty
+import signal
 import subprocess
 import sys
 import time
@@ -254,6 +258,68 @@ def test_variables_once_again_and_as_csv(standing):
     assert [len(json.loads(line)["variables"]) for line in lines] == [7, 7]
     done = standing("display", "T_GRAF")
     assert "did you mean T_GRAV?" in done.stderr
+
+
+def test_status_again_and_again_as_lines_and_as_data(standing):
+    text = standing("status", "--count", "2", "--every", "0.05").stdout
+    lines = [line.split() for line in text.splitlines()]
+    assert [line[2:4] for line in lines] == 2 * [
+        ["puma_pidg", "OFF"],
+        ["jttrace", "ON"],
+    ]
+    text = standing(
+        "status", "jttrace", "--fields", "state,refF", "--watch", "--count", "1"
+    ).stdout
+    assert text.split()[2:] == ["jttrace", "state", "ON,", "refF", "50"]
+    data = standing(
+        "status", "--watch", "--json", "--count", "2", "--every", "0.05"
+    ).stdout.splitlines()
+    found = [json.loads(line) for line in data]
+    assert [[one["task"] for one in line["tasks"]] for line in found] == 2 * [
+        ["puma_pidg", "jttrace"]
+    ]
+    assert found[0]["time"] < found[1]["time"]
+    done = standing("status", "no_task", "--watch")
+    assert (done.returncode, "no task no_task" in done.stderr) == (1, True)
+    done = standing("status", "--watch", "--reset")
+    assert (done.returncode, "exclude each other" in done.stderr) == (1, True)
+
+
+def test_watched_status_renews_itself_until_ctrl_c(standing, world, puma):
+    del standing
+    words = ["status", str(puma), "--watch", "--domain", world.domain]
+    master, side = pty.openpty()
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "pbonet.cli", *words],
+        stdin=side,
+        stdout=side,
+        stderr=side,
+        cwd=ROOT,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "150"},
+    )
+    os.close(side)
+    text = ""
+    while text.count("Ctrl-C ends this; the tasks go on") < 2:
+        text += os.read(master, 1 << 16).decode()
+    assert "jttrace" in text
+    shown.send_signal(signal.SIGINT)  # as a terminal does
+    with contextlib.suppress(OSError):  # the terminal is closed
+        while more := os.read(master, 1 << 16):
+            text += more.decode()
+    assert shown.wait(60) == 0, text
+    os.close(master)
+    assert "Traceback" not in text
+
+
+def test_the_graph_of_the_tasks_that_exist(standing, tmp_path):
+    done = standing("graph", "--running", "--svg", tmp_path / "now.svg")
+    assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'now.svg'}\n")
+    drawn = (tmp_path / "now.svg").read_text("utf-8")
+    assert "● ON" in drawn
+    assert "○ OFF" in drawn
+    data = json.loads(standing("graph", "--running", "--json").stdout)
+    assert data["states"] == {"puma_pidg": "OFF", "jttrace": "ON"}
+    assert [wire["variable"] for wire in data["wires"]] == ["NDOF", "Q_REF"]
 
 
 def test_script_from_standard_input(pbonet, agents):

@@ -72,8 +72,12 @@ class Stage:
         self.env = {
             "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
         }
-        # Where packages come from is the machine's business.
-        self.machine = {k: v for k, v in os.environ.items() if k.startswith("PIP_")}
+        # Where packages come from is the machine's business, and what it keeps of what
+        # was compiled before.
+        kept = ("PIP_", "CCACHE_")
+        self.machine = {k: v for k, v in os.environ.items() if k.startswith(kept)}
+        if "CCACHE_DIR" in self.machine:
+            self.env["PATH"] = f"/usr/lib/ccache:{self.env['PATH']}"
         self.user = "0"
         self.workdir = "/"
         self.entry: list[str] = []

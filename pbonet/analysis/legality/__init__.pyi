@@ -47,7 +47,11 @@ from .timing import (
     loads as loads,
     traffic as traffic,
 )
-from .units import conversion as conversion, same_unit as same_unit
+from .units import (
+    conversion as conversion,
+    factor as factor,
+    same_unit as same_unit,
+)
 from .verdict import (
     ENDING as ENDING,
     Change as Change,

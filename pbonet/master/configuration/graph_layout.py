@@ -138,9 +138,14 @@ class _Piece(Struct):
         return min(found), max(found)
 
 
-def layout(graph: Graph) -> Layout:
-    """Return the places of all tasks and wires of a graph."""
-    cards, bands = _cards(graph)
+def layout(graph: Graph, *, room: int = 0) -> Layout:
+    """Return the places of all tasks and wires of a graph.
+
+    Args:
+        graph: What is drawn.
+        room: Characters that stay free beside the second line of each card.
+    """
+    cards, bands = _cards(graph, room)
     nets = _nets(cards)
     _put_in_columns(cards, nets)
     columns = _ordered(cards, nets)
@@ -162,7 +167,7 @@ def layout(graph: Graph) -> Layout:
 # -- cards and nets --------------------------------------------------------------------
 
 
-def _cards(graph: Graph) -> tuple[list[Card], list[Band]]:
+def _cards(graph: Graph, room: int) -> tuple[list[Card], list[Band]]:
     names = [rtpu.name for rtpu in graph.rtpus]
     names += sorted({task.rtpu for task in graph.tasks} - {*names})
     used = [name for name in names if any(t.rtpu == name for t in graph.tasks)]
@@ -177,7 +182,7 @@ def _cards(graph: Graph) -> tuple[list[Card], list[Band]]:
         for task in graph.tasks
     ]
     for card in cards:
-        card.width = _width(card)
+        card.width = _width(card, room)
     return cards, [Band(name) for name in used]
 
 
@@ -195,13 +200,13 @@ def _notes(graph: Graph, task: GraphTask) -> list[str]:
     return notes
 
 
-def _width(card: Card) -> float:
+def _width(card: Card, room: int) -> float:
     """Return the width that the texts of a card need."""
     ins = max((len(port.variable) for port in card.ins), default=0)
     outs = max((len(port.variable) for port in card.outs), default=0)
     head = len(card.task.name) * 1.2 + 13
     below = max((len(note) for note in card.notes), default=0)
-    about = len(kind(card.task)) + 4
+    about = len(kind(card.task)) + 4 + room
     return max(ins + outs + 6, head, below + 2, about, 20) * CHAR
 
 
@@ -281,7 +286,7 @@ def _flow(count: int, weights: dict[tuple[int, int], float]) -> list[int]:
 
 def _sources_first(count: int, weights: dict[tuple[int, int], float]) -> list[int]:
     """Return an order: what reads nothing first, in a circle what writes most."""
-    left = list(range(count))
+    left: list[int] = list(range(count))
     order: list[int] = []
     while left:
         ahead = dict.fromkeys(left, 0.0)
@@ -290,8 +295,10 @@ def _sources_first(count: int, weights: dict[tuple[int, int], float]) -> list[in
             if a in ahead and b in ahead:
                 ahead[a] += weight
                 behind[b] += weight
-        ready = [one for one in left if not behind[one]]
-        chosen = ready or [max(left, key=lambda one: ahead[one] - behind[one])]
+        ready: list[int] = [one for one in left if not behind[one]]
+        chosen: list[int] = ready or [
+            max(left, key=lambda one: ahead[one] - behind[one])
+        ]
         order += chosen
         left = [one for one in left if one not in chosen]
     return order

@@ -68,7 +68,14 @@ def svg(graph: Graph, states: Mapping[str, str] | None = None) -> str:
         graph: What is drawn.
         states: The state of each task, if it is to be shown.
     """
-    return _Drawing(graph, layout(graph), states or {}).text()
+    shown = states or {}
+    room = max((len(state_text(one)) + 1 for one in shown.values()), default=0)
+    return _Drawing(graph, layout(graph, room=room), shown).text()
+
+
+def state_text(state: str) -> str:
+    """Return a state with its sign, which tells it without colours."""
+    return f"{_SIGNS.get(state, '')} {state}".strip()
 
 
 class _Drawing:
@@ -168,9 +175,8 @@ class _Drawing:
         yield _label(card.width - 9, 1.15 * ROW, f"{rate}{sign}", "soft end")
         yield _label(9, 2.05 * ROW, kind(task), "soft")
         if state := self._states.get(task.name):
-            sign = _SIGNS.get(state, "")
-            look = f"{state} end" if sign else "end"
-            yield _label(card.width - 9, 2.05 * ROW, f"{sign} {state}", look)
+            look = f"{state} end" if state in _SIGNS else "end"
+            yield _label(card.width - 9, 2.05 * ROW, state_text(state), look)
         for at, port in enumerate(card.ins):
             yield self._port(card, at, port, is_input=True)
         for at, port in enumerate(card.outs):

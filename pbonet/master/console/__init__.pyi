@@ -7,6 +7,7 @@ from . import (
     profile_plot as profile_plot,
     render as render,
     stop_all as stop_all,
+    watch_status as watch_status,
     watch_values as watch_values,
 )
 from .command_session import (

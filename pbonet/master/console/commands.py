@@ -163,6 +163,9 @@ _DRY: Final = Arg(
 _WAIT: Final = Arg(
     "wait", Kind.SECONDS, "how long its conditions may take to become true", Use.NAMED
 )
+_ABANDON: Final = Arg(
+    "abandon", Kind.FLAG, "give the present job up: do not ask its POST", Use.NAMED
+)
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 
 
@@ -514,7 +517,7 @@ COMMANDS: Final = (
     Command(
         "switch",
         "Change to another job; tasks that both have stay ON.",
-        (_JOB, _DRY, _WAIT),
+        (_JOB, _DRY, _WAIT, _ABANDON),
         changes=True,
         whole=True,
         examples=(

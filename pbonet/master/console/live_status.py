@@ -17,7 +17,10 @@ from pbonet.pbo import State
 from . import render
 
 if TYPE_CHECKING:
-    from pbonet.xm.net import Event, RtpuStatus
+    from collections.abc import Iterator, Sequence
+
+    from pbonet.master.subsystem import status_fields
+    from pbonet.xm.net import Event, RtpuStatus, TaskStatus
 
 _COLORS: Final = {"ON": "green", "OFF": "cyan", "ERROR": "red"}
 _HEAD: Final = (
@@ -64,10 +67,24 @@ def view(*, quiet: bool = False) -> View:
 
 
 class Screen:
-    """A table that renews itself, with the last events below it."""
+    """A table that renews itself, with the last events below it.
 
-    def __init__(self, console: Console | None = None) -> None:
+    Args:
+        console: Where it is shown; standard output by default.
+        fields: Fields of `status`, over the last second; none: those of a run.
+        end: What ends it.
+    """
+
+    def __init__(
+        self,
+        console: Console | None = None,
+        *,
+        fields: Sequence[str] = (),
+        end: str = "Ctrl-C turns everything off in order",
+    ) -> None:
         self._console = console or Console()
+        self._fields = fields
+        self._end = end
         self._window = Window()
         self._events: deque[str] = deque(maxlen=_EVENTS)
         self._live = Live(
@@ -89,29 +106,17 @@ class Screen:
 
     def _table(self, passed: float, rtpus: list[RtpuStatus]) -> Table:
         table = Table(box=None, header_style="bold", pad_edge=False)
-        for name in _HEAD:
-            left = name in {"task", "rtpu", "state"}
+        for name in ("task", *self._fields) if self._fields else _HEAD:
+            left = name in {"task", "rtpu", "state", "rmod", "module"}
             table.add_column(name, justify="left" if left else "right", no_wrap=True)
         for status in (task for rtpu in rtpus for task in rtpu.tasks):
             now = self._window.rates(status)
-            if status.state == State.NOT_CREATED:
-                now = dict.fromkeys(now)
-            table.add_row(
-                status.task,
-                status.rtpu,
-                Text(status.state, style=_COLORS.get(status.state, "white")),
-                render.cell("mezF", now["mezF"]),
-                render.cell("refF", now["refF"]),
-                str(status.cycle),
-                str(status.miss),
-                str(status.failed),
-                render.cell("avgC", now["avgC"]),
-                render.cell("maxC", now["maxC"]),
-                render.cell("avgU", now["avgU"]),
-                render.seconds(status.jitter_max),
-                str(status.warn),
-            )
-        table.caption = f"{passed:.0f} s; Ctrl-C turns everything off in order"
+            if self._fields:
+                cells = (render.cell(name, now[name]) for name in self._fields)
+                table.add_row(status.task, *cells)
+            else:
+                table.add_row(*_run_row(status, now))
+        table.caption = f"{passed:.0f} s; {self._end}"
         return table
 
     def _notes(self, rtpus: list[RtpuStatus]) -> list[Text]:
@@ -140,10 +145,36 @@ class Screen:
         self._live.stop()
 
 
-class Plain:
-    """Lines for a log: messages, each event, and a line per task now and then."""
+def _run_row(
+    status: TaskStatus, now: dict[str, status_fields.Value]
+) -> Iterator[str | Text]:
+    """Yield the cells of a task in the table of a run."""
+    if status.state == State.NOT_CREATED:
+        now = dict.fromkeys(now)
+    yield status.task
+    yield status.rtpu
+    yield Text(status.state, style=_COLORS.get(status.state, "white"))
+    yield render.cell("mezF", now["mezF"])
+    yield render.cell("refF", now["refF"])
+    yield from map(str, (status.cycle, status.miss, status.failed))
+    yield from (render.cell(name, now[name]) for name in ("avgC", "maxC", "avgU"))
+    yield render.seconds(status.jitter_max)
+    yield str(status.warn)
 
-    def __init__(self) -> None:
+
+class Plain:
+    """Lines for a log: messages, each event, and a line per task now and then.
+
+    Args:
+        fields: Fields of `status`, over the last second; none: those of a run.
+        period: Seconds between two lines of a task; 0: at each `show`.
+    """
+
+    def __init__(
+        self, *, fields: Sequence[str] = (), period: float = _PLAIN_PERIOD
+    ) -> None:
+        self._fields = fields
+        self._period = period
         self._window = Window()
         self._next = 0.0
 
@@ -158,22 +189,28 @@ class Plain:
             self.say(render.event(event))
         if passed < self._next:
             return
-        self._next += _PLAIN_PERIOD
+        self._next += self._period
         for status in (task for rtpu in rtpus for task in rtpu.tasks):
-            if status.state == State.NOT_CREATED:
-                self.say(
-                    f"{passed:6.1f} s  {status.task:15} {status.state} "
-                    f"after {status.cycle} cycles: {status.error}"
-                )
-                continue
-            now = self._window.rates(status)
-            self.say(
-                f"{passed:6.1f} s  {status.task:15} {status.state:5} "
-                f"{render.cell('mezF', now['mezF'])} of "
-                f"{render.cell('refF', now['refF'])} Hz, {status.cycle} cycles, "
-                f"{status.miss} missed, {status.failed} failed, "
-                f"CPU {render.cell('avgU', now['avgU'])}"
+            self.say(f"{passed:6.1f} s  {self._line(status)}")
+
+    def _line(self, status: TaskStatus) -> str:
+        """Return the figures of a task."""
+        if status.state == State.NOT_CREATED:
+            return (
+                f"{status.task:15} {status.state} "
+                f"after {status.cycle} cycles: {status.error}"
             )
+        now = self._window.rates(status)
+        if self._fields:
+            cells = (f"{name} {render.cell(name, now[name])}" for name in self._fields)
+            return f"{status.task:15} {', '.join(cells)}"
+        return (
+            f"{status.task:15} {status.state:5} "
+            f"{render.cell('mezF', now['mezF'])} of "
+            f"{render.cell('refF', now['refF'])} Hz, {status.cycle} cycles, "
+            f"{status.miss} missed, {status.failed} failed, "
+            f"CPU {render.cell('avgU', now['avgU'])}"
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,19 +11,23 @@ from msgspec import Struct, structs
 
 from pbonet.config import (
     JobFile,
+    JobTask,
     Section,
     SvarFile,
+    bundled,
     combines,
     load,
     parse_job,
+    parse_rmod,
     parse_svar,
     read_job,
     rewrite_job,
     rewrite_rmod,
     rewrite_svar,
+    write_job,
 )
 from pbonet.errors import ConfigError
-from pbonet.master.configuration import Files, Producers
+from pbonet.master.configuration import Files, Producers, RmodSource
 from pbonet.xm.net import check_name
 
 from .saved_files import SavedFiles
@@ -44,7 +49,7 @@ class Draft(Struct, frozen=True, kw_only=True):
     origins: dict[Path, str]
     """The texts that these were made from, whose comments and layout they keep."""
     bare: frozenset[Path] = frozenset()
-    """Files that had to be written anew, without the comments they had."""
+    """Files that were written as a whole, without the comments they had."""
 
 
 class DraftFiles(Files):
@@ -60,6 +65,9 @@ class DraftFiles(Files):
     """
 
     draft: Draft
+    """The state that is shown."""
+    first: Draft
+    """The state of the files when they were opened."""
 
     def __init__(self, path: str | Path, library: Library, name: str = "") -> None:
         self.disk = SavedFiles()
@@ -72,7 +80,8 @@ class DraftFiles(Files):
         texts = {self.svar_path: self.table_text}
         if job.tasks:
             texts[self.job_path] = load(self.job_path)
-        self.show(Draft(job=job, table=self.table, texts=texts, origins=texts))
+        self.first = Draft(job=job, table=self.table, texts=texts, origins=texts)
+        self.show(self.first)
 
     def show(self, draft: Draft) -> None:
         """Have the texts of a draft from now on."""
@@ -81,6 +90,19 @@ class DraftFiles(Files):
         self.__dict__.pop("profiles", None)  # they are compared with the table
 
     # -- RMODs
+
+    def rmod(self, name: str, freq: float | None = None) -> RmodSource:
+        """Return an RMOD, of the draft first; the same text is read once only.
+
+        Raises:
+            NodeError: No task can have that name.
+            ConfigFileError: There is none of that name.
+            ConfigError: Its file is wrong, or its class does not say all.
+            ModuleLoadError: The module's code does not load.
+        """
+        name = check_name("a task", name.removesuffix(".rmod"))
+        main, file = self.part(name, freq)
+        return _read(bundled(main, self.part), file)
 
     def part(self, name: str, freq: float | None = None) -> Section:
         """Return the text of an RMOD, of the draft first, and its file.
@@ -122,24 +144,20 @@ class DraftFiles(Files):
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it, with those of the draft."""
-        return Producers(self._records)
+        return Producers(self.records)
 
-    def _records(self) -> dict[str, Rmod]:
+    def records(self) -> dict[str, Rmod]:
         """Return all RMODs by name, those of the draft as they are there."""
         records = dict(self.library.records())
-        for name in [name for name in records if self._is_gone(name)]:
-            del records[name]
+        for path in self.disk.made() - self.draft.texts.keys():
+            name = path.stem  # on disk by a save, and not in the draft any more
+            records.pop(name, None)
             if name in self._found:
                 records[name] = self.rmod(name).record
         for path in self.draft.texts:
             if path.suffix == ".rmod":
                 records[path.stem] = self.rmod(path.stem).record
         return records
-
-    def _is_gone(self, name: str) -> bool:
-        """Return whether an RMOD is on disk by a save, and not in the draft any more."""
-        path = self.job_path.with_name(f"{name}.rmod")
-        return self.disk.is_made(path) and path not in self.draft.texts
 
     def has_rmod(self, name: str) -> bool:
         """Return whether an RMOD of a name is in a file or in the draft."""
@@ -159,6 +177,19 @@ class DraftFiles(Files):
                 if any(rmod.stem in {one.rmod, one.fallback} for one in tasks):
                     found.append(path.name)
         return found
+
+    def other_jobs_of_table(self) -> list[str]:
+        """Return the names of other jobs' files that use the table."""
+        found: list[str] = []
+        for path in sorted({*self.path.parent.glob("*.job"), *self._beside_job()}):
+            with contextlib.suppress(ConfigError):
+                system = path.parent / read_job(path).sbs
+                if path != self.job_path and system.resolve() == self.path.resolve():
+                    found.append(path.name)
+        return found
+
+    def _beside_job(self) -> Iterable[Path]:
+        return self.job_path.parent.glob("*.job")
 
     def is_shared(self, record: Rmod) -> bool:
         """Return whether a copy of an RMOD under its name would change other jobs.
@@ -226,7 +257,7 @@ class DraftFiles(Files):
         """Have an RMOD in the draft that is on disk because it was saved here."""
         section = self.part(name)
         path = Path(section.file)
-        if self.disk.is_made(path):
+        if path in self.disk.made():
             texts = {**self.draft.texts, path: section.text}
             origins = {**self.draft.origins, path: section.text}
             self.show(structs.replace(self.draft, texts=texts, origins=origins))
@@ -275,6 +306,11 @@ class DraftFiles(Files):
         return structs.replace(self.draft, texts=texts, bare=bare)
 
 
+@lru_cache(maxsize=2048)
+def _read(text: str, file: str) -> RmodSource:
+    return RmodSource(parse_rmod(text, file), text)
+
+
 def _new_job(sbs: Path, name: str) -> JobFile:
     """Return a job without tasks, beside its subsystem.
 
@@ -283,7 +319,15 @@ def _new_job(sbs: Path, name: str) -> JobFile:
         ConfigError: It is there already.
     """
     check_name("a job", name)
-    path = sbs.with_name(f"{name}.job")
+    job = JobFile(
+        file=str(sbs.with_name(f"{name}.job")),
+        name=name,
+        desc=f"job {name}",
+        sbs=sbs.name,
+        tasks=(JobTask(rmod="any"),),
+    )
+    write_job(job)  # refused if a file cannot say its name
+    path = Path(job.file)
     if path.exists():
         raise ConfigError(
             "the job is there already",
@@ -291,6 +335,4 @@ def _new_job(sbs: Path, name: str) -> JobFile:
             expected="the name of a new job",
             remedy="open that one, or choose another name",
         )
-    return JobFile(
-        file=str(path), name=name, desc=f"job {name}", sbs=sbs.name, tasks=()
-    )
+    return structs.replace(job, tasks=())

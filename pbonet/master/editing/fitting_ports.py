@@ -12,7 +12,7 @@ from pbonet.errors import PortError
 from pbonet.ports import Port, accepts, solve_shapes, wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from pbonet.analysis.legality import Task
 
@@ -54,17 +54,19 @@ class Fitting:
     """
 
     def __init__(self, files: DraftFiles, verdict: JobVerdict) -> None:
-        self._tasks = verdict.tasks
+        self._sides = {
+            task.name: [_Side(task, port) for port in task.info.ports]
+            for task in verdict.tasks
+            if task.info is not None
+        }
         self.table = {one.name: one for one in files.draft.table.variables}
         now = verdict.configuration
         self.sizes: dict[str, int] = constant_sizes(now) if now else {}
 
     def side(self, task: str, port: str) -> _Side | None:
         """Return a port of a task; None: it is not known."""
-        for side in self._sides():
-            if side.task.name == task and side.port.name == port:
-                return side
-        return None
+        sides = self._sides.get(task, ())
+        return next((side for side in sides if side.port.name == port), None)
 
     def of(self, task: str, port: str) -> list[Fit]:
         """Return all other ports, and variables without a port, for one port.
@@ -77,11 +79,11 @@ class Fitting:
             return []
         found = [
             _fit(other, self.misfit_of_ports(one, other))
-            for other in self._sides()
-            if other.task.name != task
-            and other.port.kind.is_input is not one.port.kind.is_input
+            for name, sides in self._sides.items()
+            for other in sides
+            if name != task and other.port.kind.is_input is not one.port.kind.is_input
         ]
-        used = {side.variable for side in self._sides()}
+        used = {side.variable for sides in self._sides.values() for side in sides}
         for variable in self.table.values():
             if variable.name not in used:
                 reason = self.misfit(one, variable)
@@ -117,10 +119,9 @@ class Fitting:
 
     def _taken(self, side: _Side, variable: str) -> str:
         """Return that another port of the task has the variable; empty: none has."""
-        for other in self._sides():
+        for other in self._sides[side.task.name]:
             if (
-                other.task.name == side.task.name
-                and other.port.name != side.port.name
+                other.port.name != side.port.name
                 and other.port.kind.is_input is side.port.kind.is_input
                 and other.variable == variable
             ):
@@ -144,11 +145,6 @@ class Fitting:
         if _clash(ports, nelem, known):
             return ""  # they are wrong without it, which is reported
         return _clash(ports, {**nelem, side.port.name: variable.nelem}, known)
-
-    def _sides(self) -> Iterator[_Side]:
-        for task in self._tasks:
-            for port in task.info.ports if task.info else ():
-                yield _Side(task, port)
 
 
 def _fit(other: _Side, reason: str) -> Fit:

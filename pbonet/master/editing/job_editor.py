@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 
-from pbonet.config import Library
+from pbonet.analysis.legality import same_unit
+from pbonet.config import Library, Search, meaning
 from pbonet.errors import ConfigError, PbonetError, did_you_mean
 
 from .draft_files import Draft, DraftFiles
 from .fitting_ports import Fit, Fitting
 from .history import History
 from .job_verdict import JobVerdict, judge_job
+from .module_palette import ModulePalette
 from .simulated_run import SimulatedRun, simulate_draft
 from .steps import make_step
 from .task_edits import JOB_FIELDS, RMOD_FIELDS, find_line, record_of, task_names
@@ -24,6 +26,8 @@ from .wiring_offers import Offer, Offers, Step
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
+
+    from pbonet.config import SvarFile
 
     from .saved_files import FileChange
 
@@ -55,9 +59,16 @@ class JobEditor:
         self._libraries = list(libraries)
         self._host = host
         self.files = DraftFiles(path, Library(self._libraries), name)
+        self._palette = ModulePalette(self.files, self._libraries)
         self._history: History[Draft] = History(self.files.draft)
         self._judged: tuple[Draft, JobVerdict] | None = None
         self._offered: tuple[Draft, list[Offer]] | None = None
+        self._load_tools()
+
+    def _load_tools(self) -> None:
+        """Have at hand what the first change would wait for: units, and the library."""
+        same_unit("rad/s", "radians/second")
+        len(self.files.producers())
 
     # -- what there is
 
@@ -99,6 +110,33 @@ class JobEditor:
         if self._offered is None or self._offered[0] is not draft:
             self._offered = draft, Offers(self.files, self.verdict).all()
         return self._offered[1]
+
+    def palette(
+        self,
+        *words: str,
+        module_class: str = "",
+        reads: str = "",
+        writes: str = "",
+        unit: str = "",
+    ) -> list[State]:
+        """Return the modules that can be added, with their ports and RMODs.
+
+        The first call takes a second, because another process describes all modules.
+
+        Args:
+            words: Words that the description has, or the name of one module.
+            module_class: Its class in the library, or the beginning of it.
+            reads: A variable that it can read.
+            writes: A variable that it can write.
+            unit: The unit of such a port.
+
+        Raises:
+            ModuleLoadError: None fits, or they cannot be described.
+            ConfigError: There is no such class.
+        """
+        return self._palette.find(
+            Search(text=words, class_=module_class, in_=reads, out=writes, unit=unit)
+        )
 
     def fitting(self, task: str, port: str) -> list[Fit]:
         """Return the ports and variables that fit a port, and why the others do not.
@@ -313,7 +351,12 @@ class JobEditor:
         return self.files.disk.save(self.files.draft.texts, self.files.job_path)
 
     def simulate(
-        self, seconds: float, variables: Sequence[str] = (), *, limit: float = 60.0
+        self,
+        seconds: float,
+        variables: Sequence[str] = (),
+        *,
+        limit: float = 60.0,
+        conditions: bool = True,
     ) -> SimulatedRun:
         """Run the present state in virtual time, in another process.
 
@@ -321,12 +364,19 @@ class JobEditor:
             seconds: How much virtual time passes.
             variables: Those whose values are returned.
             limit: Seconds that it may take at most.
+            conditions: Whether PRE and POST are judged; a job in the middle of a
+                program may have a PRE that no start fulfils.
 
         Raises:
             ConfigError: The job has no task, or the time is none.
         """
         return simulate_draft(
-            self.files, seconds, variables, limit=limit, libraries=self._libraries
+            self.files,
+            seconds,
+            variables,
+            limit=limit,
+            conditions=conditions,
+            libraries=self._libraries,
         )
 
     # -- parts of them
@@ -369,13 +419,24 @@ class JobEditor:
         """Return what is to be said of files that are written."""
         draft = self.files.draft
         notes: dict[Path, list[str]] = {
-            path: ["its comments are lost: it is written anew"] for path in draft.bare
+            path: ["its comments are lost: all of it is rewritten"]
+            for path in draft.bare
         }
+        changed = _changed(self.files.first.table, draft.table)
+        if changed and (users := self.files.other_jobs_of_table()):
+            text = f"it changes {', '.join(changed)} for {', '.join(users)} too"
+            notes.setdefault(self.files.svar_path, []).append(text)
         for path in draft.texts:
             if path.suffix == ".rmod" and (users := self.files.other_jobs(path)):
                 text = f"it changes {path.stem} for {', '.join(users)} too"
                 notes.setdefault(path, []).append(text)
         return notes
+
+
+def _changed(before: SvarFile, after: SvarFile) -> list[str]:
+    """Return the variables that are not there any more, or are others."""
+    now = {one.name: meaning(one) for one in after.variables}
+    return [one.name for one in before.variables if now.get(one.name) != meaning(one)]
 
 
 def _label(do: str, args: State) -> str:

@@ -28,11 +28,11 @@ class JobVerdict(Struct, frozen=True, kw_only=True):
     """All that is known about one state of a job."""
 
     tasks: list[legality.Task]
-    """Those whose RMODs and modules can be read."""
+    """The tasks whose RMODs and modules can be read."""
     verdict: legality.Verdict | None
     """None if a part is too faulty for one."""
     errors: list[str]
-    """What `pbonet check` calls an error, word for word."""
+    """The errors of `pbonet check`, word for word."""
     warnings: list[str]
     graph: Graph
     first_problem: int
@@ -72,7 +72,7 @@ def judge_job(files: DraftFiles, host: str = "") -> JobVerdict:
     """
     tasks, found = planned_tasks(files, host or here())
     verdict = judged(files, tasks)
-    errors, warnings = _told(found, verdict)
+    errors, warnings = _errors_and_warnings(found, verdict)
     graph = planned_graph(files, tasks, found, verdict)
     if not files.draft.job.tasks:
         errors = [NO_TASK, *errors]
@@ -90,7 +90,7 @@ def judge_job(files: DraftFiles, host: str = "") -> JobVerdict:
     )
 
 
-def _told(
+def _errors_and_warnings(
     found: Findings, verdict: legality.Verdict | None
 ) -> tuple[list[str], list[str]]:
     """Return errors and warnings in the order in which `pbonet check` has them."""

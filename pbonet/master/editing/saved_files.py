@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class FileChange(Struct, frozen=True, kw_only=True):
-    """What saving does to one file."""
+    """A change that saving makes to one file."""
 
     file: str
     kind: str
@@ -49,9 +49,13 @@ class SavedFiles:
         """Return whether a file was not there when it was first looked for."""
         return path in self._first and self._first[path] is None
 
-    def is_made(self, path: Path) -> bool:
-        """Return whether a file is there because it was saved here."""
-        return self.is_new(path) and self._now[path] is not None
+    def made(self) -> set[Path]:
+        """Return the files that are there because they were saved here."""
+        return {
+            path
+            for path, now in self._now.items()
+            if now is not None and self._first[path] is None
+        }
 
     def changes(self, texts: Mapping[Path, str]) -> dict[Path, bytes | None]:
         """Return what must be written; None: the file is to be removed.

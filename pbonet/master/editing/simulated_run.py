@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 
+from pbonet.config import write_job
 from pbonet.errors import ConfigError, PbonetError, WireError
 from pbonet.log import Log
 
@@ -26,13 +27,13 @@ MOST_POINTS = 2000
 
 
 class SimulatedRun(Struct, frozen=True, kw_only=True):
-    """What a run in virtual time gave."""
+    """The result of a run in virtual time."""
 
     ok: bool
     problems: list[str]
-    """What went wrong, in words."""
+    """Errors and faults, in words."""
     output: str
-    """What the run printed: its last lines."""
+    """The last lines that the run printed."""
     tasks: list[dict[str, Any]] = []
     """Cycles, misses, errors and the last state of each task."""
     series: dict[str, dict[str, list[Any]]] = {}
@@ -45,6 +46,7 @@ def simulate_draft(
     variables: Sequence[str],
     *,
     limit: float,
+    conditions: bool = True,
     libraries: Iterable[str | Path] = (),
 ) -> SimulatedRun:
     """Run the job of a draft in virtual time.
@@ -56,6 +58,7 @@ def simulate_draft(
         seconds: How much virtual time passes.
         variables: Those whose values are returned.
         limit: Seconds that the process may take; then it is ended.
+        conditions: Whether PRE and POST are judged.
         libraries: Folders of modules.
 
     Raises:
@@ -78,6 +81,9 @@ def simulate_draft(
         root, runs = Path(name) / "files", Path(name) / "runs"
         real = _copy(files, root)
         job = root / files.job_path.absolute().relative_to(real)
+        if not conditions:
+            bare = structs.replace(files.draft.job, pre=(), post=())
+            job.write_bytes(write_job(bare).encode())
         command = [sys.executable, "-P", "-m", "pbonet.cli", "run", str(job), "--sim"]
         command += ["--seconds", repr(seconds), "--record", "all", "--runs", str(runs)]
         command += ["--json"]
@@ -177,12 +183,13 @@ def _copy(files: DraftFiles, folder: Path) -> Path:
     paths = [files.job_path, files.path, files.svar_path, *texts]
     own = {path.absolute().parent for path in paths}
     above = {one for place in own for one in (place, *place.parents)}
+    made = {path.absolute() for path in files.disk.made()}
     root = Path(os.path.commonpath([*map(str, own)]))
     for place in sorted(own):  # a folder before those in it
         new = folder / place.relative_to(root)
         new.mkdir(parents=True, exist_ok=True)
         for entry in place.iterdir():
-            gone = entry in texts or entry in above or files.disk.is_made(entry)
+            gone = entry in texts or entry in above or entry in made
             if not gone:
                 (new / entry.name).symlink_to(entry)
     for path, text in texts.items():

@@ -19,6 +19,7 @@ from pbonet.config import (
     parse_rmod,
 )
 from pbonet.errors import ConfigError, UnknownTaskError, did_you_mean
+from pbonet.xm.net import check_name
 
 from .draft_files import DraftFiles
 
@@ -113,7 +114,7 @@ def remove_task(files: DraftFiles, *, task: str) -> None:
 def rename_task(files: DraftFiles, *, task: str, name: str) -> None:
     """Give a task another name: its RMOD is copied under that name."""
     record = record_of(files, task)
-    if name != task:
+    if check_name("a task", name) != task:
         _rename(files, record, _free_name(files, "", name))
 
 
@@ -326,10 +327,12 @@ def _free_name(files: DraftFiles, base: str, wanted: str) -> str:
     """Return the name of a new task.
 
     Raises:
-        ConfigError: The one that is wanted is taken.
+        NodeError: No task can have the one that is wanted.
+        ConfigError: It is taken.
     """
     taken = task_names(files)
     if wanted and wanted != base:
+        check_name("a task", wanted)
         if wanted in taken or not files.is_free(wanted):
             raise ConfigError(
                 f"the name {wanted} is taken",

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
-from pbonet.analysis.legality import CONNECTORS, Code, Severity
+from pbonet.analysis.legality import CONNECTORS, Code, Severity, factor
 from pbonet.config import numpy_type
 from pbonet.errors import PbonetError
 from pbonet.master.tools import scaffold_system
+from pbonet.ports import Kind
 
 from .fitting_ports import Fitting
 from .task_edits import numbered, task_names
@@ -40,14 +41,14 @@ class Step(Struct, frozen=True):
 
 
 class Offer(Struct, frozen=True, kw_only=True):
-    """A way to put one fault right."""
+    """A way to put a fault, or several, right."""
 
-    fault: int
-    """The place of the fault in the graph's list."""
+    faults: tuple[int, ...]
+    """The places of the faults in the graph's list."""
     kind: str
     """``connect``, ``join``, ``add-task``, ``add-variable`` or another word."""
     text: str
-    """What it does, for a button."""
+    """The words for a button."""
     steps: tuple[Step, ...]
 
 
@@ -62,28 +63,35 @@ class Offers:
     def __init__(self, files: DraftFiles, verdict: JobVerdict) -> None:
         self._files, self._verdict = files, verdict
         self._fitting = Fitting(files, verdict)
+        self._producers = files.producers()
         self._entries = _missing_entries(files, verdict)
 
     def all(self) -> list[Offer]:
-        """Return the offers, in the order of the faults."""
+        """Return the offers, in the order of the faults; each once."""
         by_code: dict[Code, Callable[[Problem], Iterator[tuple[str, str, list[Step]]]]]
         by_code = {
             Code.UNKNOWN_VARIABLE: self._unknown_variable,
             Code.NO_WRITER: self._no_writer,
             Code.NO_CONSTANT: self._no_constant,
             Code.TWO_WRITERS: self._two_writers,
-            Code.UNIT: self._misfit,
+            Code.UNIT: self._unit,
             Code.TYPE: self._misfit,
             Code.UNKNOWN_RTPU: self._unknown_rtpu,
             Code.NO_STABLE: self._no_stable,
+            Code.UNSAFE_ROBOT: self._unsafe_robot,
+            Code.RATE: self._rate,
         }
+        found: dict[str, Offer] = {}
         first = self._verdict.first_problem
-        return [
-            Offer(fault=number, kind=kind, text=text, steps=tuple(steps))
-            for number, problem in enumerate(self._verdict.problems, first)
-            if problem.code in by_code
-            for kind, text, steps in by_code[problem.code](problem)
-        ]
+        for number, problem in enumerate(self._verdict.problems, first):
+            find = by_code.get(problem.code)
+            for kind, text, steps in find(problem) if find else ():
+                same = found.get(text)
+                faults = (*same.faults, number) if same else (number,)
+                found[text] = Offer(
+                    faults=faults, kind=kind, text=text, steps=tuple(steps)
+                )
+        return list(found.values())
 
     # -- by kind of fault
 
@@ -111,11 +119,13 @@ class Offers:
                 if task.rmod.svar_name(port) == name
             ]
             yield from self._others(ends, name)
-            yield from self._producers(name)
+            yield from self._from_library(name)
 
     def _no_constant(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
         (name,), (task,), (port,) = problem.variables, problem.tasks, problem.ports
-        yield from self._producers(name)
+        yield from self._from_library(name)
+        if problem.severity is Severity.WARN:
+            return  # it has the value of its INIT line
         yield from self._others([(task, port)], name)
         size = self._fitting.sizes.get(name)
         known = self._fitting.table.get(name)
@@ -152,6 +162,61 @@ class Offers:
         args = {"task": task, "field": "critical", "value": False}
         yield "set-field", f"{task} is not CRITICAL", [Step("set_field", args)]
 
+    def _unsafe_robot(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
+        for name in problem.tasks:
+            task = self._verdict.task(name)
+            if task and task.info and task.info.critical_ok and not task.rmod.critical:
+                args = {"task": name, "field": "critical", "value": True}
+                yield "set-field", f"{name} is CRITICAL", [Step("set_field", args)]
+
+    def _rate(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
+        (name,) = problem.tasks
+        task = self._verdict.task(name)
+        rtpus = {one.name: one for one in self._files.sbs.rtpus}
+        if task is None or task.hz is None or task.rtpu not in rtpus:
+            return
+        rtpu = rtpus[task.rtpu]
+        hz = min(max(task.hz, rtpu.minfreq), rtpu.maxfreq)
+        args = {"task": name, "field": "freq", "value": hz}
+        yield "set-field", f"run {name} at {hz:g} Hz", [Step("set_field", args)]
+
+    def _unit(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
+        """Yield other variables that fit, and a gain that converts."""
+        yield from self._misfit(problem)
+        if len(problem.tasks) == len(problem.ports) == len(problem.variables) == 1:
+            (name,), (task,), (port,) = problem.variables, problem.tasks, problem.ports
+            yield from self._conversion(task, port, name)
+
+    def _conversion(
+        self, task: str, port: str, name: str
+    ) -> Iterator[tuple[str, str, list[Step]]]:
+        """Yield a gain before an input, from the variable's unit to the port's."""
+        side, variable = self._fitting.side(task, port), self._fitting.table.get(name)
+        if side is None or variable is None or side.port.kind is not Kind.INVAR:
+            return
+        by = factor(variable.units, side.port.unit)
+        if by is None or numpy_type(variable.type) != "<f8":
+            return
+        more, size = self._size(variable)
+        new = free_names(self._files, name, 1, self._used())[0]
+        gain = self._free_tasks("scale", name, 1)[0]
+        place = {"rtpu": side.task.rtpu, "freq": side.task.hz}
+        added = {"name": new, "nelem": variable.nelem, "units": side.port.unit}
+        added["desc"] = f"{variable.desc}, in {side.port.unit}"
+        aliases = {"Z": name, "Y": new, **size}
+        made = {"module": "gain", "name": gain, "aliases": aliases, **place}
+        wired = {"task": task, "port": port, "variable": new}
+        yield (
+            "convert",
+            f"convert {name} by a gain of {by:.6g} before {port} of {task}",
+            [
+                Step("add_variable", added),
+                *more,
+                Step("add_task", {**made, "params": {"GAIN": repr(by)}}),
+                Step("connect", wired),
+            ],
+        )
+
     # -- what they offer
 
     def _others(
@@ -186,9 +251,9 @@ class Offers:
             if fit.fits and fit.port and (reads or fit.variable not in written)
         } - {but}
 
-    def _producers(self, name: str) -> Iterator[tuple[str, str, list[Step]]]:
+    def _from_library(self, name: str) -> Iterator[tuple[str, str, list[Step]]]:
         there = task_names(self._files)
-        for rmod in self._files.producers().get(name, ()):
+        for rmod in self._producers.get(name, ()):
             if rmod not in there:
                 step = Step("add_task", {"module": rmod})
                 yield "add-task", f"add {rmod}, which writes {name}", [step]
@@ -209,7 +274,7 @@ class Offers:
             before.append(Step("connect", wired))
         more, size = self._size(variable)
         inputs, between = names[: links + 1], [*names[links + 1 :], name]
-        tasks = self._free_tasks(name, links)
+        tasks = self._free_tasks("join", name, links)
         for connector in CONNECTORS:
             chain: list[Step] = []
             first = inputs[0]
@@ -246,10 +311,10 @@ class Offers:
         near = max(readers or writers, key=lambda task: task.hz or 0.0)
         return {"rtpu": near.rtpu, "freq": near.hz}
 
-    def _free_tasks(self, variable: str, wanted: int) -> list[str]:
-        """Return names of new tasks that join a variable."""
+    def _free_tasks(self, does: str, variable: str, wanted: int) -> list[str]:
+        """Return names of new tasks that do something with a variable."""
         word = "".join(c if c.isalnum() and c.isascii() else "_" for c in variable)
-        names = (numbered(f"join_{word}", number) for number in count(1))
+        names = (numbered(f"{does}_{word}", number) for number in count(1))
         taken = task_names(self._files)
         found: list[str] = []
         while len(found) < wanted:

@@ -44,6 +44,11 @@ class TaskRecord:
         """The variables that the task writes."""
         return [variable.name for variable, _ in self._fields]
 
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each of them."""
+        return {variable.name: variable.units for variable, _ in self._fields}
+
     def add(self, text: bytes) -> None:
         """Append the cycles among the records of a ring."""
         for one in parse(text):
@@ -111,3 +116,8 @@ class Recording(Cycles):
             KeyError: There is no such task.
         """
         return self._tasks[task].names
+
+    def unit(self, variable: str) -> str:
+        """Return the unit of a variable; empty if no task writes it."""
+        each = (task.units for task in self._tasks.values())
+        return next((units[variable] for units in each if variable in units), "")

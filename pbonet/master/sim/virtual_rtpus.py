@@ -164,7 +164,8 @@ class VirtualRtpus:
 
     def wait(self, seconds: float, until: Event) -> bool:
         """Let time pass until it is over or an event is set; return whether it is."""
-        end_ns = self.now_ns + round(seconds * 1e9)
+        # A rest below half a nanosecond passes too, else its waiter never comes to 0.
+        end_ns = self.now_ns + max(round(seconds * 1e9), seconds > 0)
         while not until.is_set():
             with self._lock, no_devices(REASON):
                 if not self.step(end_ns):

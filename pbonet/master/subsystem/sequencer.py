@@ -309,7 +309,8 @@ class Sequencer:
         abandon, self._abandon = self._abandon, False
         self._show(phase=Phase.ENTERS, step=step.name, job=step.job, waiting="")
         file = self.jobs[step.job]
-        note = f"{self.seq.name}: {_shown(step)}"
+        kind = "SAFE" if self._state.safe else "STEP"
+        note = f"{self.seq.name}: {kind} {line_text(step)[1]}"
         self._must_have_tasks()
 
         def attempt() -> object:

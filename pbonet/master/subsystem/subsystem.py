@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     import zenoh
+    from numpy.typing import NDArray
 
     from pbonet.config import Found, SbsFile
     from pbonet.master.configuration import Clock, Saved, TaskModel
@@ -181,6 +182,11 @@ class Subsystem:
     def sbs(self) -> SbsFile:
         """The record of its ``.sbs`` file."""
         return self.files.sbs
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is connected to its RTPUs."""
+        return self._task_set is not None
 
     @property
     def task_set(self) -> SubsystemTasks:
@@ -1080,6 +1086,49 @@ class Subsystem:
         values = self.clients.call(keeper, request, list[m.VarValue])
         values.sort(key=lambda one: names.index(one.name))
         return [one for one in values if writer in {None, task_of(one.writer)}]
+
+    def values(
+        self, variable: str | Iterable[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Return values of variables as numpy arrays, all of one instant.
+
+        Args:
+            variable: Names, in which * and ? match any text; None: all.
+
+        Returns:
+            By name, each with the type of the table: shape ``(n,)``, or ``()`` of a
+            variable with one element. `display` also has unit, age and writer.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+        """
+        from .variable_arrays import array_of
+
+        table = {one.name: one for one in self.files.table.variables}
+        found = self.display(variable)
+        return {one.name: array_of(one.values, table[one.name]) for one in found}
+
+    def value(self, variable: str) -> NDArray[Any]:
+        """Return the value of one variable as a numpy array, as `values` does.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+        """
+        self.files.must_have(variable)
+        return self.values(variable)[variable]
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a table of the tasks, and their graph.
+
+        What cannot be read is said in its place: a notebook would show a stack.
+        """
+        from . import subsystem_html
+
+        try:
+            statuses = self.status_all() if self.is_open else None
+            return subsystem_html.page(self.graph(), statuses)
+        except PbonetError as error:
+            return subsystem_html.failed(self.name, error)
 
     def library(
         self,

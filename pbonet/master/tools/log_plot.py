@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import LogError
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pbonet.log import Log
+    from pbonet.log import Log, Series
 
 
 def draw(
@@ -30,7 +30,8 @@ def draw(
         UnknownVariableError: No task wrote one of them.
         LogError: There is nothing to draw with, or the plot cannot be written.
     """
-    series = [(name, *log.series(name)) for name in variables]
+    series = [log.series(name) for name in variables]
+    again = [replayed.series(name) if replayed else None for name in variables]
     try:
         import matplotlib as mpl
     except ImportError:
@@ -45,22 +46,12 @@ def draw(
     figure, axes = plt.subplots(
         len(series), 1, sharex=True, squeeze=False, figsize=(10, 2.5 * len(series))
     )
-    for axis, (name, time, values) in zip(axes[:, 0], series, strict=True):
-        writers = log.writers(name)
-        about = log.task_about(writers[0][1])
-        units = next((v.units for v in about.outvar if v.name == name), "")
-        lines = axis.plot(time, values, linewidth=0.8)
-        if replayed is not None:
-            lines[0].set_label("recorded")
-            axis.set_prop_cycle(None)
-            dashed = axis.plot(*replayed.series(name), linewidth=0.8, linestyle="--")
-            dashed[0].set_label("replayed")
-            axis.legend(loc="upper right")
-        for begin, task in writers if len(writers) > 1 else ():
-            axis.axvline(begin, color="gray", linewidth=0.8, linestyle="--")
-            axis.annotate(task, (begin, 1), xycoords=("data", "axes fraction"), size=7)
-        axis.set_ylabel(f"{name} [{units}]")
-        axis.grid(alpha=0.3)
+    for axis, recorded, other in zip(axes[:, 0], series, again, strict=True):
+        if other is None:
+            recorded.plot(axis)
+        else:
+            _draw_both(axis, recorded, other)
+        axis.set_xlabel("")
     axes[-1, 0].set_xlabel("s")
     figure.tight_layout()
     try:
@@ -74,3 +65,14 @@ def draw(
         ) from None
     finally:
         plt.close(figure)
+
+
+def _draw_both(axis: Any, recorded: Series, replayed: Series) -> None:  # noqa: ANN401
+    """Draw a variable as it was recorded, and dashed as it was replayed."""
+    recorded.plot(axis, label="_")  # matplotlib lists no label that begins so
+    axis.lines[0].set_label("recorded")
+    axis.set_prop_cycle(None)
+    before = len(axis.lines)
+    replayed.plot(axis, label="_", linestyle="--")
+    axis.lines[before].set_label("replayed")
+    axis.legend(loc="upper right")

@@ -22,6 +22,7 @@ PARSE = {
     ".rmod": config.parse_rmod,
     ".sbs": config.parse_sbs,
     ".job": config.parse_job,
+    ".seq": config.parse_seq,
     ".toml": config.parse_agent,
 }
 

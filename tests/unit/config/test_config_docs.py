@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import fields
 
 from pbonet import config
-from pbonet.config import job, rmod, sbs, svar
+from pbonet.config import job, rmod, sbs, seq, svar
 from pbonet.config.library import Library
 from pbonet.config.model import AgentConfig
 from pbonet.config.types import TYPES
@@ -35,6 +35,7 @@ PARSE = {
     "COMBINE": parse_combination,
     "JOB": config.parse_job,
     "MODULE": config.parse_rmod,
+    "SEQUENCE": config.parse_seq,
     "SUBSYSTEM": config.parse_sbs,
     "DEFINE": config.parse_svar,
 }
@@ -51,7 +52,8 @@ def test_there_is_an_example_of_each_format() -> None:
 
 def test_the_orders_are_the_readers_own() -> None:
     flat = " ".join(PAGE.split())
-    for grammar in (svar.GRAMMAR, rmod.GRAMMAR, sbs.HEAD, sbs.RTPU, job.GRAMMAR):
+    grammars = (svar.GRAMMAR, rmod.GRAMMAR, sbs.HEAD, sbs.RTPU, job.GRAMMAR)
+    for grammar in (*grammars, seq.GRAMMAR):
         assert grammar.text in flat
 
 

@@ -123,7 +123,8 @@ def test_read_any_tells_the_format_by_the_ending() -> None:
         config.read_any("arm.cfg")
     assert str(caught.value) == (
         "arm.cfg: the file name has no known ending (expected .svar or "
-        ".rmod or .sbs or .job or .toml, got .cfg); rename the file or name another"
+        ".rmod or .sbs or .job or .seq or .toml, got .cfg); "
+        "rename the file or name another"
     )
 
 

@@ -1,10 +1,11 @@
 """A job is edited step by step: tasks, wires, settings, undo, and saving."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
-from edited_jobs import TASKS, content, puma, puma_files
+from edited_jobs import PUMA, TASKS, content, puma, puma_files
 
 from pbonet.config import Library
 from pbonet.errors import ConfigError, ConfigFileError, PbonetError, UnknownTaskError
@@ -356,3 +357,58 @@ def test_a_module_without_rmod_is_added_with_its_parameters(puma):
     assert (half["unit"], half["n"], half["type"]) == ("rad", 6, "double")
     editor.save()
     assert check_file(puma).legal
+
+
+def test_a_parameter_of_a_part_is_written_into_the_combination(tmp_path):
+    folder = tmp_path / "servoing"
+    shutil.copytree(PUMA.parent / "servoing", folder)
+    editor = JobEditor(folder / "combined.job")
+    before = editor.state()
+    assert before["legal"], before["errors"]
+    state = editor.set_parameter("servo", "damped_ls.DAMPING", "0.2")
+    assert state["legal"], state["errors"]
+    (change,) = editor.changes()
+    assert change.file == str(folder / "servo.rmod")
+    assert "PART" not in change.diff
+    editor.save()
+    assert JobEditor(folder / "combined.job").state()["graph"] == state["graph"]
+    assert not editor.set_parameter("servo", "damped_ls.DUMPING", "0.2")["legal"]
+
+
+def test_names_that_would_be_paths_are_refused(puma):
+    before = content(puma.parent)
+    editor = JobEditor(puma)
+    for name in ("../x", "a/b", "", ".."):
+        with pytest.raises(PbonetError):
+            editor.rename_task("qrdiff", name)
+        with pytest.raises(PbonetError):
+            editor.add_task(name)
+        with pytest.raises(PbonetError):
+            JobEditor(puma.parent / "puma.sbs", name=name or "9 lives")
+    with pytest.raises(PbonetError):
+        editor.add_task("jttrace", name="../x")
+    with pytest.raises(PbonetError):
+        editor.set_fallback("jttrace", "../x")
+    assert content(puma.parent) == before
+    assert editor.state()["undo"] == ""
+
+
+def test_an_entry_that_other_jobs_use_is_noted(puma):
+    puma.with_name("other.job").write_bytes(puma.read_bytes())
+    editor = JobEditor(puma)
+    editor.add_variable("MORE", desc="harms no other job")
+    assert editor.changes()[0].notes == []
+    editor.set_variable("Q_REF", "maxage", 0.1)
+    assert editor.changes()[0].notes == ["it changes Q_REF for other.job too"]
+
+
+def test_conditions_and_texts_of_the_job(puma):
+    editor = JobEditor(puma)
+    state = editor.set_job(desc="new words", pre=["NDOF == 6"], post=[])
+    assert state["legal"], state["errors"]
+    diff = editor.changes()[0].diff
+    assert "+PRE       NDOF == 6" in diff
+    assert "-POST" in diff
+    assert not editor.set_job(pre=["NODF == 6"])["legal"]
+    with pytest.raises(ConfigError):
+        editor.set_job(pre=["== 6"])

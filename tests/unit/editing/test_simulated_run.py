@@ -65,3 +65,12 @@ def test_a_job_in_a_folder_of_its_own(puma):
     run = editor.simulate(0.2, ["Q^_REF"])
     assert run.ok, run
     assert len(run.series["Q^_REF"]["t"]) == 20
+
+
+def test_a_condition_that_does_not_hold_can_be_left_out(puma):
+    editor = JobEditor(puma)
+    editor.set_job(pre=["Q_MEZ[0] > 1 [rad]"])
+    run = editor.simulate(0.1)
+    assert "does not hold" in run.problems[0]
+    assert editor.simulate(0.1, conditions=False).ok
+    assert editor.state()["unsaved"] == [str(puma)]

@@ -3,7 +3,7 @@
 import pytest
 from edited_jobs import TASKS, puma
 
-from pbonet.errors import ConfigError, UnknownTaskError
+from pbonet.errors import ConfigError, ModuleLoadError, UnknownTaskError
 from pbonet.master.editing import JobEditor
 
 __all__ = ["puma"]
@@ -194,7 +194,8 @@ def test_offers_name_their_fault(puma):
     editor.add_task("jttrace")
     faults = editor.state()["graph"]["faults"]
     for offer in editor.offers():
-        assert "both write Q_REF" in faults[offer.fault]["text"]
+        (place,) = offer.faults
+        assert "both write Q_REF" in faults[place]["text"]
 
 
 def test_ports_are_disconnected_into_variables_of_their_own(puma):
@@ -211,3 +212,62 @@ def test_ports_are_disconnected_into_variables_of_their_own(puma):
     assert "Q_REF'" in {w["variable"] for w in state["graph"]["wires"]}
     with pytest.raises(ConfigError, match="are both outputs"):
         editor.connect_ports("jttrace", "Q_REF", "puma_pidg", "Q_MEZ")
+
+
+def test_another_unit_is_converted_by_a_gain(puma):
+    editor = JobEditor(puma)
+    editor.set_variable("Q_MEZ", "units", "deg")
+    editor.set_variable("Q_REF", "units", "deg")
+    while found := offers(editor, "convert"):
+        text = found[0].text
+        editor.apply(found[0])
+    assert "by a gain of 0.0174533" in text
+    state = editor.state()
+    made = {w["from"]: w["to"] for w in state["graph"]["wires"] if "'" in w["variable"]}
+    assert made == {"scale_Q_REF_1": "puma_pidg", "scale_Q_MEZ_1": "grav_comp"}
+    # what writes them is wrong still: a gain comes before inputs only
+    faults = [fault["ports"] for fault in state["graph"]["faults"]]
+    assert faults == [["Q_MEZ"], ["Q_REF"]]
+    tasks = [fault["tasks"] for fault in state["graph"]["faults"]]
+    assert tasks == [["puma_pidg"], ["jttrace"]]
+
+
+def test_a_rate_beyond_the_rtpu_is_offered_the_nearest(puma):
+    sbs = puma.with_name("puma.sbs")
+    sbs.write_text(sbs.read_text().replace("MUF", "RM"))
+    editor = JobEditor(puma)
+    editor.set_field("qrdiff", "freq", 2000)
+    (offer,) = [o for o in editor.offers() if "Hz" in o.text]
+    assert offer.text == "run qrdiff at 1000 Hz"
+    state = editor.apply(offer)
+    assert state["settings"]["qrdiff"]["freq"] == 1000.0
+    assert [o for o in editor.offers() if "Hz" in o.text] == []
+
+
+def test_a_robot_that_is_not_critical_is_offered_to_be(puma):
+    editor = JobEditor(puma)
+    state = editor.set_field("puma_pidg", "critical", value=False)
+    assert any("robot interface" in fault["text"] for fault in state["graph"]["faults"])
+    (offer,) = offers(editor, "set-field")
+    state = editor.apply(offer)
+    assert state["graph"]["faults"] == []
+    assert editor.changes() == []
+
+
+def test_a_module_that_cannot_be_critical(puma):
+    editor = JobEditor(puma)
+    assert not editor.set_field("qrdiff", "critical", value=True)["legal"]
+    (offer,) = offers(editor, "set-field")
+    assert offer.text == "qrdiff is not CRITICAL"
+    assert editor.apply(offer)["legal"]
+
+
+def test_the_palette_finds_modules_and_rmods_of_the_folder_too(puma):
+    editor = JobEditor(puma)
+    editor.add_task("jttrace", name="other")
+    (jtball,) = editor.palette("jtball")
+    assert {"jtball", "jttrace", "other"} <= set(jtball["rmods"])
+    found = [one["name"] for one in editor.palette(writes="T_GRAV")]
+    assert found[:2] == ["grav_comp", "gravity"]
+    with pytest.raises(ModuleLoadError, match="the library has no such module"):
+        editor.palette("nothing of that kind")

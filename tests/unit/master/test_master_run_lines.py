@@ -2,7 +2,15 @@
 
 from rich.console import Console
 
-from pbonet.master.console import live_status, summary
+from pbonet.errors import NoAnswerError
+from pbonet.master.console import (
+    Call,
+    find,
+    live_status,
+    summary,
+    watch_status,
+    watch_values,
+)
 from pbonet.xm.net import messages as m
 
 COUNTS = ("crit", "cycle", "miss", "warn")
@@ -79,3 +87,40 @@ def test_the_screen_shows_why_a_task_died():
     rows = [one for one in shown.splitlines() if one.startswith("lqr ")]
     assert rows
     assert not any("250" in row for row in rows), "it has no rate any more"
+
+
+class Away:
+    """A subsystem whose RTPU answers as the test says."""
+
+    def __init__(self, warnings):
+        self.warnings = warnings
+        self.silent = False
+
+    def rtpu_status(self):
+        if self.silent:
+            raise NoAnswerError("c0 does not answer")
+        return [rtpu(task("lqr", "ON", 5), task("cart", "ON", 5))]
+
+
+def test_watched_status_says_once_that_nobody_answers(capsys, monkeypatch):
+    monkeypatch.setattr(watch_values.Listener, "open", lambda _: None)
+    warnings = watch_status._Warnings()
+    away = Away(warnings)
+    table = watch_status._Table(away, Call(find("status"), {}), warnings)
+    with table:
+        for passed, silent in enumerate([False, True, True, False, True]):
+            away.silent = silent
+            table.show(float(passed))
+    lines = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["0.0", "0.0", "WARNING>", "3.0", "3.0", "WARNING>"]
+    assert table.pause == 5.0, "no terminal"
+
+
+def test_columns_of_the_screen_may_be_chosen():
+    console = Console(width=160, record=True, force_terminal=True)
+    with live_status.Screen(console, fields=["state", "refF"], end="so") as screen:
+        screen.show(5.1, [rtpu(task("lqr", "ON", 521))], [])
+    lines = [line.split() for line in console.export_text().splitlines()]
+    assert ["task", "state", "refF"] in lines
+    assert ["lqr", "ON", "250"] in lines
+    assert ["5", "s;", "so"] in lines
