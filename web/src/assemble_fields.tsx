@@ -18,11 +18,15 @@ export function Refusal({ at }: { at: string }) {
 interface Common { label: ReactNode; at: string; hint?: string; unit?: string; disabled?: boolean }
 
 /** A text that is set by Enter, or when the field is left. Escape takes it back. */
-export function TextField(props: Common & { value: string; set: (text: string) => void; words?: readonly string[]; placeholder?: string; lines?: number }) {
+export function TextField(props: Common & { value: string; set: (text: string) => void; words?: readonly string[]; placeholder?: string; lines?: number; once?: boolean }) {
   const [text, setText] = useState(props.value);
   const list = useId();
   useEffect(() => setText(props.value), [props.value]);
-  const commit = () => { if (text !== props.value) props.set(text); };
+  const commit = () => {
+    if (text === props.value) return;
+    props.set(text);
+    if (props.once) setText("");
+  };
   const shared = {
     value: text, spellCheck: false, disabled: props.disabled ?? false, placeholder: props.placeholder ?? "", onBlur: commit,
     onChange: (event: { target: { value: string } }) => setText(event.target.value),

@@ -1,6 +1,6 @@
 // The palette: the library's search, and its modules to be dragged or added.
 import { useEffect, useState } from "react";
-import { readingCommand, type Args } from "./connection";
+import { edit } from "./connection";
 import { argHelp, commandHelp } from "./controls";
 import { unitText } from "./format";
 import { live, useLive } from "./live_state";
@@ -15,10 +15,7 @@ const PAUSE = 250; // ms without a key, after which the search begins
 interface Wanted { text: string; class: string; in: string; out: string; unit: string }
 const NOTHING: Wanted = { text: "", class: "", in: "", out: "", unit: "" };
 
-const argsOf = (wanted: Wanted): Args => ({
-  ...(wanted.text.trim() ? { text: wanted.text.trim().split(/\s+/) } : {}),
-  ...Object.fromEntries((["class", "in", "out", "unit"] as const).map((one) => [one, wanted[one].trim()]).filter(([, value]) => value)),
-});
+const isAsked = (wanted: Wanted): boolean => Object.values(wanted).some((one) => one.trim());
 
 /** Searches the library, and lists what was found. */
 export function Palette() {
@@ -31,17 +28,20 @@ export function Palette() {
   useEffect(() => {
     let isOld = false;
     const timer = setTimeout(async () => {
-      const answer = await readingCommand("library", argsOf(wanted));
+      const answer = await edit("palette", { ...wanted });
       if (isOld) return;
       const modules = answer.ok ? (answer.data?.modules as LibraryModule[]) : [];
       setRefused(answer.ok ? "" : answer.text);
       setFound(modules);
-      if (wanted === NOTHING && answer.ok) setClasses([...new Set(modules.map((one) => one.module_class))].filter(Boolean).sort());
-    }, wanted === NOTHING ? 0 : PAUSE);
+      if (isAsked(wanted) || !answer.ok) return;
+      assemble.rmods = groupModules(modules).flatMap(([, group]) => group.map((one) => one.rmod));
+      assemble.tell("rmods");
+      setClasses([...new Set(modules.map((one) => one.module_class))].filter(Boolean).sort());
+    }, isAsked(wanted) ? PAUSE : 0);
     return () => { isOld = true; clearTimeout(timer); };
   }, [wanted, isLive]);
   const put = (key: keyof Wanted, value: string) => setWanted({ ...wanted, [key]: value });
-  const isSearched = Object.keys(argsOf(wanted)).length > 0;
+  const isSearched = isAsked(wanted);
   return (
     <aside className="palette" aria-label="palette of modules">
       <form role="search" onSubmit={(event) => event.preventDefault()}>

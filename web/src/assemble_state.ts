@@ -13,6 +13,8 @@ class AssembleState extends Keyed {
   chosen: Chosen = { kind: "job" };
   tab: AssembleTab = "Details";
   jobs: string[] = [];
+  /** What the library has to be added, by name. */
+  rmods: string[] = [];
   /** The port from which a connection is made by mouse, with what fits it. */
   connecting: Connecting | null = null;
   /** What the mouse is over while a connection is made. */

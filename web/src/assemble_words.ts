@@ -11,7 +11,7 @@ export function faultHead(text: string): string {
 export interface NumberedFault { number: number; fault: Fault; offers: Offer[] }
 /** Returns the faults with what would put each right; those that prevent a start come first. */
 export function faultsOf(state: EditorState): NumberedFault[] {
-  const all = state.graph.faults.map((fault, number) => ({ number, fault, offers: state.offers.filter((one) => one.fault === number) }));
+  const all = state.graph.faults.map((fault, number) => ({ number, fault, offers: state.offers.filter((one) => one.faults.includes(number)) }));
   return [...all.filter((one) => one.fault.severity !== "warn"), ...all.filter((one) => one.fault.severity === "warn")];
 }
 

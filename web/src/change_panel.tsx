@@ -16,7 +16,7 @@ async function askRmods(then: (names: string[]) => void): Promise<void> {
   }
   then(rmodNames);
 }
-export function useRmods(): [string[], () => void] {
+function useRmods(): [string[], () => void] {
   const [names, setNames] = useState(rmodNames);
   return [names, () => { if (!names.length) void askRmods(setNames); }];
 }

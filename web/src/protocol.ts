@@ -61,8 +61,8 @@ export interface Answer {
   kind: "answer"; id: number; ok: boolean; text: string; warnings: string[];
   data: Record<string, unknown> | null;
 }
-/** One way to put a fault right; `fault` is its place in the graph's list. */
-export interface Offer { fault: number; kind: string; text: string; steps: unknown[] }
+/** One way to put faults right; `faults` are their places in the graph's list. */
+export interface Offer { faults: number[]; kind: string; text: string; steps: unknown[] }
 /** The job that is edited, as the server judges it. */
 export interface EditorState {
   file: string; jobs?: string[]; graph: Graph; legal: boolean; errors: string[]; warnings: string[];

@@ -23,6 +23,13 @@ _SIMULATED: Final = 20.0
 """Seconds of virtual time that a page may have simulated at once."""
 _LIMIT: Final = 60.0
 """Seconds that it may take."""
+_SEARCHED: Final = {
+    "class": "module_class",
+    "in": "reads",
+    "out": "writes",
+    "unit": "unit",
+}
+"""Arguments of a search, and what `JobEditor.palette` calls them."""
 
 
 class JobEdits:
@@ -46,6 +53,7 @@ class JobEdits:
             "apply": self._apply,
             "undo": lambda _: self._now.undo(),
             "redo": lambda _: self._now.redo(),
+            "palette": self._palette,
             "fitting": self._fitting,
             "changes": self._changes,
             "save": self._save,
@@ -56,8 +64,8 @@ class JobEdits:
         """Carry out one edit, or answer a question about the job.
 
         Args:
-            name: ``open apply undo redo fitting changes save simulate``, or a change of
-                `pbonet.master.editing.JobEditor.edit`.
+            name: ``open apply undo redo palette fitting changes save simulate``, or a
+                change of `pbonet.master.editing.JobEditor.edit`.
             args: Its arguments.
 
         Returns:
@@ -139,6 +147,13 @@ class JobEdits:
         except msgspec.ValidationError as error:
             raise ProtocolError("this is no offer", got=str(error)[:200]) from None
         return self._now.apply(offer)
+
+    def _palette(self, args: Data) -> Data:
+        """Search the library as the command of that name does, without any agent."""
+        words = str(args.get("text", "")).split()
+        wanted = {key: str(args.get(key, "")) for key in _SEARCHED}
+        named = {_SEARCHED[key]: text for key, text in wanted.items()}
+        return {"modules": self._now.palette(*words, **named)}
 
     def _fitting(self, args: Data) -> Data:
         task, port = str(args.get("task", "")), str(args.get("port", ""))
