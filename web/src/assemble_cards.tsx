@@ -67,7 +67,7 @@ function Load({ task, restart }: { task: TaskInfo; restart: string }) {
   return (
     <div className="figures">
       <div><span className="rate">{task.freq ? `${short(task.freq)} Hz` : task.type}</span><span>{isUnknown || !load ? "MAXC unknown" : `${short((load.utilization ?? 0) * 100)} % of ${task.rtpu}`}</span></div>
-      <div>{isLate ? <span className="bad"><b>may be late</b></span> : <span>{load && !isUnknown ? `MAXC ${seconds(load.maxc)}, ${load.source}` : ""}</span>}<span>{task.fallback_of ? `stands by for ${task.fallback_of}` : restart && restart !== "off" ? `RESTART ${restart}` : ""}</span></div>
+      <div>{isLate ? <span className="bad"><b>may be late</b></span> : <span>{load && !isUnknown ? `MAXC ${seconds(load.maxc)} (${load.source})` : ""}</span>}<span>{task.fallback_of ? `stands by for ${task.fallback_of}` : restart && restart !== "off" ? `RESTART ${restart}` : ""}</span></div>
     </div>
   );
 }

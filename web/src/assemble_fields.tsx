@@ -15,7 +15,7 @@ export function Refusal({ at }: { at: string }) {
   );
 }
 
-interface Common { label: ReactNode; at: string; hint?: string; unit?: string; disabled?: boolean }
+interface Common { label: ReactNode; at: string; hint?: string; unit?: string; wide?: boolean }
 
 /** A text that is set by Enter, or when the field is left. Escape takes it back. */
 export function TextField(props: Common & { value: string; set: (text: string) => void; words?: readonly string[]; placeholder?: string; lines?: number; once?: boolean }) {
@@ -28,7 +28,7 @@ export function TextField(props: Common & { value: string; set: (text: string) =
     if (props.once) setText("");
   };
   const shared = {
-    value: text, spellCheck: false, disabled: props.disabled ?? false, placeholder: props.placeholder ?? "", onBlur: commit,
+    value: text, spellCheck: false, placeholder: props.placeholder ?? "", onBlur: commit,
     onChange: (event: { target: { value: string } }) => setText(event.target.value),
     onKeyDown: (event: React.KeyboardEvent) => {
       if (event.key === "Escape") setText(props.value);
@@ -36,7 +36,7 @@ export function TextField(props: Common & { value: string; set: (text: string) =
     },
   };
   return (
-    <div>
+    <div className={props.wide ? "wide" : ""}>
       <label className="field" title={props.hint}>
         <span>{props.label}{props.unit && <small>{props.unit}</small>}</span>
         {props.lines ? <textarea rows={props.lines} {...shared} /> : <input list={props.words ? list : undefined} autoComplete="off" {...shared} />}
@@ -52,7 +52,7 @@ export function ChoiceField(props: Common & { value: string; choices: readonly (
     <div>
       <label className="field" title={props.hint}>
         <span>{props.label}{props.unit && <small>{props.unit}</small>}</span>
-        <select value={props.value} disabled={props.disabled} onChange={(event) => props.set(event.target.value)}>{props.choices.map(([value, text]) => <option key={value} value={value}>{text}</option>)}</select>
+        <select value={props.value} onChange={(event) => props.set(event.target.value)}>{props.choices.map(([value, text]) => <option key={value} value={value}>{text}</option>)}</select>
       </label>
       <Refusal at={props.at} />
     </div>
@@ -62,7 +62,7 @@ export function ChoiceField(props: Common & { value: string; choices: readonly (
 export function CheckField(props: Common & { value: boolean; set: (value: boolean) => void }) {
   return (
     <div>
-      <label className="check" title={props.hint}><input type="checkbox" checked={props.value} disabled={props.disabled} onChange={(event) => props.set(event.target.checked)} /><span>{props.label}</span></label>
+      <label className="check" title={props.hint}><input type="checkbox" checked={props.value} onChange={(event) => props.set(event.target.checked)} /><span>{props.label}</span></label>
       <Refusal at={props.at} />
     </div>
   );

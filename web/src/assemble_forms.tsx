@@ -10,7 +10,7 @@ import { assemble, useAssemble, useEditor } from "./assemble_state";
 import { faultsOf, numbersOf, portOf } from "./assemble_words";
 
 /** A setting of a task: its name, its unit, what it means, and words to choose from if it takes no others. */
-interface Setting { field: string; label: string; unit?: string; hint: string; choices?: readonly (readonly [string, string])[]; words?: readonly string[] }
+interface Setting { field: string; label: string; unit?: string; hint: string; choices?: readonly (readonly [string, string])[]; words?: readonly string[]; wide?: boolean }
 const choices = (...words: string[]) => words.map((one) => [one, one] as const);
 const RESTARTS = [["off", "comes back OFF"], ["on", "comes back ON"], ["never", "stays away"]] as const;
 const FIRST: Setting[] = [
@@ -20,7 +20,7 @@ const FIRST: Setting[] = [
   { field: "restart", label: "RESTART", hint: "what becomes of it when its RTPU or the machine was lost", choices: RESTARTS },
 ];
 const MORE: Setting[] = [
-  { field: "desc", label: "DESC", hint: "what it does, in a few words" },
+  { field: "desc", label: "DESC", hint: "what it does, in a few words", wide: true },
   { field: "tasktype", label: "TASKTYPE", hint: "how it is timed", choices: choices("periodic", "synchronous", "sporadic", "deferrable", "background") },
   { field: "minc", label: "MINC", unit: "s", hint: "least execution time of a cycle" },
   { field: "effc", label: "EFFC", unit: "s", hint: "of a soft task: the execution time to reserve, from MINC to MAXC" },
@@ -35,10 +35,10 @@ const VARIABLE: Setting[] = [
   { field: "units", label: "UNITS", hint: "its unit, such as rad/s; none" },
   { field: "nelem", label: "NELEM", hint: "number of elements" },
   { field: "type", label: "TYPE", hint: "type of an element", words: ["double", "float", "int", "unsigned", "char", "long", "short"] },
-  { field: "desc", label: "DESC", hint: "what it is, in a few words" },
-  { field: "init", label: "INIT", hint: "first values; those that are missing are 0" },
-  { field: "min", label: "MIN", hint: "least values" },
-  { field: "max", label: "MAX", hint: "greatest values" },
+  { field: "desc", label: "DESC", hint: "what it is, in a few words", wide: true },
+  { field: "init", label: "INIT", hint: "first values; those that are missing are 0", wide: true },
+  { field: "min", label: "MIN", hint: "least values", wide: true },
+  { field: "max", label: "MAX", hint: "greatest values", wide: true },
   { field: "limit", label: "LIMIT", hint: "what is done with a value outside of MIN and MAX", choices: choices("none", "clip", "error") },
   { field: "maxage", label: "MAXAGE", unit: "s", hint: "age from which a reader sees it as stale" },
   { field: "rate", label: "RATE", unit: "Hz", hint: "how often it is carried to other machines at most; empty: each time" },
@@ -69,7 +69,7 @@ export function DetailsPanel() {
 }
 
 function SettingField({ of, value, set }: { of: Setting; value: unknown; set: (text: string) => void }) {
-  const common = { label: of.label, at: `field ${of.field}`, hint: of.hint, unit: of.unit ?? "" };
+  const common = { label: of.label, at: `field ${of.field}`, hint: of.hint, unit: of.unit ?? "", wide: of.wide ?? false };
   return of.choices
     ? <ChoiceField {...common} value={textOf(value)} choices={of.choices} set={set} />
     : <TextField {...common} value={textOf(value)} set={set} placeholder={of.hint.length < 30 ? of.hint : ""} {...(of.words ? { words: of.words } : {})} />;
@@ -185,6 +185,7 @@ function PortForm({ state, task, port }: { state: EditorState; task: string; por
       {faults.map((one) => <FaultCard key={`${one.number} ${one.fault.text}`} of={one} />)}
       <section aria-label="what fits">
         <h3>What fits</h3>
+        {!fits && <p className="dim">asking…</p>}
         {fits && !good.length && <p className="dim">no port of another task, and no variable</p>}
         <ul className="fits">{good.map((one) => (
           <li key={`${one.task} ${one.port} ${one.variable}`}>

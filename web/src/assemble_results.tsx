@@ -106,6 +106,7 @@ export function SavePanel() {
     const answer = await assemble.ask("save", {}, "save");
     if (answer.ok) setWritten(answer.data?.written as string[]);
   };
+  const discard = () => { if (window.confirm(`Open ${assemble.job} as its files are, without these changes?`)) void assemble.open(assemble.job); };
   return (
     <div className="panel">
       <section aria-label="changes">
@@ -114,7 +115,7 @@ export function SavePanel() {
         {changes?.length === 0 && <p className="dim">Nothing: the files are as this page shows them.</p>}
         {changes?.map((one) => <Change key={one.file} of={one} />)}
         {!state.legal && changes && changes.length > 0 && <p className="warning-line">This job has faults. It can be saved, but not started.</p>}
-        <p className="row"><button type="button" className="primary" disabled={!changes?.length} onClick={() => void save()}>save {changes?.length ? (changes.length === 1 ? "one file" : `${changes.length} files`) : ""}</button></p>
+        <p className="row"><button type="button" className="primary" disabled={!changes?.length} onClick={() => void save()}>save {changes?.length ? (changes.length === 1 ? "one file" : `${changes.length} files`) : ""}</button>{Boolean(changes?.length) && <button type="button" onClick={discard}>discard all changes…</button>}</p>
         <Refusal at="save" />
         {written && written.length > 0 && !changes?.length && <p className="outcome done" role="status">written: {written.map(fileName).join(", ")}</p>}
       </section>

@@ -65,7 +65,7 @@ function Tools() {
         <button type="button" disabled={!state?.redo || assemble.busy} aria-keyshortcuts="Control+Shift+Z" title={state?.redo ? `redo: ${state.redo}` : "nothing to redo"} onClick={() => void assemble.change("redo", {}, "tools")}>↷ redo{state?.redo && <span className="dim label"> {state.redo}</span>}</button>
       </span>
       {state && <button type="button" className={`flag ${state.legal ? "legal" : "illegal"}`} onClick={() => assemble.show("Faults")}>{state.legal ? "✓ legal" : faults === 1 ? "✕ one fault" : `✕ ${faults} faults`}</button>}
-      <span className="unsaved" role="status">{state && state.unsaved.length > 0 ? <>not saved: {state.unsaved.map(fileName).join(", ")}</> : state ? "all is saved" : ""}</span>
+      <span className="unsaved" role="status">{state && state.unsaved.length > 0 ? <>not saved: {state.unsaved.map(fileName).join(", ")}</> : state?.graph.tasks.length ? "all is saved" : ""}</span>
       <button type="button" className={assemble.isChanged ? "primary" : ""} aria-keyshortcuts="Control+S" onClick={() => assemble.show("Save")}>save…</button>
       <Refusal at="tools" /><Refusal at="open" />
     </header>
@@ -107,7 +107,7 @@ function Side() {
   return (
     <aside className="side" aria-label="details">
       <div role="tablist" aria-label="panels" onKeyDown={go}>
-        {ASSEMBLE_TABS.map((one) => <button key={one} id={`assemble-${one}`} type="button" role="tab" aria-selected={one === assemble.tab} aria-controls="assemble-panel" tabIndex={one === assemble.tab ? 0 : -1} onClick={() => assemble.show(one)}>{one}{one === "Faults" && faults > 0 && <span className="count">{faults}</span>}</button>)}
+        {ASSEMBLE_TABS.map((one) => <button key={one} id={`assemble-${one}`} type="button" role="tab" aria-selected={one === assemble.tab} aria-controls="assemble-panel" tabIndex={one === assemble.tab ? 0 : -1} onClick={() => assemble.show(one)}>{one}{one === "Faults" && faults > 0 && <span className={`count${state?.legal ? " mild" : ""}`}>{faults}</span>}</button>)}
       </div>
       <div role="tabpanel" id="assemble-panel" aria-labelledby={`assemble-${assemble.tab}`} tabIndex={-1}><Panel /></div>
     </aside>

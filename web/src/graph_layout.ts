@@ -192,7 +192,9 @@ function place(nodes: AnyNode[], edges: WireEdge[]): void {
   const frames = new Map(nodes.filter((one) => one.type === "frame").map((one) => [one.id, one]));
   for (const node of nodes) {
     if (node.type === "frame" && !node.data.folded) { graph.setNode(node.id, {}); continue; }
-    graph.setNode(node.id, { width: node.width, height: node.height });
+    // A folded frame keeps away from the frames of other RTPUs, which are larger than their tasks.
+    const room = node.type === "frame" ? 2 * FRAME_PAD + FRAME_HEAD : 0;
+    graph.setNode(node.id, { width: node.width, height: node.height! + room });
     if (node.type === "task" && frames.has(frameId(node.data.task.rtpu))) {
       frameOf.set(node.id, frameId(node.data.task.rtpu));
       graph.setParent(node.id, frameId(node.data.task.rtpu));
