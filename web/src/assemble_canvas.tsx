@@ -4,7 +4,7 @@ import {
   type EdgeProps, type NodeChange, type OnConnectEnd, type OnConnectStart,
 } from "@xyflow/react";
 import { memo, useCallback, useEffect, useMemo, useRef, useState } from "react";
-import { drawing, refit, taskId, type AnyNode, type Drawing, type FrameNode, type WireEdge } from "./graph_layout";
+import { drawing, refit, shouldCompact, taskId, type AnyNode, type Drawing, type FrameNode, type WireEdge } from "./graph_layout";
 import { Markers, WireLabel, WireLine } from "./graph_view";
 import { OtherCard } from "./node_cards";
 import { DraftCard, DraftFrame } from "./assemble_cards";
@@ -20,7 +20,8 @@ function DraftWire(props: EdgeProps<WireEdge>) {
   useAssemble("chosen");
   const { variables, kind, labelled } = props.data!;
   const name = variables[0] ?? "";
-  const isChosen = assemble.chosen.kind === "variable" && variables.includes(assemble.chosen.name);
+  const ends = [props.source, props.target];
+  const isChosen = assemble.chosen.kind === "variable" ? variables.includes(assemble.chosen.name) : assemble.task !== "" && ends.includes(taskId(assemble.task));
   return (
     <WireLine wire={props} look={isChosen ? "chosen" : ""}>
       {labelled && <WireLabel variables={variables} only={<button type="button" tabIndex={-1} title={`the variable ${name}${kind === "constant" ? ", a constant" : ""}`} onClick={() => assemble.choose({ kind: "variable", name })}>{name}</button>} />}
@@ -141,7 +142,7 @@ export function Canvas() {
   const state = useEditor();
   useAssemble("connecting");
   return (
-    <section className={`graph canvas${assemble.connecting ? " connecting" : ""}`} aria-label="the job as a graph">
+    <section className={`graph canvas${assemble.connecting ? " connecting" : ""}${state && shouldCompact(state.graph) ? " many" : ""}`} aria-label="the job as a graph">
       <ReactFlowProvider><Flow /></ReactFlowProvider>
       {state && !state.graph.tasks.length && <p className="empty">Drag a module from the palette onto an RTPU, or press Enter on it.</p>}
       {!state && <p className="empty">opening the job…</p>}

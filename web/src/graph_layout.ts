@@ -181,41 +181,105 @@ function asEdges(wirings: Wiring[]): WireEdge[] {
 
 /** Sets the positions of nodes and the points of wires. */
 function place(nodes: AnyNode[], edges: WireEdge[]): void {
-  const many = nodes.length > MANY_TASKS;
-  const graph = new Digraph({ multigraph: true, compound: true });
-  graph.setGraph({
-    rankdir: "LR", ranksep: many ? 70 : 110, nodesep: many ? 18 : 34, edgesep: 12, marginx: 20, marginy: 20,
-    ranker: many ? "longest-path" : "network-simplex",
-  });
-  graph.setDefaultEdgeLabel(() => ({}));
   const frameOf = new Map<string, string>();
-  const frames = new Map(nodes.filter((one) => one.type === "frame").map((one) => [one.id, one]));
+  const open = nodes.filter((one): one is FrameNode => one.type === "frame" && !one.data.folded);
+  const there = new Set(open.map((one) => one.id));
   for (const node of nodes) {
-    if (node.type === "frame" && !node.data.folded) { graph.setNode(node.id, {}); continue; }
-    // A folded frame keeps away from the frames of other RTPUs, which are larger than their tasks.
-    const room = node.type === "frame" ? 2 * FRAME_PAD + FRAME_HEAD : 0;
-    graph.setNode(node.id, { width: node.width, height: node.height! + room });
-    if (node.type === "task" && frames.has(frameId(node.data.task.rtpu))) {
-      frameOf.set(node.id, frameId(node.data.task.rtpu));
-      graph.setParent(node.id, frameId(node.data.task.rtpu));
-    }
+    if (node.type === "task" && there.has(frameId(node.data.task.rtpu))) frameOf.set(node.id, frameId(node.data.task.rtpu));
   }
-  for (const edge of edges) {
-    if (edge.source === edge.target || edge.data!.kind === "fallback") continue;
-    const weight = edge.data!.kind === "constant" ? 1 : 3;
-    graph.setEdge(edge.source, edge.target, { weight, minlen: 1 }, edge.id);
-  }
-  layout(graph);
-  for (const node of nodes) {
-    if (node.type === "frame" && !node.data.folded) continue;
-    const { x, y } = graph.node(node.id) as { x: number; y: number };
-    node.position = { x: x - node.width! / 2, y: y - node.height! / 2 };
-  }
-  for (const frame of frames.values()) if (!(frame as FrameNode).data.folded) fitFrame(frame as FrameNode, nodes, frameOf);
+  if (nodes.length > MANY_TASKS) return placeMany(nodes, edges, open, frameOf);
+  const graph = arranged(nodes.filter((one) => !there.has(one.id)), edges, { ranksep: 110, nodesep: 34, frames: open, frameOf });
+  for (const frame of open) fitFrame(frame, nodes, frameOf);
   routeEdges(nodes, edges, (edge) => {
     const found = graph.edge({ v: edge.source, w: edge.target, name: edge.id }) as { points?: { x: number; y: number }[] } | undefined;
     return found?.points?.map(({ x, y }) => [x, y]) ?? [];
   });
+}
+
+interface Spaces { ranksep: number; nodesep: number; frames?: FrameNode[]; frameOf?: Map<string, string> }
+
+/** Has dagre arrange nodes from left to right along their wires; returns its graph. */
+function arranged(nodes: AnyNode[], edges: WireEdge[], spaces: Spaces): Digraph {
+  const graph = new Digraph({ multigraph: true, compound: true });
+  graph.setGraph({ rankdir: "LR", ranksep: spaces.ranksep, nodesep: spaces.nodesep, edgesep: 12, marginx: 20, marginy: 20 });
+  graph.setDefaultEdgeLabel(() => ({}));
+  for (const frame of spaces.frames ?? []) graph.setNode(frame.id, {});
+  for (const node of nodes) {
+    // A folded frame keeps away from the frames of other RTPUs, which are larger than their tasks.
+    const room = node.type === "frame" ? 2 * FRAME_PAD + FRAME_HEAD : 0;
+    graph.setNode(node.id, { width: node.width, height: node.height! + room });
+    const frame = spaces.frameOf?.get(node.id);
+    if (frame) graph.setParent(node.id, frame);
+  }
+  for (const edge of edges) {
+    if (edge.source === edge.target || edge.data!.kind === "fallback" || !graph.hasNode(edge.source) || !graph.hasNode(edge.target)) continue;
+    graph.setEdge(edge.source, edge.target, { weight: edge.data!.kind === "constant" ? 1 : 3, minlen: 1 }, edge.id);
+  }
+  layout(graph);
+  for (const node of nodes) {
+    const { x, y } = graph.node(node.id) as { x: number; y: number };
+    node.position = { x: x - node.width! / 2, y: y - node.height! / 2 };
+  }
+  return graph;
+}
+
+const GAP_X = 56, GAP_Y = 20, WIDEST = 2.4, SHAPE = 1.7;
+
+/** Places each RTPU's tasks by themselves, and the frames in rows: a whole that fits a screen. */
+function placeMany(nodes: AnyNode[], edges: WireEdge[], open: FrameNode[], frameOf: Map<string, string>): void {
+  const blocks: AnyNode[] = [...open, ...nodes.filter((one) => !frameOf.has(one.id) && !open.some((each) => each === one))];
+  for (const frame of open) {
+    const inside = nodes.filter((one) => frameOf.get(one.id) === frame.id);
+    intoColumns(inside, edges);
+    fitFrame(frame, nodes, frameOf);
+    const shape = frame.width! / frame.height!;
+    if (shape > WIDEST || shape < 1 / WIDEST) { intoRows(inside); fitFrame(frame, nodes, frameOf); }
+  }
+  const area = blocks.reduce((sum, one) => sum + (one.width! + GAP_X) * (one.height! + GAP_X), 0);
+  const widest = Math.sqrt(area * WIDEST);
+  let x = 0, y = 0, tallest = 0;
+  for (const block of blocks) {
+    if (x > 0 && x + block.width! > widest) { x = 0; y += tallest + GAP_X; tallest = 0; }
+    const by = { x: x - block.position.x, y: y - block.position.y };
+    for (const node of nodes) {
+      if (node === block || frameOf.get(node.id) === block.id) node.position = { x: node.position.x + by.x, y: node.position.y + by.y };
+    }
+    x += block.width! + GAP_X;
+    tallest = Math.max(tallest, block.height!);
+  }
+}
+
+/**
+ * Places cards in columns: each to the right of those whose variables it reads, but for wires that lead back.
+ * dagre's own way takes seconds for hundreds of cards.
+ */
+function intoColumns(cards: AnyNode[], edges: WireEdge[]): void {
+  const before = new Map<string, string[]>(cards.map((one) => [one.id, []]));
+  for (const edge of edges) if (before.has(edge.source) && edge.data!.kind !== "fallback") before.get(edge.target)?.push(edge.source);
+  const columns = new Map<string, number>();
+  const columnOf = (id: string): number => {
+    const known = columns.get(id);
+    if (known !== undefined) return known;
+    columns.set(id, 0); // who leads back here comes to stand on the right
+    const found = Math.max(0, ...before.get(id)!.map((one) => columnOf(one) + 1));
+    columns.set(id, found);
+    return found;
+  };
+  cards.forEach((one) => columnOf(one.id));
+  const bottoms = new Map<number, number>();
+  for (const card of cards) {
+    const column = columns.get(card.id)!, y = bottoms.get(column) ?? 0;
+    card.position = { x: column * (card.width! + GAP_X), y };
+    bottoms.set(column, y + card.height! + GAP_Y);
+  }
+}
+
+/** Places cards in rows, in the order of their columns. */
+function intoRows(cards: AnyNode[]): void {
+  const width = cards[0]!.width! + GAP_X, height = Math.max(...cards.map((one) => one.height!)) + GAP_Y;
+  const columns = Math.max(1, Math.round(Math.sqrt((cards.length * height * SHAPE) / width)));
+  const sorted = [...cards].sort((a, b) => a.position.x - b.position.x || a.position.y - b.position.y);
+  sorted.forEach((one, k) => { one.position = { x: (k % columns) * width, y: Math.floor(k / columns) * height }; });
 }
 
 /** Returns the drawing with frames and wires as fits cards that were moved. */
@@ -224,7 +288,7 @@ export function refit(nodes: AnyNode[], edges: WireEdge[]): Drawing {
   const newNodes = nodes.map((one) => (one.type === "frame" && !one.data.folded ? { ...one } : one));
   for (const one of newNodes) if (one.type === "frame" && !one.data.folded) fitFrame(one, newNodes, frameOf);
   const newEdges = edges.map((one) => ({ ...one, data: { ...one.data!, points: [] } }));
-  routeEdges(newNodes, newEdges, () => []);
+  if (newNodes.length <= MANY_TASKS) routeEdges(newNodes, newEdges, () => []);
   return { nodes: newNodes, edges: newEdges };
 }
 

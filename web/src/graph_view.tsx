@@ -158,6 +158,11 @@ function Flow() {
     return now.nodes.map((one) => (one.type === "task" && Boolean(one.selected) !== chosen.has(one.id) ? { ...one, selected: chosen.has(one.id) } : one));
   }, [now.nodes, selected]);
 
+  const edges = useMemo(() => {
+    const chosen = new Set(selected.map(taskId));
+    return chosen.size ? now.edges.map((one) => (chosen.has(one.source) || chosen.has(one.target) ? { ...one, selected: true } : one)) : now.edges;
+  }, [now.edges, selected]);
+
   const changed = useCallback((changes: NodeChange<AnyNode>[]) => {
     const moves = changes.filter((one) => one.type === "position" || one.type === "dimensions");
     if (moves.length) setNow((before) => ({ ...before, nodes: applyNodeChanges(moves, before.nodes) }));
@@ -173,7 +178,7 @@ function Flow() {
 
   return (
     <ReactFlow<AnyNode, WireEdge>
-      nodes={nodes} edges={now.edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
+      nodes={nodes} edges={edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
       onMoveStart={(event) => { if (event) moved.current = true; }}
       onNodeDragStop={() => setNow((before) => refit(before.nodes, before.edges))}
       onNodeDoubleClick={(_, node) => { if (node.type === "task") page.openTask(node.data.task.name); }}
@@ -198,7 +203,7 @@ function Frame() {
   usePage("drawing");
   const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
   return (
-    <section className={`graph${far ? " far" : ""}`} aria-label="graph of tasks and variables">
+    <section className={`graph${far ? " far" : ""}${compact ? " many" : ""}`} aria-label="graph of tasks and variables">
       <Flow />
       <div className="graph-tools">
         <button type="button" aria-pressed={compact} onClick={() => page.setCompact(!compact)} title="show tasks without their ports">compact</button>

@@ -15,7 +15,7 @@ export const TaskCard = memo(function TaskCard({ data }: NodeProps<TaskNode>) {
 function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   const status = useTask(task.name);
   return (
-    <article className={`card small ${stateClass(task.name)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
+    <article className={`card small ${stateClass(task.name)}${useUnheard(task.rtpu)}${faulty.length ? " faulty" : ""}`} title={task.desc}>
       <header><TaskState task={task.name} word={false} /><b className="name">{task.name}</b></header>
       <div className="line live"><span className="word">{stateOf(task.name)}</span><span>{rate(status?.fields)}</span></div>
       <Handle type="target" id="in" position={Position.Left} isConnectable={false} />
@@ -28,7 +28,7 @@ function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
 function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   useTask(task.name);
   return (
-    <article className={`card ${stateClass(task.name)}`} title={task.desc}>
+    <article className={`card ${stateClass(task.name)}${useUnheard(task.rtpu)}`} title={task.desc}>
       <header>
         <TaskState task={task.name} />
         <b className="name">{task.name}</b>
@@ -55,6 +55,8 @@ export function SideHandles() {
   );
 }
 
+/** Returns the class of what is old because its RTPU does not answer. */
+export const useUnheard = (rtpu: string): string => (useRtpu(rtpu)?.silent ? " unheard" : "");
 const stateClass = (task: string): string => `is-${stateOf(task).toLowerCase().replace("?", "unknown")}`;
 /** What a task is: its module, class, type and frequency. */
 export const kindLine = (task: TaskInfo): string =>

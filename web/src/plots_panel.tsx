@@ -79,6 +79,7 @@ function TriggerTools() {
   const trigger = page.trigger;
   const [settings, set] = useState({ variable: "", level: "0", edge: "rising" as "rising" | "falling", hold: "0", once: true });
   const [refused, setRefused] = useState("");
+  const place = useRef<HTMLDetailsElement>(null);
   const arm = () => {
     try {
       const [one] = parseSeries(settings.variable, live.variables);
@@ -87,11 +88,12 @@ function TriggerTools() {
       if (!Number.isFinite(hold) || hold < 0) throw new Error(`the hold is not a number of seconds: ${settings.hold}`);
       setRefused("");
       page.arm({ ...one!, level, hold, edge: settings.edge, once: settings.once });
+      if (place.current) place.current.open = false;
     } catch (error) { setRefused(error instanceof Error ? error.message : String(error)); }
   };
   const told = !trigger ? "" : page.view.mode === "held" && page.view.why === "triggered" ? `triggered at ${clock(trigger.at ?? 0)}` : trigger.at === null ? "waits" : "triggered";
   return (
-    <details className="trigger">
+    <details className="trigger" ref={place}>
       <summary>trigger{trigger && <span className="badge" role="status">{told}</span>}</summary>
       <form className="popup" onSubmit={(event) => { event.preventDefault(); arm(); }}>
         <label className="field"><span>variable<small>and element: Q_MEZ[2]; it need not be plotted</small></span><input list="plot-variables" value={settings.variable} spellCheck={false} onChange={(event) => set({ ...settings, variable: event.target.value })} /></label>
@@ -132,7 +134,7 @@ function ChartCard({ chart }: { chart: Chart }) {
         ))}
         <i ref={time} className="cursor-time" />
         <AddSeries label="this chart" chart={chart.id} />
-        <button type="button" className="link" onClick={() => page.removeChart(chart.id)}>remove chart</button>
+        <button type="button" className="close" aria-label="remove this chart" title="remove this chart" onClick={() => page.removeChart(chart.id)}>×</button>
       </header>
       <div className="live" ref={place} />
     </article>

@@ -1,14 +1,14 @@
 // All tasks and all variables as tables: what the graph shows, for the keyboard and for many.
-import { memo, useMemo, useState } from "react";
+import { memo, useEffect, useMemo, useState } from "react";
 import { want } from "./connection";
 import { Outcome, TaskState, commandHelp, useCommand } from "./controls";
 import { field, number, short, unitText } from "./format";
 import { Age } from "./graph_view";
 import { live, useGraph, useLive, useTask, useValue } from "./live_state";
+import { useUnheard } from "./node_cards";
 import { page, usePage } from "./page_state";
 import { parseSeries } from "./series";
 import type { TaskStatus, Variable } from "./protocol";
-import { useEffect } from "react";
 
 const ORDER = ["on", "off", "clear", "reinit", "kill"];
 
@@ -49,10 +49,10 @@ function TaskRow({ name, chosen, toggle }: { name: string; chosen: boolean; togg
   const fields = status?.fields ?? {};
   const count = (value: unknown) => <td className={`num live${value ? " bad" : ""}`}>{field(value, "")}</td>;
   return (
-    <tr className={chosen ? "chosen" : ""}>
+    <tr className={(chosen ? "chosen" : "") + useUnheard(status?.rtpu ?? "")}>
       {live.steers && <td><input type="checkbox" checked={chosen} onChange={toggle} aria-label={`select ${name}`} /></td>}
       <td><button type="button" className="link" onClick={() => page.openTask(name)}>{name}</button></td>
-      <td className="live"><TaskState task={name} /></td>
+      <td><TaskState task={name} /></td>
       <td className="num live">{typeof fields.mezF === "number" ? short(fields.mezF) : "–"}{typeof fields.refF === "number" && <span className="dim"> / {short(fields.refF)}</span>}</td>
       <td className="num live">{field(fields.avgU, "%")}</td>
       {count(fields.miss)}{count(fields.failed)}

@@ -53,7 +53,7 @@ function LinkState() {
 
 function Flag() {
   useLive("status");
-  if (!live.rtpus.size) return null;
+  if (!live.rtpus.size || live.log) return null;
   const isIllegal = illegalCauses(live.rtpus.values()).length > 0;
   return <span className={`flag live ${isIllegal ? "illegal" : "legal"}`}>{isIllegal ? "▲ ILLEGAL" : "✓ legal"}</span>;
 }
@@ -82,8 +82,10 @@ export function Bars() {
   useLive("status");
   const graph = useGraph();
   const causes = illegalCauses(live.rtpus.values());
+  const failed = [...live.tasks.values()].filter((one) => one.state === "ERROR").map((one) => one.task);
   return (
     <div className="bars">
+      <p className="away" aria-live="polite">{failed.length ? `in ERROR: ${failed.join(", ")}` : ""}</p>
       {live.link === "lost" && (
         <p className="bar lost" role="alert"><b>Connection lost.</b> {live.linkText} What is shown is old: it is from {clock(live.now(), 0)}. Trying again every half second.{live.steers && " Stop cannot be sent from here: use the emergency stop, or “pbonet stop”."}</p>
       )}

@@ -213,8 +213,12 @@ class Watcher(Source):
             return
         subsystem.task_set.refresh(strict=False)
         graph: Data = msgspec.to_builtins(subsystem.graph())
+        drawn = {one["name"] for one in graph["tasks"]}
+        complete = drawn == {one[0] for one in shape}
         graph = graph if graph["tasks"] else self._planned
-        self._shape = shape
+        self._shape = shape if complete else None  # it is drawn again at the next look
+        if graph == self._graph:
+            return
         with self._lock:
             self._graph = graph
         self._told({"kind": "graph", "graph": graph})
