@@ -80,6 +80,7 @@ function TaskForm({ state, task }: { state: EditorState; task: TaskInfo }) {
   const set = (field: string, value: unknown) => void assemble.change("set_field", { task: task.name, field, value }, `field ${field}`);
   const faults = faultsOf(state).filter(({ fault }) => fault.tasks.includes(task.name));
   const standby = task.fallback_of !== "";
+  const told = Object.entries((settings.local ?? {}) as Record<string, string>);
   return (
     <>
       <section>
@@ -99,8 +100,9 @@ function TaskForm({ state, task }: { state: EditorState; task: TaskInfo }) {
       </section>
       <section aria-label="parameters">
         <h3>Parameters</h3>
-        {!task.params.length && <p className="dim">it has none</p>}
+        {!task.params.length && !told.length && <p className="dim">it has none</p>}
         {task.params.map((one) => <Parameter key={one.name} task={task.name} about={one} />)}
+        {!task.params.length && told.map(([name, value]) => <Parameter key={name} task={task.name} about={{ name, value, unit: "", desc: "as its RMOD says; its module could not be described", type: "", bounds: "", shape: [], low: null, high: null }} />)}
       </section>
       {!standby && <Fallback task={task.name} settings={settings} />}
       <details><summary>More settings</summary><div className="fields-grid">{MORE.map((one) => <SettingField key={one.field} of={one} value={settings[one.field]} set={(text) => set(one.field, text)} />)}</div></details>

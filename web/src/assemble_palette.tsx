@@ -6,7 +6,7 @@ import { unitText } from "./format";
 import { live, useLive } from "./live_state";
 import type { LibraryModule } from "./protocol";
 import { Refusal } from "./assemble_fields";
-import { assemble, useAssemble } from "./assemble_state";
+import { assemble, useAssemble, useEditor } from "./assemble_state";
 import { groupModules } from "./assemble_words";
 
 export const DRAGGED = "application/x-pbonet-module";
@@ -24,6 +24,8 @@ export function Palette() {
   const [classes, setClasses] = useState<string[]>([]);
   const [refused, setRefused] = useState("");
   useLive("link");
+  useEditor();
+  const job = assemble.job; // RMODs of a job's own are found, too
   const isLive = live.link === "live";
   useEffect(() => {
     let isOld = false;
@@ -39,7 +41,7 @@ export function Palette() {
       setClasses([...new Set(modules.map((one) => one.module_class))].filter(Boolean).sort());
     }, isAsked(wanted) ? PAUSE : 0);
     return () => { isOld = true; clearTimeout(timer); };
-  }, [wanted, isLive]);
+  }, [wanted, isLive, job]);
   const put = (key: keyof Wanted, value: string) => setWanted({ ...wanted, [key]: value });
   const isSearched = isAsked(wanted);
   return (

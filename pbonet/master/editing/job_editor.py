@@ -42,6 +42,7 @@ class JobEditor:
         path: The ``.job`` file; or a ``.sbs`` file, for a new job beside it.
         libraries: Folders of modules beside those that pbonet brings.
         name: The new job; by default that of the subsystem.
+        like: An editor of jobs in the same folders, whose modules are described.
         host: The machine whose measured execution times count; this one if empty.
 
     Raises:
@@ -54,12 +55,14 @@ class JobEditor:
         libraries: Iterable[str | Path] = (),
         *,
         name: str = "",
+        like: JobEditor | None = None,
         host: str = "",
     ) -> None:
         self._libraries = list(libraries)
         self._host = host
         self.files = DraftFiles(path, Library(self._libraries), name)
-        self._palette = ModulePalette(self.files, self._libraries)
+        described = like._palette if like else None
+        self._palette = ModulePalette(self.files, self._libraries, described)
         self._history: History[Draft] = History(self.files.draft)
         self._judged: tuple[Draft, JobVerdict] | None = None
         self._offered: tuple[Draft, list[Offer]] | None = None
@@ -398,6 +401,8 @@ class JobEditor:
             said = None if standby else getattr(line, name)
             found[name] = getattr(record, name) if said is None else said
         found["module"] = record.module
+        lines = record.local.items()
+        found["local"] = {name: " ".join(line.words) for name, line in lines}
         return cast("State", msgspec.to_builtins(found))
 
     def _table(self) -> State:

@@ -39,11 +39,18 @@ class ModulePalette:
     Args:
         files: The job's files.
         libraries: Folders of modules.
+        like: The palette of another job in the same folders: its modules are these.
     """
 
-    def __init__(self, files: DraftFiles, libraries: Iterable[str | Path]) -> None:
+    def __init__(
+        self,
+        files: DraftFiles,
+        libraries: Iterable[str | Path],
+        like: ModulePalette | None = None,
+    ) -> None:
         self._files = files
         self._libraries = list(libraries)
+        self._like = like
 
     def find(self, wanted: Search) -> list[dict[str, Any]]:
         """Return the modules that fit a search, as plain values.
@@ -57,6 +64,8 @@ class ModulePalette:
 
     @cached_property
     def _infos(self) -> list[ModuleInfo]:
+        if self._like is not None:
+            return self._like._infos
         folder = self._files.job_path.parent
         command = [sys.executable, "-P", "-m", "pbonet.cli", "library", "--json"]
         for one in (self._files.path.parent.absolute(), *self._libraries):

@@ -125,9 +125,11 @@ class JobEdits:
         path = self._beside(name)
         folders = [*self._library.folders]
         if path.is_file():
-            self._editor = JobEditor(path, folders)
+            self._editor = JobEditor(path, folders, like=self._editor)
         else:
-            self._editor = JobEditor(self._files.path, folders, name=name)
+            self._editor = JobEditor(
+                self._files.path, folders, name=name, like=self._editor
+            )
         return self._editor.state() | {"jobs": self._files.jobs()}
 
     def _beside(self, name: str) -> Path:
