@@ -21,9 +21,10 @@ function DraftWire(props: EdgeProps<WireEdge>) {
   const { variables, kind, labelled } = props.data!;
   const name = variables[0] ?? "";
   const ends = [props.source, props.target];
-  const isChosen = assemble.chosen.kind === "variable" ? variables.includes(assemble.chosen.name) : assemble.task !== "" && ends.includes(taskId(assemble.task));
+  const isChosen = assemble.chosen.kind === "variable" && variables.includes(assemble.chosen.name);
+  const isNear = assemble.task !== "" && ends.includes(taskId(assemble.task));
   return (
-    <WireLine wire={props} look={isChosen ? "chosen" : ""}>
+    <WireLine wire={props} look={isChosen ? "chosen" : isNear ? "near" : ""}>
       {labelled && <WireLabel variables={variables} only={<button type="button" tabIndex={-1} title={`the variable ${name}${kind === "constant" ? ", a constant" : ""}`} onClick={() => assemble.choose({ kind: "variable", name })}>{name}</button>} />}
     </WireLine>
   );

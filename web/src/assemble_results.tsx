@@ -35,7 +35,7 @@ export function SimulatePanel() {
       <form className="simulate" aria-label="simulate" onSubmit={(event) => { event.preventDefault(); void run(); }}>
         <p className="row"><label className="field inline"><span>seconds</span><input inputMode="decimal" size={5} value={seconds} onChange={(event) => setSeconds(event.target.value)} /></label><button type="submit" className="primary" disabled={isRunning}>{isRunning ? "it runs…" : "simulate"}</button></p>
         <p className="row wrap chips">{wanted.map((one) => <span key={one} className="chip">{one}<button type="button" className="close" aria-label={`do not plot ${one}`} onClick={() => setNames(wanted.filter((each) => each !== one))}>×</button></span>)}
-          <input list="simulated-variables" value={text} size={12} placeholder="plot a variable" aria-label="variable to plot" spellCheck={false} autoComplete="off" onChange={(event) => setText(event.target.value)} onKeyDown={(event) => { if (event.key === "Enter") { event.preventDefault(); add(); } }} />
+          <input list="simulated-variables" value={text} size={9} placeholder="plot also" aria-label="variable to plot" spellCheck={false} autoComplete="off" onChange={(event) => setText(event.target.value)} onKeyDown={(event) => { if (event.key === "Enter") { event.preventDefault(); add(); } }} />
           <button type="button" onClick={add}>add</button>
           <datalist id="simulated-variables">{variables.map((one) => <option key={one.name} value={one.name}>{one.desc}</option>)}</datalist>
         </p>

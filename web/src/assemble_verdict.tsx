@@ -46,7 +46,8 @@ function Offers({ offers, at }: { offers: Offer[]; at: string }) {
 /** The load of each RTPU against the bound of its scheduler. */
 export function Timing() {
   const state = useEditor();
-  if (!state?.timing.length) return null;
+  if (!state) return null;
+  if (!state.timing.length) return <section className="timing" aria-label="timing of each RTPU"><p className="dim">The timing is not known while a part of the job cannot be read: see the faults.</p></section>;
   return <section className="timing" aria-label="timing of each RTPU">{state.timing.map((one) => <RtpuLoad key={one.rtpu} of={one} />)}</section>;
 }
 

@@ -203,7 +203,10 @@ def planned_graph(
         found: The faults of the others.
         verdict: The verdict on the job; None if `tasks` are not all.
     """
+    lines = files.read_job().tasks
+    names = [name for line in lines for name in (line.rmod, line.fallback)]
     whole = [*tasks, *_undescribed(files, tasks)]
+    whole.sort(key=lambda task: names.index(task.rmod.name))
     faults = [_fault_of(error, whole) for error in found.errors]
     faults += [GraphFault(text=text, severity="warn") for text in found.warnings]
     return graph_of(files, whole, verdict.problems if verdict else (), faults)

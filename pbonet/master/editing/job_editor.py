@@ -61,8 +61,8 @@ class JobEditor:
         self._libraries = list(libraries)
         self._host = host
         self.files = DraftFiles(path, Library(self._libraries), name)
-        described = like._palette if like else None
-        self._palette = ModulePalette(self.files, self._libraries, described)
+        described = like.modules if like else None
+        self.modules = ModulePalette(self.files, self._libraries, described)
         self._history: History[Draft] = History(self.files.draft)
         self._judged: tuple[Draft, JobVerdict] | None = None
         self._offered: tuple[Draft, list[Offer]] | None = None
@@ -137,7 +137,7 @@ class JobEditor:
             ModuleLoadError: None fits, or they cannot be described.
             ConfigError: There is no such class.
         """
-        return self._palette.find(
+        return self.modules.find(
             Search(text=words, class_=module_class, in_=reads, out=writes, unit=unit)
         )
 
@@ -409,8 +409,9 @@ class JobEditor:
         """Return the fields of each variable's form."""
         found: State = {}
         for one in self.files.draft.table.variables:
-            about = cast("State", msgspec.to_builtins(one))
-            found[one.name] = {k: v for k, v in about.items() if k != "place"}
+            about = msgspec.json.decode(msgspec.json.encode(one), type=State)
+            about.pop("place")
+            found[one.name] = about
         return found
 
     def _about(self) -> State:
