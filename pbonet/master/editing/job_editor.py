@@ -62,7 +62,9 @@ class JobEditor:
         self._host = host
         self.files = DraftFiles(path, Library(self._libraries), name)
         described = like.modules if like else None
-        self.modules = ModulePalette(self.files, self._libraries, described)
+        self.modules: ModulePalette = ModulePalette(
+            self.files, self._libraries, described
+        )
         self._history: History[Draft] = History(self.files.draft)
         self._judged: tuple[Draft, JobVerdict] | None = None
         self._offered: tuple[Draft, list[Offer]] | None = None
