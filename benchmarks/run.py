@@ -56,6 +56,7 @@ RUNS = {
     "devices": "devices",
     "spp": "spp",
     "mppi": "mppi",
+    "web": "web",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -79,6 +80,7 @@ QUICK = {
     "devices": "--calls 100",
     "spp": "--calls 100",
     "mppi": "--updates 3 --rollouts 64",
+    "web": "--quick",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

@@ -159,13 +159,15 @@ def program(
     force: Force = False,
     json_: options.Json = False,
 ) -> None:
-    """Write a sequence of jobs (.seq) as a program in Python that does the same.
+    """Write a sequence of jobs (.seq) as a program in Python.
 
-    The program needs the jobs, and no longer the .seq file.
+    The program does the same; it needs the jobs, and no longer the .seq file.
 
     Examples:
-        Write carry.py and run it in virtual time:
-        pbonet new program carry.seq && python carry.py --sim
+        Write carry.py, to be run by 'python carry.py' or 'python carry.py --sim':
+        pbonet new program carry.seq
+        Write it under another name, over an older one:
+        pbonet new program carry.seq main.py --force
     """
     from pbonet.master.tools import export_program
 

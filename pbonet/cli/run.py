@@ -43,7 +43,7 @@ def command(
     place: options.ChangeTransaction,
     json_: options.Json = False,
 ) -> int:
-    """Run a job or a sequence of jobs to its end, with agents of its own if need be.
+    """Run a job, or a sequence of jobs, with agents of its own if needed.
 
     It starts an agent for each RTPU (executor) that has none, verifies the job, creates
     and turns on its tasks, shows their status, and ends them in order. 'pbonet start'

@@ -12,17 +12,23 @@ from .job import read_job
 from .model import AgentConfig, JobFile, Rmod, SbsFile, SeqFile, SvarFile
 from .rmod import read_rmod
 from .sbs import read_sbs
-from .seq import read_seq
 from .svar import read_svar
 
 Record = SvarFile | Rmod | SbsFile | JobFile | SeqFile | AgentConfig
+
+
+def _read_seq(path: str | Path) -> SeqFile:
+    from .seq import read_seq  # it is loaded where there is a sequence
+
+    return read_seq(path)
+
 
 _READERS: dict[str, Callable[[str | Path], Record]] = {
     ".svar": read_svar,
     ".rmod": read_rmod,
     ".sbs": read_sbs,
     ".job": read_job,
-    ".seq": read_seq,
+    ".seq": _read_seq,
     ".toml": read_agent,
 }
 

@@ -289,11 +289,11 @@ class JobFile(Struct, frozen=True, kw_only=True):
 
 
 class StepEnd(Struct, frozen=True):
-    """What a step of a sequence waits for: a signal, or a condition."""
+    """An end of a step: a signal, or a condition."""
 
     signal: str = ""
     task: str = ""
-    """Who sends the signal; empty: any task."""
+    """The sender of the signal; empty: any task."""
     condition: str = ""
     """Instead of a signal: what is to hold."""
     place: Place | None = None

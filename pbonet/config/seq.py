@@ -321,9 +321,8 @@ def _single(line: Line, parts: Sequence[_Part], form: str) -> Word:
 
 
 def _seconds(reader: Reader, word: Word) -> float:
-    return words.real(
-        reader, word, f"seconds, more than 0, at most {LONGEST:g}", high=LONGEST
-    )
+    wanted = f"seconds, more than 0, at most {LONGEST:g}"
+    return words.real(reader, word, wanted, high=LONGEST, open_high=False)
 
 
 def _header_time(reader: Reader, block: Block, keyword: str) -> float | None:

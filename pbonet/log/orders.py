@@ -51,7 +51,7 @@ def none_of(about: JsonObject, commands: Sequence[JsonObject]) -> str:
     if about.get("seconds"):
         return (
             "no commands were sent: this run was simulated, and a simulation is "
-            "controlled by its job alone; `log events` shows what happened"
+            "controlled by its job or sequence alone; `log events` shows what happened"
         )
     return "the log has no commands; `log events` shows what happened"
 

@@ -85,7 +85,8 @@ class Series(_Arrays):
         if len(lines) > 1 and "label" not in line:
             for one, name in zip(lines, self.columns, strict=True):
                 one.set_label(name)
-            axis.legend(loc="upper right", fontsize="small")
+            beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+            axis.legend(fontsize="small", frameon=False, **beside)
         writers = self.writers
         for begin, task in writers if len(writers) > 1 else ():
             axis.axvline(begin, color="gray", linewidth=0.8, linestyle="--")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pbonet.config import parse_job, parse_sbs
+from pbonet.config import parse_job, parse_sbs, parse_seq
 from pbonet.errors import LogError
 from pbonet.log import COLUMNS, Log, merge
 from pbonet.master.configuration import Place
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from pbonet.log import Cycles
 
+_MOMENT = 1e-6
+"""Seconds between an instant and a limit that is reached by it."""
 _DEEP = "a/b/c/d"
 """A folder below which ``../`` in a job leads to folders of our own."""
 
@@ -63,7 +65,8 @@ def simulated(
     with tempfile.TemporaryDirectory(prefix="pbonet-") as folder, noting(chance):
         job = _unpack(log, Path(folder))
         seconds = _seconds(log)
-        now = _again(job, place, seconds, out)
+        limit = _limit(log) if job.suffix == ".seq" else seconds
+        now = _again(job, place, limit, out)
     found = Replayed(
         tasks=[_compared(log, now, task, rtol) for task in names],
         seconds=seconds,
@@ -84,8 +87,8 @@ def simulated(
     return found
 
 
-def _again(job: Path, place: Place, seconds: float, out: Path | None) -> Cycles:
-    """Simulate a job, and write its log where one is wanted."""
+def _again(job: Path, place: Place, seconds: float | None, out: Path | None) -> Cycles:
+    """Simulate a job or a sequence, and write its log where one is wanted."""
     runs = job.parent / "runs"
     record = "off" if out is None else "outputs"
     outcome = run(
@@ -114,13 +117,26 @@ def _seconds(log: Log) -> float:
     return (max(ends, default=BEGIN_NS) - BEGIN_NS) * 1e-9
 
 
+def _limit(log: Log) -> float:
+    """Return when a sequence went to its safe job, or a moment after its end."""
+    for event in log.events():
+        if event["code"] == "STEP" and ": SAFE " in event["text"]:
+            return float(event["time"] - BEGIN_NS) * 1e-9 - _MOMENT
+    return _seconds(log) + _MOMENT
+
+
 def _unpack(log: Log, folder: Path) -> Path:
-    """Put the files of a run where they find each other; return its job."""
-    name = next((name for name in log.attached if name.endswith(".job")), ".job")
+    """Put the files of a run where they find each other; return its job or sequence."""
+    jobs = [name for name in log.attached if name.endswith(".job")]
+    sequences = [name for name in log.attached if name.endswith(".seq")]
+    name = next(iter([*sequences, *jobs]), ".job")
     job = folder / _DEEP / name
     text = _text(log, name)
     _put(job, text)
-    sbs = job.parent / parse_job(text, name).sbs
+    for other in jobs:
+        _put(job.parent / other, _text(log, other))
+    parsed = parse_seq(text, name) if sequences else parse_job(text, name)
+    sbs = job.parent / parsed.sbs
     text = _text(log, sbs.name)
     _put(sbs, text)
     svar = sbs.parent / parse_sbs(text, sbs.name).svarfile

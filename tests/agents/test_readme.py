@@ -75,9 +75,10 @@ def desk(tmp_path_factory):
 
 
 def test_a_job_is_checked_and_run_by_hand(desk, shared_memory):
-    check, run = BY_HAND[2:]
+    check, graph, run = BY_HAND[2:]
     *_, verdict = desk.call(check).splitlines()
     assert verdict == "puma.job: job teleop of 4 tasks: legal"
+    assert "<- T_GRAV          [6] N*m      grav_comp\n" in desk.call(graph)
     assert run[:2] == ["pbonet", "run"]
     out = desk.call(run, "--seconds", "0.5")
     for task in ("puma_pidg", "grav_comp", "qrdiff", "jttrace"):

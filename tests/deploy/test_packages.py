@@ -15,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
+PAGE = ROOT / "pbonet" / "master" / "web" / "dist"
 CARRIED = {".py", ".pyi", ".pxd", ".pxi", ".h", ".rmod", ".trace", ".typed"}
 
 
@@ -27,6 +28,11 @@ def tracked() -> list[str]:
         text=True,
     )
     return [name for name in git.stdout.splitlines() if (ROOT / name).is_file()]
+
+
+def page() -> list[str]:
+    """The files of the built page; none where there is no npm."""
+    return [str(one.relative_to(ROOT)) for one in PAGE.glob("*")]
 
 
 def build(what: str, source: Path, to: Path) -> Path:
@@ -51,7 +57,7 @@ def unpacked(sdist: Path, folder: Path) -> Path:
 def sdist(tmp_path_factory):
     """An sdist of the files that git knows."""
     source = tmp_path_factory.mktemp("source")
-    for name in tracked():
+    for name in [*tracked(), *page()]:
         if name.startswith(("pbonet/", "scripts/")) or "/" not in name:
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, source / name)
@@ -88,7 +94,7 @@ def test_a_wheel_carries_stubs_data_and_native_parts(wheel):
         for name in tracked()
         if name.startswith("pbonet/") and Path(name).suffix in CARRIED
     }
-    assert wanted - there == set()
+    assert (wanted | set(page())) - there == set()
     native = {
         Path(name).stem
         for name in tracked()

@@ -190,10 +190,31 @@ function place(nodes: AnyNode[], edges: WireEdge[]): void {
   if (nodes.length > MANY_TASKS) return placeMany(nodes, edges, open, frameOf);
   const graph = arranged(nodes.filter((one) => !there.has(one.id)), edges, { ranksep: 110, nodesep: 34, frames: open, frameOf });
   for (const frame of open) fitFrame(frame, nodes, frameOf);
+  const down = separateFrames(open, nodes, frameOf);
   routeEdges(nodes, edges, (edge) => {
     const found = graph.edge({ v: edge.source, w: edge.target, name: edge.id }) as { points?: { x: number; y: number }[] } | undefined;
-    return found?.points?.map(({ x, y }) => [x, y]) ?? [];
+    return found?.points?.map(({ x, y }) => [x, down(y)]) ?? [];
   });
+}
+
+const FRAME_GAP = 24;
+
+/** Moves down what is below a frame that reaches into another one; returns where a height has moved to. */
+function separateFrames(frames: FrameNode[], nodes: AnyNode[], frameOf: Map<string, string>): (y: number) => number {
+  const moves: { from: number; by: number }[] = [];
+  const sorted = [...frames].sort((a, b) => a.position.y - b.position.y);
+  sorted.forEach((lower, k) => {
+    for (const upper of sorted.slice(0, k)) {
+      const a = boxOf(upper), b = boxOf(lower), by = a.bottom + FRAME_GAP - b.top;
+      if (a.right <= b.left || b.right <= a.left || by <= 0) continue;
+      const inside = nodes.filter((one) => frameOf.get(one.id) === lower.id);
+      const from = Math.min(...inside.map((one) => one.position.y));
+      for (const node of nodes) if ((node.type !== "frame" || node.data.folded) && node.position.y >= from) node.position = { x: node.position.x, y: node.position.y + by };
+      moves.push({ from, by });
+      for (const frame of frames) fitFrame(frame, nodes, frameOf);
+    }
+  });
+  return (y) => moves.reduce((at, { from, by }) => (at >= from ? at + by : at), y);
 }
 
 interface Spaces { ranksep: number; nodesep: number; frames?: FrameNode[]; frameOf?: Map<string, string> }

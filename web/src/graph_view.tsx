@@ -65,7 +65,7 @@ export function WireLabel({ variables, only }: { variables: string[]; only: Reac
 export function Markers() {
   return (
     <svg className="markers" aria-hidden="true"><defs>
-      <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" orient="auto">
+      <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="11" markerHeight="11" markerUnits="userSpaceOnUse" orient="auto">
         <path d="M0 1 9 5 0 9Z" />
       </marker>
     </defs></svg>
@@ -141,7 +141,7 @@ function Flow() {
   const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
   const made = useMemo<Drawing>(
     () => (graph ? drawing(graph, { compact, folded: page.folded, operator: live.steers }) : { nodes: [], edges: [] }),
-    [graph, compact, choice, role], // eslint-disable-line -- `choice` and `role` stand for what is outside of React
+    [graph, compact, choice, role], // `choice` and `role` stand for what is outside of React
   );
   const [now, setNow] = useState(made);
   useEffect(() => { setNow(made); }, [made]);

@@ -31,15 +31,14 @@ export class Ring {
     return true;
   }
 
-  /** Puts older samples before those that are here already. */
+  /** Puts earlier samples among those that are here already, by their times, each once. */
   putHistory(t: readonly number[], v: readonly (readonly (number | null)[])[]): void {
-    const kept: [number, number[]][] = [];
+    const samples = t.map((time, k): [number, readonly (number | null)[]] => [time, v[k] ?? []]);
     for (let k = 0; k < this.count; k++) {
-      kept.push([this.time(k), Array.from({ length: this.width }, (_, e) => this.value(k, e))]);
+      samples.push([this.time(k), Array.from({ length: this.width }, (_, e) => this.value(k, e))]);
     }
     this.clear();
-    t.forEach((time, k) => this.push(time, v[k] ?? []));
-    for (const [time, sample] of kept) this.push(time, sample);
+    for (const [time, sample] of samples.sort((a, b) => a[0] - b[0])) this.push(time, sample);
   }
 
   copy(): Ring {

@@ -38,15 +38,21 @@ test("one card per task, within a frame per RTPU", () => {
   }
 });
 
-test("cards do not overlap", () => {
-  const cards = drawing(puma(), plain).nodes.filter((one) => one.type === "task");
+test("cards do not overlap, nor do frames one above the other", () => {
+  const graph = puma();
+  graph.tasks.push(task("other", "arm2", [], []), task("more", "arm3", [], []));
+  const { nodes } = drawing(graph, plain);
+  for (const kind of ["task", "frame"]) apart(nodes.filter((one) => one.type === kind));
+});
+
+function apart(cards: ReturnType<typeof drawing>["nodes"]): void {
   for (const a of cards) for (const b of cards) {
     if (a === b) continue;
-    const apart = a.position.x + a.width! <= b.position.x || b.position.x + b.width! <= a.position.x
+    const isApart = a.position.x + a.width! <= b.position.x || b.position.x + b.width! <= a.position.x
       || a.position.y + a.height! <= b.position.y || b.position.y + b.height! <= a.position.y;
-    assert.ok(apart, `${a.id} and ${b.id} overlap`);
+    assert.ok(isApart, `${a.id} and ${b.id} overlap`);
   }
-});
+}
 
 test("each wire is an edge between its ports; constants are told apart", () => {
   const made = drawing(puma(), plain);

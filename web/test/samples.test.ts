@@ -32,6 +32,8 @@ test("history comes before the samples that are there, each once", () => {
   ring.push(4, [40]);
   ring.putHistory([1, 2, 3], [[10], [20], [30]]);
   assert.deepEqual(ring.between(0, -Infinity, Infinity), [[1, 2, 3, 4], [10, 20, 30, 40]]);
+  ring.putHistory([8, 9], [[80], [90]]); // of a server that was started again
+  assert.deepEqual(ring.between(0, -Infinity, Infinity), [[1, 2, 3, 4, 8, 9], [10, 20, 30, 40, 80, 90]]);
 });
 
 const settings = { variable: "Q", element: 0, level: 1, edge: "rising" as const, hold: 0, once: false };

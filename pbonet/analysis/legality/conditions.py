@@ -77,7 +77,7 @@ class Part(Struct, frozen=True):
     text: str
     """As written, without spaces."""
     bounds: tuple[Bound, ...] = ()
-    """What it says, if it compares terms with numbers; else nothing."""
+    """The bounds of its terms, if it compares them with numbers; else none."""
 
 
 class _Quantity(NamedTuple):

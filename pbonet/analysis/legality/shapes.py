@@ -110,6 +110,8 @@ def _misfit(
         got=f"{error.got} ({at})" if at else error.got,
         remedy=error.remedy or "correct NELEM in the .svar file, or connect others",
         tasks=(task.name,),
+        ports=tuple(port.name for port in named),
+        variables=tuple(one.name for one in sides),
     )
 
 

@@ -73,7 +73,7 @@ class Findings(Struct, kw_only=True):
     errors: list[WireError] = []
     warnings: list[str] = []
     notes: list[str] = []
-    """What a reader should know that is neither wrong nor doubtful."""
+    """Facts to know that are neither wrong nor doubtful."""
 
     @property
     def legal(self) -> bool:

@@ -70,7 +70,7 @@ class SequenceCheck:
         self._module = module
         self._jobs: dict[str, StepJob] = {}
         self._modules: dict[str, ModuleInfo | None] = {}
-        """What is known of each task."""
+        """The modules of tasks; None: not known."""
         self._around = loops(self._seq)
 
     def run(self) -> None:

@@ -181,7 +181,8 @@ class Files:
     def recorded_job(self) -> JobFile:
         """Return the job that a run records.
 
-        Of a sequence it is one with the tasks and RECORD lines of all its jobs.
+        Of a sequence it is one with the tasks and RECORD lines of all its jobs, and the
+        tasks of its SPAWN lines.
 
         Raises:
             ConfigError: One of them is missing, wrong, or of another subsystem.
@@ -190,6 +191,9 @@ class Files:
             return self.read_job()
         jobs = self._of_steps().values()
         tasks = {task.rmod: task for job in jobs for task in job.tasks}
+        for line in self.seq.lines:
+            if isinstance(line, config.Order) and line.command == "spawn":
+                tasks.setdefault(line.words[0], config.JobTask(rmod=line.words[0]))
         lines = {(r.mode, r.names): r for job in jobs for r in job.record}
         return JobFile(
             file=self.seq.file,

@@ -26,7 +26,7 @@ def subsystem_name(text: str) -> str:
     Raises:
         ConfigError: It is a file, and wrong.
     """
-    if Path(text).suffix in {".sbs", ".job"}:
+    if Path(text).suffix in {".sbs", ".job", ".seq"}:
         return Files(text, Library()).sbs.subsystem
     return text
 

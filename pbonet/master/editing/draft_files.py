@@ -279,7 +279,9 @@ class DraftFiles(Files):
         if self.disk.is_new(path) and path.stem not in used:
             return True
         before = self._found.get(path.stem)
-        return before is not None and before.text == text
+        if before is None or (self.disk.is_new(path) and before.file == str(path)):
+            return False
+        return before.text == text
 
     def _used(self) -> set[str]:
         """Return the RMODs that the job names, and the parts of these."""

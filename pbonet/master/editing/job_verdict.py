@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, structs
@@ -19,6 +20,10 @@ from pbonet.master.configuration import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.config import JobTask
+
     from .draft_files import DraftFiles
 
 NO_TASK = "the job has no task yet; add one from the library"
@@ -74,6 +79,7 @@ def judge_job(files: DraftFiles, host: str = "") -> JobVerdict:
     verdict = judged(files, tasks)
     errors, warnings = _errors_and_warnings(found, verdict)
     graph = planned_graph(files, tasks, found, verdict)
+    graph = structs.replace(graph, faults=_with_tasks(files, graph.faults))
     if not files.draft.job.tasks:
         errors = [NO_TASK, *errors]
         fault = GraphFault(text=NO_TASK, severity="refuse", remedy="add a task")
@@ -88,6 +94,39 @@ def judge_job(files: DraftFiles, host: str = "") -> JobVerdict:
         first_problem=len(graph.faults) - problems,
         reports=legality.report(verdict.after) if verdict else [],
     )
+
+
+def _with_tasks(files: DraftFiles, faults: list[GraphFault]) -> list[GraphFault]:
+    """Return faults in which those of a file name the tasks that use it."""
+    if all(fault.tasks for fault in faults):
+        return faults
+    places = [
+        (place, name)
+        for line in files.draft.job.tasks
+        for name in (line.rmod, line.fallback)
+        if name
+        for place in _places(files, line, name)
+    ]
+    return [
+        fault
+        if fault.tasks
+        else structs.replace(
+            fault,
+            tasks=list(dict.fromkeys(t for p, t in places if fault.text.startswith(p))),
+        )
+        for fault in faults
+    ]
+
+
+def _places(files: DraftFiles, line: JobTask, task: str) -> Iterator[str]:
+    """Yield the beginnings of messages about a task: its line, and its files."""
+    if line.place is not None:
+        yield f"{line.place.file}:{line.place.line}:"
+    with contextlib.suppress(PbonetError):
+        yield f"{files.part(task, line.freq).file}:"
+        known = files.library.files().get(files.rmod(task, line.freq).record.module)
+        if known is not None:
+            yield f"{known}:"
 
 
 def _errors_and_warnings(

@@ -92,6 +92,7 @@ def simulate_draft(
         try:
             done = subprocess.run(
                 command,
+                env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 text=True,

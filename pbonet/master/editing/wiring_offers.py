@@ -76,6 +76,7 @@ class Offers:
             Code.TWO_WRITERS: self._two_writers,
             Code.UNIT: self._unit,
             Code.TYPE: self._misfit,
+            Code.SHAPE: self._misfit,
             Code.UNKNOWN_RTPU: self._unknown_rtpu,
             Code.NO_STABLE: self._no_stable,
             Code.UNSAFE_ROBOT: self._unsafe_robot,
@@ -146,9 +147,8 @@ class Offers:
             yield "remove-task", f"remove {task.name}", [Step("remove_task", args)]
 
     def _misfit(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
-        if len(problem.tasks) == len(problem.ports) == len(problem.variables) == 1:
-            (name,), (task,), (port,) = problem.variables, problem.tasks, problem.ports
-            yield from self._others([(task, port)], name)
+        for port, name in zip(problem.ports, problem.variables, strict=False):
+            yield from self._others([(problem.tasks[0], port)], name)
 
     def _unknown_rtpu(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
         (task,) = problem.tasks
@@ -183,7 +183,7 @@ class Offers:
     def _unit(self, problem: Problem) -> Iterator[tuple[str, str, list[Step]]]:
         """Yield other variables that fit, and a gain that converts."""
         yield from self._misfit(problem)
-        if len(problem.tasks) == len(problem.ports) == len(problem.variables) == 1:
+        if len(problem.ports) == 1:  # else it is a connector's
             (name,), (task,), (port,) = problem.variables, problem.tasks, problem.ports
             yield from self._conversion(task, port, name)
 

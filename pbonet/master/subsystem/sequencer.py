@@ -23,7 +23,7 @@ from pbonet.config import (
     line_text,
     loops,
 )
-from pbonet.errors import ConfigError, PbonetError, StateError
+from pbonet.errors import ConfigError, PbonetError, ReconfigError, StateError
 
 from .condition_gate import LOOK_TIME, in_time
 
@@ -37,12 +37,14 @@ if TYPE_CHECKING:
 
 _KEPT_STEPS: Final = 1000
 _KEPT_ERRORS: Final = 100
+_ATTEMPTS: Final = 2
+"""How often a change after an error is tried before its own error counts."""
 _PAUSE_LOOK: Final = 0.1
 """Seconds between two looks during a pause."""
 
 
 class Phase(StrEnum):
-    """What a sequence does."""
+    """The states of a sequence."""
 
     READY = "ready"
     ENTERS = "enters"
@@ -75,7 +77,7 @@ class SequenceState(Struct, frozen=True, kw_only=True):
     job: str = ""
     """Its job."""
     waiting: str = ""
-    """What it waits for, as in the file; empty: nothing."""
+    """The ends that it waits for, as in the file; empty: none."""
     safe: bool = False
     """Whether it goes to its safe job, or is there."""
     pausing: bool = False
@@ -251,13 +253,13 @@ class Sequencer:
             if isinstance(line, Finish):
                 return (Phase.FAILED if line.failed else Phase.DONE), line.text
             try:
-                self._look()
+                self._must_go_on()
                 after = self._line(at, line)
                 if after <= at:  # a loop in which no step waits takes some time, too
                     self._subsystem.clock.wait(LOOK_TIME, self._abort)
                 at = after
             except PbonetError as error:
-                self._look()  # an abort or a stop is the cause
+                self._must_go_on()  # an abort or a stop is the cause
                 self._must_have_tasks()
                 self._note(error)
                 if self._above is None or not self._above.otherwise:
@@ -314,7 +316,10 @@ class Sequencer:
         self._must_have_tasks()
 
         def attempt() -> object:
-            return self._subsystem.switch(file, abandon=abandon, note=note)
+            for _ in range(_ATTEMPTS if abandon else 0):
+                with suppress(ReconfigError):  # another task failed meanwhile
+                    return self._subsystem.change_to(file, abandon=abandon, note=note)
+            return self._subsystem.change_to(file, abandon=abandon, note=note)
 
         in_time(attempt, self.seq.wait, self._subsystem.clock, self._abort)
         entered = (*self._state.entered, step.name)[-_KEPT_STEPS:]
@@ -326,7 +331,7 @@ class Sequencer:
         if within is None and step.until and step.seconds is None:
             within = self.seq.within
         return self._subsystem.step_ends.wait(
-            step.until, seconds=step.seconds, timeout=within, look=self._look
+            step.until, seconds=step.seconds, timeout=within, look=self._must_go_on
         )
 
     def _go_safe(self) -> None:
@@ -357,11 +362,11 @@ class Sequencer:
                 if self._single:
                     self._single = False
                     break
-            self._look()
+            self._must_go_on()
             self._go.wait(_PAUSE_LOOK)
         self._show(phase=before)
 
-    def _look(self) -> None:
+    def _must_go_on(self) -> None:
         """Go on, unless the sequence is to end.
 
         Raises:

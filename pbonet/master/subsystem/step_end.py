@@ -28,6 +28,8 @@ FAILURES: Final = ("ERROR", "SHUTDOWN")
 """Signals that end a wait with an error."""
 _PACE: Final = 0.1
 """Seconds between two looks when no condition is waited for; events come earlier."""
+_SETTLE_TIME: Final = 0.5
+"""Seconds that a task may be ON after its signal ERROR before it counts as ON."""
 _SIGNAL: Final = re.compile(r"(?:(\S+) +)?([A-Za-z_]\S*)")
 
 
@@ -65,6 +67,8 @@ class StepEnds:
         self._inbox = inbox
         self._clock = clock
         self._name = task_set.files.sbs.subsystem
+        self._sent: dict[str, float] = {}
+        """When each task that is still ON was seen to have sent an error."""
 
     def wait(
         self,
@@ -194,6 +198,8 @@ class StepEnds:
         for sent in self._inbox.pending(statuses):
             if sent.signal not in signals or (sent.task, sent.signal) in awaited:
                 continue
+            if self._may_settle(sent.task, statuses):
+                continue
             self._inbox.take(statuses, [sent.signal], [sent.task])
             good = [one for one in statuses if one.fallback_of == sent.task]
             if any(one.state == "ON" or one.stands_by for one in good):
@@ -205,6 +211,16 @@ class StepEnds:
                 got=next(filter(None, told), ""),
                 remedy=f"'status {sent.task}' and the events say why",
             )
+
+    def _may_settle(self, task: str, statuses: Sequence[m.TaskStatus]) -> bool:
+        """Return whether a task that sent ERROR may be about to leave the state ON.
+
+        The signal comes a moment before the state ERROR, and a change that turns such
+        a task off as if it were ON would be refused.
+        """
+        on = any(one.task == task and one.state == "ON" for one in statuses)
+        now = self._clock.now()
+        return on and now - self._sent.setdefault(task, now) < _SETTLE_TIME
 
     def _must_be_known(self, ends: Sequence[StepEnd]) -> None:
         """Refuse signals and tasks that do not exist.

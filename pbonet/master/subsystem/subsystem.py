@@ -713,7 +713,6 @@ class Subsystem:
         dry_run: bool = False,
         wait: float | None = None,
         abandon: bool = False,
-        note: str = "",
     ) -> Transition:
         """Change to the configuration of another job; shared tasks continue (3.10).
 
@@ -731,7 +730,6 @@ class Subsystem:
                 now.
             abandon: Give the present job up: its POST is not asked, and signals sent so
                 far are taken.
-            note: What the event STEP in the log says of it; without, there is none.
 
         Returns:
             The signals of the change, and the tasks that are spawned, killed or
@@ -750,24 +748,48 @@ class Subsystem:
                 which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
-        from . import switching
-        from .condition_gate import ConditionGate, in_time
+        from .condition_gate import in_time
 
         def attempt() -> Transition:
-            with self._changing(partly=False, claimed=not dry_run) as task_set:
-                if abandon and not dry_run:
-                    self.inbox.forget()
-                wanted = self.files.read_job(job)
-                gate = ConditionGate(
-                    task_set, wanted, leaves=True, abandons=abandon, note=note
-                )
-                plan = switching.plan_job(task_set, wanted)
-                return switching.carry_out(
-                    task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
-                )
+            return self.change_to(job, dry_run=dry_run, abandon=abandon)
 
         self.stopped.clear()
         return in_time(attempt, wait, self.clock, self.stopped)
+
+    def change_to(
+        self,
+        job: str | Path | None = None,
+        *,
+        dry_run: bool = False,
+        abandon: bool = False,
+        note: str = "",
+    ) -> Transition:
+        """Change to another job as `switch` does, if its conditions hold now.
+
+        Args:
+            job: The ``.job`` file or its name.
+            dry_run: Only verify, and return what would be done.
+            abandon: Give the present job up.
+            note: The reason of the change, for the event STEP in the log; without it
+                there is no such event.
+
+        Raises:
+            PbonetError: As `switch` says.
+        """
+        from . import switching
+        from .condition_gate import ConditionGate
+
+        with self._changing(partly=False, claimed=not dry_run) as task_set:
+            if abandon and not dry_run:
+                self.inbox.forget()
+            wanted = self.files.read_job(job)
+            gate = ConditionGate(
+                task_set, wanted, leaves=True, abandons=abandon, note=note
+            )
+            plan = switching.plan_job(task_set, wanted)
+            return switching.carry_out(
+                task_set, plan, self.clock, self.stopped, gate, dry_run=dry_run
+            )
 
     # -- the whole --------------------------------------------------------------------
 
@@ -852,7 +874,8 @@ class Subsystem:
 
         Returns:
             That of the tasks as last read from the RTPUs; before `open`, that of the
-            job with which it was made.
+            job with which it was made. Parameters have the values of the RMODs; `get`
+            returns those that were set since.
 
         Raises:
             ConfigError: It is not open, and the job is wrong.
@@ -1268,7 +1291,7 @@ class Subsystem:
 
     @property
     def step_ends(self) -> StepEnds:
-        """What waits for the ends of steps."""
+        """The waits for the ends of steps."""
         from .step_end import StepEnds
 
         return StepEnds(self.task_set, self.inbox, self.clock)

@@ -515,10 +515,11 @@ class SubsystemTasks:
     def graph(self) -> configuration.Graph:
         """Return the graph of the present tasks, and what verification says of them.
 
-        A task whose module is not there any more has ports as its RMOD says.
+        A task has ports as its RMOD says if its module is not there any more, or its
+        RTPU does not answer.
         """
         faults: list[configuration.GraphFault] = []
-        for member in self.model:
+        for member in self.reached:
             try:
                 self.with_infos([member])
             except PbonetError as error:

@@ -1,4 +1,4 @@
-"""Who may open the page, and as what: links, cookies, hosts, and rates.
+"""Access to the page, and as what: links, cookies, hosts, and rates.
 
 A link has a token that works once. It is changed into a signed cookie, which no script
 of a page can read and no page of another origin can send. The key that signs cookies
@@ -27,7 +27,7 @@ COOKIE_TIME: Final = 12 * 3600.0
 
 
 class Role(StrEnum):
-    """What a browser may do."""
+    """The rights of a browser."""
 
     OPERATOR = "operator"
     """It may give every command."""

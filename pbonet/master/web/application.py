@@ -24,7 +24,7 @@ from .orders import Play, Seek, Watch, decode, is_fit
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncGenerator, Callable
 
     from starlette.requests import Request
     from starlette.responses import Response
@@ -86,7 +86,7 @@ class Page:
         linked: Callable[[Role, str], None],
     ) -> None:
         self._source = source
-        self._orders = orders(self.tell) if orders is not None else None
+        self._orders = orders(self.send_to_all) if orders is not None else None
         self._access = access
         self._linked = linked
         self._browsers = Browsers(source.want)
@@ -105,9 +105,9 @@ class Page:
         return _Guard(made, self._access)
 
     @contextlib.asynccontextmanager
-    async def _lifespan(self, _: object) -> AsyncIterator[None]:
+    async def _lifespan(self, _: object) -> AsyncGenerator[None]:
         self._loop = asyncio.get_running_loop()
-        self._source.start(self.tell)
+        self._source.start(self.send_to_all)
         try:
             yield
         finally:
@@ -115,11 +115,11 @@ class Page:
                 await asyncio.to_thread(self._orders.close)
             await asyncio.to_thread(self._source.close)
 
-    def tell(self, message: Data) -> None:
+    def send_to_all(self, message: Data) -> None:
         """Send a message to all browsers; any thread may call it."""
         loop = self._loop
         if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._browsers.tell, message)
+            loop.call_soon_threadsafe(self._browsers.send, message)
 
     # -- files ------------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class Page:
 
     async def _asset(self, request: Request) -> Response:
         name = request.path_params["name"]
-        there = {one.name for one in DIST.iterdir()} if DIST.is_dir() else set()
+        there = {one.name for one in DIST.glob("*")}
         if name not in there:
             return PlainTextResponse("there is no such file\n", 404)
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"

@@ -99,9 +99,9 @@ class Browsers:
 
     def rewatch(self) -> None:
         """Take in that a browser watches other variables."""
-        self._watched(frozenset().union(*(one.watched for one in self._browsers)))
+        self._watched({name for one in self._browsers for name in one.watched})
 
-    def tell(self, message: Data) -> None:
+    def send(self, message: Data) -> None:
         """Send a message to all."""
         if message["kind"] == "values":
             for browser in self._browsers:

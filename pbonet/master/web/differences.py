@@ -1,4 +1,4 @@
-"""What has changed since it was last sent: values, states of tasks and RTPUs."""
+"""Changes since the last message: of values, and of states of tasks and RTPUs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened before a browser came: a minute of values, and the last events."""
+"""The latest minute of values, and the last events, for browsers that come late."""
 
 from __future__ import annotations
 

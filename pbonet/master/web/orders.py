@@ -35,7 +35,7 @@ from .job_edits import JobEdits
 from .programs import Programs
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Sequence
+    from collections.abc import AsyncGenerator, Callable, Sequence
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 Data = dict[str, Any]
 _SLOW: Final = 0.5
-"""Seconds after which a browser is told that its command still runs."""
+"""Seconds after which a browser hears that its command still runs."""
 _MOST_WAITING: Final = 16
 """Commands that may wait."""
 _UNFIT: Final = {"quit", "status set", "sigwait"}
@@ -136,7 +136,7 @@ def decode(text: str) -> Request:
 
 
 def _nothing() -> None:
-    """Tell nobody that a command was carried out."""
+    """Take no note that a command was carried out."""
 
 
 def _unheard(_: Data) -> None:
@@ -144,7 +144,7 @@ def _unheard(_: Data) -> None:
 
 
 class Done(NamedTuple):
-    """What came of a request."""
+    """The outcome of a request."""
 
     text: str = ""
     warnings: Sequence[str] = ()
@@ -162,12 +162,12 @@ class Steered(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """What a request asks for, ready to be done."""
+    """The work that a request asks for."""
 
     name: str
     do: Callable[[], Done]
     pool: ThreadPoolExecutor
-    """Whose threads do it."""
+    """The threads that do it."""
 
 
 class Orders:
@@ -206,7 +206,7 @@ class Orders:
         self._programs.close()
 
     def first(self) -> list[Data]:
-        """Return what a new browser is told of the program that runs."""
+        """Return the messages for a new browser about the program that runs."""
         state = self._programs.state
         return [state] if state else []
 
@@ -316,18 +316,18 @@ def _only_operators(command: str) -> AccessError:
 @contextlib.asynccontextmanager
 async def _progress(
     number: int, name: str, told: Callable[[Data], None]
-) -> AsyncIterator[None]:
+) -> AsyncGenerator[None]:
     """Tell every half second that a command runs, while the block does."""
     begun = time.monotonic()
 
-    async def tell() -> None:
+    async def report() -> None:
         while True:
             await asyncio.sleep(_SLOW)
             passed = round(time.monotonic() - begun, 1)
             text = f"{name} is being carried out"
             told({"kind": "progress", "id": number, "text": text, "seconds": passed})
 
-    task = asyncio.create_task(tell())
+    task = asyncio.create_task(report())
     try:
         yield
     finally:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec import structs
 
 from pbonet.config import SeqFile, load, parse_seq, read_job, rewrite_seq
 from pbonet.errors import PbonetError, ProtocolError, StateError, did_you_mean
@@ -228,16 +229,16 @@ class _Run:
         self.name = path.stem
         self.ended = False
         self._tell = told
-        arguments = place.arguments | {"take_over": False, "confirm": None}
+        place = structs.replace(place, take_over=False, confirm=None)
         self._subsystem = Subsystem(
-            path, **arguments, kind="web-operator", warned=_unsaid
+            path, **place.arguments, kind="web-operator", warned=_unsaid
         )
         self._subsystem.open()
         try:
             self._port = Port(
                 self._subsystem, self._subsystem.name, handover=False, told=_unsaid
             )
-            self.sequencer = Sequencer(self._subsystem, told=self._told)
+            self.sequencer = Sequencer(self._subsystem, told=self._send_state)
             self._port.open()
         except BaseException:
             self._subsystem.detach()
@@ -260,7 +261,7 @@ class _Run:
             self.sequencer.abort("the page's server ends")
             self._thread.join(_END_TIME)
 
-    def _told(self, _: SequenceState) -> None:
+    def _send_state(self, _: SequenceState) -> None:
         self._tell(self.message)
 
     def _run(self) -> None:

@@ -30,7 +30,7 @@ PERIOD: Final = 0.05
 """Seconds between two messages while the run goes on."""
 _STATES: Final = 0.5
 _SAMPLES: Final = 1200
-"""Samples of one variable that a browser is told at once."""
+"""Samples of one variable in a message with earlier ones."""
 _AT_ONCE: Final = 10
 """Samples of one variable in a message while the run goes on."""
 _FASTEST: Final = 100.0
@@ -61,7 +61,8 @@ class RecordedRun(Source):
         self._written = {
             name for task in self._log.tasks for name in self._log.variables(task)
         }
-        self._events = [_event(one) for one in self._log.events()]
+        events = enumerate(self._log.events(), 1)
+        self._events = [_event(one, number) for number, one in events]
         self._states = _States(self._log, self._graph)
         self._series: dict[str, tuple[NDArray[np.float64], NDArray[Any]]] = {}
         self._at = begin
@@ -106,7 +107,7 @@ class RecordedRun(Source):
             self._moved.set()
 
     def first(self) -> list[Data]:
-        """Return what a new browser is told."""
+        """Return the first messages for a new browser."""
         with self._lock:
             at, speed = self._at, self._speed
         return [
@@ -159,12 +160,12 @@ class RecordedRun(Source):
                     self._at, self._speed = self._end, 0.0
                 at, speed = self._at, self._speed
             last = now
-            self._tell(at, speed, before, whole=jumped or now - told >= _STATES)
+            self._send(at, speed, before, whole=jumped or now - told >= _STATES)
             if jumped or now - told >= _STATES:
                 told = now
             before = at
 
-    def _tell(self, at: float, speed: float, before: float, *, whole: bool) -> None:
+    def _send(self, at: float, speed: float, before: float, *, whole: bool) -> None:
         """Tell how it is at a time; the status and earlier values only now and then."""
         self._told({"kind": "at", "t": at, "speed": speed})
         if whole:
@@ -297,8 +298,8 @@ def _graph(log: Log) -> Data:
     return graph
 
 
-def _event(event: Data) -> Data:
-    data = dict(event)
+def _event(event: Data, number: int) -> Data:
+    data = {**event, "n": number}
     data["t"] = data.pop("wall", 0.0)
     data["severity"] = Severity(data["severity"]).name.lower()
     return data

@@ -44,7 +44,7 @@ class Served(msgspec.Struct, frozen=True, kw_only=True):
     tls: Path | None = None
     """The folder with ``cert.pem`` and ``key.pem``; None: no TLS."""
     observe: bool = False
-    """Only observers: nobody can steer by this server."""
+    """Only observers: no browser can steer."""
     hz: float = 20.0
     """How often a second watched values are read."""
 
@@ -65,9 +65,7 @@ def serve(
         PbonetError: A file is wrong, a package is missing, the address is taken, or it
             is beyond this machine and there is no TLS.
     """
-    uvicorn_ = _package("uvicorn")
-    _package("websockets")
-    application = _package("starlette") and import_module(f"{__package__}.application")
+    uvicorn_, application = _packages()
     context = _tls(served)
     recorded = _is_log(Path(path))
     source = RecordedRun(path) if recorded else Watcher(path, place, hz=served.hz)
@@ -82,7 +80,8 @@ def serve(
     )
     orders = None
     if isinstance(source, Watcher):
-        orders = partial(Orders, Steered(path, name, place), source.knows, source.look)
+        steered = Steered(path, name, place)
+        orders = partial(Orders, steered, source.knows, source.refresh_soon)
     page = application.Page(source, orders, access, linked=_say_link(as_data=as_data))
     if not (application.DIST / "index.html").is_file():
         render.print_error(render.warning(application.NOT_BUILT.strip()))
@@ -106,7 +105,7 @@ def serve(
 
 
 async def _until_interrupted(server: uvicorn.Server, listening: socket.socket) -> None:
-    """Run a server until this process is told to end."""
+    """Run a server until this process gets a signal to end."""
 
     def end() -> None:
         server.should_exit = True
@@ -124,14 +123,21 @@ def _is_log(path: Path) -> bool:
     return path.suffix == ".mcap" or path.is_dir()
 
 
-def _package(name: str) -> Any:  # noqa: ANN401 - it may not be there
+def _packages() -> tuple[Any, Any]:
+    """Return uvicorn, and the application that it runs.
+
+    Raises:
+        NodeError: A package is not installed.
+    """
     try:
-        return import_module(name)
-    except ImportError:
+        import_module("websockets")
+        application = import_module(f"{__package__}.application")
+        return import_module("uvicorn"), application
+    except ImportError as error:
         raise NodeError(
             "the packages of the web page are not installed",
             expected="starlette, uvicorn and websockets",
-            got=f"no {name}",
+            got=f"no {error.name}",
             remedy='pip install "pbonet[web]"',
         ) from None
 

@@ -1,4 +1,4 @@
-"""What a page shows: a subsystem that runs, or a run that was recorded."""
+"""The source of what a page shows: a subsystem that runs, or a recorded run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Source(ABC):
 
     @abstractmethod
     def first(self) -> list[Data]:
-        """Return what a new browser is told."""
+        """Return the first messages for a new browser."""
 
     @abstractmethod
     def history(self, names: Iterable[str]) -> list[Data]:

@@ -6,12 +6,14 @@ the status twice a second, and hands on what has changed. Nothing is asked of a 
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec import structs
 
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.console import Follower
@@ -31,11 +33,11 @@ if TYPE_CHECKING:
     Data = dict[str, Any]
 
 STATES: Final = 0.5
-"""Seconds between two looks at the status, the events and all values."""
+"""Seconds between two requests of the status, the events and all values."""
 RETRY: Final = 1.0
 """Seconds between two attempts to reach the subsystem's agents."""
 _LARGEST: Final = 64
-"""Numbers of a variable up to which its history is kept though nobody watches it."""
+"""Numbers of a variable whose history is kept though no browser watches it, at most."""
 
 log = logging.getLogger("pbonet.master")
 
@@ -77,16 +79,17 @@ class Watcher(Source):
         self._look = threading.Event()
         self._complaints: list[str] = []
         self._shape: object = None
+        self._count = itertools.count(1)
         self._last: dict[str, Data] = {}
         """The newest value of each variable."""
         self._thread = threading.Thread(target=self._run, name="watcher", daemon=True)
 
     def _made(self) -> Subsystem:
         """Return the subsystem, which is not open yet."""
-        arguments = self._place.arguments | {"take_over": False, "confirm": None}
+        place = structs.replace(self._place, take_over=False, confirm=None)
         return Subsystem(
             self._path,
-            **arguments,
+            **place.arguments,
             kind="web",
             watch=True,
             partly=True,
@@ -109,7 +112,7 @@ class Watcher(Source):
         """Read these variables at the full rate from now on."""
         self._wanted = frozenset(names)
 
-    def look(self) -> None:
+    def refresh_soon(self) -> None:
         """Read the status now, because a command was carried out."""
         self._look.set()
 
@@ -118,7 +121,7 @@ class Watcher(Source):
         return any(one["name"] == task for one in self._graph.get("tasks", ()))
 
     def first(self) -> list[Data]:
-        """Return what a new browser is told: graph, status, events, complaints."""
+        """Return the first messages: graph, status, events, complaints."""
         with self._lock:
             return [
                 {"kind": "graph", "graph": self._graph},
@@ -189,7 +192,7 @@ class Watcher(Source):
             self._told({"kind": "values", "t": time.time(), "values": new})
 
     def _read_states(self, subsystem: Subsystem, follower: Follower) -> list[str]:
-        events = [_event(one) for one in follower.take()]
+        events = [_event(one, next(self._count)) for one in follower.take()]
         results, errors = subsystem.clients.each(lambda _: m.Status(), m.RtpuStatus)
         silent = [name for name in subsystem.clients.names if name not in results]
         with self._lock:
@@ -230,15 +233,17 @@ class Watcher(Source):
             self._told({"kind": "complaints", "texts": texts})
 
 
-def _event(event: Event) -> Data:
+def _event(event: Event, number: int) -> Data:
+    """Return an event as a message has it; RTPUs number theirs apart."""
     data: Data = msgspec.to_builtins(event)
+    data["n"] = number
     data["t"] = data.pop("wall")
     data["severity"] = Severity(event.severity).name.lower()
     return data
 
 
 def _unheard(_: Data) -> None:
-    """Tell nobody, before there is somebody."""
+    """Drop a message, before there is a server."""
 
 
 def _unsaid(_: str) -> None:

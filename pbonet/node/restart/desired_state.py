@@ -517,7 +517,7 @@ def _task_of(request: Kept) -> str:
 
 
 def _again(request: Kept) -> Kept:
-    """Return a request as it is given again, when nobody enters a job."""
+    """Return a request as it is given again, without the note of its first time."""
     if isinstance(request, m.Job):
         return msgspec.structs.replace(request, note="")
     return request

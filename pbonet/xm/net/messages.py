@@ -397,7 +397,7 @@ class Job(Request, tag="job"):
     told: Standing | None = None
     forget: bool = False
     note: str = ""
-    """What led to it, such as the step of a sequence; the event STEP has it."""
+    """The reason, such as the step of a sequence, for the event STEP."""
 
     @property
     def changes(self) -> bool:

@@ -1,4 +1,4 @@
-"""The page of a subsystem of 200 tasks and 500 variables, which only the server tells of."""
+"""The page of 200 tasks and 500 variables that exist for the server alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def port(variable):
 
 
 def made_graph():
-    """Return a graph in which every task writes two or three variables and reads some."""
+    """Return a graph in which every task writes some variables and reads others."""
     names = [f"V{k}" for k in range(VARIABLES)]
     writer = {name: k % TASKS for k, name in enumerate(names)}
     readers = {
@@ -212,8 +212,12 @@ def test_two_hundred_tasks_are_drawn_folded_and_only_what_is_seen_is_watched(lar
         page.locator("#tab-Variables").click()
         page.get_by_label("filter variables").fill("V49")
         wait_for(lambda: len(source.wanted) == 11, "V49 and V490 to V499 are watched")
-        row = page.locator("#panel tr", has=page.get_by_role("button", name="plot V499"))
-        wait_for(lambda: row.locator(".values").inner_text() != "–", "a value")
+        row = page.locator(
+            "#panel tr", has=page.get_by_role("button", name="plot V499")
+        )
+        wait_for(
+            lambda: row.locator(".values").inner_text() != "\N{EN DASH}", "a value"
+        )
         page.get_by_role("button", name="compact").click()
         page.locator(".card:not(.small)").first.wait_for()
         assert page.locator(".card").count() <= TASKS

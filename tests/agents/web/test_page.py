@@ -184,7 +184,7 @@ def test_variables_are_plotted_triggered_and_saved(page, tmp_path):
         new.press("Enter")
     assert page.locator(".chart").count() == 2
     shown = page.locator(".chart .series b").first
-    wait_for(lambda: shown.inner_text() not in {"", "–"}, "a value")
+    wait_for(lambda: shown.inner_text() not in {"", "\N{EN DASH}"}, "a value")
     page.get_by_label("seconds shown").select_option("2 s")
     page.get_by_text("trigger", exact=True).click()
     form = page.locator(".trigger form")

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 from edited_jobs import puma
 
 from pbonet.config import read_job
@@ -14,6 +15,7 @@ __all__ = ["puma"]
 PAGE = (Path(__file__).parents[3] / "docs" / "assembling.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_example_runs(puma, monkeypatch, capsys):
     monkeypatch.chdir(puma.parent)
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

@@ -1,16 +1,21 @@
 """A job is edited step by step: tasks, wires, settings, undo, and saving."""
 
+import errno
 import json
+import os
 import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
 from edited_jobs import PUMA, TASKS, content, puma, puma_files
 
 from pbonet.config import Library
 from pbonet.errors import ConfigError, ConfigFileError, PbonetError, UnknownTaskError
-from pbonet.master.configuration import Files, check_file, job_graph
-from pbonet.master.editing import JobEditor
+from pbonet.master.configuration import Files, Saved, check_file, job_graph
+from pbonet.master.configuration.saved_profiles import setup_of
+from pbonet.master.editing import JobEditor, Offer, Step
+from pbonet.master.editing.simulated_run import _copy
 
 __all__ = ["puma"]
 
@@ -438,3 +443,104 @@ def test_conditions_and_texts_of_the_job(puma):
     assert not editor.set_job(pre=["NODF == 6"])["legal"]
     with pytest.raises(ConfigError):
         editor.set_job(pre=["== 6"])
+
+
+def test_several_changes_are_made_or_refused_together(puma):
+    editor = JobEditor(puma)
+    before = editor.state()
+    steps = (
+        Step("add_task", {"module": "jttrace"}),
+        Step("remove_task", {"task": "nobody"}),
+    )
+    with pytest.raises(UnknownTaskError):
+        editor.apply(Offer(faults=(), kind="other", text="both", steps=steps))
+    assert editor.state() == before
+    assert editor.changes() == []
+
+
+def test_a_saved_copy_that_is_undone_is_no_rmod_any_more(puma):
+    editor = JobEditor(puma)
+    editor.add_task("jttrace")
+    editor.save()
+    editor.undo()
+    editor.remove_task("jttrace")
+    added = [o.steps[0].args.get("module") for o in editor.offers()]
+    assert "jttrace" in added
+    assert "jttrace_2" not in added
+    root = _copy(editor.files, puma.parent / "copy")
+    assert root == puma.parent
+    assert not (puma.parent / "copy" / "jttrace_2.rmod").exists()
+    assert (puma.parent / "copy" / "puma.sbs").is_symlink()
+
+
+def test_a_saved_copy_that_is_undone_can_be_added_again(puma):
+    editor = JobEditor(puma)
+    editor.add_task("jttrace")
+    editor.save()
+    editor.undo()
+    editor.add_task("jttrace_2")
+    assert {Path(c.file).name: c.kind for c in editor.changes()} == {}
+    editor.remove_task("jttrace")
+    editor.save()
+    assert JobEditor(puma).state()["legal"]
+
+
+def test_measured_times_count_until_the_variables_are_others(puma):
+    editor = JobEditor(puma)
+    task = editor.verdict.task("qrdiff")
+    saved = Saved(
+        rmod="qrdiff",
+        module="diff",
+        version=task.info.version,
+        setup=setup_of(task.rmod, editor.files.table),
+        host="lab",
+        rtpu="arm1",
+        when="today",
+        hz=100.0,
+        cycles=1000,
+        least=0.001,
+        most=0.002,
+        mean=0.001,
+        bins=((100, 1000),),
+    )
+    folder = puma.parent / "profiles" / "lab"
+    folder.mkdir(parents=True)
+    (folder / "qrdiff.json").write_bytes(msgspec.json.encode(saved))
+    editor = JobEditor(puma, host="lab")
+    state = editor.state()
+    assert state["timing"][1]["utilization"] == pytest.approx(0.2)
+    (bar,) = (one for one in state["timing"][1]["tasks"] if one["task"] == "qrdiff")
+    assert (bar["maxc"], bar["source"]) == (0.002, "measured")
+    state = editor.set_variable("Q_REF", "type", "float")
+    assert any("other variables" in text for text in state["warnings"])
+    assert editor.undo()["timing"][1]["utilization"] == pytest.approx(0.2)
+
+
+def test_a_disk_that_is_full_loses_nothing(puma, monkeypatch):
+    editor = JobEditor(puma)
+    editor.add_task("jttrace")
+    editor.set_variable("Q_REF", "maxage", 0.1)
+    first = content(puma.parent)
+    calls = []
+
+    def fsync(handle):
+        calls.append(handle)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(ConfigFileError, match="No space left") as full:
+        editor.save()
+    assert str(full.value).endswith(
+        f"saved before it: {puma.parent / 'jttrace_2.rmod'}"
+    )
+    now = content(puma.parent)
+    assert now.pop("jttrace_2.rmod")
+    assert now == first  # no part of a file, and the job does not name the new one yet
+    assert [Path(path).name for path in editor.state()["unsaved"]] == [
+        "puma.svar",
+        "puma.job",
+    ]
+    editor.save()
+    assert editor.changes() == []
+    assert b"jttrace_2" in puma.read_bytes()

@@ -10,6 +10,8 @@ from pbonet.master.editing import JobEditor
 
 __all__ = ["puma"]
 
+pytestmark = pytest.mark.slow  # each starts a process
+
 
 def test_the_edited_state_runs_and_its_values_come_back(puma):
     before = content(puma.parent)

@@ -262,6 +262,7 @@ def test_a_module_that_cannot_be_critical(puma):
     assert editor.apply(offer)["legal"]
 
 
+@pytest.mark.slow
 def test_the_palette_finds_modules_and_rmods_of_the_folder_too(puma):
     editor = JobEditor(puma)
     editor.add_task("jttrace", name="other")
@@ -271,3 +272,44 @@ def test_the_palette_finds_modules_and_rmods_of_the_folder_too(puma):
     assert found[:2] == ["grav_comp", "gravity"]
     with pytest.raises(ModuleLoadError, match="the library has no such module"):
         editor.palette("nothing of that kind")
+
+
+def test_a_constant_of_the_size_that_is_there_is_taken_for_a_join(puma):
+    editor = JobEditor(puma)
+    editor.add_variable("PAIR", nelem=2, units="rad", desc="two angles")
+    editor.add_variable("TWO", type="int", desc="a size", init=[2])
+    for number in (1, 2):
+        editor.add_task(
+            "constant",
+            name=f"pair{number}",
+            params={"VALUE": "1 2"},
+            aliases={"Y": "PAIR", "NDOF": "TWO"},
+        )
+    state = editor.apply(offers(editor, "join")[0])
+    assert state["legal"], state["errors"]
+    (task,) = (t for t in state["graph"]["tasks"] if t["name"].startswith("join"))
+    assert {p["port"]: p["variable"] for p in task["ins"]}["NDOF"] == "TWO"
+
+
+def test_a_port_of_another_size_is_offered_what_fits(puma):
+    editor = JobEditor(puma)
+    editor.add_variable("HAND", nelem=3, units="rad", desc="three angles")
+    state = editor.connect("grav_comp", "Q_MEZ", "HAND")
+    (fault,) = (f for f in state["graph"]["faults"] if "disagree" in f["text"])
+    assert (fault["tasks"], fault["ports"]) == (["grav_comp"], ["DH", "Q_MEZ"])
+    assert fault["variables"] == ["DH", "HAND"]
+    found = [o.text for o in offers(editor, "connect")]
+    assert "connect Q_MEZ of grav_comp to Q_MEZ (SVARALIAS)" in found
+    chosen = found.index("connect Q_MEZ of grav_comp to Q_MEZ (SVARALIAS)")
+    assert editor.apply(offers(editor, "connect")[chosen])["legal"]
+
+
+def test_a_fault_of_a_file_names_the_task(puma):
+    editor = JobEditor(puma)
+    state = editor.set_parameter("jttrace", "REPEET", "no")
+    (fault,) = (f for f in state["graph"]["faults"] if "REPEET" in f["text"])
+    assert fault["tasks"] == ["jttrace"]
+    editor.undo()
+    state = editor.add_task("jttrace", name="other", params={"SPEED": "fast"})
+    (fault,) = (f for f in state["graph"]["faults"] if "fast" in f["text"])
+    assert fault["tasks"] == ["other"]

@@ -303,3 +303,57 @@ def test_any_text_is_a_condition_or_an_error_with_a_place(text):
         if not problems:
             legality.evaluate(condition, TABLE, VALUES)
     assert where.startswith("a.job:1:")
+
+
+@pytest.mark.parametrize(
+    ("former", "later", "known", "outcome"),
+    [
+        (["GRIP > 7 [cm]"], ["GRIP < 4 [cm]"], [], "conflict"),
+        (["GRIP > 7 [cm]"], ["0.06 >= GRIP"], [], "conflict"),
+        (["GRIP <= 4 [cm]"], ["GRIP >= 40 [mm]"], [], "unsaid"),
+        (["GRIP < 4 [cm]"], ["GRIP >= 40 [mm]"], [], "conflict"),
+        (["GRIP > 7 [cm]"], ["GRIP > 0.05"], [], "follows"),
+        (["GRIP > 7 [cm]"], ["GRIP > 0.08"], [], "unsaid"),
+        (["GRIP > 7 [cm]"], ["GRIP >= 7 [cm]"], [], "follows"),
+        (["GRIP >= 7 [cm]"], ["GRIP > 7 [cm]"], [], "unsaid"),
+        (["GRIP > 7 [cm]"], ["GRIP > 7 [m]"], [], "unsaid"),
+        (["HELD"], ["not HELD"], [], "conflict"),
+        (["HELD and N > 2"], ["HELD"], [], "follows"),
+        (["not HELD"], ["HELD and N > 1"], [], "conflict"),
+        (["N == 3"], ["1 < N < 5"], [], "follows"),
+        (["N == 3"], ["3 < N < 5"], [], "conflict"),
+        (["N != 3"], ["N == 3"], [], "unsaid"),
+        (["norm(OLD) < 5 [mm]"], ["norm( OLD ) < 6 [mm]"], [], "follows"),
+        (["norm(OLD) < 5 [mm]"], ["0.01 < norm(OLD)"], [], "conflict"),
+        (["Q[0] > 1"], ["Q[1] > 1"], [], "unsaid"),
+        (["HELD or N > 2"], ["HELD  or N>2"], [], "follows"),
+        (["HELD or N > 2"], ["HELD"], [], "unsaid"),
+        ([], ["GRIP > 7 [cm]"], ["GRIP > 8 [cm]"], "follows"),
+        ([], ["GRIP > 7 [cm]"], ["GRIP < 6 [cm]"], "unsaid"),
+    ],
+)
+def test_how_a_pre_fits_the_post_before_it(former, later, known, outcome):
+    conditions = [[Condition(one) for one in some] for some in (former, later, known)]
+    found = legality.fit(*conditions[:2], TABLE, conditions[2])
+    told = "conflict" if found.conflicts else "unsaid" if found.unsaid else "follows"
+    assert told == outcome
+
+
+@given(
+    st.sampled_from(["<", "<=", ">", ">=", "=="]),
+    st.integers(-3, 3),
+    st.sampled_from(["<", "<=", ">", ">=", "=="]),
+    st.integers(-3, 3),
+)
+def test_what_is_said_of_a_pre_is_true_of_every_number(one, first, two, second):
+    post, pre = Condition(f"N {one} {first}"), Condition(f"N {two} {second}")
+    found = legality.fit([post], [pre], TABLE)
+    halves = [n / 2 for n in range(-8, 9)]
+
+    def holds(condition, number):
+        return legality.evaluate(condition, TABLE, {"N": [number]}).holds
+
+    left = [n for n in halves if holds(post, n)]
+    assert bool(found.conflicts) is not any(holds(pre, n) for n in left)
+    if not found.conflicts:
+        assert bool(found.unsaid) is not all(holds(pre, n) for n in left)

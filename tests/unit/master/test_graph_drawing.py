@@ -30,9 +30,7 @@ from pbonet.master.configuration import (
 from pbonet.master.configuration.graph_layout import layout
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
-JOBS = sorted(
-    path for path in EXAMPLES.glob("*/*.job") if path.parent.name != "overload"
-)
+JOBS = sorted(EXAMPLES.glob("*/*.job"))
 EVIL = '<script>"&]]>\n#lt; `x` |a| {b} \x07</script>'
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from pbonet.errors import ConditionError, MethodError
 from pbonet.master.configuration.check_files import check_file
+from pbonet.master.subsystem import Phase, Sequencer, Subsystem
 from pbonet.testing import Bench
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "pick_and_place"
@@ -73,6 +74,27 @@ def test_jaws_that_do_not_close_are_noticed_before_the_lift(
     assert "expected them to hold within 5 s" in out
     assert re.search(r"^ *\d+\.\d\d  retreat .* 80.0 +0$", out, re.MULTILINE)
     assert out.endswith("the second part lies where it lay\n")
+
+
+@pytest.mark.slow
+def test_the_sequence_does_what_the_program_does() -> None:
+    with Subsystem(EXAMPLE / "carry.seq", virtual=True) as cell:
+        state = Sequencer(cell).run()
+        (part,) = cell.display("PART")
+        tools = [one.task for one in cell.status() if "fingers" in one.task]
+    assert (state.phase, state.text) == (Phase.DONE, "both parts are in their place")
+    assert state.entered == (*JOBS, "back", *JOBS, "home")
+    assert state.errors == ()
+    assert part.values == pytest.approx([0.5, 0.2, -0.42], abs=0.006)
+    assert tools == ["long_fingers"]
+
+
+def test_the_sequence_is_legal() -> None:
+    found = check_file(EXAMPLE / "carry.seq")
+    assert found.errors == []
+    assert found.notes == []
+    assert len(found.warnings) == 7, "PRE of each job but the first and the last"
+    assert all("does not ensure PRE" in text for text in found.warnings)
 
 
 def test_no_job_is_entered_without_a_tool(demo: ModuleType) -> None:

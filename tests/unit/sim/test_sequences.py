@@ -12,7 +12,7 @@ import pytest
 from watching import wait_for
 
 from pbonet import cli
-from pbonet.errors import ConfigError, NoAnswerError, StateError
+from pbonet.errors import ConditionError, ConfigError, NoAnswerError, StateError
 from pbonet.master import Subsystem
 from pbonet.master.configuration import check_file
 from pbonet.master.subsystem import Phase, Sequencer
@@ -239,6 +239,19 @@ def test_post_is_asked_when_no_error_came_first(shop):
     assert "within 0.05 s" in state.text, "as long as WAIT says"
 
 
+def test_a_job_can_be_given_up_without_its_post(shop):
+    with Subsystem(shop / "slow.job", virtual=True) as subsystem:
+        subsystem.start()
+        with pytest.raises(ConditionError, match="POST of slow does not hold"):
+            subsystem.switch("quick")
+        subsystem.wait(0.55)
+        subsystem.switch("silent")
+        subsystem.switch("slow")
+        assert [one.signal for one in subsystem.signals()] == []
+        subsystem.switch("both", abandon=True)
+        assert [one.task for one in subsystem.status()] == ["both"]
+
+
 def test_an_order_that_fails_leads_to_the_else_of_the_step_above(shop):
     state, _ = run(
         shop,
@@ -411,7 +424,7 @@ def test_the_exported_program_does_the_same(shop, monkeypatch, capsys):
     out = capsys.readouterr().out.splitlines()
     names = [line.split()[-1] for line in out if line[:1] == " "]
     assert [name for name in names if name in state.entered] == list(state.entered)
-    assert out[-1] == "it's \"done\""
+    assert out[-1] == 'it\'s "done"'
     assert any(line.startswith("broken: ") and "sent ERROR" in line for line in out)
 
 
@@ -419,7 +432,7 @@ def test_a_program_ends_with_a_status_as_the_sequence_does(shop, monkeypatch, ca
     path = write(shop, "STEP silent UNTIL FINISH WITHIN 0.2\nFAIL never")
     assert verb("new", "program", path) == 0
     monkeypatch.setattr(sys, "argv", ["test.py", "--sim"])
-    with pytest.raises(SystemExit, match="test: .*no FINISH within 0.2 s"):
+    with pytest.raises(SystemExit, match=r"test: .*no FINISH within 0\.2 s"):
         runpy.run_path(str(shop / "test.py"), run_name="__main__")
     assert "the sequence is given up" in capsys.readouterr().out
     assert verb("new", "program", path) == 1
@@ -427,17 +440,15 @@ def test_a_program_ends_with_a_status_as_the_sequence_does(shop, monkeypatch, ca
 
 
 @pytest.mark.parametrize(
-    ("text", "status", "last"),
+    ("text", "last"),
     [
-        ("STEP quick UNTIL FINISH\nDONE well", 0, "done: well"),
-        ("STEP quick UNTIL FINISH\nFAIL badly", 1, "failed: badly"),
-        ("STEP silent UNTIL FINISH", 1, "aborted: 1 s are over"),
+        ("STEP quick UNTIL FINISH\nDONE well", "done: well"),
+        ("STEP quick UNTIL FINISH\nFAIL badly", "failed: badly"),
+        ("STEP silent UNTIL FINISH", "aborted: 1 s are over"),
     ],
 )
-def test_run_sim_runs_a_sequence_and_its_status_says_how(
-    shop, monkeypatch, capsys, text, status, last
-):
-    monkeypatch.chdir(shop)
+def test_run_sim_runs_a_sequence_and_its_status_says_how(shop, capsys, text, last):
+    status = 0 if last.startswith("done") else 1
     path = str(write(shop, text))
     runs = shop / "runs"
     assert verb("run", path, "--sim", "--seconds", "1", "--runs", runs) == status
@@ -445,8 +456,11 @@ def test_run_sim_runs_a_sequence_and_its_status_says_how(
     assert last in out
     assert "step 1: job " in out
     assert "every cycle is in" in out
-    assert verb("log", "events", next(runs.iterdir())) == 0
+    (log,) = runs.iterdir()
+    assert verb("log", "events", log) == 0
     assert "is entered: test: STEP" in capsys.readouterr().out
+    assert verb("replay", log) == 0, "the sequence is simulated again from its log"
+    assert "identical" in capsys.readouterr().out
 
 
 def test_simulate_says_how_to_run_a_sequence(shop, capsys):

@@ -126,8 +126,8 @@ def test_a_browser_gets_the_newest_of_the_values_that_it_watches():
     other.watched = frozenset("C")
     all_.rewatch()
     for n in range(3):
-        all_.tell({"kind": "values", "t": n, "values": {"A": {"v": [n]}, "C": {}}})
-    all_.tell({"kind": "values", "t": 3, "values": {"B": {"v": [math.nan]}}})
+        all_.send({"kind": "values", "t": n, "values": {"A": {"v": [n]}, "C": {}}})
+    all_.send({"kind": "values", "t": 3, "values": {"B": {"v": [math.nan]}}})
     assert take(one) == [
         {"kind": "values", "t": 3, "values": {"A": {"v": [2]}, "B": {"v": [None]}}}
     ]
@@ -141,6 +141,6 @@ def test_a_browser_that_reads_nothing_is_lost_and_keeps_a_bounded_number():
     browser = Browser(Role.OPERATOR)
     all_.add(browser)
     for n in range(2000):
-        all_.tell({"kind": "events", "events": [n]})
+        all_.send({"kind": "events", "events": [n]})
     assert browser.lost
     assert len(take(browser)) <= 500

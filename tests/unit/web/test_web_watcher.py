@@ -1,0 +1,36 @@
+"""What the watcher of a subsystem tells; no agent runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+from pbonet.master.configuration import Place
+from pbonet.master.web.watcher import Watcher
+
+PUMA = Path(__file__).parents[3] / "examples" / "puma" / "puma.job"
+
+
+def test_a_graph_that_lacks_a_task_is_drawn_again_until_it_has_all():
+    watcher = Watcher(PUMA, Place())
+    (planned, *_) = watcher.first()
+    whole = planned["graph"]
+    lacking = whole | {"tasks": whole["tasks"][:-1]}
+    graphs = [lacking, lacking, whole]
+    subsystem = SimpleNamespace(
+        task_set=SimpleNamespace(refresh=lambda *, strict: strict),
+        graph=lambda: graphs.pop(0),
+    )
+    tasks = [
+        SimpleNamespace(
+            task=one["name"], rtpu=one["rtpu"], tid=1, ref_f=1.0, fallback_of=""
+        )
+        for one in whole["tasks"]
+    ]
+    statuses = {"arm0": SimpleNamespace(tasks=tasks)}
+    told = []
+    watcher._told = told.append
+    for _ in range(5):
+        watcher._redraw(subsystem, statuses)
+    assert [one["graph"] for one in told] == [lacking, whole]
+    assert graphs == []
