@@ -142,11 +142,12 @@ function Connection() {
 export function Canvas() {
   const state = useEditor();
   useAssemble("connecting");
+  useAssemble("refused");
   return (
     <section className={`graph canvas${assemble.connecting ? " connecting" : ""}${state && shouldCompact(state.graph) ? " many" : ""}`} aria-label="the job as a graph">
       <ReactFlowProvider><Flow /></ReactFlowProvider>
       {state && !state.graph.tasks.length && <p className="empty">Drag a module from the palette onto an RTPU, or press Enter on it.</p>}
-      {!state && <p className="empty">opening the job…</p>}
+      {!state && <p className="empty">{assemble.refused?.at === "open" ? "No job is open. Choose one above, or begin a new one." : "opening the job…"}</p>}
       <div className="canvas-messages"><Connection /><Refusal at="canvas" /></div>
     </section>
   );

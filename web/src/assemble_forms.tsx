@@ -211,7 +211,8 @@ function VariableForm({ state, name }: { state: EditorState; name: string }) {
   const entry = state.table[name];
   const about = state.graph.variables.find((one) => one.name === name);
   const users = about ? [...about.writers.map((one) => [one, "writes it"]), ...about.readers.map((one) => [one, "reads it"])] : [];
-  if (!entry) return <p>The table has no variable {name}. See the faults for what adds it.</p>;
+  const faults = faultsOf(state).filter(({ fault }) => fault.variables.includes(name)).map((one) => <FaultCard key={`${one.number} ${one.fault.text}`} of={one} />);
+  if (!entry) return <><p>The table has no variable {name}.</p>{faults}</>;
   const set = (field: string, text: string) => {
     const at = `field ${field}`;
     try {
@@ -225,6 +226,7 @@ function VariableForm({ state, name }: { state: EditorState; name: string }) {
         <h3 tabIndex={-1}>{name} <span className="dim">variable of the table</span></h3>
         {users.length ? <ul className="port-list">{users.map(([task, word]) => <li key={`${task} ${word}`}><button type="button" className="link" onClick={() => assemble.choose({ kind: "task", task: task! })}>{task}</button><span className="dim">{word}</span></li>)}</ul> : <p className="dim">no task of this job uses it</p>}
       </section>
+      {faults}
       <section className="fields-grid" aria-label="settings">{VARIABLE.map((one) => <SettingField key={one.field} of={one} value={entry[one.field]} set={(text) => set(one.field, text)} />)}
         <CheckField label="FINITE" at="field finite" hint="NaN and infinities are refused" value={entry.finite !== false} set={(value) => void assemble.change("set_variable", { name, field: "finite", value }, "field finite")} />
       </section>

@@ -1,5 +1,5 @@
 // What is chosen in the job that is edited, and how changes of it go.
-import { edit } from "./connection";
+import { edit, program } from "./connection";
 import { Keyed, live, useKey } from "./live_state";
 import type { Answer, EditorState, Fit, Graph, SimulatedRun } from "./protocol";
 import { jobName, newTasks, type Connecting } from "./assemble_words";
@@ -21,9 +21,9 @@ class AssembleState extends Keyed {
   over = "";
   /** The last refusal, and the control that caused it. */
   refused: { at: string; text: string } | null = null;
-  busy = false;
   run: SimulatedRun | null = null;
   private graph: Graph | null = null;
+  private asked = 0;
 
   constructor() {
     super();
@@ -44,7 +44,17 @@ class AssembleState extends Keyed {
 
   /** Opens the job that is edited, or another one. */
   async open(job = ""): Promise<void> {
-    if (await this.change("open", job ? { job } : {}, "open")) { if (job) { this.run = null; this.choose({ kind: "job" }); } }
+    if (!(await this.change("open", job ? { job } : {}, "open"))) return this.findJobs();
+    if (!job) return;
+    this.run = null;
+    this.choose({ kind: "job" });
+  }
+
+  /** Asks which jobs there are, where the one that was asked for cannot be opened. */
+  private async findJobs(): Promise<void> {
+    const answer = await program("list");
+    if (answer.ok) this.jobs = (answer.data?.jobs as { name: string }[]).map((one) => one.name);
+    this.tell("state");
   }
 
   /** Makes a change; returns whether it was done. A refusal is shown at the control of that name. */
@@ -54,14 +64,17 @@ class AssembleState extends Keyed {
 
   /** Asks something about the job, or changes it. */
   async ask(name: string, args: Record<string, unknown>, at: string): Promise<Answer> {
-    this.busy = true;
+    this.asked += 1;
     this.tell("busy");
     const answer = await edit(name, args);
-    this.busy = false;
-    this.refuse(answer.ok ? null : { at, text: answer.text });
+    this.asked -= 1;
+    if (!answer.ok) this.refuse({ at, text: answer.text });
+    else if (name !== "changes") this.refuse(null);
     this.tell("busy");
     return answer;
   }
+  /** Whether an answer is awaited. */
+  get busy(): boolean { return this.asked > 0; }
 
   refuse(refused: { at: string; text: string } | null): void { this.refused = refused; this.tell("refused"); }
 

@@ -80,7 +80,7 @@ function Jobs() {
     const lost = assemble.state?.unsaved.map(fileName).join(", ");
     if (!lost || window.confirm(`These changes are not saved and would be lost: ${lost}. Open ${job} anyway?`)) void assemble.open(job);
   };
-  const jobs = assemble.jobs.includes(assemble.job) || !assemble.job ? assemble.jobs : [assemble.job, ...assemble.jobs];
+  const jobs = assemble.jobs.includes(assemble.job) ? assemble.jobs : [assemble.job, ...assemble.jobs];
   return (
     <span className="row" role="group" aria-label="job">
       <label className="field inline"><span>job</span><select value={assemble.job} onChange={(event) => open(event.target.value)}>{jobs.map((one) => <option key={one}>{one}</option>)}</select></label>
