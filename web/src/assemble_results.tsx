@@ -27,6 +27,7 @@ export function SimulatePanel() {
     setRunning(true);
     const answer = await assemble.ask("simulate", { seconds: Number(seconds), variables: wanted }, "simulate");
     assemble.run = answer.ok ? (answer.data?.run as SimulatedRun) : null;
+    assemble.runOf = state;
     assemble.tell("run");
     setRunning(false);
   };
@@ -51,7 +52,7 @@ function RunResult({ run }: { run: SimulatedRun }) {
   const shown = Object.entries(run.series);
   return (
     <section aria-label="simulated run">
-      <p>{run.ok && !run.problems.length ? <span className="flag legal">✓ it ran</span> : <span className="flag illegal">✕ {run.ok ? "it ran, with problems" : "it failed"}</span>}</p>
+      <p>{run.ok && !run.problems.length ? <span className="flag legal">✓ it ran</span> : <span className="flag illegal">✕ {run.ok ? "it ran, with problems" : "it failed"}</span>}{assemble.runOf !== assemble.state && <span className="dim"> before the last change of the job</span>}</p>
       {run.problems.map((text) => <pre key={text} className="problem">{text}</pre>)}
       {shown.map(([name, series]) => <RunChart key={name} name={name} series={series} />)}
       {run.tasks.length > 0 && (

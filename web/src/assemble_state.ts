@@ -22,8 +22,11 @@ class AssembleState extends Keyed {
   /** The last refusal, and the control that caused it. */
   refused: { at: string; text: string } | null = null;
   run: SimulatedRun | null = null;
+  /** The state that was simulated. */
+  runOf: EditorState | null = null;
   private graph: Graph | null = null;
   private asked = 0;
+  private asksBeforeLeaving = false;
 
   constructor() {
     super();
@@ -44,10 +47,18 @@ class AssembleState extends Keyed {
 
   /** Opens the job that is edited, or another one. */
   async open(job = ""): Promise<void> {
+    this.askBeforeLeaving();
     if (!(await this.change("open", job ? { job } : {}, "open"))) return this.findJobs();
     if (!job) return;
     this.run = null;
     this.choose({ kind: "job" });
+  }
+
+  /** Has the browser ask before it leaves a page with changes that are not saved, whatever it shows. */
+  private askBeforeLeaving(): void {
+    if (this.asksBeforeLeaving) return;
+    this.asksBeforeLeaving = true;
+    window.addEventListener("beforeunload", (event) => { if (this.isChanged) event.preventDefault(); });
   }
 
   /** Asks which jobs there are, where the one that was asked for cannot be opened. */

@@ -18,7 +18,6 @@ export function AssembleView() {
   const isLive = live.link === "live";
   useEffect(() => { if (isLive) void assemble.open(); }, [isLive]);
   useKeys();
-  useQuestionBeforeLeaving();
   return (
     <main className="assemble">
       <Tools />
@@ -41,15 +40,6 @@ function useKeys(): void {
     };
     window.addEventListener("keydown", pressed);
     return () => window.removeEventListener("keydown", pressed);
-  }, []);
-}
-
-/** Has the browser ask before it leaves a page with changes that are not saved. */
-function useQuestionBeforeLeaving(): void {
-  useEffect(() => {
-    const leaves = (event: BeforeUnloadEvent) => { if (assemble.isChanged) event.preventDefault(); };
-    window.addEventListener("beforeunload", leaves);
-    return () => window.removeEventListener("beforeunload", leaves);
   }, []);
 }
 
