@@ -41,14 +41,20 @@ def server(programs, browser, folder):  # noqa: ARG001 - skips before it starts
     return PageServer(programs, folder / "puma.job")
 
 
-@pytest.fixture
-def assembling(browser, server, folder):
+@pytest.fixture(scope="module")
+def opened_page(browser, server):
     """The page while jobs are assembled."""
     with opened(browser, server.link()) as page:
         page.on("dialog", lambda dialog: dialog.accept())
         page.get_by_role("button", name="Assemble").click()
         page.locator(".canvas .card").first.wait_for()
         yield page
+
+
+@pytest.fixture
+def assembling(opened_page, folder):
+    """The page, in whose folder is nothing that another test has saved."""
+    yield opened_page
     for path in folder.glob("*.rmod"):
         path.unlink()
     shutil.copy(PUMA / "puma.svar", folder)
