@@ -16,6 +16,7 @@ from msgspec import Struct, structs
 from pbonet.config import write_job
 from pbonet.errors import ConfigError, PbonetError, WireError
 from pbonet.log import Log
+from pbonet.xm.net import convert
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -142,7 +143,7 @@ def _said(outcome: Mapping[str, Any]) -> str:
     """Return the error that a run ended with; empty: none."""
     if "error" not in outcome:
         return ""
-    return str(PbonetError.from_wire(msgspec.convert(outcome["error"], WireError)))
+    return str(PbonetError.from_wire(convert(outcome["error"], WireError)))
 
 
 def _series(

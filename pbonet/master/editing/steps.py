@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from pbonet.errors import ConfigError, did_you_mean
+from pbonet.xm.net import convert
 
 from . import task_edits, wiring_edits
 
@@ -61,7 +62,7 @@ def make_step(files: DraftFiles, do: str, args: Mapping[str, Any]) -> None:
             remedy=did_you_mean(do, EDITS) or "name one of these",
         )
     try:
-        given = msgspec.convert(dict(args), _arguments(do))
+        given = convert(dict(args), _arguments(do))
     except msgspec.ValidationError as error:
         raise ConfigError(
             f"the arguments of {do} are wrong",

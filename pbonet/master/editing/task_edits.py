@@ -19,7 +19,7 @@ from pbonet.config import (
     parse_rmod,
 )
 from pbonet.errors import ConfigError, UnknownTaskError, did_you_mean
-from pbonet.xm.net import check_name
+from pbonet.xm.net import check_name, convert
 
 from .draft_files import DraftFiles
 
@@ -361,7 +361,7 @@ def _converted(kind: type[msgspec.Struct], field: str, value: Any, task: str) ->
     if value is None or (value == "" and field != "desc"):
         return about.default
     try:
-        return msgspec.convert(value, about.type, strict=False)
+        return convert(value, about.type, strict=False)
     except msgspec.ValidationError as error:
         raise ConfigError(
             f"{field.upper()} cannot be {value!r}",

@@ -10,6 +10,7 @@ from msgspec import structs
 from pbonet.analysis.legality import intermediate
 from pbonet.config import Variable, element_type
 from pbonet.errors import ConfigError, UnknownVariableError, did_you_mean
+from pbonet.xm.net import convert
 
 from .draft_files import DraftFiles
 from .task_edits import change_rmod, record_of, task_names
@@ -231,7 +232,7 @@ def _field(about: structs.FieldInfo, value: Any, variable: Variable) -> Any:  # 
     if value is None:
         return about.default
     try:
-        wanted = msgspec.convert(value, about.type, strict=False)
+        wanted = convert(value, about.type, strict=False)
     except msgspec.ValidationError as error:
         raise ConfigError(
             f"{about.name.upper()} cannot be {value!r}",

@@ -10,7 +10,7 @@ import msgspec
 from pbonet.errors import ConfigError, ProtocolError, did_you_mean
 from pbonet.master.configuration import Files
 from pbonet.master.editing import EDITS, JobEditor, Offer
-from pbonet.xm.net import check_name
+from pbonet.xm.net import check_name, convert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -145,9 +145,13 @@ class JobEdits:
 
     def _apply(self, args: Data) -> Data:
         try:
-            offer = msgspec.convert(args.get("offer"), Offer)
+            offer = convert(args.get("offer"), Offer)
         except msgspec.ValidationError as error:
-            raise ProtocolError("this is no offer", got=str(error)[:200]) from None
+            raise ProtocolError(
+                "this is no offer",
+                got=str(error)[:200],
+                remedy="send one of the state's offers as it is",
+            ) from None
         return self._now.apply(offer)
 
     def _palette(self, args: Data) -> Data:

@@ -16,7 +16,7 @@ from pbonet.master.console import Port
 from pbonet.master.editing import SavedFiles
 from pbonet.master.subsystem import Sequencer, Subsystem
 from pbonet.master.tools import export_program
-from pbonet.xm.net import check_name
+from pbonet.xm.net import check_name, convert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -160,10 +160,13 @@ class Programs:
         path = self._path(args)
         try:
             given = {"file": str(path), "sbs": self._files.path.name}
-            seq = msgspec.convert({**args.get("seq", {}), **given}, SeqFile)
+            seq = convert({**args.get("seq", {}), **given}, SeqFile)
         except (msgspec.ValidationError, TypeError) as error:
             raise ProtocolError(
-                "this is no program", where=path.name, got=str(error)[:200]
+                "this is no program",
+                where=path.name,
+                got=str(error)[:200],
+                remedy="see docs/web.md for its form",
             ) from None
         self._disk.note(path)
         before = load(path) if path.is_file() else ""

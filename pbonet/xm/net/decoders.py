@@ -38,8 +38,13 @@ def prepare(module: ModuleType) -> None:
             decoder(one)
 
 
-def convert(value: object, kind: type[T]) -> T:
+def convert(value: object, kind: type[T], *, strict: bool = True) -> T:
     """Return a part of a message as a value of a type.
+
+    Args:
+        value: The part.
+        kind: The type.
+        strict: Whether a text is no number, and the like.
 
     Raises:
         msgspec.ValidationError: It is none.
@@ -47,4 +52,4 @@ def convert(value: object, kind: type[T]) -> T:
     if kind not in _prepared:
         decoder(kind)
         _prepared.add(kind)
-    return msgspec.convert(value, kind)
+    return msgspec.convert(value, kind, strict=strict)
