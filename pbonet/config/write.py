@@ -60,7 +60,7 @@ def same_again(record: Record, text: str, parse: Callable[[str, str], Record]) -
             expected="a record as the reader returns it",
             got=str(error),
             remedy="correct the record",
-        ) from None
+        ) from error
     if meaning(again) != meaning(record):
         raise ConfigError(
             "the record would mean something else after writing and reading",

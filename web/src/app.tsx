@@ -7,6 +7,7 @@ import { live, useLive } from "./live_state";
 import { CommandsPanel, EventsPanel } from "./messages_panels";
 import { TABS, page, usePage, type Tab } from "./page_state";
 import { PlotsPanel, VariableNames } from "./plots_panel";
+import { RunBar } from "./program_run";
 import { ProgramView } from "./program_view";
 import { TaskTable, VariableTable } from "./tables";
 import { TaskPanel } from "./task_panel";
@@ -84,6 +85,7 @@ export function App() {
       <TopBar />
       <Bars />
       <LogBar />
+      <RunBar />
       <Main />
       <VariableNames />
     </div>

@@ -64,6 +64,10 @@ class States:
         self._tasks: dict[str, Data] = {}
         self._rtpus: dict[str, Data] = {}
 
+    def __contains__(self, task: str) -> bool:
+        """Return whether a task was in the last status."""
+        return task in self._tasks
+
     def new(
         self, statuses: Mapping[str, m.RtpuStatus], silent: Iterable[str], now: float
     ) -> Data:

@@ -39,7 +39,7 @@ from pbonet.master.console import (
 
 from .access import Role
 from .job_edits import JobEdits
-from .programs import Programs
+from .programs import STEERING, Programs
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator, Callable, Sequence
@@ -266,7 +266,8 @@ class Orders:
             edit = partial(self._edits.do, request.edit, request.args)
             return _Work(request.edit, lambda: Done(data=edit()), self._files)
         program = partial(self._programs.do, request.program, request.args)
-        return _Work(request.program, lambda: Done(data=program()), self._files)
+        pool = self._stops if request.program in STEERING else self._files
+        return _Work(request.program, lambda: Done(data=program()), pool)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
+import time
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 from msgspec import structs
 
 from pbonet.config import SeqFile, load, parse_seq, read_job, rewrite_seq
-from pbonet.errors import PbonetError, ProtocolError, StateError, did_you_mean
+from pbonet.errors import (
+    ConfigError,
+    ConfigFileError,
+    PbonetError,
+    ProtocolError,
+    StateError,
+    did_you_mean,
+)
 from pbonet.master.configuration import Files, sequence_findings
 from pbonet.master.console import Port
 from pbonet.master.editing import SavedFiles
 from pbonet.master.subsystem import Sequencer, Subsystem
 from pbonet.master.tools import export_program
+from pbonet.pbo import PREDEFINED
 from pbonet.xm.net import check_name, convert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pbonet.config import Library, Rewritten
+    from pbonet.config import Library
     from pbonet.master.configuration import Place
     from pbonet.master.subsystem import SequenceState
 
@@ -29,6 +40,26 @@ if TYPE_CHECKING:
 
 _END_TIME: Final = 60.0
 """Seconds that a program has to reach its safe job when the server ends."""
+STEERING: Final = frozenset({"pause", "resume", "step", "abort"})
+"""What is done at once, whatever else is being done."""
+
+
+class _Given(NamedTuple):
+    """A program as a page has it."""
+
+    path: Path
+    before: str
+    """The text of its file; empty: there is none."""
+    text: str
+    """The text that its file would have."""
+    comments: bool
+    """Whether the comments of lines that stay are kept."""
+
+    @property
+    def lost(self) -> list[str]:
+        """The comments that its file would not have any more."""
+        kept = _comments(self.text)
+        return [one for one in _comments(self.before) if one not in kept]
 
 
 class Programs:
@@ -55,7 +86,6 @@ class Programs:
         self._place = place
         self._library = library
         self._told = told
-        self._disk = SavedFiles()
         self._running: _Run | None = None
         self.does: dict[str, Callable[[Data], Data]] = {
             "list": self._list,
@@ -64,10 +94,7 @@ class Programs:
             "save": self._save,
             "export": self._export,
             "run": self._run,
-            "pause": lambda _: self._steer("pause"),
-            "resume": lambda _: self._steer("resume"),
-            "step": lambda _: self._steer("step"),
-            "abort": lambda _: self._steer("abort"),
+            **{name: partial(self._steer, name) for name in STEERING},
         }
 
     def do(self, name: str, args: Mapping[str, Any]) -> Data:
@@ -108,9 +135,16 @@ class Programs:
     def _list(self, _: Data) -> Data:
         folder = self._files.path.parent
         found = sorted(path.stem for path in folder.glob("*.seq"))
+        jobs = [self._job(name) for name in self._files.jobs()]
+        tasks = {task for job in jobs for task in job["tasks"]}
+        tasks |= {path.stem for path in folder.glob("*.rmod")}
         return {
             "programs": found,
-            "jobs": [self._job(name) for name in self._files.jobs()],
+            "jobs": jobs,
+            "tasks": {name: self._task(name) for name in sorted(tasks)},
+            "signals": list(PREDEFINED),
+            "variables": [one.name for one in self._files.table.variables],
+            "rtpus": [one.name for one in self._files.sbs.rtpus],
             "sbs": self._files.path.name,
         }
 
@@ -120,12 +154,23 @@ class Programs:
         try:
             job = read_job(self._files.path.with_name(f"{name}.job"))
         except PbonetError as error:
-            return data | {"fault": str(error)}
+            return data | {"tasks": [], "fault": str(error)}
         return data | {
             "desc": job.desc,
             "pre": [one.text for one in job.pre],
             "post": [one.text for one in job.post],
             "tasks": [one.rmod for one in job.tasks],
+        }
+
+    def _task(self, name: str) -> Data:
+        """Return the own signals and the parameters of a task; none if it is faulty."""
+        try:
+            info = self._library.load_rmod(self._files.rmod(name).record).info
+        except PbonetError:  # a check of a job that has it says so
+            return {"signals": [], "params": []}
+        return {
+            "signals": [one.name for one in info.signals],
+            "params": [one.name for one in info.params],
         }
 
     def _path(self, args: Data) -> Path:
@@ -134,10 +179,8 @@ class Programs:
 
     def _open(self, args: Data) -> Data:
         path = self._path(args)
-        files = Files(path, self._library)
-        self._disk = SavedFiles()
-        self._disk.note(path)
-        return self._judged(files)
+        base = _digest(path)
+        return self._judged(Files(path, self._library)) | {"base": base}
 
     def _judged(self, files: Files) -> Data:
         seq = files.seq
@@ -150,12 +193,11 @@ class Programs:
             "about": found.about,
         }
 
-    def _given(self, args: Data) -> tuple[Path, Rewritten]:
-        """Return the file of a program, and its text as the page has it.
+    def _seq(self, args: Data) -> tuple[Path, SeqFile]:
+        """Return a program as a page has it.
 
         Raises:
-            ProtocolError: It is no program.
-            ConfigError: No file can say it.
+            ProtocolError: It is none.
         """
         path = self._path(args)
         try:
@@ -168,20 +210,61 @@ class Programs:
                 got=str(error)[:200],
                 remedy="see docs/web.md for its form",
             ) from None
-        self._disk.note(path)
+        return path, seq
+
+    def _given(self, args: Data) -> _Given:
+        """Return the file of a program, and its text as the page has it.
+
+        Raises:
+            ProtocolError: It is no program.
+            ConfigError: No file can say it.
+        """
+        path, seq = self._seq(args)
         before = load(path) if path.is_file() else ""
-        return path, rewrite_seq(before, seq)
+        try:
+            new = rewrite_seq(before, seq)
+        except ConfigError as error:
+            cause = error.__cause__  # what a reader of its text would say
+            raise (cause if isinstance(cause, ConfigError) else error) from None
+        return _Given(path, before, new.text, new.comments)
 
     def _check(self, args: Data) -> Data:
-        path, new = self._given(args)
+        path, seq = self._seq(args)
+        try:
+            given = self._given(args)
+        except ConfigError as error:
+            return {
+                "seq": None,
+                "first": _head_lines(seq) + 1,
+                "errors": [str(error)],
+                "warnings": [],
+                "notes": [],
+                "about": f"sequence {seq.name} of {len(seq.steps)} steps",
+            }
         files = Files(path if path.is_file() else self._files.path, self._library)
-        files.seq = parse_seq(new.text, str(path))
-        return self._judged(files) | {"text": new.text, "comments": new.comments}
+        files.seq = parse_seq(given.text, str(path))
+        kept = {"text": given.text, "comments": given.comments, "lost": given.lost}
+        return self._judged(files) | kept
 
     def _save(self, args: Data) -> Data:
-        path, new = self._given(args)
-        written = self._disk.save({path: new.text}, path)
-        return {"written": [str(one) for one in written], "comments": new.comments}
+        given = self._given(args)
+        if _digest(given.path) != args.get("base", ""):
+            raise ConfigFileError(
+                "another program, or another browser, changed the file since it was "
+                "opened: nothing is saved",
+                where=str(given.path),
+                expected="the file as it was read",
+                remedy="open the program again and repeat the changes",
+            )
+        disk = SavedFiles()
+        disk.note(given.path)
+        written = disk.save({given.path: given.text}, given.path)
+        return {
+            "written": [str(one) for one in written],
+            "comments": given.comments,
+            "lost": given.lost,
+            "base": _digest(given.path),
+        }
 
     def _export(self, args: Data) -> Data:
         path = self._path(args)
@@ -208,7 +291,7 @@ class Programs:
         self._running = run
         return {"state": run.message}
 
-    def _steer(self, what: str) -> Data:
+    def _steer(self, what: str, _: Data) -> Data:
         run = self._running
         if run is None or run.ended:
             raise StateError("no program runs", remedy="run one first")
@@ -252,6 +335,8 @@ class _Run:
     def message(self) -> Data:
         """Its state as a message for browsers."""
         state = msgspec.to_builtins(self.sequencer.state)
+        if state["since"]:
+            state["since"] += time.time() - self._subsystem.clock.now()  # Unix time
         return {"kind": "program", "program": self.name, "state": state}
 
     def start(self) -> None:
@@ -260,9 +345,11 @@ class _Run:
 
     def end(self) -> None:
         """Lead it to its safe job, and wait until it is there."""
-        if self._thread.is_alive():
+        if not self._thread.is_alive():
+            return
+        if not self.sequencer.state.safe:  # a second abort would end the way there
             self.sequencer.abort("the page's server ends")
-            self._thread.join(_END_TIME)
+        self._thread.join(_END_TIME)
 
     def _send_state(self, _: SequenceState) -> None:
         self._tell(self.message)
@@ -281,3 +368,18 @@ class _Run:
 
 def _unsaid(_: str) -> None:
     """Leave out a warning: the state of the program says what went wrong."""
+
+
+def _digest(path: Path) -> str:
+    """Return what tells one content of a file from another; empty: it is not there."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def _comments(text: str) -> list[str]:
+    found = [line.partition("#")[2].strip() for line in text.splitlines()]
+    return [one for one in found if one]
+
+
+def _head_lines(seq: SeqFile) -> int:
+    """Return how many lines a newly written file has before the program's own."""
+    return 3 + sum((seq.safe is not None, bool(seq.wait), seq.within is not None))

@@ -118,7 +118,8 @@ class Watcher(Source):
 
     def knows(self, task: str) -> bool:
         """Return whether the subsystem has such a task."""
-        return any(one["name"] == task for one in self._graph.get("tasks", ()))
+        drawn = any(one["name"] == task for one in self._graph.get("tasks", ()))
+        return drawn or task in self._states  # it was created a moment ago
 
     def first(self) -> list[Data]:
         """Return the first messages: graph, status, events, complaints."""

@@ -153,18 +153,31 @@ def test_a_program_is_opened_and_saved_without_a_change(cell):
     before = (folder / "carry.seq").read_bytes()
     opened = programs.do("open", {"name": "carry"})
     assert opened["errors"] == []
-    assert programs.do("save", {"name": "carry", "seq": opened["seq"]})["written"] == []
+    given = {"name": "carry", "seq": opened["seq"], "base": opened["base"]}
+    assert programs.do("save", given) == {
+        "written": [],
+        "comments": True,
+        "lost": [],
+        "base": opened["base"],
+    }
     assert (folder / "carry.seq").read_bytes() == before
 
 
 def test_a_changed_program_keeps_the_comments_of_other_lines(cell):
     programs, folder = cell
-    seq = programs.do("open", {"name": "carry"})["seq"]
+    opened = programs.do("open", {"name": "carry"})
+    seq = opened["seq"]
     step = next(one for one in seq["lines"] if one.get("job") == "move")
     step["within"] = 12.0
+    lift = next(one for one in seq["lines"] if one.get("job") == "lift")
+    seq["lines"] = [one for one in seq["lines"] if one != lift]
     checked = programs.do("check", {"name": "carry", "seq": seq})
     assert checked["errors"] == []
-    assert programs.do("save", {"name": "carry", "seq": seq})["comments"]
+    assert checked["lost"] == ["refused unless a part is held"]
+    seq["lines"].insert(4, lift)
+    given = {"name": "carry", "seq": seq, "base": opened["base"]}
+    saved = programs.do("save", given)
+    assert (saved["comments"], saved["lost"]) == (True, [])
     text = (folder / "carry.seq").read_text()
     assert "WITHIN 12" in text
     assert "# refused unless a part is held" in text
@@ -220,7 +233,50 @@ def test_what_is_no_program_is_refused_and_one_changed_meanwhile_is_kept(cell):
     other = (folder / "carry.seq").read_text().replace("WAIT     5", "WAIT     6")
     (folder / "carry.seq").write_text(other)
     opened["seq"]["wait"] = 7.0
-    with pytest.raises(ConfigFileError):
-        programs.do("save", {"name": "carry", "seq": opened["seq"]})
+    given = {"name": "carry", "seq": opened["seq"], "base": opened["base"]}
+    with pytest.raises(ConfigFileError, match="changed the file since it was opened"):
+        programs.do("save", given)
     assert (folder / "carry.seq").read_text() == other
     json.dumps(msgspec.to_builtins(opened))
+
+
+def test_a_program_that_is_saved_leaves_the_others_as_they_are(cell):
+    """Programs are files of their own, unlike the files of one edited job."""
+    programs, folder = cell
+    lines = [{"keyword": "STEP", "job": "retreat"}]
+    for name in ("one", "two"):
+        given = {"name": name, "seq": {"name": name, "lines": lines}}
+        assert programs.do("save", given)["written"] == [str(folder / f"{name}.seq")]
+        with pytest.raises(ConfigFileError, match="changed the file"):
+            programs.do("save", given)  # it was not opened since
+    assert {"one", "two"} < set(programs.do("list", {})["programs"])
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ({"keyword": "STEP", "job": ""}, "STEP is malformed"),
+        ({"keyword": "END"}, "END without REPEAT"),
+        ({"keyword": "GOTO", "step": "nosuch"}, "GOTO names 'nosuch'"),
+    ],
+)
+def test_what_no_file_can_say_is_told_with_the_line_it_would_have(cell, line, text):
+    programs, _ = cell
+    step = {"keyword": "STEP", "job": "retreat"}
+    seq = {"name": "new", "wait": 5.0, "lines": [step, line]}
+    checked = programs.do("check", {"name": "new", "seq": seq})
+    (error,) = checked["errors"]
+    assert f"new.seq:{checked['first'] + 1}:" in error
+    assert text in error
+    with pytest.raises(ConfigError, match=text):
+        programs.do("save", {"name": "new", "seq": seq})
+
+
+def test_signals_and_parameters_of_tasks_are_listed(cell):
+    listed = cell[0].do("list", {})
+    jaws = listed["tasks"]["jaws"]
+    assert jaws["signals"] == ["CLOSED", "OPENED"]
+    assert "speed" in jaws["params"]
+    assert {"short_fingers", "go_home"} <= listed["tasks"].keys()
+    assert "FINISH" in listed["signals"]
+    assert listed["rtpus"] == ["arm0", "arm1"]
