@@ -96,7 +96,7 @@ function Start() {
 }
 
 /** A change that is shown first, and done by a second button. */
-function Planned(props: { command: string; args: Args; ready: boolean; children: React.ReactNode }) {
+export function Planned(props: { command: string; args: Args; ready: boolean; children: React.ReactNode }) {
   const plan = useCommand(), deed = useCommand();
   const [planned, setPlanned] = useState("");
   const key = JSON.stringify(props.args);

@@ -69,20 +69,13 @@ export class ChartView {
   }
 
   private options(width: number): uPlot.Options {
-    const grid = { stroke: css("--grid"), width: 1 };
-    const axis = { stroke: css("--dim"), grid, ticks: { show: false }, font: `11px ${css("--font")}` };
+    const times = (splits: number[], step: number) => splits.map((t) => clock(t, step < 0.1 ? 3 : step < 1 ? 1 : 0));
     return {
-      width: Math.max(200, width), height: HEIGHT, legend: { show: false }, padding: [8, 34, 0, 0],
+      ...plotOptions(this.series.length, width, times),
       cursor: {
         sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false, setScale: false }, points: { size: 6 },
         dataIdx: (_, column, hovered) => this.hoverPlace(column, hovered),
       },
-      scales: { x: { time: false }, y: { range: (_, low, high) => spread(low, high) } },
-      axes: [
-        { ...axis, size: 24, space: 90, incrs: TIME_STEPS, values: (_, splits, __, ___, step) => splits.map((t) => clock(t, step < 0.1 ? 3 : step < 1 ? 1 : 0)) },
-        { ...axis, size: 62, values: (_, splits) => splits.map((v) => String(Number(v.toPrecision(6)))) },
-      ],
-      series: [{}, ...this.series.map((_, k) => ({ stroke: lineColour(k), width: 1.6, dash: lineDash(k), points: { show: false } }))],
       hooks: {
         setCursor: [() => this.tellCursor()],
         setSelect: [(plot) => this.zoom(plot)],
@@ -127,6 +120,21 @@ export class ChartView {
     ctx.stroke();
     ctx.restore();
   }
+}
+
+/** Returns what all charts have in common: axes, lines and their colours. */
+export function plotOptions(count: number, width: number, timeTexts: (splits: number[], step: number) => string[]): uPlot.Options {
+  const grid = { stroke: css("--grid"), width: 1 };
+  const axis = { stroke: css("--dim"), grid, ticks: { show: false }, font: `11px ${css("--font")}` };
+  return {
+    width: Math.max(200, width), height: HEIGHT, legend: { show: false }, padding: [8, 34, 0, 0],
+    scales: { x: { time: false }, y: { range: (_, low, high) => spread(low, high) } },
+    axes: [
+      { ...axis, size: 24, space: 90, incrs: TIME_STEPS, values: (_, splits, __, ___, step) => timeTexts(splits, step) },
+      { ...axis, size: 62, values: (_, splits) => splits.map((v) => String(Number(v.toPrecision(6)))) },
+    ],
+    series: [{}, ...Array.from({ length: count }, (_, k) => ({ stroke: lineColour(k), width: 1.6, dash: lineDash(k), points: { show: false } }))],
+  };
 }
 
 function spread(low: number | null, high: number | null): [number, number] {

@@ -10,7 +10,11 @@ const FRAME_PAD = 22, FRAME_HEAD = 34;
 const LANE = 14;
 const MANY_TASKS = 40;
 
-export interface GraphOptions { compact: boolean; folded: ReadonlySet<string>; operator: boolean }
+export interface GraphOptions {
+  compact: boolean; folded: ReadonlySet<string>; operator: boolean;
+  /** Whether RTPUs without a task are drawn, too. */
+  empty?: boolean;
+}
 export type TaskNode = Node<{ task: TaskInfo; compact: boolean; faulty: string[] }, "task">;
 export type FrameNode = Node<{ rtpu: string; keeper: boolean; tasks: string[]; folded: boolean }, "frame">;
 export type OtherNode = Node<{ name: string; what: "subsystem" | "device" }, "other">;
@@ -65,8 +69,8 @@ function makeNodes(graph: Graph, options: GraphOptions, folded: Set<string>): An
   const nodes: AnyNode[] = [];
   for (const rtpu of rtpusOf(graph)) {
     const tasks = graph.tasks.filter((one) => one.rtpu === rtpu).map((one) => one.name);
-    if (!tasks.length) continue;
-    const isFolded = folded.has(rtpu);
+    if (!tasks.length && !options.empty) continue;
+    const isFolded = folded.has(rtpu) || !tasks.length;
     nodes.push({
       id: frameId(rtpu), type: "frame", position: { x: 0, y: 0 }, selectable: false, zIndex: -1,
       ...(isFolded ? { width: 250, height: 92 } : {}),
@@ -205,7 +209,7 @@ function separateFrames(frames: FrameNode[], nodes: AnyNode[], frameOf: Map<stri
       if (a.right <= b.left || b.right <= a.left || by <= 0) continue;
       const inside = nodes.filter((one) => frameOf.get(one.id) === lower.id);
       const from = Math.min(...inside.map((one) => one.position.y));
-      for (const node of nodes) if (node.type !== "frame" && node.position.y >= from) node.position = { x: node.position.x, y: node.position.y + by };
+      for (const node of nodes) if ((node.type !== "frame" || node.data.folded) && node.position.y >= from) node.position = { x: node.position.x, y: node.position.y + by };
       moves.push({ from, by });
       for (const frame of frames) fitFrame(frame, nodes, frameOf);
     }
@@ -222,7 +226,9 @@ function arranged(nodes: AnyNode[], edges: WireEdge[], spaces: Spaces): Digraph 
   graph.setDefaultEdgeLabel(() => ({}));
   for (const frame of spaces.frames ?? []) graph.setNode(frame.id, {});
   for (const node of nodes) {
-    graph.setNode(node.id, { width: node.width, height: node.height });
+    // A folded frame keeps away from the frames of other RTPUs, which are larger than their tasks.
+    const room = node.type === "frame" ? 2 * FRAME_PAD + FRAME_HEAD : 0;
+    graph.setNode(node.id, { width: node.width, height: node.height! + room });
     const frame = spaces.frameOf?.get(node.id);
     if (frame) graph.setParent(node.id, frame);
   }

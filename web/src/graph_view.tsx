@@ -30,35 +30,51 @@ function Wire(props: EdgeProps<WireEdge>) {
   const data = props.data!;
   const first = data.variables[0] ?? "";
   const stale = useStale(data.kind === "constant" ? "" : first);
-  const [path, x, y] = data.kind === "fallback"
-    ? archPath(props) : wirePath([props.sourceX, props.sourceY], data.points, [props.targetX, props.targetY]);
-  const marker = data.kind === "device" ? undefined : "url(#arrow)";
+  return (
+    <WireLine wire={props} look={stale ? "stale" : ""}>
+      {data.labelled && <WireLabel variables={data.variables} only={<VariableLabel name={first} constant={data.kind === "constant"} />} />}
+    </WireLine>
+  );
+}
+
+/** A wire as a line, and its label in the middle. */
+export function WireLine({ wire, look, children }: { wire: EdgeProps<WireEdge>; look: string; children: React.ReactNode }) {
+  const { kind, points } = wire.data!;
+  const [path, x, y] = kind === "fallback" ? archPath(wire) : wirePath([wire.sourceX, wire.sourceY], points, [wire.targetX, wire.targetY]);
+  const far = useStore((state) => state.transform[2] < FAR);
+  const place = { transform: `translate(-50%,-50%) translate(${x}px,${y}px)` };
   return (
     <>
-      <BaseEdge id={props.id} path={path} markerEnd={marker} interactionWidth={14}
-        className={`wire wire-${data.kind}${stale ? " stale" : ""}${props.selected ? " chosen" : ""}`} />
-      {data.labelled && <Label variables={data.variables} kind={data.kind} x={x} y={y} />}
+      <BaseEdge id={wire.id} path={path} markerEnd={kind === "device" ? undefined : "url(#arrow)"} interactionWidth={14}
+        className={`wire wire-${kind} ${look}${wire.selected ? " chosen" : ""}`} />
+      {children && !far && (
+        <EdgeLabelRenderer>
+          <div className={`wire-label wire-label-${kind} nodrag nopan`} style={place}>{kind === "fallback" ? "fallback of" : children}</div>
+        </EdgeLabelRenderer>
+      )}
     </>
+  );
+}
+
+/** The label of a wire: that of its only variable, or how many it has. */
+export function WireLabel({ variables, only }: { variables: string[]; only: React.ReactNode }) {
+  return variables.length > 1 ? `${variables.length} variables` : variables.length ? only : null;
+}
+
+/** The arrow at the ends of wires. */
+export function Markers() {
+  return (
+    <svg className="markers" aria-hidden="true"><defs>
+      <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="11" markerHeight="11" markerUnits="userSpaceOnUse" orient="auto">
+        <path d="M0 1 9 5 0 9Z" />
+      </marker>
+    </defs></svg>
   );
 }
 
 function archPath({ sourceX, sourceY, targetX, targetY }: EdgeProps): [string, number, number] {
   const top = Math.min(sourceY, targetY) - 46;
   return [`M${sourceX},${sourceY}C${sourceX},${top} ${targetX},${top} ${targetX},${targetY}`, (sourceX + targetX) / 2, top + 11];
-}
-
-function Label({ variables, kind, x, y }: { variables: string[]; kind: string; x: number; y: number }) {
-  const far = useStore((state) => state.transform[2] < FAR);
-  if (far) return null;
-  const place = { transform: `translate(-50%,-50%) translate(${x}px,${y}px)` };
-  const [only, ...more] = variables;
-  return (
-    <EdgeLabelRenderer>
-      <div className={`wire-label wire-label-${kind} nodrag nopan`} style={place}>
-        {kind === "fallback" ? "fallback of" : more.length ? `${variables.length} variables` : only && <VariableLabel name={only} constant={kind === "constant"} />}
-      </div>
-    </EdgeLabelRenderer>
-  );
 }
 
 function VariableLabel({ name, constant }: { name: string; constant: boolean }) {
@@ -172,11 +188,7 @@ function Flow() {
       colorMode="system" proOptions={{ hideAttribution: true }} elevateNodesOnSelect={false}
       multiSelectionKeyCode={["Meta", "Control", "Shift"]} selectionKeyCode={null} zoomOnDoubleClick={false}
     >
-      <svg className="markers" aria-hidden="true"><defs>
-        <marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="11" markerHeight="11" markerUnits="userSpaceOnUse" orient="auto">
-          <path d="M0 1 9 5 0 9Z" />
-        </marker>
-      </defs></svg>
+      <Markers />
       <Background variant={BackgroundVariant.Dots} gap={22} size={1} />
       <Controls showInteractive={false} />
       {made.nodes.length > 30 && <MiniMap<AnyNode> pannable zoomable nodeClassName={(node) => `mini-${node.type ?? ""}`} ariaLabel="map of the graph" />}

@@ -1,6 +1,6 @@
 // The cards of the graph: tasks, RTPUs, other subsystems and devices.
 import { Handle, Position, type NodeProps } from "@xyflow/react";
-import { memo } from "react";
+import { memo, type ReactNode } from "react";
 import { SignalButtons, StateMark, TaskState } from "./controls";
 import { field, short } from "./format";
 import { inHandle, outHandle, portRows, portTop, type FrameNode, type OtherNode, type TaskNode } from "./graph_layout";
@@ -27,8 +27,6 @@ function SmallCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
 
 function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   useTask(task.name);
-  const { ins, outs } = portRows(task);
-  const rows = Math.max(ins.length, outs.length, 1);
   return (
     <article className={`card ${stateClass(task.name)}${useUnheard(task.rtpu)}`} title={task.desc}>
       <header>
@@ -36,13 +34,8 @@ function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
         <b className="name">{task.name}</b>
         <Warnings task={task.name} />
       </header>
-      <div className="kind">{[task.module !== task.name && task.module, task.parts.length > 0 && task.parts.join(" + "), task.class, kindOf(task)].filter(Boolean).join(" · ")}</div>
-      <div className="ports" style={{ height: rows * 22 }}>
-        <ul>{ins.map((one) => <PortName key={one.variable} port={one} faulty={faulty.includes(one.variable)} />)}</ul>
-        <ul className="right">{outs.map((one) => <PortName key={one.variable} port={one} faulty={faulty.includes(one.variable)} />)}</ul>
-      </div>
-      {ins.map((one, k) => <Handle key={one.variable} type="target" id={inHandle(one.variable)} position={Position.Left} isConnectable={false} style={{ top: portTop(k) }} className={one.constant ? "constant" : ""} />)}
-      {outs.map((one, k) => <Handle key={one.variable} type="source" id={outHandle(one.variable)} position={Position.Right} isConnectable={false} style={{ top: portTop(k) }} className={one.constant ? "constant" : ""} />)}
+      <div className="kind">{kindLine(task)}</div>
+      <CardPorts task={task} row={(one) => <PortName key={one.variable} port={one} faulty={faulty.includes(one.variable)} />} />
       <SideHandles />
       <Figures task={task.name} />
       <SignalButtons task={task.name} />
@@ -51,7 +44,7 @@ function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
   );
 }
 
-function SideHandles() {
+export function SideHandles() {
   return (
     <>
       <Handle type="target" id="device" position={Position.Left} isConnectable={false} style={{ top: 20 }} className="hidden" />
@@ -65,11 +58,18 @@ function SideHandles() {
 /** Returns the class of what is old because its RTPU does not answer. */
 export const useUnheard = (rtpu: string): string => (useRtpu(rtpu)?.silent ? " unheard" : "");
 const stateClass = (task: string): string => `is-${stateOf(task).toLowerCase().replace("?", "unknown")}`;
+/** What a task is: its module, class, type and frequency. */
+export const kindLine = (task: TaskInfo): string =>
+  [task.module !== task.name && task.module, task.parts.length > 0 && task.parts.join(" + "), task.class, kindOf(task)].filter(Boolean).join(" · ");
 const kindOf = (task: TaskInfo): string => (task.freq ? `${task.type} ${short(task.freq)} Hz` : task.type);
 function rate(fields: Record<string, unknown> | undefined): string {
   if (!fields || typeof fields.mezF !== "number") return "";
   return typeof fields.refF === "number" ? `${short(fields.mezF)} / ${short(fields.refF)} Hz` : `${short(fields.mezF)} Hz`;
 }
+
+/** A port in words: its name, its variable, unit, type and size. */
+export const portTitle = (port: Port): string =>
+  `${port.port}${port.port === port.variable ? "" : ` stands for ${port.variable}`} [${port.unit}], ${port.type} ${port.shape.join("×")}${port.constant ? ", a constant" : ""}`;
 
 function PortName({ port, faulty }: { port: Port; faulty: boolean }) {
   const faults = faulty ? live.graph?.faults.filter((one) => one.variables.includes(port.variable) || one.ports.some((each) => each.endsWith(port.port))) : undefined;
@@ -77,7 +77,7 @@ function PortName({ port, faulty }: { port: Port; faulty: boolean }) {
   return (
     <li
       className={`${port.constant ? "constant" : ""}${faulty ? " faulty" : ""}`}
-      title={about ?? `${port.port}${port.port === port.variable ? "" : ` stands for ${port.variable}`} [${port.unit}], ${port.type} ${port.shape.join("×")}${port.constant ? ", a constant" : ""}`}
+      title={about ?? portTitle(port)}
       onMouseEnter={() => page.hover(port.variable)} onMouseLeave={() => page.hover("")} onClick={() => page.pin(port.variable)}
     >{faulty && <span className="fault-sign" role="img" aria-label="fault">!</span>}{port.variable}</li>
   );
@@ -123,6 +123,25 @@ function Notes({ task }: { task: string }) {
   const there = notesOf(status);
   if (!there.length) return null;
   return <div className="notes live">{there.map(([kind, text]) => <p key={kind} className={`note note-${kind}`}><b>{kind}</b> {text}</p>)}</div>;
+}
+
+/** The ports of a card, inputs left and outputs right, with the ends of their wires. */
+export function CardPorts({ task, row, connectable = false }: { task: TaskInfo; row: (port: Port) => ReactNode; connectable?: boolean }) {
+  const { ins, outs } = portRows(task);
+  const handle = (one: Port, k: number, side: "in" | "out") => (
+    <Handle key={one.variable} type={side === "in" ? "target" : "source"} id={(side === "in" ? inHandle : outHandle)(one.variable)} position={side === "in" ? Position.Left : Position.Right}
+      isConnectable={connectable} style={{ top: portTop(k) }} className={one.constant ? "constant" : ""} />
+  );
+  return (
+    <>
+      <div className="ports" style={{ height: Math.max(ins.length, outs.length, 1) * 22 }}>
+        <ul>{ins.map(row)}</ul>
+        <ul className="right">{outs.map(row)}</ul>
+      </div>
+      {ins.map((one, k) => handle(one, k, "in"))}
+      {outs.map((one, k) => handle(one, k, "out"))}
+    </>
+  );
 }
 
 export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>) {

@@ -61,13 +61,29 @@ export interface Answer {
   kind: "answer"; id: number; ok: boolean; text: string; warnings: string[];
   data: Record<string, unknown> | null;
 }
-/** One way to put a fault right; `fault` is its place in the graph's list. */
-export interface Offer { fault: number; kind: string; text: string; steps: unknown[] }
+/** One way to put faults right; `faults` are their places in the graph's list. */
+export interface Offer { faults: number[]; kind: string; text: string; steps: unknown[] }
 /** The job that is edited, as the server judges it. */
 export interface EditorState {
   file: string; jobs?: string[]; graph: Graph; legal: boolean; errors: string[]; warnings: string[];
   timing: TimingBar[]; settings: Record<string, Record<string, unknown>>; off_order: string[];
+  table: Record<string, Record<string, unknown>>;
+  about: { name: string; desc: string; pre: string[]; post: string[] };
   offers: Offer[]; undo: string; redo: string; unsaved: string[];
+}
+/** A port, or a variable alone if `port` is empty, and whether another port can be connected to it. */
+export interface Fit { task: string; port: string; variable: string; fits: boolean; reason: string }
+/** What saving does to one file. */
+export interface FileChange { file: string; kind: "new" | "changed" | "removed"; diff: string; notes: string[] }
+/** What a run in virtual time gave. */
+export interface SimulatedRun {
+  ok: boolean; problems: string[]; output: string; tasks: Record<string, unknown>[];
+  series: Record<string, { t: number[]; v: (number | null)[][] }>;
+}
+/** A module as `library` gives it. */
+export interface LibraryModule {
+  name: string; doc: string; module_class: string; rmods: string[];
+  ports: { name: string; kind: string; shape: (number | string)[]; unit: string; doc: string }[];
 }
 /** The load of one RTPU, as the analysis of the job finds it. */
 export interface TimingBar {

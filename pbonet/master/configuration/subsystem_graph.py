@@ -203,9 +203,12 @@ def planned_graph(
         found: The faults of the others.
         verdict: The verdict on the job; None if `tasks` are not all.
     """
-    faults = [_fault_of(error) for error in found.errors]
-    faults += [GraphFault(text=text, severity="warn") for text in found.warnings]
+    lines = files.read_job().tasks
+    names = [name for line in lines for name in (line.rmod, line.fallback)]
     whole = [*tasks, *_undescribed(files, tasks)]
+    whole.sort(key=lambda task: names.index(task.rmod.name))
+    faults = [_fault_of(error, whole) for error in found.errors]
+    faults += [GraphFault(text=text, severity="warn") for text in found.warnings]
     return graph_of(files, whole, verdict.problems if verdict else (), faults)
 
 
@@ -486,9 +489,12 @@ def _fault(problem: legality.Problem) -> GraphFault:
     )
 
 
-def _fault_of(error: WireError) -> GraphFault:
+def _fault_of(error: WireError, tasks: Iterable[legality.Task]) -> GraphFault:
+    """Return the fault that an error is, with the tasks in whose RMODs it is."""
+    where = f"{error.get('where', '')}:"
     return GraphFault(
         text=str(PbonetError.from_wire(error)),
+        tasks=[task.name for task in tasks if where.startswith(f"{task.rmod.file}:")],
         severity=legality.Severity.REFUSE.value,
         remedy=error.get("remedy", ""),
     )

@@ -42,6 +42,7 @@ class JobEditor:
         path: The ``.job`` file; or a ``.sbs`` file, for a new job beside it.
         libraries: Folders of modules beside those that pbonet brings.
         name: The new job; by default that of the subsystem.
+        like: An editor of jobs in the same folders, whose modules are described.
         host: The machine whose measured execution times count; this one if empty.
 
     Raises:
@@ -54,12 +55,16 @@ class JobEditor:
         libraries: Iterable[str | Path] = (),
         *,
         name: str = "",
+        like: JobEditor | None = None,
         host: str = "",
     ) -> None:
         self._libraries = list(libraries)
         self._host = host
         self.files = DraftFiles(path, Library(self._libraries), name)
-        self._palette = ModulePalette(self.files, self._libraries)
+        described = like.modules if like else None
+        self.modules: ModulePalette = ModulePalette(
+            self.files, self._libraries, described
+        )
         self._history: History[Draft] = History(self.files.draft)
         self._judged: tuple[Draft, JobVerdict] | None = None
         self._offered: tuple[Draft, list[Offer]] | None = None
@@ -83,7 +88,8 @@ class JobEditor:
         """Return all that a page shows, as plain values.
 
         ``graph`` is that of `pbonet.master.configuration.Graph`; ``settings`` has the
-        fields of each task's form, ``table`` those of each variable.
+        fields of each task's form, ``table`` those of each variable, ``about`` those of
+        the job.
         """
         verdict = self.verdict
         return {
@@ -94,6 +100,8 @@ class JobEditor:
             "warnings": verdict.warnings,
             "timing": verdict.timing(),
             "settings": {name: self._settings(name) for name in task_names(self.files)},
+            "table": self._table(),
+            "about": self._about(),
             "off_order": list(self.files.draft.job.off_order),
             "offers": msgspec.to_builtins(self.offers()),
             "undo": self._history.undo_label,
@@ -131,7 +139,7 @@ class JobEditor:
             ModuleLoadError: None fits, or they cannot be described.
             ConfigError: There is no such class.
         """
-        return self._palette.find(
+        return self.modules.find(
             Search(text=words, class_=module_class, in_=reads, out=writes, unit=unit)
         )
 
@@ -395,7 +403,25 @@ class JobEditor:
             said = None if standby else getattr(line, name)
             found[name] = getattr(record, name) if said is None else said
         found["module"] = record.module
+        lines = record.local.items()
+        found["local"] = {name: " ".join(line.words) for name, line in lines}
         return cast("State", msgspec.to_builtins(found))
+
+    def _table(self) -> State:
+        """Return the fields of each variable's form."""
+        found: State = {}
+        for one in self.files.draft.table.variables:
+            about = msgspec.json.decode(msgspec.json.encode(one), type=State)
+            about.pop("place")
+            found[one.name] = about
+        return found
+
+    def _about(self) -> State:
+        """Return the fields of the job's form."""
+        job = self.files.draft.job
+        conditions = {"pre": job.pre, "post": job.post}
+        texts = {key: [one.text for one in every] for key, every in conditions.items()}
+        return {"name": job.name, "desc": job.desc, **texts}
 
     def _notes(self) -> dict[Path, list[str]]:
         """Return what is to be said of files that are written."""

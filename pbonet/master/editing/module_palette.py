@@ -39,11 +39,18 @@ class ModulePalette:
     Args:
         files: The job's files.
         libraries: Folders of modules.
+        like: The palette of another job in the same folders: its modules are these.
     """
 
-    def __init__(self, files: DraftFiles, libraries: Iterable[str | Path]) -> None:
+    def __init__(
+        self,
+        files: DraftFiles,
+        libraries: Iterable[str | Path],
+        like: ModulePalette | None = None,
+    ) -> None:
         self._files = files
         self._libraries = list(libraries)
+        self._like = like
 
     def find(self, wanted: Search) -> list[dict[str, Any]]:
         """Return the modules that fit a search, as plain values.
@@ -52,11 +59,14 @@ class ModulePalette:
             ModuleLoadError: None fits, or they cannot be described.
             ConfigError: There is no such class.
         """
-        found = search(self._infos, self._files.records(), wanted)
+        found = search(self.infos, self._files.records(), wanted)
         return [one.data for one in found]
 
     @cached_property
-    def _infos(self) -> list[ModuleInfo]:
+    def infos(self) -> list[ModuleInfo]:
+        """All modules, described when they are first asked for."""
+        if self._like is not None:
+            return self._like.infos
         folder = self._files.job_path.parent
         command = [sys.executable, "-P", "-m", "pbonet.cli", "library", "--json"]
         for one in (self._files.path.parent.absolute(), *self._libraries):

@@ -23,6 +23,13 @@ _SIMULATED: Final = 20.0
 """Seconds of virtual time that a page may have simulated at once."""
 _LIMIT: Final = 60.0
 """Seconds that it may take."""
+_SEARCHED: Final = {
+    "class": "module_class",
+    "in": "reads",
+    "out": "writes",
+    "unit": "unit",
+}
+"""Arguments of a search, and what `JobEditor.palette` calls them."""
 
 
 class JobEdits:
@@ -46,6 +53,7 @@ class JobEdits:
             "apply": self._apply,
             "undo": lambda _: self._now.undo(),
             "redo": lambda _: self._now.redo(),
+            "palette": self._palette,
             "fitting": self._fitting,
             "changes": self._changes,
             "save": self._save,
@@ -56,8 +64,8 @@ class JobEdits:
         """Carry out one edit, or answer a question about the job.
 
         Args:
-            name: ``open apply undo redo fitting changes save simulate``, or a change of
-                `pbonet.master.editing.JobEditor.edit`.
+            name: ``open apply undo redo palette fitting changes save simulate``, or a
+                change of `pbonet.master.editing.JobEditor.edit`.
             args: Its arguments.
 
         Returns:
@@ -106,17 +114,22 @@ class JobEdits:
     def _open(self, args: Data) -> Data:
         """Open a job beside the ``.sbs`` file; one that is not there begins empty.
 
-        Without a name it is the one with which the page was opened, if any, else the
-        first there is, else a new one of the subsystem's name.
+        Without a name it is the one that is open, with its changes. If none is, it is
+        the one with which the page was opened, if any, else the first there is, else a
+        new one of the subsystem's name.
         """
+        if self._editor is not None and not args.get("job"):
+            return self._editor.state() | {"jobs": self._files.jobs()}
         name = str(args.get("job") or self._default())
         check_name("a job", name)
         path = self._beside(name)
         folders = [*self._library.folders]
         if path.is_file():
-            self._editor = JobEditor(path, folders)
+            self._editor = JobEditor(path, folders, like=self._editor)
         else:
-            self._editor = JobEditor(self._files.path, folders, name=name)
+            self._editor = JobEditor(
+                self._files.path, folders, name=name, like=self._editor
+            )
         return self._editor.state() | {"jobs": self._files.jobs()}
 
     def _beside(self, name: str) -> Path:
@@ -141,6 +154,13 @@ class JobEdits:
             ) from None
         return self._now.apply(offer)
 
+    def _palette(self, args: Data) -> Data:
+        """Search the library as the command of that name does, without any agent."""
+        words = str(args.get("text", "")).split()
+        wanted = {key: str(args.get(key, "")) for key in _SEARCHED}
+        named = {_SEARCHED[key]: text for key, text in wanted.items()}
+        return {"modules": self._now.palette(*words, **named)}
+
     def _fitting(self, args: Data) -> Data:
         task, port = str(args.get("task", "")), str(args.get("port", ""))
         return {"fits": msgspec.to_builtins(self._now.fitting(task, port))}
@@ -150,7 +170,8 @@ class JobEdits:
 
     def _save(self, _: Data) -> Data:
         written = [str(path) for path in self._now.save()]
-        return self._shown(self._now.state()) | {"written": written}
+        state = self._now.state() | {"jobs": self._files.jobs()}
+        return self._shown(state) | {"written": written}
 
     def _simulate(self, args: Data) -> Data:
         seconds, names = args.get("seconds", 2.0), args.get("variables", [])

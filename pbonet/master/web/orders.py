@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -18,7 +19,13 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.config import Library
-from pbonet.errors import AccessError, PbonetError, ProtocolError, StateError
+from pbonet.errors import (
+    AccessError,
+    NodeError,
+    PbonetError,
+    ProtocolError,
+    StateError,
+)
 from pbonet.master.console import (
     Call,
     Scope,
@@ -40,6 +47,8 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Place
     from pbonet.master.console import Command
+
+log = logging.getLogger("pbonet.master")
 
 Data = dict[str, Any]
 _SLOW: Final = 0.5
@@ -228,6 +237,13 @@ class Orders:
             return _answer(number, await self._carry_out(number, work, told))
         except PbonetError as error:
             return _answer(number, Done(text=str(error)), ok=False)
+        except Exception as error:  # the page must not wait for an answer for ever
+            log.exception("a request of the page failed inside pbonet")
+            failure = NodeError(
+                f"it failed inside pbonet: {type(error).__name__}: {error}",
+                remedy="see the output of 'pbonet web', and report it",
+            )
+            return _answer(number, Done(text=str(failure)), ok=False)
 
     def _work(self, request: Wish, role: Role) -> _Work | None:
         """Return what a request asks for; None: nothing.

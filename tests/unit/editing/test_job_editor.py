@@ -87,6 +87,32 @@ def test_the_state_is_json_and_has_the_graph_of_the_files(puma):
     assert state["settings"]["puma_pidg"]["critical"] is True
 
 
+def test_the_state_has_what_the_forms_show(puma):
+    state = JobEditor(puma).state()
+    assert state["about"] == {
+        "name": "teleop",
+        "desc": "joint teleoperation of a PUMA 560",
+        "pre": [],
+        "post": ["max(abs(Q^_MEZ)) < 0.1 [rad/s]"],
+    }
+    entry = state["table"]["Q_REF"]
+    assert (entry["units"], entry["nelem"], entry["maxage"]) == ("rad", 6, 1.0)
+    assert len(entry["init"]) == 6
+    assert state["settings"]["puma_pidg"]["local"]["KP"].split()[0] == "2400"
+
+
+def test_a_task_with_a_wrong_parameter_is_at_fault_and_keeps_its_place(puma):
+    before = JobEditor(puma).state()
+    editor = JobEditor(puma)
+    state = editor.set_parameter("puma_pidg", "follow", "fast")
+    (fault,) = state["graph"]["faults"]
+    assert "follow is not a float" in fault["text"]
+    assert fault["tasks"] == ["puma_pidg"]
+    names = [one["name"] for one in state["graph"]["tasks"]]
+    assert names == [one["name"] for one in before["graph"]["tasks"]]
+    assert state["settings"]["puma_pidg"]["local"]["follow"] == "fast"
+
+
 def test_a_parameter_of_a_library_rmod_makes_a_copy_beside_the_job(puma):
     editor = JobEditor(puma)
     state = editor.set_parameter("puma_pidg", "wind", "1 2 3 4 5 6")

@@ -12,7 +12,13 @@ import msgspec
 import pytest
 
 from pbonet.config import Library, read_seq
-from pbonet.errors import ConfigError, ConfigFileError, NodeError, StateError
+from pbonet.errors import (
+    ConfigError,
+    ConfigFileError,
+    NodeError,
+    PbonetError,
+    StateError,
+)
 from pbonet.master.configuration import Place, check_file
 from pbonet.master.web.job_edits import JobEdits
 from pbonet.master.web.programs import Programs
@@ -56,6 +62,28 @@ def test_a_job_is_opened_edited_and_saved_and_check_agrees(puma):
     state = edits.do("undo", {})["state"]
     assert not state["legal"]
     assert edits.do("redo", {})["state"]["legal"]
+
+
+def test_a_page_that_comes_later_finds_the_changes_of_the_one_before(puma):
+    edits, _, folder = puma
+    edits.do("open", {})
+    edits.do("set_job", {"desc": "another one"})
+    state = edits.do("open", {})["state"]
+    assert state["about"]["desc"] == "another one"
+    assert state["unsaved"] == [str(folder / "puma.job")]
+    assert state["jobs"] == ["puma"]
+    state = edits.do("open", {"job": "puma"})["state"]  # as its files are
+    assert state["unsaved"] == []
+
+
+def test_the_palette_is_searched_without_an_agent(puma):
+    edits, _, _ = puma
+    found = edits.do("palette", {"text": "joint", "class": "teleop", "out": "Q_REF"})
+    assert {"jtball"} == {one["name"] for one in found["modules"]}
+    assert edits.do("open", {"job": "other"})["state"]["graph"]["tasks"] == []
+    assert edits.do("palette", {"text": "", "class": "connector"})["modules"]
+    with pytest.raises(PbonetError, match="no such module"):
+        edits.do("palette", {"text": "nonsuch"})
 
 
 def test_a_new_job_is_begun_beside_the_others(puma):

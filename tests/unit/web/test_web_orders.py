@@ -30,6 +30,8 @@ class Given:
     def perform(self, _path, call, _place, *, kind=""):
         self.gate.wait(30)
         self.calls.append((call.command.name, call.words, kind))
+        if call.given.get("text") == "odd":
+            raise KeyError("a name")
         if call.given.get("text") == "wrong":
             raise StateError("the task is asleep", got="OFF", remedy="wake it")
         return Reply(command="on", data={"states": {"pid": "ON"}})
@@ -108,6 +110,13 @@ def test_a_refusal_is_told_word_for_word(made):
         "warnings": [],
         "data": None,
     }
+
+
+def test_a_failure_inside_pbonet_is_answered_and_logged(made, caplog):
+    answer = ask(made, orders.Line(5, "on pid text=odd"))
+    assert not answer["ok"]
+    assert answer["text"].startswith("it failed inside pbonet: KeyError: 'a name'")
+    assert "a request of the page failed inside pbonet" in caplog.text
 
 
 @pytest.mark.parametrize(
