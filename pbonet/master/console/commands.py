@@ -452,6 +452,7 @@ COMMANDS: Final = (
                 Use.MAYBE,
             ),
             Arg("hz", Kind.NUMBER, "frequency in place of the .rmod's", Use.MAYBE),
+            Arg("keep", Kind.FLAG, "leave one that is the same as it is", Use.NAMED),
         ),
         changes=True,
         examples=(

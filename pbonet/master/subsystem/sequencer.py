@@ -410,7 +410,7 @@ def order(subsystem: Subsystem, line: Order) -> None:
     """
     first, *rest = line.words
     if line.command == "spawn":
-        subsystem.spawn(first, rest[0] if rest else None)
+        subsystem.spawn(first, rest[0] if rest else None, keep=True)
     elif line.command == "kill":
         subsystem.kill(line.words)
     elif line.command == "set":

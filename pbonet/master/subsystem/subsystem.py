@@ -341,7 +341,12 @@ class Subsystem:
     # -- tasks ------------------------------------------------------------------------
 
     def spawn(
-        self, rmod: str, rtpu: str | None = None, hz: float | None = None
+        self,
+        rmod: str,
+        rtpu: str | None = None,
+        hz: float | None = None,
+        *,
+        keep: bool = False,
     ) -> m.TaskStatus:
         """Create a task from an RMOD; it is OFF when this returns (section 4.5.2).
 
@@ -350,9 +355,11 @@ class Subsystem:
             rtpu: The RTPU; None: as the RMOD says, else the first one that has the
                 devices it opens, else the first one.
             hz: Frequency, Hz; None: as the RMOD says.
+            keep: Leave a task of that name as it is, if it was made from the same RMOD
+                on the same RTPU and is not in ERROR.
 
         Returns:
-            The status of the new task.
+            The status of the new task, or of the one that was left.
 
         Raises:
             ConfigError: The RMOD does not exist, or its file is wrong.
@@ -362,10 +369,14 @@ class Subsystem:
             VerificationError: The task does not fit the table or its module.
             PbonetError: The module does not load, or its `init` failed.
         """
+        from . import assembly
+
         if hz is not None:
             check_rate(rmod, hz)
         with self._changing() as task_set:
             member = task_set.plan(self.files.rmod(rmod, hz), rtpu, hz)
+            if keep and assembly.stands(task_set, member):
+                return self.status(member.name)
             task_set.must_be_new(member)
             task_set.judge(legality.spawn(member.task))
             try:

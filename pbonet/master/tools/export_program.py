@@ -326,7 +326,7 @@ def _finish(line: Finish) -> list[str]:
 def _order(line: Order) -> str:
     first, *rest = line.words
     if line.command == "spawn":
-        return f"cell.spawn({', '.join(map(_quoted, line.words))})"
+        return f"cell.spawn({', '.join(map(_quoted, line.words))}, keep=True)"
     if line.command == "kill":
         tasks = ", ".join(map(_quoted, line.words))
         return f"cell.kill([{tasks}])" if rest else f"cell.kill({tasks})"

@@ -286,6 +286,37 @@ def test_orders_set_spawn_kill_and_write(shop):
     assert values == [7, [-1.5], ["quick"]]
 
 
+def test_a_task_that_is_there_is_spawned_again_in_a_loop_and_stays(shop):
+    tasks = set()
+
+    def told(subsystem, _, state):
+        if state.step == "quick" and state.phase is Phase.WAITS:
+            tasks.add(subsystem.status("silent").tid)
+
+    text = """
+        REPEAT 3
+        SPAWN silent
+        STEP quick FOR 0.05
+        END
+    """
+    state, _ = run(shop, text, told=told)
+    assert (state.phase, state.count, state.text) == (Phase.DONE, 3, "")
+    assert len(tasks) == 1
+
+
+def test_a_task_of_that_name_from_another_rmod_is_in_the_way(shop):
+    """Its file was changed since it was spawned."""
+    with Subsystem(write(shop, "STEP quick"), virtual=True) as subsystem:
+        first = subsystem.spawn("silent", keep=True)
+        assert subsystem.spawn("silent", keep=True).tid == first.tid
+        with pytest.raises(StateError, match="there is a task silent already"):
+            subsystem.spawn("silent")
+        text = (shop / "silent.rmod").read_text()
+        (shop / "silent.rmod").write_text(f"# changed\n{text}")
+        with pytest.raises(StateError, match="the task silent is in the way"):
+            subsystem.spawn("silent", keep=True)
+
+
 def test_a_task_with_a_fallback_may_fail(shop):
     (shop / "broken.job").write_text(
         "JOB broken\nDESC\nSBS shop.sbs\nTASK broken FALLBACK quick\nEOF\n"
