@@ -157,6 +157,10 @@ class JobEdits:
                 got=str(seconds)[:40],
                 remedy="'pbonet run FILE.job --sim' has no such limit",
             )
+        if not isinstance(names, list):
+            raise ProtocolError(
+                "the variables to record are a list", got=str(names)[:40]
+            )
         wanted = [str(name) for name in names]
         run = self._now.simulate(float(seconds), wanted, limit=_LIMIT)
         return {"run": msgspec.to_builtins(run)}

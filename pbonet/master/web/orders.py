@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -18,7 +19,13 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.config import Library
-from pbonet.errors import AccessError, PbonetError, ProtocolError, StateError
+from pbonet.errors import (
+    AccessError,
+    NodeError,
+    PbonetError,
+    ProtocolError,
+    StateError,
+)
 from pbonet.master.console import (
     Call,
     Scope,
@@ -48,6 +55,12 @@ _MOST_WAITING: Final = 16
 """Commands that may wait."""
 _UNFIT: Final = {"quit", "status set", "sigwait"}
 """Commands that concern one interface alone, or would keep others waiting."""
+_LEAVES: Final = {"stop", "profile save"}
+"""Commands that need no claim, and are no observer's: they end tasks, write files."""
+_STEERS: Final = {"pause", "resume", "step", "abort"}
+"""What is done to a program that runs; it waits for no check and no simulation."""
+
+log = logging.getLogger("pbonet.master")
 
 
 def is_fit(command: Command) -> bool:
@@ -195,13 +208,18 @@ class Orders:
         self._edits = JobEdits(path, Library(place.libraries), told)
         self._programs = Programs(path, place, Library(place.libraries), told)
         self._commands = ThreadPoolExecutor(1, "command")
+        self._looks = ThreadPoolExecutor(1, "look")
         self._files = ThreadPoolExecutor(1, "files")
+        self._steering = ThreadPoolExecutor(1, "steering")
         self._stops = ThreadPoolExecutor(4, "stop")
-        self._waiting = 0
+        self._pools = (
+            self._commands, self._looks, self._files, self._steering, self._stops
+        )  # fmt: skip
+        self._waiting = dict.fromkeys(self._pools, 0)
 
     def close(self) -> None:
         """Carry out nothing more; a command that hangs is abandoned."""
-        for pool in (self._commands, self._files, self._stops):
+        for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
         self._programs.close()
 
@@ -228,6 +246,13 @@ class Orders:
             return _answer(number, await self._carry_out(number, work, told))
         except PbonetError as error:
             return _answer(number, Done(text=str(error)), ok=False)
+        except Exception as error:  # a browser must not wait for an answer in vain
+            log.exception("a request of a browser failed inside pbonet")
+            failed = NodeError(
+                f"it failed inside pbonet: {type(error).__name__}: {error}",
+                remedy="see the output of 'pbonet web', and report it",
+            )
+            return _answer(number, Done(text=str(failed)), ok=False)
 
     def _work(self, request: Wish, role: Role) -> _Work | None:
         """Return what a request asks for; None: nothing.
@@ -240,8 +265,11 @@ class Orders:
             if call is None:
                 return None
             _must_be_allowed(call, role)
+            if call.command.name == "stop":
+                return _Work("stop", self._stop, self._stops)
             perform = partial(self._perform, call, role)
-            return _Work(call.command.name, perform, self._commands)
+            pool = self._commands if role is Role.OPERATOR else self._looks
+            return _Work(call.command.name, perform, pool)
         if role is not Role.OPERATOR:
             raise _only_operators(str(request.__struct_config__.tag))
         if isinstance(request, Stop):
@@ -250,7 +278,8 @@ class Orders:
             edit = partial(self._edits.do, request.edit, request.args)
             return _Work(request.edit, lambda: Done(data=edit()), self._files)
         program = partial(self._programs.do, request.program, request.args)
-        return _Work(request.program, lambda: Done(data=program()), self._files)
+        pool = self._steering if request.program in _STEERS else self._files
+        return _Work(request.program, lambda: Done(data=program()), pool)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):
@@ -261,19 +290,19 @@ class Orders:
     async def _carry_out(
         self, number: int, work: _Work, told: Callable[[Data], None]
     ) -> Done:
-        if work.pool is not self._stops and self._waiting >= _MOST_WAITING:
+        if self._waiting[work.pool] >= _MOST_WAITING:
             raise StateError(
                 f"{_MOST_WAITING} commands wait already",
                 remedy="wait for their answers; Stop waits for none",
             )
-        self._waiting += 1
+        self._waiting[work.pool] += 1
         try:
             loop = asyncio.get_running_loop()
             doing = loop.run_in_executor(work.pool, work.do)
             async with _progress(number, work.name, told):
                 return await doing
         finally:
-            self._waiting -= 1
+            self._waiting[work.pool] -= 1
             self._done()
 
     def _perform(self, call: Call, role: Role) -> Done:
@@ -301,8 +330,14 @@ def _must_be_allowed(call: Call, role: Role) -> None:
             f"{command.name} is not available here",
             remedy="it is for the prompt and for scripts",
         )
-    if call.changes and role is not Role.OPERATOR:
+    if role is not Role.OPERATOR and _leaves_traces(call):
         raise _only_operators(command.name)
+
+
+def _leaves_traces(call: Call) -> bool:
+    """Return whether something is otherwise after a command."""
+    named = call.command.name in _LEAVES
+    return call.changes or named or bool(call.given.get("reset"))
 
 
 def _only_operators(command: str) -> AccessError:

@@ -112,11 +112,15 @@ def test_a_blank_line_does_nothing(made, carried):
 
 def test_an_observer_may_look_and_may_not_steer(made, carried, monkeypatch):
     monkeypatch.setattr(stop_all, "stop", lambda *_, **__: pytest.fail("stopped"))
-    for line in ("on pid", "kill pid", "set pid kp 3", "freq pid 5", "switch other"):
+    for line in (
+        "on pid", "kill pid", "set pid kp 3", "freq pid 5", "switch other",
+        "stop", "profile save", "status reset=yes",
+    ):  # fmt: skip
         answer = ask(made, orders.Line(1, line), Role.OBSERVER)
         assert not answer["ok"], line
         assert "this page is an observer's" in answer["text"]
     assert not ask(made, orders.Stop(1), Role.OBSERVER)["ok"]
+    assert not ask(made, orders.Order(1, "stop"), Role.OBSERVER)["ok"]
     assert not carried.calls
     for line in ("status", "freq pid", "switch other dry_run=yes", "display"):
         assert ask(made, orders.Line(1, line), Role.OBSERVER)["ok"], line
@@ -135,7 +139,10 @@ def test_every_command_that_changes_is_refused_to_an_observer(made, carried):
     assert not carried.calls
 
 
-def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
+@pytest.mark.parametrize(
+    "stop", [orders.Stop(2), orders.Order(2, "stop"), orders.Line(2, "stop")]
+)
+def test_a_stop_waits_for_no_command(made, carried, monkeypatch, stop):
     done = {"off": ["pid"], "killed": [], "rtpus": ["arm0"]}
     monkeypatch.setattr(stop_all, "stop", lambda *_, **__: done)
 
@@ -146,7 +153,7 @@ def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
             made.answer(orders.Line(1, "on pid"), Role.OPERATOR, told.put_nowait)
         )
         await asyncio.sleep(0)
-        stopped = await made.answer(orders.Stop(2), Role.OPERATOR, told.put_nowait)
+        stopped = await made.answer(stop, Role.OPERATOR, told.put_nowait)
         assert not slow.done()
         progress = await told.get()
         carried.gate.set()
@@ -176,6 +183,59 @@ def test_only_so_many_commands_may_wait(made, carried):
     refused = [one for one in answers if not one["ok"]]
     assert len(refused) == 4
     assert refused[0]["text"].startswith("16 commands wait already")
+
+
+def test_observers_keep_no_operator_waiting(made, carried):
+    async def many():
+        carried.gate.clear()
+        looks = [
+            asyncio.create_task(
+                made.answer(orders.Line(n, "status"), Role.OBSERVER, lambda _: None)
+            )
+            for n in range(20)
+        ]
+        await asyncio.sleep(0)
+        steers = asyncio.create_task(
+            made.answer(orders.Line(99, "on pid"), Role.OPERATOR, lambda _: None)
+        )
+        await asyncio.sleep(0)
+        carried.gate.set()
+        return await steers, await asyncio.gather(*looks)
+
+    steered, looked = asyncio.run(many())
+    assert steered["ok"]
+    assert [one["ok"] for one in looked].count(False) == 4
+
+
+def test_a_program_is_aborted_while_files_are_busy(made, monkeypatch):
+    busy = threading.Event()
+    monkeypatch.setattr(made._edits, "do", lambda *_: {"waited": busy.wait(30)})
+
+    async def both():
+        slow = asyncio.create_task(
+            made.answer(orders.Edit(1, "simulate"), Role.OPERATOR, lambda _: None)
+        )
+        await asyncio.sleep(0)
+        aborted = await made.answer(
+            orders.Program(2, "abort"), Role.OPERATOR, lambda _: None
+        )
+        assert not slow.done()
+        busy.set()
+        return aborted, await slow
+
+    aborted, slow = asyncio.run(both())
+    assert aborted["text"].startswith("no program runs")
+    assert slow["data"] == {"waited": True}
+
+
+def test_what_fails_inside_pbonet_is_answered(made, monkeypatch):
+    def fails(*_):
+        raise KeyError("lost")
+
+    monkeypatch.setattr(made._edits, "do", fails)
+    answer = ask(made, orders.Edit(5, "undo"))
+    assert (answer["id"], answer["ok"]) == (5, False)
+    assert answer["text"].startswith("it failed inside pbonet: KeyError: 'lost'")
 
 
 _JSON = st.recursive(
