@@ -61,8 +61,34 @@ def test_values_are_new_when_written_again_or_stale_and_have_their_sample_time()
     assert sent.new([value(age=1.5)], 101.0) == {}
     assert sent.new([value(seq=2)], 102.0).keys() == {"X"}
     assert sent.new([value(seq=2, stale=True)], 103.0)["X"]["stale"]
-    sent.forget()
-    assert sent.new([value(seq=2, stale=True)], 103.0).keys() == {"X"}
+
+
+def test_a_table_made_anew_or_a_clock_that_was_set_hides_no_value():
+    """The table counts from the beginning again: the count is that of an old value."""
+    sent = Values()
+    nan = math.nan
+    assert sent.new([value(numbers=(1.0, nan))], 100.0)
+    assert not sent.new([value(numbers=(1.0, nan), age=1.5)], 101.0)
+    assert sent.new([value(numbers=(7.0, nan), age=1.6)], 101.1)["X"]["v"][0] == 7.0
+    assert sent.new([value(numbers=(7.0, nan), age=0.1)], 200.0)["X"]["t"] == 199.9
+    assert sent.new([value(numbers=(7.0, nan), age=0.6)], 50.0)["X"]["t"] == 49.4
+    assert sent.new([value(numbers=(0.0, 0.0), age=None)], 51.0)["X"]["t"] is None
+
+
+def test_history_goes_on_when_the_clock_is_put_back():
+    kept = History()
+    for at in (100.0, 101.0, 102.0, 50.0, 51.0):
+        kept.add_values({"X": {"t": at, "v": [at]}})
+    assert kept.values(["X"])["X"]["t"] == [50.0, 51.0]
+
+
+def test_history_of_a_large_variable_is_shorter():
+    kept = History()
+    for n in range(500):
+        kept.add_values({"X": {"t": n * 0.05, "v": [float(n)] * 1000}})
+    found = kept.values(["X"])["X"]
+    assert len(found["t"]) == 100
+    assert found["v"][-1] == [499.0] * 1000
 
 
 def test_states_send_only_what_changed_and_whole_has_all():
