@@ -20,7 +20,7 @@ from pbonet.master.subsystem import status_fields
 
 from .access import COOKIE_TIME, Access, Rate, Role
 from .browsers import MOST, MOST_WATCHED, Browser, Browsers
-from .orders import Play, Seek, Watch, decode, is_fit
+from .orders import Play, Seek, Stop, Watch, decode, is_fit, refusal
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
@@ -58,8 +58,9 @@ _SEND_TIME: Final = 10.0
 """Seconds in which a browser must take a message; then it is let go."""
 _REQUESTS: Final = (50.0, 100)
 """Messages a second of one browser, and how many at once."""
+_MANY: Final = "too many messages a second; this one was left out"
 _LINKS: Final = (2.0, 20)
-"""Attempts a second to open the page without a valid cookie, and how many at once."""
+"""Attempts a second to open the page by nothing valid, and how many at once."""
 _CLOSED_FOREIGN: Final = 4403
 _CLOSED_FULL: Final = 4429
 _CLOSED_SLOW: Final = 4408
@@ -127,9 +128,9 @@ class Page:
         token = request.query_params.get("token", "")
         cookie = request.cookies.get(self._access.cookie, "")
         known = self._access.role(cookie)
-        if known is None and not self._attempts.allows():
-            return PlainTextResponse("too many attempts; wait\n", 429)
         role = self._access.use(token) if token else None
+        if role is None and known is None and not self._attempts.allows():
+            return PlainTextResponse("too many attempts; wait\n", 429)
         if role is not None:
             self._linked(role, self._access.renew(role))
         role = role or known
@@ -197,22 +198,25 @@ class Page:
             if message["type"] == "websocket.disconnect":
                 return
             text = message.get("text")
-            if not rate.allows():
-                refused = "too many messages a second; this one was left out"
-                browser.put(_encoded(kind="refused", text=refused))
-            elif text is None:
+            allowed = rate.allows()
+            if text is None:
                 browser.put(_encoded(kind="refused", text="messages are JSON as text"))
             else:
-                self._take(text, browser)
+                self._take(text, browser, allowed=allowed)
 
-    def _take(self, text: str, browser: Browser) -> None:
-        """Carry out one message of a browser."""
+    def _take(self, text: str, browser: Browser, *, allowed: bool) -> None:
+        """Carry out one message of a browser; of too many a second only a stop."""
         try:
             request = decode(text)
         except PbonetError as error:
-            browser.put(_encoded(kind="refused", text=str(error)))
+            browser.put(_encoded(kind="refused", text=str(error) if allowed else _MANY))
             return
-        if isinstance(request, Watch):
+        if not allowed and not isinstance(request, Stop):
+            if isinstance(request, Watch | Seek | Play):
+                browser.put(_encoded(kind="refused", text=_MANY))
+            else:  # the browser waits for an answer
+                browser.put(_encoded(**refusal(request.id, _MANY)))
+        elif isinstance(request, Watch):
             self._watch(request, browser)
         elif isinstance(request, Seek | Play):
             self._move(request, browser)

@@ -245,14 +245,14 @@ class Orders:
                 return _answer(number, Done())
             return _answer(number, await self._carry_out(number, work, told))
         except PbonetError as error:
-            return _answer(number, Done(text=str(error)), ok=False)
+            return refusal(number, str(error))
         except Exception as error:  # a browser must not wait for an answer in vain
             log.exception("a request of a browser failed inside pbonet")
             failed = NodeError(
                 f"it failed inside pbonet: {type(error).__name__}: {error}",
                 remedy="see the output of 'pbonet web', and report it",
             )
-            return _answer(number, Done(text=str(failed)), ok=False)
+            return refusal(number, str(failed))
 
     def _work(self, request: Wish, role: Role) -> _Work | None:
         """Return what a request asks for; None: nothing.
@@ -367,6 +367,11 @@ async def _progress(
         yield
     finally:
         task.cancel()
+
+
+def refusal(number: int, text: str) -> Data:
+    """Return the answer to a request that was not carried out."""
+    return _answer(number, Done(text), ok=False)
 
 
 def _answer(number: int, done: Done, *, ok: bool = True) -> Data:

@@ -65,7 +65,7 @@ def serve(
         PbonetError: A file is wrong, a package is missing, the address is taken, or it
             is beyond this machine and there is no TLS.
     """
-    uvicorn_, application = _packages()
+    uvicorn_, application, connections = _packages()
     context = _tls(served)
     recorded = _is_log(Path(path))
     source = RecordedRun(path) if recorded else Watcher(path, place, hz=served.hz)
@@ -90,6 +90,7 @@ def serve(
         page.app(),
         log_config=None,
         access_log=False,
+        http=connections.Connection,
         ws="websockets-sansio",
         ws_max_size=application.LONGEST,
         ws_per_message_deflate=False,
@@ -123,8 +124,8 @@ def _is_log(path: Path) -> bool:
     return path.suffix == ".mcap" or path.is_dir()
 
 
-def _packages() -> tuple[Any, Any]:
-    """Return uvicorn, and the application that it runs.
+def _packages() -> tuple[Any, Any, Any]:
+    """Return uvicorn, the application that it runs, and its connections.
 
     Raises:
         NodeError: A package is not installed.
@@ -132,7 +133,8 @@ def _packages() -> tuple[Any, Any]:
     try:
         import_module("websockets")
         application = import_module(".application", __package__)
-        return import_module("uvicorn"), application
+        connections = import_module(".connections", __package__)
+        return import_module("uvicorn"), application, connections
     except ImportError as error:
         raise NodeError(
             "the packages of the web page are not installed",

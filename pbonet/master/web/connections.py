@@ -1,0 +1,45 @@
+"""Connections of browsers before they are WebSockets: few, and none of them for long.
+
+Anybody who reaches the port can open connections and say nothing. They must not keep
+browsers away, or use up the files that this process may open.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Final
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+MOST: Final = 100
+"""Connections at a time that are no WebSockets; one more ends the oldest."""
+TIME: Final = 30.0
+"""Seconds for which one may last; the whole page is loaded in less."""
+
+
+class Connection(H11Protocol):
+    """A connection that ends soon, unless it becomes a WebSocket."""
+
+    opened = 0.0
+
+    def connection_made(  # type: ignore[override]
+        self, transport: asyncio.Transport
+    ) -> None:
+        """Serve it for a time; end the oldest if there are too many."""
+        super().connection_made(transport)
+        self.opened = self.loop.time()
+        self.loop.call_later(TIME, self.end)
+        alive = [one for one in self._others() if not one.transport.is_closing()]
+        if len(alive) > MOST:
+            min(alive, key=lambda one: one.opened).end()
+
+    def _others(self) -> Iterable[Connection]:
+        return (one for one in self.connections if isinstance(one, Connection))
+
+    def end(self) -> None:
+        """Close it, unless it is a WebSocket now."""
+        if self.transport.get_protocol() is self:
+            self.transport.abort()
