@@ -24,7 +24,7 @@ from .orders import Play, Seek, Stop, Watch, decode, is_fit, refusal
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable
+    from collections.abc import AsyncIterator, Callable, Coroutine
 
     from starlette.requests import Request
     from starlette.responses import Response
@@ -235,7 +235,11 @@ class Page:
             )
             browser.put(_encoded(**answer))
 
-        task = asyncio.create_task(carry_out())
+        self._begin(carry_out())
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        """Have something done beside the messages that come."""
+        task = asyncio.create_task(work)
         self._running.add(task)
         task.add_done_callback(self._running.discard)
 
@@ -255,11 +259,34 @@ class Page:
             browser.put(_encoded(kind="refused", text=text))
             return
         wanted &= self._source.variables
-        fresh = wanted - browser.watched
+        begun = bool(browser.unheard)
+        browser.unheard |= wanted - browser.watched
         browser.watched = wanted
         self._browsers.rewatch()
-        for message in self._source.history(sorted(fresh)):
-            browser.put(msgspec.json.encode(message))
+        if not begun:
+            self._begin(self._tell_history(browser))
+
+    async def _tell_history(self, browser: Browser) -> None:
+        """Tell what was before, in a thread: nobody's stop waits for all these numbers.
+
+        It is one at a time for each browser, however often it watches other variables.
+        """
+
+        def history(names: list[str]) -> list[bytes]:
+            return [msgspec.json.encode(one) for one in self._source.history(names)]
+
+        while True:
+            names = sorted(browser.unheard & browser.watched)
+            try:
+                texts = await asyncio.to_thread(history, names)
+            except PbonetError as error:
+                texts = [_encoded(kind="refused", text=str(error))]
+            for text in texts:
+                browser.put(text)
+            browser.unheard -= {*names}
+            browser.unheard &= browser.watched
+            if not browser.unheard or browser.lost:
+                return
 
     def _hello(self, role: Role) -> Data:
         steered = self._orders is not None

@@ -24,6 +24,8 @@ MOST_WATCHED: Final = 200
 """Variables that one browser may watch."""
 _WAITING: Final = 500
 """Messages beside values that may wait for a browser; more of them end it."""
+_BYTES: Final = 32_000_000
+"""Bytes of these messages."""
 
 
 class Browser:
@@ -38,16 +40,21 @@ class Browser:
         self.watched: frozenset[str] = frozenset()
         self.lost = False
         """Set when too much waits for it."""
+        self.unheard: set[str] = set()
+        """Variables of which it waits for what was before."""
         self._texts: deque[bytes] = deque()
+        self._bytes = 0
         self._values: dict[str, Data] = {}
         self._time = 0.0
         self._there = asyncio.Event()
 
     def put(self, text: bytes) -> None:
         """Have a message sent."""
-        self.lost = self.lost or len(self._texts) >= _WAITING
+        full = len(self._texts) >= _WAITING or self._bytes >= _BYTES
+        self.lost = self.lost or full
         if not self.lost:
             self._texts.append(text)
+            self._bytes += len(text)
         self._there.set()
 
     def put_values(self, message: Data) -> None:
@@ -65,6 +72,7 @@ class Browser:
         self._there.clear()
         texts = [*self._texts]
         self._texts.clear()
+        self._bytes = 0
         if self._values:
             message = {"kind": "values", "t": self._time, "values": self._values}
             texts.append(msgspec.json.encode(message))

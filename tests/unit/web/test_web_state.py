@@ -50,6 +50,18 @@ def test_history_keeps_a_minute_of_each_variable_and_the_last_events():
     assert [one["n"] for one in kept.events] == list(range(10, EVENTS + 10))
 
 
+def test_the_history_of_many_variables_at_once_has_fewer_samples_of_each():
+    kept = History()
+    names = [f"V{n}" for n in range(100)]
+    for n in range(200):
+        kept.add_values({name: {"t": n * 0.1, "v": [n] * 20} for name in names})
+    found = kept.values(names)
+    numbers = sum(len(one["t"]) * 20 for one in found.values())
+    assert 100_000 < numbers <= 200_000
+    assert {one["v"][-1][0] for one in found.values()} == {199}
+    assert len(kept.values(["V0"])["V0"]["t"]) == 200
+
+
 def test_values_are_new_when_written_again_or_stale_and_have_their_sample_time():
     sent = Values()
     first = sent.new([value(), value("Y", writer=None, age=None)], 100.0)
@@ -170,3 +182,8 @@ def test_a_browser_that_reads_nothing_is_lost_and_keeps_a_bounded_number():
         all_.send({"kind": "events", "events": [n]})
     assert browser.lost
     assert len(take(browser)) <= 500
+    other = Browser(Role.OBSERVER)
+    for _ in range(50):
+        other.put(b"1" + 1_000_000 * b" ")
+    assert other.lost
+    assert len(take(other)) < 40
