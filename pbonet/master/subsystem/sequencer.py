@@ -311,9 +311,9 @@ class Sequencer:
         file = self.jobs[step.job]
         kind = "SAFE" if self._state.safe else "STEP"
         note = f"{self.seq.name}: {kind} {line_text(step)[1]}"
-        self._must_have_tasks()
 
         def attempt() -> object:
+            self._must_have_tasks()  # each time: a stop may come during the wait
             return self._subsystem.switch(file, abandon=abandon, note=note)
 
         in_time(attempt, self.seq.wait, self._subsystem.clock, self._abort)

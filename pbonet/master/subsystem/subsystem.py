@@ -751,7 +751,7 @@ class Subsystem:
             PbonetError: A new task could not be spawned; nothing else was done.
         """
         from . import switching
-        from .condition_gate import ConditionGate, in_time
+        from .condition_gate import ConditionGate, in_time, no_stop
 
         def attempt() -> Transition:
             with self._changing(partly=False, claimed=not dry_run) as task_set:
@@ -767,7 +767,8 @@ class Subsystem:
                 )
 
         self.stopped.clear()
-        return in_time(attempt, wait, self.clock, self.stopped)
+        halted = self._halts() if wait else no_stop
+        return in_time(attempt, wait, self.clock, self.stopped, halted)
 
     # -- the whole --------------------------------------------------------------------
 
@@ -798,7 +799,7 @@ class Subsystem:
             PbonetError: A step failed; the start was undone.
         """
         from . import assembly
-        from .condition_gate import in_time
+        from .condition_gate import in_time, no_stop
 
         def attempt() -> list[m.TaskStatus]:
             with self._changing(partly=False) as task_set:
@@ -810,7 +811,8 @@ class Subsystem:
                     task_set.settle()
 
         self.stopped.clear()
-        return in_time(attempt, wait, self.clock, self.stopped)
+        halted = self._halts() if wait else no_stop
+        return in_time(attempt, wait, self.clock, self.stopped, halted)
 
     def check(self, job: str | Path | None = None) -> list[str]:
         """Verify a job, or the present tasks, without changing anything.
@@ -1406,6 +1408,17 @@ class Subsystem:
     def _warn(self, text: str) -> None:
         """Pass a warning to the command that caused it, else to `warned`."""
         (collector() or self.warned)(text)
+
+    def _halts(self) -> Callable[[], bool]:
+        """Return what tells whether a stop from elsewhere ended the tasks since now."""
+        begin = {order for one in self.clients.infos() for order in one.stops}
+
+        def halted() -> bool:
+            infos = self.clients.infos()
+            on = any(one.on.get(self.name) for one in infos)
+            return not on and any(not begin.issuperset(one.stops) for one in infos)
+
+        return halted
 
     def _changing(
         self,

@@ -12,7 +12,7 @@ import pytest
 from watching import wait_for
 
 from pbonet import cli
-from pbonet.errors import ConfigError, NoAnswerError, StateError
+from pbonet.errors import ConditionError, ConfigError, NoAnswerError, StateError
 from pbonet.master import Subsystem
 from pbonet.master.configuration import check_file
 from pbonet.master.subsystem import Phase, Sequencer
@@ -316,6 +316,24 @@ def test_a_stop_ends_it_and_nothing_is_started_again(shop):
         assert sequencer.state.entered == ("silent",)
         with pytest.raises(StateError, match="has run already"):
             sequencer.run()
+
+
+def test_a_stop_during_the_wait_for_conditions_starts_nothing(shop, monkeypatch):
+    path = write(shop, "STEP silent FOR 0.1\nSTEP rest", head="WAIT 9")
+    switch = Subsystem.switch
+
+    def later(subsystem, job, **more):
+        """Refuse the second job at first; a stop from elsewhere comes meanwhile."""
+        if [one.task for one in subsystem.status()] == ["silent"]:
+            subsystem.task_set.stop()
+            raise ConditionError("it still moves")
+        return switch(subsystem, job, **more)
+
+    monkeypatch.setattr(Subsystem, "switch", later)
+    with Subsystem(path, virtual=True) as subsystem:
+        sequencer = Sequencer(subsystem)
+        assert sequencer.run().phase is Phase.STOPPED
+        assert subsystem.status() == []
 
 
 def paused(sequencer):
