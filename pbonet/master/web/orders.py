@@ -47,10 +47,14 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Place
     from pbonet.master.console import Command
+    from pbonet.master.subsystem import Subsystem
 
 Data = dict[str, Any]
 _SLOW: Final = 0.5
 """Seconds after which a browser hears that its command still runs."""
+_END_TIME: Final = 5.0
+"""Seconds that the command which is being carried out has when the server ends."""
+_PAUSE: Final = 0.05
 _MOST_WAITING: Final = 16
 """Commands that may wait."""
 _UNFIT: Final = {"quit", "status set", "sigwait"}
@@ -181,6 +185,8 @@ class _Work(NamedTuple):
     do: Callable[[], Done]
     pool: ThreadPoolExecutor
     """The threads that do it."""
+    starts: bool = False
+    """Whether it may start something; then a stop is the end of it."""
 
 
 class Orders:
@@ -216,11 +222,19 @@ class Orders:
             self._commands, self._looks, self._files, self._steering, self._stops
         )  # fmt: skip
         self._waiting = dict.fromkeys(self._pools, 0)
+        self._stopped = 0
+        """Stops that were carried out."""
+        self._changing: Subsystem | None = None
+        """The subsystem of the command that changes it now."""
 
     def close(self) -> None:
-        """Carry out nothing more; a command that hangs is abandoned."""
+        """Carry out nothing more; a command that waits for conditions gives up."""
         for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
+        end = time.monotonic() + _END_TIME
+        while (changing := self._changing) is not None and time.monotonic() < end:
+            changing.stopped.set()  # it may just have begun, which clears it
+            time.sleep(_PAUSE)
         self._programs.close()
 
     def first(self) -> list[Data]:
@@ -269,7 +283,7 @@ class Orders:
                 return _Work("stop", self._stop, self._stops)
             perform = partial(self._perform, call, role)
             pool = self._commands if role is Role.OPERATOR else self._looks
-            return _Work(call.command.name, perform, pool)
+            return _Work(call.command.name, perform, pool, starts=call.changes)
         if role is not Role.OPERATOR:
             raise _only_operators(str(request.__struct_config__.tag))
         if isinstance(request, Stop):
@@ -279,7 +293,8 @@ class Orders:
             return _Work(request.edit, lambda: Done(data=edit()), self._files)
         program = partial(self._programs.do, request.program, request.args)
         pool = self._steering if request.program in _STEERS else self._files
-        return _Work(request.program, lambda: Done(data=program()), pool)
+        starts = request.program == "run"
+        return _Work(request.program, lambda: Done(data=program()), pool, starts=starts)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):
@@ -298,20 +313,46 @@ class Orders:
         self._waiting[work.pool] += 1
         try:
             loop = asyncio.get_running_loop()
-            doing = loop.run_in_executor(work.pool, work.do)
+            do = partial(self._do, work, self._stopped)
+            doing = loop.run_in_executor(work.pool, do)
             async with _progress(number, work.name, told):
                 return await doing
         finally:
             self._waiting[work.pool] -= 1
             self._done()
 
+    def _do(self, work: _Work, stopped: int) -> Done:
+        """Do what was asked for, unless a stop has come since: it was meant before.
+
+        Raises:
+            PbonetError: It is refused, or failed.
+        """
+        if work.starts and self._stopped != stopped:
+            raise StateError(
+                f"a stop came before {work.name} was carried out; it was left out",
+                remedy="give it again",
+            )
+        return work.do()
+
     def _perform(self, call: Call, role: Role) -> Done:
         path, place = self._steered.path, self._steered.place
-        reply = oneshot.perform(path, call, place, kind=f"web-{role}")
+
+        def begun(subsystem: Subsystem) -> None:
+            if call.changes:
+                self._changing = subsystem
+
+        try:
+            reply = oneshot.perform(path, call, place, kind=f"web-{role}", begun=begun)
+        finally:
+            if call.changes:
+                self._changing = None
         text = render.text(reply.command, reply.data)
         return Done(text, reply.warnings, reply.data)
 
     def _stop(self) -> Done:
+        self._stopped += 1
+        if (changing := self._changing) is not None:
+            changing.stopped.set()
         name, place = self._steered.name, self._steered.place
         data = stop_all.stop(name, domain=place.domain, connect=place.connect)
         return Done(render.text("stop", data), data=data)

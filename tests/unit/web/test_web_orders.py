@@ -26,8 +26,10 @@ class Given:
         self.calls = []
         self.gate = threading.Event()
         self.gate.set()
+        self.stopped = threading.Event()
 
-    def perform(self, _path, call, _place, *, kind=""):
+    def perform(self, _path, call, _place, *, kind="", begun=None):
+        begun(self)
         self.gate.wait(30)
         self.calls.append((call.command.name, call.words, kind))
         if call.given.get("text") == "wrong":
@@ -164,6 +166,48 @@ def test_a_stop_waits_for_no_command(made, carried, monkeypatch, stop):
     assert slow["ok"]
     assert told["kind"] == "progress"
     assert told["id"] == 1
+
+
+def test_what_was_asked_for_before_a_stop_does_not_start_after_it(
+    made, carried, monkeypatch
+):
+    done = {"off": ["pid"], "killed": [], "rtpus": ["arm0"]}
+    monkeypatch.setattr(stop_all, "stop", lambda *_, **__: done)
+
+    async def all_():
+        carried.gate.clear()
+        asked = [
+            asyncio.create_task(
+                made.answer(orders.Line(n, line), Role.OPERATOR, lambda _: None)
+            )
+            for n, line in enumerate(("switch other wait=9", "on pid", "status"))
+        ]
+        await asyncio.sleep(0.1)
+        assert (await made.answer(orders.Stop(9), Role.OPERATOR, print))["ok"]
+        assert carried.stopped.is_set()  # which ends the wait of the first
+        carried.gate.set()
+        return await asyncio.gather(*asked)
+
+    _, second, third = asyncio.run(all_())
+    assert not second["ok"]
+    assert second["text"].startswith("a stop came before on was carried out")
+    assert third["ok"]
+    assert [name for name, _, _ in carried.calls] == ["switch", "status"]
+
+
+def test_the_end_gives_a_command_up_that_waits_for_conditions(made, carried):
+    carried.gate = carried.stopped
+
+    async def end():
+        asking = asyncio.create_task(
+            made.answer(orders.Line(1, "start wait=600"), Role.OPERATOR, lambda _: None)
+        )
+        await asyncio.sleep(0.1)
+        await asyncio.to_thread(made.close)
+        await asking
+
+    asyncio.run(end())
+    assert carried.calls
 
 
 def test_only_so_many_commands_may_wait(made, carried):
