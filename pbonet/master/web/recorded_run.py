@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from pbonet.config import Library
-from pbonet.errors import LogError, Severity
+from pbonet.errors import LogError, PbonetError, Severity
 from pbonet.log import Log, timelines
 from pbonet.master.configuration import Files, job_graph
 
@@ -114,7 +114,7 @@ class RecordedRun(Source):
             {"kind": "graph", "graph": self._graph},
             self._states.at(at),
             {"kind": "history", "values": {}, "events": self._until(at)},
-            {"kind": "complaints", "texts": []},
+            {"kind": "complaints", "texts": [str(one) for one in self._log.damage]},
             {"kind": "at", "t": at, "speed": speed},
         ]
 
@@ -280,7 +280,7 @@ def _graph(log: Log) -> Data:
     It has the tasks of all its jobs, and those that were spawned without one.
 
     Raises:
-        LogError: They are missing.
+        LogError: They are missing, or wrong.
     """
     files = {Path(name).name: one.data for name, one in log.attached.items()}
     jobs = [name for name in files if name.endswith(".job")]
@@ -297,11 +297,20 @@ def _graph(log: Log) -> Data:
         for file, data in files.items():
             if file not in {"", ".."}:
                 (folder / file).write_bytes(data)
-        graphs = [_drawn(folder / one) for one in jobs or systems[:1]]
-        graph = _joined([one for one in graphs if one["name"] == graphs[0]["name"]])
-        rest = _without_job(log, graph, folder)
-        if rest is not None and systems:
-            graph = _joined([graph, _drawn(rest)]) | {"job": graph["job"]}
+        try:
+            graphs = [_drawn(folder / one) for one in jobs or systems[:1]]
+            graph = _joined([one for one in graphs if one["name"] == graphs[0]["name"]])
+            rest = _without_job(log, graph, folder)
+            if rest is not None and systems:
+                graph = _joined([graph, _drawn(rest)]) | {"job": graph["job"]}
+        except PbonetError as error:
+            raise LogError(
+                "the page cannot be drawn from the files in the log",
+                where=str(log.path),
+                got=str(error).replace(f"{folder}/", ""),
+                remedy="if the log is damaged, 'pbonet log recover' repairs it; "
+                "'pbonet log plot' needs no files",
+            ) from None
     return graph
 
 

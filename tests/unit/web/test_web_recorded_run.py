@@ -115,6 +115,13 @@ def test_a_log_without_files_is_refused(tmp_path):
         RecordedRun(tmp_path / "none.mcap")
 
 
+def test_a_log_without_one_of_its_files_says_so(folder, monkeypatch):
+    files = {name: one for name, one in Log(folder).attached.items() if "svar" not in name}
+    monkeypatch.setattr(Log, "attached", files)
+    with pytest.raises(LogError, match=r"cannot be drawn.*got puma\.sbs:\d+: puma\.svar"):
+        RecordedRun(folder)
+
+
 def test_a_run_of_several_jobs_has_the_tasks_of_all(tmp_path):
     example = PUMA.parent
     for name in ("puma.sbs", "puma.svar"):
@@ -138,3 +145,13 @@ def test_a_run_of_several_jobs_has_the_tasks_of_all(tmp_path):
     assert run.about["job"] == "one, two"
     assert {one["name"] for one in graph["graph"]["tasks"]} == {*tasks}
     assert {one["task"] for one in status["tasks"]} == {*tasks}
+
+
+def test_what_is_damaged_is_told(folder, tmp_path):
+    (log,) = folder.glob("*.mcap")
+    data = bytearray(log.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    run = RecordedRun(tmp_path / "damaged.mcap")
+    complaints = next(one for one in run.first() if one["kind"] == "complaints")
+    assert "damaged chunk" in complaints["texts"][0]
