@@ -148,7 +148,7 @@ def test_a_run_of_several_jobs_has_the_tasks_of_all(tmp_path):
 
 
 def test_what_is_damaged_is_told(folder, tmp_path):
-    (log,) = folder.glob("*.mcap")
+    log = folder / "arm0.mcap"
     data = bytearray(log.read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "damaged.mcap").write_bytes(data)
