@@ -128,7 +128,8 @@ class Page:
         token = request.query_params.get("token", "")
         cookie = request.cookies.get(self._access.cookie, "")
         known = self._access.role(cookie)
-        role = self._access.use(token) if token else None
+        opens = token and request.method == "GET"  # HEAD only looks
+        role = self._access.use(token) if opens else None
         if role is None and known is None and not self._attempts.allows():
             return PlainTextResponse("too many attempts; wait\n", 429)
         if role is not None:

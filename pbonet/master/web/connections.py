@@ -7,8 +7,10 @@ browsers away, or use up the files that this process may open.
 from __future__ import annotations
 
 import asyncio
+import logging
 from typing import TYPE_CHECKING, Final
 
+from h11 import ProtocolError
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 if TYPE_CHECKING:
@@ -18,6 +20,16 @@ MOST: Final = 100
 """Connections at a time that are no WebSockets; one more ends the oldest."""
 TIME: Final = 30.0
 """Seconds for which one may last; the whole page is loaded in less."""
+
+
+def leave_out_junk() -> None:
+    """Log nothing of requests that are no HTTP: anybody can send any number of them."""
+    logging.getLogger("uvicorn.error").addFilter(_is_no_junk)
+
+
+def _is_no_junk(record: logging.LogRecord) -> bool:
+    error = record.exc_info[1] if record.exc_info else None
+    return record.levelno >= logging.ERROR and not isinstance(error, ProtocolError)
 
 
 class Connection(H11Protocol):

@@ -100,6 +100,7 @@ def serve(
         timeout_graceful_shutdown=1,
     )
     config.load()
+    connections.leave_out_junk()
     config.ssl = context
     asyncio.run(_until_interrupted(uvicorn_.Server(config), listening))
     key.remove()

@@ -72,6 +72,7 @@ def told(socket, *kinds):
 
 def test_a_link_opens_the_page_once_and_a_cookie_opens_it_again(served):
     link = served.access.links[Role.OPERATOR].removeprefix(URL)
+    assert served.client.head(link).status_code == 401  # what only looks uses no link
     first = served.client.get(link)
     assert first.status_code == 200
     cookie = first.headers["set-cookie"]

@@ -76,3 +76,17 @@ def test_a_connection_without_a_whole_request_ends(monkeypatch, said):
                 assert await reader.read() == b""
 
     asyncio.run(wait())
+
+
+def test_nothing_is_logged_of_requests_that_are_none(caplog):
+    connections.leave_out_junk()
+
+    async def junk():
+        async with serving() as connect:
+            for said in (b"\x00\r\n\r\n", b"POST / HTTP/1.1\r\nContent-Length: x\r\n\r\n"):
+                reader, writer = await connect()
+                writer.write(said)
+                assert b"400" in await reader.read()
+
+    asyncio.run(junk())
+    assert not caplog.records
