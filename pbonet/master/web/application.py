@@ -170,8 +170,8 @@ class Page:
         if role is None or not self._access.is_origin(origin):
             await socket_.close(_CLOSED_FOREIGN, "open the page by its link")
             return
-        if self._browsers.full:
-            await socket_.close(_CLOSED_FULL, f"{MOST} browsers are connected")
+        if self._browsers.are_full(role):
+            await socket_.close(_CLOSED_FULL, f"{MOST} browsers are served at most")
             return
         browser = Browser(role)
         self._browsers.add(browser)

@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from .access import Role
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-
-    from .access import Role
 
 Data = dict[str, Any]
 MOST: Final = 32
 """Browsers at a time."""
+FOR_OPERATORS: Final = 4
+"""Of these, the places that no observer takes."""
 MOST_WATCHED: Final = 200
 """Variables that one browser may watch."""
 _WAITING: Final = 500
@@ -91,10 +93,10 @@ class Browsers:
         self._watched = watched
         self._browsers: list[Browser] = []
 
-    @property
-    def full(self) -> bool:
-        """Whether no more can be served."""
-        return len(self._browsers) >= MOST
+    def are_full(self, role: Role) -> bool:
+        """Return whether no more can be served; observers keep no operator out."""
+        kept = 0 if role is Role.OPERATOR else FOR_OPERATORS
+        return len(self._browsers) >= MOST - kept
 
     def add(self, browser: Browser) -> None:
         """Serve one more."""

@@ -230,3 +230,15 @@ def test_so_many_browsers_and_no_more(served, monkeypatch):
         assert closed.value.code == 4429
     with served.connect() as again:
         told(again, "hello")
+
+
+def test_observers_keep_no_operator_out(served, monkeypatch):
+    monkeypatch.setattr(browsers, "MOST", 1 + browsers.FOR_OPERATORS)
+    served.open(Role.OBSERVER)
+    with served.connect() as one:
+        told(one, "hello")
+        with pytest.raises(WebSocketDisconnect):
+            served.connect().__enter__()
+        served.open(Role.OPERATOR)
+        with served.connect() as steering:
+            assert told(steering, "hello")["role"] == "operator"
