@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from h11 import ProtocolError
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -37,11 +37,9 @@ class Connection(H11Protocol):
 
     opened = 0.0
 
-    def connection_made(  # type: ignore[override]
-        self, transport: asyncio.Transport
-    ) -> None:
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Serve it for a time; end the oldest if there are too many."""
-        super().connection_made(transport)
+        super().connection_made(cast("asyncio.Transport", transport))
         self.opened = self.loop.time()
         self.loop.call_later(TIME, self.end)
         alive = [one for one in self._others() if not one.transport.is_closing()]

@@ -38,7 +38,9 @@ class _Sent(NamedTuple):
         if self.mark != other.mark or (self.time is None) is not (other.time is None):
             return False
         apart = abs((self.time or 0.0) - (other.time or 0.0))
-        mine, theirs = (array("d", one).tobytes() for one in (self.numbers, other.numbers))
+        mine, theirs = (
+            array("d", one).tobytes() for one in (self.numbers, other.numbers)
+        )
         return apart < _SAME_TIME and mine == theirs  # NaN is like NaN
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 
@@ -161,6 +161,6 @@ class JobEdits:
             raise ProtocolError(
                 "the variables to record are a list", got=str(names)[:40]
             )
-        wanted = [str(name) for name in names]
+        wanted = [str(name) for name in cast("list[object]", names)]
         run = self._now.simulate(float(seconds), wanted, limit=_LIMIT)
         return {"run": msgspec.to_builtins(run)}

@@ -62,7 +62,7 @@ _UNFIT: Final = {"quit", "status set", "sigwait"}
 _LEAVES: Final = {"stop", "profile save"}
 """Commands that need no claim, and are no observer's: they end tasks, write files."""
 _STEERS: Final = {"pause", "resume", "step", "abort"}
-"""What is done to a program that runs; it waits for no check and no simulation."""
+"""Requests for a program that runs; they wait for no check and no simulation."""
 
 log = logging.getLogger("pbonet.master")
 

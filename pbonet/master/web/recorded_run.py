@@ -340,7 +340,10 @@ def _without_job(log: Log, graph: Data, folder: Path) -> Path | None:
 
 def _joined(graphs: list[Data]) -> Data:
     """Return one graph with the tasks, variables and wires of several."""
-    joined = {**graphs[0], "job": ", ".join(one["job"] for one in graphs if one["job"])}
+    joined: Data = {
+        **graphs[0],
+        "job": ", ".join(one["job"] for one in graphs if one["job"]),
+    }
     tasks = {task["name"]: task for one in graphs for task in one["tasks"]}
     variables: dict[str, Data] = {}
     for variable in (each for one in graphs for each in one["variables"]):
@@ -349,10 +352,11 @@ def _joined(graphs: list[Data]) -> Data:
             known[side] = list(dict.fromkeys([*known[side], *variable[side]]))
     joined |= {"tasks": list(tasks.values()), "variables": list(variables.values())}
     for part in ("wires", "links", "faults"):
-        joined[part] = []
+        found: list[Data] = []
         for each in (each for one in graphs for each in one[part]):
-            if each not in joined[part]:
-                joined[part].append(each)
+            if each not in found:
+                found.append(each)
+        joined[part] = found
     return joined
 
 

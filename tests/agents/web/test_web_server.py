@@ -234,6 +234,10 @@ def test_a_server_that_is_killed_comes_back_and_knows_its_browsers(levels) -> No
 def test_sockets_that_never_read_and_messages_that_say_nothing(server) -> None:
     cookie = server.cookie("operator")
     with contextlib.ExitStack() as stack:
+        for _ in range(250):  # nobody says a word: they keep no browser away
+            idle = socket.create_connection(("127.0.0.1", server.port), timeout=60)
+            stack.enter_context(idle)
+        server.cookie("observer")
         answers = []
         for _ in range(50):  # nobody reads more of them than their answer's first line
             raw = stack.enter_context(

@@ -12,7 +12,7 @@ from uvicorn.server import ServerState
 from pbonet.master.web import connections
 
 
-async def app(scope, receive, send):
+async def app(_scope, _receive, send):
     await send({"type": "http.response.start", "status": 200, "headers": []})
     await send({"type": "http.response.body", "body": b"here"})
 
@@ -83,7 +83,10 @@ def test_nothing_is_logged_of_requests_that_are_none(caplog):
 
     async def junk():
         async with serving() as connect:
-            for said in (b"\x00\r\n\r\n", b"POST / HTTP/1.1\r\nContent-Length: x\r\n\r\n"):
+            for said in (
+                b"\x00\r\n\r\n",
+                b"POST / HTTP/1.1\r\nContent-Length: x\r\n\r\n",
+            ):
                 reader, writer = await connect()
                 writer.write(said)
                 assert b"400" in await reader.read()

@@ -116,9 +116,13 @@ def test_a_log_without_files_is_refused(tmp_path):
 
 
 def test_a_log_without_one_of_its_files_says_so(folder, monkeypatch):
-    files = {name: one for name, one in Log(folder).attached.items() if "svar" not in name}
+    files = {
+        name: one for name, one in Log(folder).attached.items() if "svar" not in name
+    }
     monkeypatch.setattr(Log, "attached", files)
-    with pytest.raises(LogError, match=r"cannot be drawn.*got puma\.sbs:\d+: puma\.svar"):
+    with pytest.raises(
+        LogError, match=r"cannot be drawn.*got puma\.sbs:\d+: puma\.svar"
+    ):
         RecordedRun(folder)
 
 
