@@ -28,6 +28,7 @@ from pbonet.errors import (
 )
 from pbonet.master.console import (
     Call,
+    Kind,
     Scope,
     convert,
     find,
@@ -36,6 +37,7 @@ from pbonet.master.console import (
     render,
     stop_all,
 )
+from pbonet.master.subsystem import sequence
 
 from .access import Role
 from .job_edits import JobEdits
@@ -371,8 +373,23 @@ def _must_be_allowed(call: Call, role: Role) -> None:
             f"{command.name} is not available here",
             remedy="it is for the prompt and for scripts",
         )
-    if role is not Role.OPERATOR and _leaves_traces(call):
+    if role is Role.OPERATOR:
+        return
+    if _leaves_traces(call):
         raise _only_operators(command.name)
+    if any("/" in word for word in _files(call)):
+        raise AccessError(
+            "an observer's page names no files elsewhere, whose modules would be run",
+            expected="the name of a job or of an RMOD beside the subsystem's file",
+            remedy="ask whoever started 'pbonet web' for the operator's link",
+        )
+
+
+def _files(call: Call) -> list[str]:
+    """Return the jobs and the RMODs that a command names."""
+    named = [arg for arg in call.command.args if arg.kind in {Kind.JOB, Kind.RMOD}]
+    values = [call.given.get(arg.name) or "" for arg in named]
+    return [str(word) for value in values for word in sequence(value)]
 
 
 def _leaves_traces(call: Call) -> bool:

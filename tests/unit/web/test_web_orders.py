@@ -128,6 +128,17 @@ def test_an_observer_may_look_and_may_not_steer(made, carried, monkeypatch):
         assert ask(made, orders.Line(1, line), Role.OBSERVER)["ok"], line
 
 
+def test_an_observer_has_no_files_from_elsewhere_read(made, carried):
+    """Their modules would be imported here."""
+    for line in ("check /tmp/other", "check ../other", "swap a ../b dry_run=yes"):
+        assert (
+            "names no files" in ask(made, orders.Line(1, line), Role.OBSERVER)["text"]
+        )
+    assert not carried.calls
+    assert ask(made, orders.Line(1, "check other"), Role.OBSERVER)["ok"]
+    assert ask(made, orders.Line(1, "check /tmp/other"))["ok"]
+
+
 def test_every_command_that_changes_is_refused_to_an_observer(made, carried):
     """Whatever its arguments are, as far as they alone make it change something."""
     words = {"task": "pid", "rmod": "m", "job": "j", "old": "a", "new": "b"}
