@@ -265,10 +265,10 @@ class Page:
         browser.watched = wanted
         self._browsers.rewatch()
         if not begun:
-            self._begin(self._tell_history(browser))
+            self._begin(self._send_history(browser))
 
-    async def _tell_history(self, browser: Browser) -> None:
-        """Tell what was before, in a thread: nobody's stop waits for all these numbers.
+    async def _send_history(self, browser: Browser) -> None:
+        """Tell what was before, in a thread: no stop waits for all these numbers.
 
         It is one at a time for each browser, however often it watches other variables.
         """

@@ -10,7 +10,6 @@ import asyncio
 import logging
 from typing import TYPE_CHECKING, Final, cast
 
-from h11 import ProtocolError
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 if TYPE_CHECKING:
@@ -28,8 +27,9 @@ def leave_out_junk() -> None:
 
 
 def _is_no_junk(record: logging.LogRecord) -> bool:
-    error = record.exc_info[1] if record.exc_info else None
-    return record.levelno >= logging.ERROR and not isinstance(error, ProtocolError)
+    kind = record.exc_info[0] if record.exc_info else None
+    junk = kind is not None and kind.__module__.startswith("h11.")
+    return record.levelno >= logging.ERROR and not junk
 
 
 class Connection(H11Protocol):

@@ -32,7 +32,7 @@ class _Sent(NamedTuple):
     def is_like(self, other: _Sent) -> bool:
         """Return whether another one is the same sample.
 
-        A table that was made anew counts from the beginning again, so that the count
+        A table that was made again counts from the beginning again, so that the count
         alone may be that of an older value.
         """
         if self.mark != other.mark or (self.time is None) is not (other.time is None):

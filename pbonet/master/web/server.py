@@ -133,9 +133,8 @@ def _packages() -> tuple[Any, Any, Any]:
     """
     try:
         import_module("websockets")
-        application = import_module(".application", __package__)
-        connections = import_module(".connections", __package__)
-        return import_module("uvicorn"), application, connections
+        uvicorn_ = import_module("uvicorn")
+        from . import application, connections
     except ImportError as error:
         raise NodeError(
             "the packages of the web page are not installed",
@@ -143,6 +142,7 @@ def _packages() -> tuple[Any, Any, Any]:
             got=f"no {error.name}",
             remedy='pip install "pbonet[web]"',
         ) from None
+    return uvicorn_, application, connections
 
 
 def _tls(served: Served) -> ssl.SSLContext | None:
