@@ -176,7 +176,15 @@ def test_it_waits_as_long_as_it_may(arm):
     assert done.states["echo"] == "ON"
 
 
-def test_a_stop_ends_the_waiting(arm):
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_stop_ends_the_waiting(arm, elsewhere):
+    """Else what stands still after the stop may be what the condition waits for."""
+
+    def stop():
+        if not elsewhere:
+            return arm.stop()
+        return stop_all.stop(arm.name, domain=arm.domain)
+
     arm.start("low")
     level(arm, 0.5)
     caught = []
@@ -189,7 +197,7 @@ def test_a_stop_ends_the_waiting(arm):
 
     waiting = threading.Thread(target=wait)
     waiting.start()
-    wait_for(lambda: arm.stop() and not waiting.is_alive(), "the waiting's end")
+    wait_for(lambda: stop() and not waiting.is_alive(), "the waiting's end")
     waiting.join()
     assert "a stop arrived during the wait for conditions" in str(caught[0])
 

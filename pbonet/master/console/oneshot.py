@@ -18,7 +18,7 @@ from .command_session import Call, CommandSession, Reply, convert
 from .commands import find
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -42,7 +42,18 @@ def run(
     return perform(path, Call(wanted, convert(wanted, args)), place)
 
 
-def perform(path: str | Path, call: Call, place: Place, *, kind: str = "") -> Reply:
+def _unseen(_: Subsystem) -> None:
+    """Take no note of the subsystem."""
+
+
+def perform(
+    path: str | Path,
+    call: Call,
+    place: Place,
+    *,
+    kind: str = "",
+    begun: Callable[[Subsystem], None] = _unseen,
+) -> Reply:
     """Carry out one command, whose arguments were read, and leave the subsystem.
 
     Args:
@@ -50,6 +61,8 @@ def perform(path: str | Path, call: Call, place: Place, *, kind: str = "") -> Re
         call: The command.
         place: Where the subsystem is.
         kind: What gives it, as agents and logs name it; the command if left out.
+        begun: Called with the subsystem before it is opened; who sets its `stopped`
+            ends a wait of the command.
 
     Raises:
         PbonetError: A file or an agent is wrong, or the command failed.
@@ -71,6 +84,7 @@ def perform(path: str | Path, call: Call, place: Place, *, kind: str = "") -> Re
         reply = through_master(opened, place, subsystem.files, call, kind)
         if reply is not None:
             return reply
+    begun(subsystem)
     try:
         subsystem.open(opened, once=True, task=call.task)
         reply = CommandSession(subsystem).perform(call)

@@ -106,8 +106,17 @@ def _posts(stands: m.Standing) -> list[Asked]:
     ]
 
 
+def no_stop() -> bool:
+    """Tell that no stop came from elsewhere, where none can."""
+    return False
+
+
 def in_time(
-    attempt: Callable[[], T], seconds: float | None, clock: Clock, stopped: Event
+    attempt: Callable[[], T],
+    seconds: float | None,
+    clock: Clock,
+    stopped: Event,
+    halted: Callable[[], bool] = no_stop,
 ) -> T:
     """Return the result of an attempt once its conditions hold.
 
@@ -118,6 +127,8 @@ def in_time(
         seconds: How long to retry; None or 0: try once.
         clock: The clock of `seconds`.
         stopped: Ends the wait.
+        halted: Tells whether a stop from elsewhere has come since, which ends it, too:
+            what stands still after a stop may be what a condition asks for.
 
     Raises:
         ConditionError: The time is over, and they still do not hold.
@@ -134,7 +145,7 @@ def in_time(
                 if seconds:
                     error.expected = f"them to hold within {seconds:g} s"
                 raise
-        if clock.wait(min(LOOK_TIME, left), stopped):
+        if clock.wait(min(LOOK_TIME, left), stopped) or halted():
             raise StateError(
                 "a stop arrived during the wait for conditions",
                 remedy="start it again",

@@ -313,9 +313,9 @@ class Sequencer:
         file = self.jobs[step.job]
         kind = "SAFE" if self._state.safe else "STEP"
         note = f"{self.seq.name}: {kind} {line_text(step)[1]}"
-        self._must_have_tasks()
 
         def attempt() -> object:
+            self._must_have_tasks()  # each time: a stop may come during the wait
             for _ in range(_ATTEMPTS if abandon else 0):
                 with suppress(ReconfigError):  # another task failed meanwhile
                     return self._subsystem.change_to(file, abandon=abandon, note=note)

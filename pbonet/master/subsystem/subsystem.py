@@ -759,13 +759,14 @@ class Subsystem:
                 which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
-        from .condition_gate import in_time
+        from .condition_gate import in_time, no_stop
 
         def attempt() -> Transition:
             return self.change_to(job, dry_run=dry_run, abandon=abandon)
 
         self.stopped.clear()
-        return in_time(attempt, wait, self.clock, self.stopped)
+        halted = self._halts() if wait else no_stop
+        return in_time(attempt, wait, self.clock, self.stopped, halted)
 
     def change_to(
         self,
@@ -831,7 +832,7 @@ class Subsystem:
             PbonetError: A step failed; the start was undone.
         """
         from . import assembly
-        from .condition_gate import in_time
+        from .condition_gate import in_time, no_stop
 
         def attempt() -> list[m.TaskStatus]:
             with self._changing(partly=False) as task_set:
@@ -843,7 +844,8 @@ class Subsystem:
                     task_set.settle()
 
         self.stopped.clear()
-        return in_time(attempt, wait, self.clock, self.stopped)
+        halted = self._halts() if wait else no_stop
+        return in_time(attempt, wait, self.clock, self.stopped, halted)
 
     def check(self, job: str | Path | None = None) -> list[str]:
         """Verify a job, or the present tasks, without changing anything.
@@ -1439,6 +1441,17 @@ class Subsystem:
     def _warn(self, text: str) -> None:
         """Pass a warning to the command that caused it, else to `warned`."""
         (collector() or self.warned)(text)
+
+    def _halts(self) -> Callable[[], bool]:
+        """Return what tells whether a stop from elsewhere ended the tasks since now."""
+        begin = {order for one in self.clients.infos() for order in one.stops}
+
+        def halted() -> bool:
+            infos = self.clients.infos()
+            on = any(one.on.get(self.name) for one in infos)
+            return not on and any(not begin.issuperset(one.stops) for one in infos)
+
+        return halted
 
     def _changing(
         self,

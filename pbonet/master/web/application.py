@@ -20,11 +20,11 @@ from pbonet.master.subsystem import status_fields
 
 from .access import COOKIE_TIME, Access, Rate, Role
 from .browsers import MOST, MOST_WATCHED, Browser, Browsers
-from .orders import Play, Seek, Watch, decode, is_fit
+from .orders import Play, Seek, Stop, Watch, decode, is_fit, refusal
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator, Callable
+    from collections.abc import AsyncGenerator, Callable, Coroutine
 
     from starlette.requests import Request
     from starlette.responses import Response
@@ -58,8 +58,9 @@ _SEND_TIME: Final = 10.0
 """Seconds in which a browser must take a message; then it is let go."""
 _REQUESTS: Final = (50.0, 100)
 """Messages a second of one browser, and how many at once."""
+_MANY: Final = "too many messages a second; this one was left out"
 _LINKS: Final = (2.0, 20)
-"""Attempts a second to open the page without a valid cookie, and how many at once."""
+"""Attempts a second to open the page by nothing valid, and how many at once."""
 _CLOSED_FOREIGN: Final = 4403
 _CLOSED_FULL: Final = 4429
 _CLOSED_SLOW: Final = 4408
@@ -127,9 +128,10 @@ class Page:
         token = request.query_params.get("token", "")
         cookie = request.cookies.get(self._access.cookie, "")
         known = self._access.role(cookie)
-        if known is None and not self._attempts.allows():
+        opens = token and request.method == "GET"  # HEAD only looks
+        role = self._access.use(token) if opens else None
+        if role is None and known is None and not self._attempts.allows():
             return PlainTextResponse("too many attempts; wait\n", 429)
-        role = self._access.use(token) if token else None
         if role is not None:
             self._linked(role, self._access.renew(role))
         role = role or known
@@ -168,8 +170,8 @@ class Page:
         if role is None or not self._access.is_origin(origin):
             await socket_.close(_CLOSED_FOREIGN, "open the page by its link")
             return
-        if self._browsers.full:
-            await socket_.close(_CLOSED_FULL, f"{MOST} browsers are connected")
+        if self._browsers.are_full(role):
+            await socket_.close(_CLOSED_FULL, f"{MOST} browsers are served at most")
             return
         browser = Browser(role)
         self._browsers.add(browser)
@@ -197,22 +199,25 @@ class Page:
             if message["type"] == "websocket.disconnect":
                 return
             text = message.get("text")
-            if not rate.allows():
-                refused = "too many messages a second; this one was left out"
-                browser.put(_encoded(kind="refused", text=refused))
-            elif text is None:
+            allowed = rate.allows()
+            if text is None:
                 browser.put(_encoded(kind="refused", text="messages are JSON as text"))
             else:
-                self._take(text, browser)
+                self._take(text, browser, allowed=allowed)
 
-    def _take(self, text: str, browser: Browser) -> None:
-        """Carry out one message of a browser."""
+    def _take(self, text: str, browser: Browser, *, allowed: bool) -> None:
+        """Carry out one message of a browser; of too many a second only a stop."""
         try:
             request = decode(text)
         except PbonetError as error:
-            browser.put(_encoded(kind="refused", text=str(error)))
+            browser.put(_encoded(kind="refused", text=str(error) if allowed else _MANY))
             return
-        if isinstance(request, Watch):
+        if not allowed and not isinstance(request, Stop):
+            if isinstance(request, Watch | Seek | Play):
+                browser.put(_encoded(kind="refused", text=_MANY))
+            else:  # the browser waits for an answer
+                browser.put(_encoded(**refusal(request.id, _MANY)))
+        elif isinstance(request, Watch):
             self._watch(request, browser)
         elif isinstance(request, Seek | Play):
             self._move(request, browser)
@@ -231,7 +236,11 @@ class Page:
             )
             browser.put(_encoded(**answer))
 
-        task = asyncio.create_task(carry_out())
+        self._begin(carry_out())
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        """Have something done beside the messages that come."""
+        task = asyncio.create_task(work)
         self._running.add(task)
         task.add_done_callback(self._running.discard)
 
@@ -251,11 +260,34 @@ class Page:
             browser.put(_encoded(kind="refused", text=text))
             return
         wanted &= self._source.variables
-        fresh = wanted - browser.watched
+        begun = bool(browser.unheard)
+        browser.unheard |= wanted - browser.watched
         browser.watched = wanted
         self._browsers.rewatch()
-        for message in self._source.history(sorted(fresh)):
-            browser.put(msgspec.json.encode(message))
+        if not begun:
+            self._begin(self._send_history(browser))
+
+    async def _send_history(self, browser: Browser) -> None:
+        """Tell what was before, in a thread: no stop waits for all these numbers.
+
+        It is one at a time for each browser, however often it watches other variables.
+        """
+
+        def history(names: list[str]) -> list[bytes]:
+            return [msgspec.json.encode(one) for one in self._source.history(names)]
+
+        while True:
+            names = sorted(browser.unheard & browser.watched)
+            try:
+                texts = await asyncio.to_thread(history, names)
+            except PbonetError as error:
+                texts = [_encoded(kind="refused", text=str(error))]
+            for text in texts:
+                browser.put(text)
+            browser.unheard -= {*names}
+            browser.unheard &= browser.watched
+            if not browser.unheard or browser.lost:
+                return
 
     def _hello(self, role: Role) -> Data:
         steered = self._orders is not None

@@ -12,18 +12,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from .access import Role
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-
-    from .access import Role
 
 Data = dict[str, Any]
 MOST: Final = 32
 """Browsers at a time."""
+FOR_OPERATORS: Final = 4
+"""Of these, the places that no observer takes."""
 MOST_WATCHED: Final = 200
 """Variables that one browser may watch."""
 _WAITING: Final = 500
 """Messages beside values that may wait for a browser; more of them end it."""
+_BYTES: Final = 32_000_000
+"""Bytes of these messages."""
 
 
 class Browser:
@@ -38,16 +42,21 @@ class Browser:
         self.watched: frozenset[str] = frozenset()
         self.lost = False
         """Set when too much waits for it."""
+        self.unheard: set[str] = set()
+        """Variables of which it waits for what was before."""
         self._texts: deque[bytes] = deque()
+        self._bytes = 0
         self._values: dict[str, Data] = {}
         self._time = 0.0
         self._there = asyncio.Event()
 
     def put(self, text: bytes) -> None:
         """Have a message sent."""
-        self.lost = self.lost or len(self._texts) >= _WAITING
+        full = len(self._texts) >= _WAITING or self._bytes >= _BYTES
+        self.lost = self.lost or full
         if not self.lost:
             self._texts.append(text)
+            self._bytes += len(text)
         self._there.set()
 
     def put_values(self, message: Data) -> None:
@@ -65,6 +74,7 @@ class Browser:
         self._there.clear()
         texts = [*self._texts]
         self._texts.clear()
+        self._bytes = 0
         if self._values:
             message = {"kind": "values", "t": self._time, "values": self._values}
             texts.append(msgspec.json.encode(message))
@@ -83,10 +93,10 @@ class Browsers:
         self._watched = watched
         self._browsers: list[Browser] = []
 
-    @property
-    def full(self) -> bool:
-        """Whether no more can be served."""
-        return len(self._browsers) >= MOST
+    def are_full(self, role: Role) -> bool:
+        """Return whether no more can be served; observers keep no operator out."""
+        kept = 0 if role is Role.OPERATOR else FOR_OPERATORS
+        return len(self._browsers) >= MOST - kept
 
     def add(self, browser: Browser) -> None:
         """Serve one more."""

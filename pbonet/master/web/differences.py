@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from array import array
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pbonet.master.subsystem import Window
 from pbonet.node.wire import lifecycle
@@ -10,24 +11,49 @@ from pbonet.pbo import State
 from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
 Data = dict[str, Any]
 _TOTALS = ("cycle", "miss", "failed", "warn")
 """Fields that are totals since the task was turned on, not of the last second."""
 _UNSEEN = ("nowC", "ptime", "totC")
 """Fields that change in each status and say nothing that the others do not."""
+_SAME_TIME: Final = 1.0
+"""Seconds by which the time of one sample may differ when it is asked for again."""
+
+
+class _Sent(NamedTuple):
+    """The value of a variable as it was sent."""
+
+    mark: tuple[str | None, int, bool]
+    numbers: Sequence[float]
+    time: float | None
+
+    def is_like(self, other: _Sent) -> bool:
+        """Return whether another one is the same sample.
+
+        A table that was made again counts from the beginning again, so that the count
+        alone may be that of an older value.
+        """
+        if self.mark != other.mark or (self.time is None) is not (other.time is None):
+            return False
+        apart = abs((self.time or 0.0) - (other.time or 0.0))
+        mine, theirs = (
+            array("d", one).tobytes() for one in (self.numbers, other.numbers)
+        )
+        return apart < _SAME_TIME and mine == theirs  # NaN is like NaN
 
 
 class Values:
     """The values that were sent, to send only what is new.
 
     One is new when another task wrote it, or it was written again, or its staleness
-    has changed. Its age is not sent again: who has its time knows it.
+    has changed; also when the clock was set. Its age is not sent again: who has its
+    time knows it.
     """
 
     def __init__(self) -> None:
-        self._sent: dict[str, tuple[str | None, int, bool]] = {}
+        self._sent: dict[str, _Sent] = {}
 
     def new(self, values: Iterable[m.VarValue], now: float) -> dict[str, Data]:
         """Return the values that are new, by variable, each with its sample time.
@@ -39,21 +65,20 @@ class Values:
         found: dict[str, Data] = {}
         for value in values:
             mark = (value.writer, value.seq, value.stale)
-            if self._sent.get(value.name) == mark:
+            at = None if value.age is None else now - value.age
+            sample = _Sent(mark, value.values, at)
+            before = self._sent.get(value.name)
+            if before is not None and sample.is_like(before):
                 continue
-            self._sent[value.name] = mark
+            self._sent[value.name] = sample
             found[value.name] = {
-                "t": None if value.age is None else now - value.age,
+                "t": at,
                 "v": list(value.values),
                 "writer": value.writer or "",
                 "age": value.age,
                 "stale": value.stale,
             }
         return found
-
-    def forget(self) -> None:
-        """Take all values as new at the next call."""
-        self._sent.clear()
 
 
 class States:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +14,13 @@ SECONDS: Final = 60.0
 EVENTS: Final = 1000
 """How many events are kept."""
 _MOST: Final = 2400
-"""Samples of one variable."""
+"""Samples of one variable, at most."""
+_NUMBERS: Final = 100_000
+"""Numbers of all its samples; a larger variable has fewer of them."""
+_TOLD: Final = 200_000
+"""Numbers in one message; of many variables at once there are fewer samples of each."""
+_CLOCK: Final = 1.0
+"""Seconds by which a sample may be older than the one before; more: a clock was set."""
 
 Sample = dict[str, Any]
 """One value with its time ``t`` and its numbers ``v``."""
@@ -23,17 +30,20 @@ class History:
     """The latest values and events of a subsystem."""
 
     def __init__(self) -> None:
-        self._values: dict[str, deque[tuple[float, list[float]]]] = {}
+        self._values: dict[str, deque[tuple[float, array[float]]]] = {}
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
 
     def add_values(self, values: dict[str, Sample]) -> None:
         """Keep new values by variable."""
         for name, sample in values.items():
-            kept = self._values.setdefault(name, deque(maxlen=_MOST))
-            at = sample["t"]
-            if kept and at <= kept[-1][0]:
+            at, numbers = sample["t"], array("d", sample["v"])
+            most = min(_MOST, max(1, _NUMBERS // max(1, len(numbers))))
+            kept = self._values.setdefault(name, deque(maxlen=most))
+            if kept and kept[-1][0] - _CLOCK < at <= kept[-1][0]:
                 continue
-            kept.append((at, sample["v"]))
+            while kept and kept[-1][0] >= at:
+                kept.pop()
+            kept.append((at, numbers))
             while kept[0][0] < at - SECONDS:
                 kept.popleft()
 
@@ -44,10 +54,14 @@ class History:
     def values(self, names: Iterable[str]) -> dict[str, dict[str, list[Any]]]:
         """Return the values of variables: times ``t``, and numbers ``v`` of each."""
         found: dict[str, dict[str, list[Any]]] = {}
-        for name in names:
-            kept = list(self._values.get(name, ()))
+        all_ = {name: list(self._values.get(name, ())) for name in names}
+        total = sum(len(kept) * len(kept[0][1]) for kept in all_.values() if kept)
+        step = -(-total // _TOLD) or 1
+        for name, whole in all_.items():
+            kept = whole[::-step][::-1]  # the newest one always
             if kept:
-                found[name] = {"t": [t for t, _ in kept], "v": [v for _, v in kept]}
+                times, numbers = zip(*kept, strict=True)
+                found[name] = {"t": list(times), "v": [one.tolist() for one in numbers]}
         return found
 
     @property

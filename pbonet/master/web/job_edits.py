@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 
@@ -182,6 +182,10 @@ class JobEdits:
                 got=str(seconds)[:40],
                 remedy="'pbonet run FILE.job --sim' has no such limit",
             )
-        wanted = [str(name) for name in names]
+        if not isinstance(names, list):
+            raise ProtocolError(
+                "the variables to record are a list", got=str(names)[:40]
+            )
+        wanted = [str(name) for name in cast("list[object]", names)]
         run = self._now.simulate(float(seconds), wanted, limit=_LIMIT)
         return {"run": msgspec.to_builtins(run)}

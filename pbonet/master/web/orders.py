@@ -28,6 +28,7 @@ from pbonet.errors import (
 )
 from pbonet.master.console import (
     Call,
+    Kind,
     Scope,
     convert,
     find,
@@ -36,6 +37,7 @@ from pbonet.master.console import (
     render,
     stop_all,
 )
+from pbonet.master.subsystem import sequence
 
 from .access import Role
 from .job_edits import JobEdits
@@ -47,16 +49,22 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Place
     from pbonet.master.console import Command
+    from pbonet.master.subsystem import Subsystem
 
 log = logging.getLogger("pbonet.master")
 
 Data = dict[str, Any]
 _SLOW: Final = 0.5
 """Seconds after which a browser hears that its command still runs."""
+_END_TIME: Final = 5.0
+"""Seconds that the command which is being carried out has when the server ends."""
+_PAUSE: Final = 0.05
 _MOST_WAITING: Final = 16
 """Commands that may wait."""
 _UNFIT: Final = {"quit", "status set", "sigwait"}
 """Commands that concern one interface alone, or would keep others waiting."""
+_LEAVES: Final = {"stop", "profile save"}
+"""Commands that need no claim, and are no observer's: they end tasks, write files."""
 
 
 def is_fit(command: Command) -> bool:
@@ -177,6 +185,8 @@ class _Work(NamedTuple):
     do: Callable[[], Done]
     pool: ThreadPoolExecutor
     """The threads that do it."""
+    starts: bool = False
+    """Whether it may start something; then a stop is the end of it."""
 
 
 class Orders:
@@ -204,14 +214,27 @@ class Orders:
         self._edits = JobEdits(path, Library(place.libraries), told)
         self._programs = Programs(path, place, Library(place.libraries), told)
         self._commands = ThreadPoolExecutor(1, "command")
+        self._looks = ThreadPoolExecutor(1, "look")
         self._files = ThreadPoolExecutor(1, "files")
+        self._steering = ThreadPoolExecutor(1, "steering")
         self._stops = ThreadPoolExecutor(4, "stop")
-        self._waiting = 0
+        self._pools = (
+            self._commands, self._looks, self._files, self._steering, self._stops
+        )  # fmt: skip
+        self._waiting = dict.fromkeys(self._pools, 0)
+        self._stopped = 0
+        """Stops that were carried out."""
+        self._changing: Subsystem | None = None
+        """The subsystem of the command that changes it now."""
 
     def close(self) -> None:
-        """Carry out nothing more; a command that hangs is abandoned."""
-        for pool in (self._commands, self._files, self._stops):
+        """Carry out nothing more; a command that waits for conditions gives up."""
+        for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
+        end = time.monotonic() + _END_TIME
+        while (changing := self._changing) is not None and time.monotonic() < end:
+            changing.stopped.set()  # it may just have begun, which clears it
+            time.sleep(_PAUSE)
         self._programs.close()
 
     def first(self) -> list[Data]:
@@ -236,14 +259,14 @@ class Orders:
                 return _answer(number, Done())
             return _answer(number, await self._carry_out(number, work, told))
         except PbonetError as error:
-            return _answer(number, Done(text=str(error)), ok=False)
-        except Exception as error:  # the page must not wait for an answer for ever
-            log.exception("a request of the page failed inside pbonet")
-            failure = NodeError(
+            return refusal(number, str(error))
+        except Exception as error:  # a browser must not wait for an answer in vain
+            log.exception("a request of a browser failed inside pbonet")
+            failed = NodeError(
                 f"it failed inside pbonet: {type(error).__name__}: {error}",
                 remedy="see the output of 'pbonet web', and report it",
             )
-            return _answer(number, Done(text=str(failure)), ok=False)
+            return refusal(number, str(failed))
 
     def _work(self, request: Wish, role: Role) -> _Work | None:
         """Return what a request asks for; None: nothing.
@@ -256,8 +279,11 @@ class Orders:
             if call is None:
                 return None
             _must_be_allowed(call, role)
+            if call.command.name == "stop":
+                return _Work("stop", self._stop, self._stops)
             perform = partial(self._perform, call, role)
-            return _Work(call.command.name, perform, self._commands)
+            pool = self._commands if role is Role.OPERATOR else self._looks
+            return _Work(call.command.name, perform, pool, starts=call.changes)
         if role is not Role.OPERATOR:
             raise _only_operators(str(request.__struct_config__.tag))
         if isinstance(request, Stop):
@@ -266,8 +292,9 @@ class Orders:
             edit = partial(self._edits.do, request.edit, request.args)
             return _Work(request.edit, lambda: Done(data=edit()), self._files)
         program = partial(self._programs.do, request.program, request.args)
-        pool = self._stops if request.program in STEERING else self._files
-        return _Work(request.program, lambda: Done(data=program()), pool)
+        pool = self._steering if request.program in STEERING else self._files
+        starts = request.program == "run"
+        return _Work(request.program, lambda: Done(data=program()), pool, starts=starts)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):
@@ -278,28 +305,54 @@ class Orders:
     async def _carry_out(
         self, number: int, work: _Work, told: Callable[[Data], None]
     ) -> Done:
-        if work.pool is not self._stops and self._waiting >= _MOST_WAITING:
+        if self._waiting[work.pool] >= _MOST_WAITING:
             raise StateError(
                 f"{_MOST_WAITING} commands wait already",
                 remedy="wait for their answers; Stop waits for none",
             )
-        self._waiting += 1
+        self._waiting[work.pool] += 1
         try:
             loop = asyncio.get_running_loop()
-            doing = loop.run_in_executor(work.pool, work.do)
+            do = partial(self._do, work, self._stopped)
+            doing = loop.run_in_executor(work.pool, do)
             async with _progress(number, work.name, told):
                 return await doing
         finally:
-            self._waiting -= 1
+            self._waiting[work.pool] -= 1
             self._done()
+
+    def _do(self, work: _Work, stopped: int) -> Done:
+        """Do what was asked for, unless a stop has come since: it was meant before.
+
+        Raises:
+            PbonetError: It is refused, or failed.
+        """
+        if work.starts and self._stopped != stopped:
+            raise StateError(
+                f"a stop came before {work.name} was carried out; it was left out",
+                remedy="give it again",
+            )
+        return work.do()
 
     def _perform(self, call: Call, role: Role) -> Done:
         path, place = self._steered.path, self._steered.place
-        reply = oneshot.perform(path, call, place, kind=f"web-{role}")
+
+        def begun(subsystem: Subsystem) -> None:
+            if call.changes:
+                self._changing = subsystem
+
+        try:
+            reply = oneshot.perform(path, call, place, kind=f"web-{role}", begun=begun)
+        finally:
+            if call.changes:
+                self._changing = None
         text = render.text(reply.command, reply.data)
         return Done(text, reply.warnings, reply.data)
 
     def _stop(self) -> Done:
+        self._stopped += 1
+        if (changing := self._changing) is not None:
+            changing.stopped.set()
         name, place = self._steered.name, self._steered.place
         data = stop_all.stop(name, domain=place.domain, connect=place.connect)
         return Done(render.text("stop", data), data=data)
@@ -318,8 +371,29 @@ def _must_be_allowed(call: Call, role: Role) -> None:
             f"{command.name} is not available here",
             remedy="it is for the prompt and for scripts",
         )
-    if call.changes and role is not Role.OPERATOR:
+    if role is Role.OPERATOR:
+        return
+    if _leaves_traces(call):
         raise _only_operators(command.name)
+    if any("/" in word for word in _files(call)):
+        raise AccessError(
+            "an observer's page names no files elsewhere, whose modules would be run",
+            expected="the name of a job or of an RMOD beside the subsystem's file",
+            remedy="ask whoever started 'pbonet web' for the operator's link",
+        )
+
+
+def _files(call: Call) -> list[str]:
+    """Return the jobs and the RMODs that a command names."""
+    named = [arg for arg in call.command.args if arg.kind in {Kind.JOB, Kind.RMOD}]
+    values = [call.given.get(arg.name) or "" for arg in named]
+    return [str(word) for value in values for word in sequence(value)]
+
+
+def _leaves_traces(call: Call) -> bool:
+    """Return whether something is otherwise after a command."""
+    named = call.command.name in _LEAVES
+    return call.changes or named or bool(call.given.get("reset"))
 
 
 def _only_operators(command: str) -> AccessError:
@@ -349,6 +423,11 @@ async def _progress(
         yield
     finally:
         task.cancel()
+
+
+def refusal(number: int, text: str) -> Data:
+    """Return the answer to a request that was not carried out."""
+    return _answer(number, Done(text), ok=False)
 
 
 def _answer(number: int, done: Done, *, ok: bool = True) -> Data:

@@ -287,8 +287,8 @@ class Programs:
         run = _Run(self._path(args), self._place, self._told)
         if args.get("paused"):
             run.sequencer.pause()
-        run.start()
         self._running = run
+        run.start()
         return {"state": run.message}
 
     def _steer(self, what: str, _: Data) -> Data:

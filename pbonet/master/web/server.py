@@ -65,7 +65,7 @@ def serve(
         PbonetError: A file is wrong, a package is missing, the address is taken, or it
             is beyond this machine and there is no TLS.
     """
-    uvicorn_, application = _packages()
+    uvicorn_, application, connections = _packages()
     context = _tls(served)
     recorded = _is_log(Path(path))
     source = RecordedRun(path) if recorded else Watcher(path, place, hz=served.hz)
@@ -90,6 +90,7 @@ def serve(
         page.app(),
         log_config=None,
         access_log=False,
+        http=connections.Connection,
         ws="websockets-sansio",
         ws_max_size=application.LONGEST,
         ws_per_message_deflate=False,
@@ -99,6 +100,7 @@ def serve(
         timeout_graceful_shutdown=1,
     )
     config.load()
+    connections.leave_out_junk()
     config.ssl = context
     asyncio.run(_until_interrupted(uvicorn_.Server(config), listening))
     key.remove()
@@ -123,16 +125,16 @@ def _is_log(path: Path) -> bool:
     return path.suffix == ".mcap" or path.is_dir()
 
 
-def _packages() -> tuple[Any, Any]:
-    """Return uvicorn, and the application that it runs.
+def _packages() -> tuple[Any, Any, Any]:
+    """Return uvicorn, the application that it runs, and its connections.
 
     Raises:
         NodeError: A package is not installed.
     """
     try:
         import_module("websockets")
-        application = import_module(f"{__package__}.application")
-        return import_module("uvicorn"), application
+        uvicorn_ = import_module("uvicorn")
+        from . import application, connections
     except ImportError as error:
         raise NodeError(
             "the packages of the web page are not installed",
@@ -140,6 +142,7 @@ def _packages() -> tuple[Any, Any]:
             got=f"no {error.name}",
             remedy='pip install "pbonet[web]"',
         ) from None
+    return uvicorn_, application, connections
 
 
 def _tls(served: Served) -> ssl.SSLContext | None:

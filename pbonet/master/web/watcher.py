@@ -169,7 +169,7 @@ class Watcher(Source):
                 self._look.clear()
                 states = due + STATES
                 complaints += self._read_states(subsystem, follower)
-                self._complain(complaints)
+                self._complain(list(dict.fromkeys(complaints)))
             due = max(due + self._pause, time.monotonic())
             self._ended.wait(due - time.monotonic())
 
@@ -203,7 +203,8 @@ class Watcher(Source):
             self._told({"kind": "events", "events": events})
         if message["tasks"] or message["rtpus"] or message["gone"]:
             self._told(message)
-        self._redraw(subsystem, results)
+        if results:  # of silent RTPUs nothing new is known
+            self._redraw(subsystem, results)
         return sorted({*map(str, errors), *follower.complaints().values()})
 
     def _redraw(self, subsystem: Subsystem, statuses: dict[str, m.RtpuStatus]) -> None:

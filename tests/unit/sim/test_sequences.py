@@ -362,6 +362,24 @@ def test_a_stop_ends_it_and_nothing_is_started_again(shop):
             sequencer.run()
 
 
+def test_a_stop_during_the_wait_for_conditions_starts_nothing(shop, monkeypatch):
+    path = write(shop, "STEP silent FOR 0.1\nSTEP rest", head="WAIT 9")
+    change_to = Subsystem.change_to
+
+    def later(subsystem, job, **more):
+        """Refuse the second job at first; a stop from elsewhere comes meanwhile."""
+        if [one.task for one in subsystem.status()] == ["silent"]:
+            subsystem.task_set.stop()
+            raise ConditionError("it still moves")
+        return change_to(subsystem, job, **more)
+
+    monkeypatch.setattr(Subsystem, "change_to", later)
+    with Subsystem(path, virtual=True) as subsystem:
+        sequencer = Sequencer(subsystem)
+        assert sequencer.run().phase is Phase.STOPPED
+        assert subsystem.status() == []
+
+
 def paused(sequencer):
     wait_for(lambda: sequencer.state.phase is Phase.PAUSED, "the pause")
 

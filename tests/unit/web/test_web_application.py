@@ -11,6 +11,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from pbonet.errors import UnreachableError
 from pbonet.master.configuration import Place
+from pbonet.master.console import stop_all
 from pbonet.master.web import application, browsers
 from pbonet.master.web.access import Access, Role
 from pbonet.master.web.orders import Orders, Steered
@@ -71,6 +72,7 @@ def told(socket, *kinds):
 
 def test_a_link_opens_the_page_once_and_a_cookie_opens_it_again(served):
     link = served.access.links[Role.OPERATOR].removeprefix(URL)
+    assert served.client.head(link).status_code == 401  # what only looks uses no link
     first = served.client.get(link)
     assert first.status_code == 200
     cookie = first.headers["set-cookie"]
@@ -125,6 +127,7 @@ def test_many_attempts_to_guess_a_link_are_slowed_down(served):
     answers = [served.client.get("/?token=guess").status_code for _ in range(40)]
     assert set(answers[:10]) == {401}
     assert answers[-1] == 429
+    assert served.open().status_code == 200  # nobody's guesses close a valid link
 
 
 def test_a_browser_learns_what_there_is_without_an_agent(served):
@@ -187,6 +190,21 @@ def test_a_flood_of_messages_is_refused(served):
             socket.send_text("{")
         while "too many messages" not in told(socket, "refused")["text"]:
             pass
+        for number, message in enumerate(({"do": "line", "line": "help"},) * 200):
+            socket.send_text(json.dumps({**message, "id": number}))
+        while "too many messages" not in told(socket, "answer")["text"]:
+            pass
+
+
+def test_a_stop_is_carried_out_in_a_flood_of_messages(served, monkeypatch):
+    stopped = {"off": ["pid"], "killed": [], "rtpus": ["arm0"]}
+    monkeypatch.setattr(stop_all, "stop", lambda *_, **__: stopped)
+    served.open()
+    with served.connect() as socket:
+        for _ in range(150):
+            socket.send_text("{")
+        socket.send_text(json.dumps({"do": "stop", "id": 9}))
+        assert told(socket, "answer")["ok"]
 
 
 def test_only_variables_of_the_table_are_watched_and_not_too_many(served):
@@ -212,3 +230,15 @@ def test_so_many_browsers_and_no_more(served, monkeypatch):
         assert closed.value.code == 4429
     with served.connect() as again:
         told(again, "hello")
+
+
+def test_observers_keep_no_operator_out(served, monkeypatch):
+    monkeypatch.setattr(browsers, "MOST", 1 + browsers.FOR_OPERATORS)
+    served.open(Role.OBSERVER)
+    with served.connect() as one:
+        told(one, "hello")
+        with pytest.raises(WebSocketDisconnect):
+            served.connect().__enter__()
+        served.open(Role.OPERATOR)
+        with served.connect() as steering:
+            assert told(steering, "hello")["role"] == "operator"

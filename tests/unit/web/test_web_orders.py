@@ -26,8 +26,10 @@ class Given:
         self.calls = []
         self.gate = threading.Event()
         self.gate.set()
+        self.stopped = threading.Event()
 
-    def perform(self, _path, call, _place, *, kind=""):
+    def perform(self, _path, call, _place, *, kind="", begun=None):
+        begun(self)
         self.gate.wait(30)
         self.calls.append((call.command.name, call.words, kind))
         if call.given.get("text") == "odd":
@@ -116,7 +118,7 @@ def test_a_failure_inside_pbonet_is_answered_and_logged(made, caplog):
     answer = ask(made, orders.Line(5, "on pid text=odd"))
     assert not answer["ok"]
     assert answer["text"].startswith("it failed inside pbonet: KeyError: 'a name'")
-    assert "a request of the page failed inside pbonet" in caplog.text
+    assert "a request of a browser failed inside pbonet" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -143,14 +145,29 @@ def test_a_blank_line_does_nothing(made, carried):
 
 def test_an_observer_may_look_and_may_not_steer(made, carried, monkeypatch):
     monkeypatch.setattr(stop_all, "stop", lambda *_, **__: pytest.fail("stopped"))
-    for line in ("on pid", "kill pid", "set pid kp 3", "freq pid 5", "switch other"):
+    for line in (
+        "on pid", "kill pid", "set pid kp 3", "freq pid 5", "switch other",
+        "stop", "profile save", "status reset=yes",
+    ):  # fmt: skip
         answer = ask(made, orders.Line(1, line), Role.OBSERVER)
         assert not answer["ok"], line
         assert "this page is an observer's" in answer["text"]
     assert not ask(made, orders.Stop(1), Role.OBSERVER)["ok"]
+    assert not ask(made, orders.Order(1, "stop"), Role.OBSERVER)["ok"]
     assert not carried.calls
     for line in ("status", "freq pid", "switch other dry_run=yes", "display"):
         assert ask(made, orders.Line(1, line), Role.OBSERVER)["ok"], line
+
+
+def test_an_observer_has_no_files_from_elsewhere_read(made, carried):
+    """Their modules would be imported here."""
+    for line in ("check /tmp/other", "check ../other", "swap a ../b dry_run=yes"):
+        assert (
+            "names no files" in ask(made, orders.Line(1, line), Role.OBSERVER)["text"]
+        )
+    assert not carried.calls
+    assert ask(made, orders.Line(1, "check other"), Role.OBSERVER)["ok"]
+    assert ask(made, orders.Line(1, "check /tmp/other"))["ok"]
 
 
 def test_every_command_that_changes_is_refused_to_an_observer(made, carried):
@@ -166,7 +183,10 @@ def test_every_command_that_changes_is_refused_to_an_observer(made, carried):
     assert not carried.calls
 
 
-def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
+@pytest.mark.parametrize(
+    "stop", [orders.Stop(2), orders.Order(2, "stop"), orders.Line(2, "stop")]
+)
+def test_a_stop_waits_for_no_command(made, carried, monkeypatch, stop):
     done = {"off": ["pid"], "killed": [], "rtpus": ["arm0"]}
     monkeypatch.setattr(stop_all, "stop", lambda *_, **__: done)
 
@@ -177,7 +197,7 @@ def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
             made.answer(orders.Line(1, "on pid"), Role.OPERATOR, told.put_nowait)
         )
         await asyncio.sleep(0)
-        stopped = await made.answer(orders.Stop(2), Role.OPERATOR, told.put_nowait)
+        stopped = await made.answer(stop, Role.OPERATOR, told.put_nowait)
         assert not slow.done()
         progress = await told.get()
         carried.gate.set()
@@ -188,6 +208,48 @@ def test_a_stop_waits_for_no_command(made, carried, monkeypatch):
     assert slow["ok"]
     assert told["kind"] == "progress"
     assert told["id"] == 1
+
+
+def test_what_was_asked_for_before_a_stop_does_not_start_after_it(
+    made, carried, monkeypatch
+):
+    done = {"off": ["pid"], "killed": [], "rtpus": ["arm0"]}
+    monkeypatch.setattr(stop_all, "stop", lambda *_, **__: done)
+
+    async def all_():
+        carried.gate.clear()
+        asked = [
+            asyncio.create_task(
+                made.answer(orders.Line(n, line), Role.OPERATOR, lambda _: None)
+            )
+            for n, line in enumerate(("switch other wait=9", "on pid", "status"))
+        ]
+        await asyncio.sleep(0.1)
+        assert (await made.answer(orders.Stop(9), Role.OPERATOR, print))["ok"]
+        assert carried.stopped.is_set()  # which ends the wait of the first
+        carried.gate.set()
+        return await asyncio.gather(*asked)
+
+    _, second, third = asyncio.run(all_())
+    assert not second["ok"]
+    assert second["text"].startswith("a stop came before on was carried out")
+    assert third["ok"]
+    assert [name for name, _, _ in carried.calls] == ["switch", "status"]
+
+
+def test_the_end_gives_a_command_up_that_waits_for_conditions(made, carried):
+    carried.gate = carried.stopped
+
+    async def end():
+        asking = asyncio.create_task(
+            made.answer(orders.Line(1, "start wait=600"), Role.OPERATOR, lambda _: None)
+        )
+        await asyncio.sleep(0.1)
+        await asyncio.to_thread(made.close)
+        await asking
+
+    asyncio.run(end())
+    assert carried.calls
 
 
 def test_only_so_many_commands_may_wait(made, carried):
@@ -207,6 +269,59 @@ def test_only_so_many_commands_may_wait(made, carried):
     refused = [one for one in answers if not one["ok"]]
     assert len(refused) == 4
     assert refused[0]["text"].startswith("16 commands wait already")
+
+
+def test_observers_keep_no_operator_waiting(made, carried):
+    async def many():
+        carried.gate.clear()
+        looks = [
+            asyncio.create_task(
+                made.answer(orders.Line(n, "status"), Role.OBSERVER, lambda _: None)
+            )
+            for n in range(20)
+        ]
+        await asyncio.sleep(0)
+        steers = asyncio.create_task(
+            made.answer(orders.Line(99, "on pid"), Role.OPERATOR, lambda _: None)
+        )
+        await asyncio.sleep(0)
+        carried.gate.set()
+        return await steers, await asyncio.gather(*looks)
+
+    steered, looked = asyncio.run(many())
+    assert steered["ok"]
+    assert [one["ok"] for one in looked].count(False) == 4
+
+
+def test_a_program_is_aborted_while_files_are_busy(made, monkeypatch):
+    busy = threading.Event()
+    monkeypatch.setattr(made._edits, "do", lambda *_: {"waited": busy.wait(30)})
+
+    async def both():
+        slow = asyncio.create_task(
+            made.answer(orders.Edit(1, "simulate"), Role.OPERATOR, lambda _: None)
+        )
+        await asyncio.sleep(0)
+        aborted = await made.answer(
+            orders.Program(2, "abort"), Role.OPERATOR, lambda _: None
+        )
+        assert not slow.done()
+        busy.set()
+        return aborted, await slow
+
+    aborted, slow = asyncio.run(both())
+    assert aborted["text"].startswith("no program runs")
+    assert slow["data"] == {"waited": True}
+
+
+def test_what_fails_inside_pbonet_is_answered(made, monkeypatch):
+    def fails(*_):
+        raise KeyError("lost")
+
+    monkeypatch.setattr(made._edits, "do", fails)
+    answer = ask(made, orders.Edit(5, "undo"))
+    assert (answer["id"], answer["ok"]) == (5, False)
+    assert answer["text"].startswith("it failed inside pbonet: KeyError: 'lost'")
 
 
 _JSON = st.recursive(

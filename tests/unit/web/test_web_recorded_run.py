@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import shutil
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -111,3 +113,49 @@ def test_values_come_before_a_browser_that_watches_later(shown):
 def test_a_log_without_files_is_refused(tmp_path):
     with pytest.raises(LogError):
         RecordedRun(tmp_path / "none.mcap")
+
+
+def test_a_log_without_one_of_its_files_says_so(folder, monkeypatch):
+    files = {
+        name: one for name, one in Log(folder).attached.items() if "svar" not in name
+    }
+    monkeypatch.setattr(Log, "attached", files)
+    with pytest.raises(
+        LogError, match=r"cannot be drawn.*got puma\.sbs:\d+: puma\.svar"
+    ):
+        RecordedRun(folder)
+
+
+def test_a_run_of_several_jobs_has_the_tasks_of_all(tmp_path):
+    example = PUMA.parent
+    for name in ("puma.sbs", "puma.svar"):
+        shutil.copy(example / name, tmp_path / name)
+    module = resources.files("pbonet") / "modules" / "teleoperation" / "jttrace.rmod"
+    (tmp_path / "other.rmod").write_text(module.read_text())
+    tasks = ["puma_pidg", "grav_comp", "qrdiff", "jttrace", "other"]
+    for job, last in (("one", tasks[-2]), ("two", tasks[-1])):
+        lines = [f"JOB {job}", "DESC", "SBS puma.sbs"]
+        lines += [f"TASK {task} arm1" for task in [*tasks[:3], last]]
+        (tmp_path / f"{job}.job").write_text("\n".join([*lines, "EOF", ""]))
+    (tmp_path / "both.seq").write_text(
+        "SEQUENCE both\nDESC\nSBS puma.sbs\nSTEP one FOR 0.2\nSTEP two FOR 0.2\nEOF\n"
+    )
+    words = ["run", str(tmp_path / "both.seq"), "--sim", "--runs", str(tmp_path / "r")]
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert not ended.value.code
+    run = RecordedRun(last_run(tmp_path / "r"))
+    graph, status, *_ = run.first()
+    assert run.about["job"] == "one, two"
+    assert {one["name"] for one in graph["graph"]["tasks"]} == {*tasks}
+    assert {one["task"] for one in status["tasks"]} == {*tasks}
+
+
+def test_what_is_damaged_is_told(folder, tmp_path):
+    log = folder / "arm0.mcap"
+    data = bytearray(log.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    run = RecordedRun(tmp_path / "damaged.mcap")
+    complaints = next(one for one in run.first() if one["kind"] == "complaints")
+    assert "damaged chunk" in complaints["texts"][0]

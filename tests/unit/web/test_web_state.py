@@ -50,6 +50,18 @@ def test_history_keeps_a_minute_of_each_variable_and_the_last_events():
     assert [one["n"] for one in kept.events] == list(range(10, EVENTS + 10))
 
 
+def test_the_history_of_many_variables_at_once_has_fewer_samples_of_each():
+    kept = History()
+    names = [f"V{n}" for n in range(100)]
+    for n in range(200):
+        kept.add_values({name: {"t": n * 0.1, "v": [n] * 20} for name in names})
+    found = kept.values(names)
+    numbers = sum(len(one["t"]) * 20 for one in found.values())
+    assert 100_000 < numbers <= 200_000
+    assert {one["v"][-1][0] for one in found.values()} == {199}
+    assert len(kept.values(["V0"])["V0"]["t"]) == 200
+
+
 def test_values_are_new_when_written_again_or_stale_and_have_their_sample_time():
     sent = Values()
     first = sent.new([value(), value("Y", writer=None, age=None)], 100.0)
@@ -61,8 +73,34 @@ def test_values_are_new_when_written_again_or_stale_and_have_their_sample_time()
     assert sent.new([value(age=1.5)], 101.0) == {}
     assert sent.new([value(seq=2)], 102.0).keys() == {"X"}
     assert sent.new([value(seq=2, stale=True)], 103.0)["X"]["stale"]
-    sent.forget()
-    assert sent.new([value(seq=2, stale=True)], 103.0).keys() == {"X"}
+
+
+def test_a_table_made_anew_or_a_clock_that_was_set_hides_no_value():
+    """The table counts from the beginning again: the count is that of an old value."""
+    sent = Values()
+    nan = math.nan
+    assert sent.new([value(numbers=(1.0, nan))], 100.0)
+    assert not sent.new([value(numbers=(1.0, nan), age=1.5)], 101.0)
+    assert sent.new([value(numbers=(7.0, nan), age=1.6)], 101.1)["X"]["v"][0] == 7.0
+    assert sent.new([value(numbers=(7.0, nan), age=0.1)], 200.0)["X"]["t"] == 199.9
+    assert sent.new([value(numbers=(7.0, nan), age=0.6)], 50.0)["X"]["t"] == 49.4
+    assert sent.new([value(numbers=(0.0, 0.0), age=None)], 51.0)["X"]["t"] is None
+
+
+def test_history_goes_on_when_the_clock_is_put_back():
+    kept = History()
+    for at in (100.0, 101.0, 102.0, 50.0, 51.0):
+        kept.add_values({"X": {"t": at, "v": [at]}})
+    assert kept.values(["X"])["X"]["t"] == [50.0, 51.0]
+
+
+def test_history_of_a_large_variable_is_shorter():
+    kept = History()
+    for n in range(500):
+        kept.add_values({"X": {"t": n * 0.05, "v": [float(n)] * 1000}})
+    found = kept.values(["X"])["X"]
+    assert len(found["t"]) == 100
+    assert found["v"][-1] == [499.0] * 1000
 
 
 def test_states_send_only_what_changed_and_whole_has_all():
@@ -144,3 +182,8 @@ def test_a_browser_that_reads_nothing_is_lost_and_keeps_a_bounded_number():
         all_.send({"kind": "events", "events": [n]})
     assert browser.lost
     assert len(take(browser)) <= 500
+    other = Browser(Role.OBSERVER)
+    for _ in range(50):
+        other.put(b"1" + 1_000_000 * b" ")
+    assert other.lost
+    assert len(take(other)) < 40

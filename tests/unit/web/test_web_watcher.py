@@ -1,10 +1,13 @@
-"""What the watcher of a subsystem tells; no agent runs."""
+"""The reading of a subsystem for all browsers, when it does not answer."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
 
+import pytest
+
+from pbonet.errors import UnreachableError
 from pbonet.master.configuration import Place
 from pbonet.master.web.watcher import Watcher
 
@@ -34,3 +37,20 @@ def test_a_graph_that_lacks_a_task_is_drawn_again_until_it_has_all():
         watcher._redraw(subsystem, statuses)
     assert [one["graph"] for one in told] == [lacking, whole]
     assert graphs == []
+
+
+def test_rtpus_that_are_all_silent_are_told_at_once():
+    """Nothing more is asked of them, which would take seconds and fail."""
+    error = UnreachableError("the agent cannot be reached", where="arm0")
+    away = SimpleNamespace(
+        clients=SimpleNamespace(
+            names=["arm0", "arm1"], each=lambda *_: ({}, [error, error])
+        ),
+        task_set=SimpleNamespace(refresh=lambda **_: pytest.fail("asked again")),
+    )
+    follower = SimpleNamespace(take=list, complaints=dict)
+    watcher, told = Watcher(PUMA, Place()), []
+    watcher._told = told.append
+    assert watcher._read_states(away, follower) == [str(error)]
+    (status,) = told
+    assert {one["rtpu"] for one in status["rtpus"] if one["silent"]} == {"arm0", "arm1"}
