@@ -184,7 +184,9 @@ class JobEdits:
             )
         if not isinstance(names, list):
             raise ProtocolError(
-                "the variables to record are a list", got=str(names)[:40]
+                "the variables to record are no list",
+                got=str(names)[:40],
+                remedy="send a list of their names",
             )
         wanted = [str(name) for name in cast("list[object]", names)]
         run = self._now.simulate(float(seconds), wanted, limit=_LIMIT)

@@ -365,11 +365,11 @@ def test_scopes_are_used():
     [
         ("sp", ["spawn"]),
         ("st", ["start", "status", "stop"]),
-        ("spawn ", ["diff", "pid", "traj"]),
+        ("spawn ", ["diff", "keep=", "pid", "traj"]),
         ("spawn diff a", ["arm0", "arm1"]),
-        ("spawn diff ", ["arm0", "arm1", "hz="]),
+        ("spawn diff ", ["arm0", "arm1", "hz=", "keep="]),
         ("spawn diff rtpu=", ["rtpu=arm0", "rtpu=arm1"]),
-        ("spawn diff rtpu=arm1 ", []),
+        ("spawn diff rtpu=arm1 ", ["keep="]),
         ("on ", ["text=", "traj"]),  # what is ON already is not offered
         ("off ", ["pid", "text="]),
         ("kill t", ["text=", "traj"]),
