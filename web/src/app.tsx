@@ -38,7 +38,7 @@ function Side() {
           <button key={one} id={`tab-${one}`} type="button" role="tab" aria-selected={one === tab} aria-controls="panel" tabIndex={one === tab ? 0 : -1} onClick={() => page.show(one)}>{one}{one === "Events" && <NewErrors />}</button>
         ))}
       </div>
-      <div role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}><Panel /></div>
+      <div key={tab} role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}><Panel /></div>
       {live.role === "observer" && !live.log && <p className="observer-note">You are an observer: this page shows everything and steers nothing. The operator’s link does.</p>}
       {live.log && <p className="observer-note">A recorded run is shown: nothing can be steered.</p>}
     </aside>

@@ -84,7 +84,7 @@ function Palette() {
   };
   const open = (name: string) => { setAnswer(null); setKnown(""); void programs.open(name).then(setAnswer); };
   return (
-    <nav className="palette" aria-label="programs and jobs">
+    <nav className="program-list" aria-label="programs and jobs">
       <h3>programs</h3>
       {programs.refusal && <p className="refused" role="alert">{programs.refusal}</p>}
       <ul className="program-names">

@@ -23,7 +23,7 @@ def test_a_graph_that_lacks_a_task_is_drawn_again_until_it_has_all():
     )
     tasks = [
         SimpleNamespace(
-            task=one["name"], rtpu=one["rtpu"], tid=1, ref_f=1.0, fallback_of=""
+            task=one["name"], rtpu=one["rtpu"], tid=1, state="ON", ref_f=1.0, fallback_of=""
         )
         for one in whole["tasks"]
     ]
@@ -34,3 +34,31 @@ def test_a_graph_that_lacks_a_task_is_drawn_again_until_it_has_all():
         watcher._redraw(subsystem, statuses)
     assert [one["graph"] for one in told] == [lacking, whole]
     assert graphs == []
+
+
+def test_a_graph_is_drawn_again_when_a_task_has_changed_its_state():
+    watcher = Watcher(PUMA, Place())
+    (planned, *_) = watcher.first()
+    faulty = planned["graph"] | {"faults": ["no task that is ON writes Q_MEZ"]}
+    graphs = [faulty, planned["graph"]]
+    subsystem = SimpleNamespace(
+        task_set=SimpleNamespace(refresh=lambda *, strict: strict),
+        graph=lambda: graphs.pop(0),
+    )
+    tasks = [
+        SimpleNamespace(
+            task=one["name"],
+            rtpu=one["rtpu"],
+            tid=1,
+            state="OFF",
+            ref_f=1.0,
+            fallback_of="",
+        )
+        for one in planned["graph"]["tasks"]
+    ]
+    told = []
+    watcher._told = told.append
+    watcher._redraw(subsystem, {"arm0": SimpleNamespace(tasks=tasks)})
+    tasks[0].state = "ON"
+    watcher._redraw(subsystem, {"arm0": SimpleNamespace(tasks=tasks)})
+    assert [one["graph"]["faults"] for one in told] == [faulty["faults"], []]
