@@ -23,7 +23,12 @@ def test_a_graph_that_lacks_a_task_is_drawn_again_until_it_has_all():
     )
     tasks = [
         SimpleNamespace(
-            task=one["name"], rtpu=one["rtpu"], tid=1, state="ON", ref_f=1.0, fallback_of=""
+            task=one["name"],
+            rtpu=one["rtpu"],
+            tid=1,
+            state="ON",
+            ref_f=1.0,
+            fallback_of="",
         )
         for one in whole["tasks"]
     ]
