@@ -54,8 +54,10 @@ class ProgramState extends Keyed {
   async list(): Promise<void> {
     const answer = await program("list");
     this.refusal = answer.ok ? "" : answer.text;
+    const isFirst = !this.listed;
     if (answer.ok) this.listed = answer.data as unknown as Listed;
     this.tell("list");
+    if (isFirst && this.listed?.opened && !this.name) await this.open(this.listed.opened);
   }
 
   choose(what: Chosen): void { this.chosen = what; this.tell("chosen"); }
