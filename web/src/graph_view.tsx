@@ -154,10 +154,11 @@ function Flow() {
     setNow(at.size ? refit(made.nodes.map((one) => ({ ...one, position: at.get(one.id) ?? one.position })), made.edges) : made);
   }, [made, shape, compact]);
   const width = useStore((state) => state.width), height = useStore((state) => state.height);
-  useEffect(() => { moved.current = false; }, [shape, compact]);
+  const drawn = now.nodes.map((one) => one.id).join("\n"); // what is on the screen, after the new drawing has come
+  useEffect(() => { moved.current = false; }, [drawn, compact]);
   useEffect(() => {
-    if (shape && !moved.current) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 }));
-  }, [shape, compact, flow, width, height]);
+    if (drawn && !moved.current) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 }));
+  }, [drawn, compact, flow, width, height]);
 
   const selected = page.selected;
   const nodes = useMemo(() => {

@@ -175,7 +175,7 @@ export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>)
         <span className="dim" title={data.keeper ? "it keeps the table of variables" : undefined}>{[status?.scheduler, status?.backend, data.keeper && "table"].filter(Boolean).join(" · ")}</span>
         {load !== null && <span className="load live" title="share of the core that its tasks took over the last second"><i style={{ width: `${Math.min(100, load)}%` }} />{load} %</span>}
         {status?.silent && <span className="badge bad">does not answer</span>}
-        {Boolean(status?.stalls) && <span className="badge warn" title={`its core stood still ${status?.stalls} times`} role="img" aria-label={`its core stood still ${status?.stalls} times`}>⏸ {status?.stalls}×</span>}
+        {Boolean(status?.stalls) && <span className="badge warn" title={`its core stood still ${status?.stalls} times`} role="img" aria-label={`its core stood still ${status?.stalls} times`}>❚❚ {status?.stalls}×</span>}
       </header>
       {data.folded && <Counts tasks={data.tasks} />}
       <Handle type="target" id="in" position={Position.Left} isConnectable={false} className="hidden" />

@@ -18,7 +18,7 @@ export function TopBar() {
     <header className="top">
       <div className="who">
         <h1>{hello?.name ?? "pbonet"}</h1>
-        {hello?.job && <span className="dim">job {hello.job}</span>}
+        {hello?.job && <span className="dim">{hello.log ? "" : "opened with "}job {hello.job}</span>}
         {hello && <Role />}
       </div>
       {live.steers && <Modes />}
