@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _END_TIME: Final = 60.0
 """Seconds that a program has to reach its safe job when the server ends."""
 STEERING: Final = frozenset({"pause", "resume", "step", "abort"})
-"""What is done at once, whatever else is being done."""
+"""Requests that are carried out at once, whatever else is being done."""
 
 
 class _Given(NamedTuple):
