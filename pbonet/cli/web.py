@@ -13,7 +13,9 @@ def command(
     *,
     file: A[
         Path,
-        Argument("The .job or .sbs file, or a recorded run: a log or its folder."),
+        Argument(
+            "The .job, .sbs or .seq file, or a recorded run: a log or its folder."
+        ),
     ],
     host: A[str, Option("The address it serves.", "ADDRESS")] = "127.0.0.1",
     port: A[
@@ -41,7 +43,7 @@ def command(
         Serve a job, started or not, and open the link that is printed:
         pbonet web arm.job
         Show a recorded run:
-        pbonet web runs/last
+        pbonet web runs/2026-05-04T10-00-00-teleop
         Serve a tablet at the machine, with keys for TLS:
         pbonet web arm.job --host 10.0.0.2 --tls web-keys
     """

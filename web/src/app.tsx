@@ -1,5 +1,5 @@
 // The page: its parts, and where they stand.
-import { useEffect } from "react";
+import { Component, useEffect, type ReactNode } from "react";
 import { AssembleView } from "./assemble_view";
 import { ChangePanel } from "./change_panel";
 import { GraphView } from "./graph_view";
@@ -38,7 +38,7 @@ function Side() {
           <button key={one} id={`tab-${one}`} type="button" role="tab" aria-selected={one === tab} aria-controls="panel" tabIndex={one === tab ? 0 : -1} onClick={() => page.show(one)}>{one}{one === "Events" && <NewErrors />}</button>
         ))}
       </div>
-      <div role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}><Panel /></div>
+      <div key={tab} role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}><Panel /></div>
       {live.role === "observer" && !live.log && <p className="observer-note">You are an observer: this page shows everything and steers nothing. The operator’s link does.</p>}
       {live.log && <p className="observer-note">A recorded run is shown: nothing can be steered.</p>}
     </aside>
@@ -69,6 +69,26 @@ function Main() {
   );
 }
 
+/** Says that its part of the page has failed, so that Stop and the other parts go on. */
+class Guard extends Component<{ children: ReactNode }, { failed: string }> {
+  override state = { failed: "" };
+  static getDerivedStateFromError(error: unknown) { return { failed: String(error) }; }
+  override render() {
+    if (!this.state.failed) return this.props.children;
+    return (
+      <main className="failed" role="alert">
+        <p>This part of the page has failed: {this.state.failed}</p>
+        <p>Stop still works, and nothing was changed in the subsystem. <button type="button" onClick={() => location.reload()}>load the page again</button></p>
+      </main>
+    );
+  }
+}
+
+function Guarded() {
+  usePage("mode");
+  return <Guard key={page.mode}><Main /></Guard>;
+}
+
 export function App() {
   useLive("link");
   useEffect(() => {
@@ -86,7 +106,7 @@ export function App() {
       <Bars />
       <LogBar />
       <RunBar />
-      <Main />
+      <Guarded />
       <VariableNames />
     </div>
   );

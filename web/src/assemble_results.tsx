@@ -122,7 +122,7 @@ export function SavePanel() {
       </section>
       <section className="apply" aria-label="apply to the running system">
         <h3>Apply to the running system</h3>
-        {assemble.isChanged ? <p className="dim">Save first: the system runs what the files say.</p> : <Planned command="switch" args={{ job: assemble.job }} ready={state.legal}>{null}</Planned>}
+        {assemble.isChanged ? <p className="dim">Save first: the system runs what the files say.</p> : !state.legal ? <p className="warning-line">This job has faults, and cannot be started.</p> : <Planned command="switch" args={{ job: assemble.job }} ready>{null}</Planned>}
       </section>
     </div>
   );

@@ -99,7 +99,7 @@ function Side() {
       <div role="tablist" aria-label="panels" onKeyDown={go}>
         {ASSEMBLE_TABS.map((one) => <button key={one} id={`assemble-${one}`} type="button" role="tab" aria-selected={one === assemble.tab} aria-controls="assemble-panel" tabIndex={one === assemble.tab ? 0 : -1} onClick={() => assemble.show(one)}>{one}{one === "Faults" && faults > 0 && <span className={`count${state?.legal ? " mild" : ""}`}>{faults}</span>}</button>)}
       </div>
-      <div role="tabpanel" id="assemble-panel" aria-labelledby={`assemble-${assemble.tab}`} tabIndex={-1}><Panel /></div>
+      <div key={assemble.tab} role="tabpanel" id="assemble-panel" aria-labelledby={`assemble-${assemble.tab}`} tabIndex={-1}><Panel /></div>
     </aside>
   );
 }

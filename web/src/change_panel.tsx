@@ -1,9 +1,10 @@
 // Changes of the configuration: swap, switch, start and spawn. What would be done is shown first.
-import { useMemo, useState } from "react";
+import { useEffect, useMemo, useState } from "react";
 import { readingCommand, type Args } from "./connection";
 import { Outcome, WordField, argHelp, commandHelp, useCommand } from "./controls";
 import { live, useGraph, useLive } from "./live_state";
 import { page, usePage } from "./page_state";
+import { programs, usePrograms } from "./program_state";
 import type { Transition } from "./protocol";
 
 let rmodNames: string[] = [];
@@ -21,8 +22,16 @@ function useRmods(): [string[], () => void] {
   return [names, () => { if (!names.length) void askRmods(setNames); }];
 }
 
+/** The jobs of this subsystem, as commands name them: by their files. */
+function useJobs(): string[] {
+  usePrograms("list");
+  return programs.listed?.jobs.map((one) => one.name) ?? [];
+}
+
 export function ChangePanel() {
   useLive("link");
+  const isLive = live.link === "live";
+  useEffect(() => { if (isLive) void programs.list(); }, [isLive]);
   return (
     <div className="panel">
       <Swap />
@@ -65,12 +74,13 @@ function RtpuField(props: { label: string; hint: string; value: string; change: 
 }
 
 function Switch() {
+  const jobs = useJobs();
   const [job, setJob] = useState("");
   const [wait, setWait] = useState("");
   const name = job.trim();
   return (
     <Planned command="switch" args={{ ...(name ? { job: name } : {}), ...(wait.trim() ? { wait: wait.trim() } : {}) }} ready={Boolean(name)}>
-      <WordField label="job" hint={argHelp("switch", "job")} value={job} words={live.hello?.job ? [live.hello.job] : []} change={setJob} />
+      <WordField label="job" hint={argHelp("switch", "job")} value={job} words={jobs} change={setJob} />
       <WordField label="wait" hint={argHelp("switch", "wait")} value={wait} words={[]} change={setWait} />
     </Planned>
   );
@@ -78,6 +88,7 @@ function Switch() {
 
 function Start() {
   const running = useCommand();
+  const jobs = useJobs();
   const [job, setJob] = useState("");
   const [wait, setWait] = useState("");
   const send = () => void running.run("start", { ...(job.trim() ? { job: job.trim() } : {}), ...(wait.trim() ? { wait: wait.trim() } : {}) });
@@ -86,7 +97,7 @@ function Start() {
       <h3>start</h3>
       <p className="dim">{commandHelp("start")}</p>
       <form onSubmit={(event) => { event.preventDefault(); send(); }}>
-        <WordField label="job" hint={argHelp("start", "job")} value={job} words={live.hello?.job ? [live.hello.job] : []} change={setJob} />
+        <WordField label="job" hint={argHelp("start", "job")} value={job} words={jobs} change={setJob} />
         <WordField label="wait" hint={argHelp("start", "wait")} value={wait} words={[]} change={setWait} />
         <p className="row"><button type="submit" disabled={running.busy || live.link !== "live"}>start</button></p>
       </form>

@@ -1,5 +1,5 @@
 // Parts that several panels use: states, buttons of signals, and what became of a command.
-import { useCallback, useEffect, useId, useRef, useState, type ReactNode } from "react";
+import { useCallback, useEffect, useId, useRef, useState, type ReactNode, type Ref } from "react";
 import { command, sentCommands, type Args, type Sent } from "./connection";
 import { live, stateOf, useLive, useTask } from "./live_state";
 import type { Answer } from "./protocol";
@@ -60,14 +60,14 @@ export function useCommand(): Running {
 }
 
 /** What became of the command of one control: its refusal word for word, its warnings, how long it takes. */
-export function Outcome({ of, done = "" }: { of: Running; done?: ReactNode }) {
+export function Outcome({ of, done = "", place }: { of: Running; done?: ReactNode; place?: Ref<HTMLDivElement> }) {
   const { answer, busy, progress } = of;
   if (busy && progress && progress.seconds > 0) {
     return <p className="outcome progress" role="status">{progress.answer || "still at it"} – {progress.seconds.toFixed(1)} s</p>;
   }
   if (!answer || (answer.ok && !answer.warnings.length && !done)) return null;
   return (
-    <div className={`outcome ${!answer.ok ? "refusal" : answer.warnings.length ? "warned" : "done"}`} role={answer.ok ? "status" : "alert"}>
+    <div ref={place} className={`outcome ${!answer.ok ? "refusal" : answer.warnings.length ? "warned" : "done"}`} role={answer.ok ? "status" : "alert"}>
       <button type="button" className="close" onClick={of.clear} aria-label="close this message">×</button>
       {answer.ok ? done : <pre>{answer.text}</pre>}
       {answer.warnings.map((text) => <pre key={text} className="warning">{text}</pre>)}
@@ -75,8 +75,12 @@ export function Outcome({ of, done = "" }: { of: Running; done?: ReactNode }) {
   );
 }
 
+const ORDER = ["on", "off", "clear", "reinit", "kill"];
+/** Returns signals in the order of their buttons: what cannot be taken back is the last. */
+export const inOrder = (signals: readonly string[]): string[] => [...signals].sort((a, b) => ORDER.indexOf(a) - ORDER.indexOf(b));
+
 /** The signals that a task may be sent now, as buttons, and the last refusal. */
-export function SignalButtons({ task }: { task: string }) {
+export function SignalButtons({ task, place }: { task: string; place?: Ref<HTMLDivElement> }) {
   const status = useTask(task);
   useLive("link");
   const running = useCommand();
@@ -88,14 +92,14 @@ export function SignalButtons({ task }: { task: string }) {
         <button type="button" className="signal" title={commandHelp("spawn")} aria-label={`spawn ${task}`} disabled={running.busy || live.link !== "live"}
           onClick={() => void running.run("spawn", { rmod: task, rtpu: info.rtpu })}>spawn</button>
       )}
-      {(status?.signals ?? []).map((signal) => (
+      {inOrder(status?.signals ?? []).map((signal) => (
         <button
           key={signal} type="button" className={`signal signal-${signal}`} title={commandHelp(signal)}
           aria-label={`${signal} ${task}`} disabled={running.busy || live.link !== "live"}
           onClick={(event) => { event.stopPropagation(); void running.run(signal, { task: [task] }); }}
         >{signal}</button>
       ))}
-      <Outcome of={running} />
+      <Outcome of={running} {...(place ? { place } : {})} />
     </div>
   );
 }

@@ -8,6 +8,13 @@ export function short(value: number): string {
   return String(Number(value.toPrecision(3)));
 }
 
+/** Returns a count in at most five signs, so that it stays within its place. */
+export function count(value: number): string {
+  if (value < 1e5) return String(value);
+  const [size, word] = value < 999_500 ? [1e3, "k"] : value < 999_500_000 ? [1e6, "M"] : [1e9, "G"];
+  return `${Number((value / size).toPrecision(3))} ${word}`;
+}
+
 export function seconds(value: number | null | undefined): string {
   if (value === null || value === undefined) return "–";
   if (value === 0) return "0 s";

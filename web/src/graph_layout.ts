@@ -380,3 +380,14 @@ function lanePath(from: [number, number], points: readonly [number, number][], t
     + `V${to[1] + r * up}Q${left},${to[1]} ${left + r},${to[1]}H${to[0]}`;
   return [path, (left + right) / 2, y];
 }
+
+interface Sides { left: number; top: number; right: number; bottom: number }
+
+/** Returns how far to move a box so that it is within an area; one that is too large keeps its upper left corner there. */
+export function shiftInto(box: Sides, area: Sides, margin = 8): [number, number] {
+  const one = (from: number, to: number, low: number, high: number) => {
+    const back = Math.min(0, high - margin - to);
+    return back + Math.max(0, low + margin - (from + back));
+  };
+  return [one(box.left, box.right, area.left, area.right), one(box.top, box.bottom, area.top, area.bottom)];
+}

@@ -144,13 +144,21 @@ function Flow() {
     [graph, compact, choice, role], // `choice` and `role` stand for what is outside of React
   );
   const [now, setNow] = useState(made);
-  useEffect(() => { setNow(made); }, [made]);
-  const shape = made.nodes.length, moved = useRef(false);
-  const width = useStore((state) => state.width), height = useStore((state) => state.height);
-  useEffect(() => { moved.current = false; }, [shape, compact]);
+  const shape = made.nodes.map((one) => one.id).join("\n"), moved = useRef(false);
+  const places = useRef({ of: "", at: new Map<string, { x: number; y: number }>() });
   useEffect(() => {
-    if (shape && !moved.current) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 }));
-  }, [shape, compact, flow, width, height]);
+    // What was moved by hand stays there until cards come or go.
+    const of = `${shape} ${compact}`;
+    if (places.current.of !== of) places.current = { of, at: new Map() };
+    const { at } = places.current;
+    setNow(at.size ? refit(made.nodes.map((one) => ({ ...one, position: at.get(one.id) ?? one.position })), made.edges) : made);
+  }, [made, shape, compact]);
+  const width = useStore((state) => state.width), height = useStore((state) => state.height);
+  const drawn = now.nodes.map((one) => one.id).join("\n"); // what is on the screen, after the new drawing has come
+  useEffect(() => { moved.current = false; }, [drawn, compact]);
+  useEffect(() => {
+    if (drawn && !moved.current) requestAnimationFrame(() => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 }));
+  }, [drawn, compact, flow, width, height]);
 
   const selected = page.selected;
   const nodes = useMemo(() => {
@@ -180,7 +188,7 @@ function Flow() {
     <ReactFlow<AnyNode, WireEdge>
       nodes={nodes} edges={edges} nodeTypes={NODE_TYPES} edgeTypes={EDGE_TYPES} onNodesChange={changed}
       onMoveStart={(event) => { if (event) moved.current = true; }}
-      onNodeDragStop={() => setNow((before) => refit(before.nodes, before.edges))}
+      onNodeDragStop={(_, node) => { places.current.at.set(node.id, node.position); setNow((before) => refit(before.nodes, before.edges)); }}
       onNodeDoubleClick={(_, node) => { if (node.type === "task") page.openTask(node.data.task.name); }}
       onEdgeMouseEnter={(_, edge) => page.hover(edge.data!.variables[0] ?? "")} onEdgeMouseLeave={() => page.hover("")}
       onEdgeClick={(_, edge) => { const name = edge.data!.variables[0]; if (name) page.pin(name); }}

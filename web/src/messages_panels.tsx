@@ -1,10 +1,11 @@
 // What was said: events of tasks, and the commands of this page with their answers.
-import { useMemo, useRef, useState } from "react";
+import { useEffect, useMemo, useRef, useState } from "react";
 import { complete } from "./completion";
 import { line, sentCommands, type Sent } from "./connection";
 import { clock } from "./format";
 import { live, useGraph, useLive } from "./live_state";
 import { page } from "./page_state";
+import { programs, usePrograms } from "./program_state";
 import type { Severity } from "./protocol";
 
 const SEVERITIES: Severity[] = ["debug", "info", "warning", "error", "fatal"];
@@ -51,19 +52,22 @@ export function EventsPanel() {
 /** The names that a command line may hold, by kind. */
 function useNames(): Record<string, string[]> {
   const graph = useGraph();
+  const list = usePrograms("list");
+  const isLive = live.link === "live";
+  useEffect(() => { if (isLive && !programs.listed) void programs.list(); }, [isLive]);
   return useMemo(() => {
     const tasks = graph?.tasks ?? [];
     const names: Record<string, string[]> = {
       task: tasks.map((one) => one.name), rtpu: graph?.rtpus.map((one) => one.name) ?? [],
       rmod: tasks.map((one) => one.name), variable: graph?.variables.map((one) => one.name) ?? [],
       module: [...new Set(tasks.map((one) => one.module))], class: [...new Set(tasks.map((one) => one.class).filter(Boolean))],
-      field: live.fields.map((one) => one.name), job: live.hello?.job ? [live.hello.job] : [],
+      field: live.fields.map((one) => one.name), job: programs.listed?.jobs.map((one) => one.name) ?? [],
       command: live.hello?.commands.map((one) => one.name) ?? [], signal: ["OFF", "FINISH", "ERROR", "WARNING", "SHUTDOWN", "ILLEGAL", "LEGAL"],
       "task:signal": tasks.flatMap((one) => ["on", "off", "clear", "reinit", "kill"].map((signal) => `${one.name}:${signal}`)),
     };
     for (const one of tasks) names[`parameter ${one.name}`] = one.params.map((each) => each.name);
     return names;
-  }, [graph]);
+  }, [graph, list]); // `list` stands for the jobs
 }
 
 export function CommandsPanel() {

@@ -1,9 +1,9 @@
 // The cards of the graph: tasks, RTPUs, other subsystems and devices.
-import { Handle, Position, type NodeProps } from "@xyflow/react";
-import { memo, type ReactNode } from "react";
+import { Handle, Position, useReactFlow, useStore, type NodeProps } from "@xyflow/react";
+import { memo, useEffect, useState, type ReactNode } from "react";
 import { SignalButtons, StateMark, TaskState } from "./controls";
-import { field, short } from "./format";
-import { inHandle, outHandle, portRows, portTop, type FrameNode, type OtherNode, type TaskNode } from "./graph_layout";
+import { count, field, short } from "./format";
+import { inHandle, outHandle, portRows, portTop, shiftInto, type FrameNode, type OtherNode, type TaskNode } from "./graph_layout";
 import { live, stateOf, useLive, useRtpu, useTask } from "./live_state";
 import { page } from "./page_state";
 import type { Port, State, TaskInfo, TaskStatus } from "./protocol";
@@ -34,14 +34,33 @@ function WholeCard({ task, faulty }: { task: TaskInfo; faulty: string[] }) {
         <b className="name">{task.name}</b>
         <Warnings task={task.name} />
       </header>
-      <div className="kind">{kindLine(task)}</div>
+      <div className="kind" title={kindLine(task)}>{kindLine(task)}</div>
       <CardPorts task={task} row={(one) => <PortName key={one.variable} port={one} faulty={faulty.includes(one.variable)} />} />
       <SideHandles />
       <Figures task={task.name} />
-      <SignalButtons task={task.name} />
+      <SignalButtons task={task.name} place={useInSight()} />
       <Notes task={task.name} />
     </article>
   );
+}
+
+/** Moves the drawing, when a message of a card has come, until all of it can be read. */
+function useInSight(): (message: HTMLElement | null) => void {
+  const flow = useReactFlow();
+  const [message, setMessage] = useState<HTMLElement | null>(null);
+  const width = useStore((state) => state.width), height = useStore((state) => state.height);
+  useEffect(() => {
+    const area = message?.closest(".react-flow");
+    if (!message || !area) return undefined;
+    // Where bars above come with the message, the drawing is fitted again first.
+    const timer = setTimeout(() => {
+      const [x, y] = shiftInto(message.getBoundingClientRect(), area.getBoundingClientRect());
+      const view = flow.getViewport();
+      if (x || y) void flow.setViewport({ ...view, x: view.x + x, y: view.y + y });
+    }, 100);
+    return () => clearTimeout(timer);
+  }, [message, width, height, flow]);
+  return setMessage;
 }
 
 export function SideHandles() {
@@ -95,14 +114,14 @@ function Figures({ task }: { task: string }) {
   const status = useTask(task);
   const fields = status?.fields;
   if (!fields || status.state === "NOT-CREATED") return <div className="figures" />;
-  const count = (name: string, word: string) => {
+  const counted = (name: string, word: string, bad: boolean) => {
     const value = fields[name];
-    return typeof value === "number" ? <span className={value ? "bad" : ""}><b>{value}</b> {word}</span> : null;
+    return typeof value === "number" ? <span className={bad && value ? "bad" : ""} title={`${value} ${word}`}><b>{count(value)}</b> {word}</span> : null;
   };
   return (
     <div className="figures live">
       <div><span className="rate">{rate(fields) || "–"}</span><span>CPU {field(fields.avgU, "%")}</span></div>
-      <div>{typeof fields.cycle === "number" && <span><b>{fields.cycle}</b> cycles</span>}{count("miss", "missed")}{count("failed", "failed")}</div>
+      <div>{counted("cycle", "cycles", false)}{counted("miss", "missed", true)}{counted("failed", "failed", true)}</div>
     </div>
   );
 }
@@ -156,7 +175,7 @@ export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>)
         <span className="dim" title={data.keeper ? "it keeps the table of variables" : undefined}>{[status?.scheduler, status?.backend, data.keeper && "table"].filter(Boolean).join(" · ")}</span>
         {load !== null && <span className="load live" title="share of the core that its tasks took over the last second"><i style={{ width: `${Math.min(100, load)}%` }} />{load} %</span>}
         {status?.silent && <span className="badge bad">does not answer</span>}
-        {Boolean(status?.stalls) && <span className="badge warn" title={`its core stood still ${status?.stalls} times`} role="img" aria-label={`its core stood still ${status?.stalls} times`}>⏸ {status?.stalls}×</span>}
+        {Boolean(status?.stalls) && <span className="badge warn" title={`its core stood still ${status?.stalls} times`} role="img" aria-label={`its core stood still ${status?.stalls} times`}>❚❚ {status?.stalls}×</span>}
       </header>
       {data.folded && <Counts tasks={data.tasks} />}
       <Handle type="target" id="in" position={Position.Left} isConnectable={false} className="hidden" />

@@ -18,7 +18,7 @@ export interface Seq {
 }
 export interface Job { name: string; desc: string; pre: string[]; post: string[]; fault: string; tasks: string[] }
 export interface Listed {
-  programs: string[]; jobs: Job[]; tasks: Record<string, { signals: string[]; params: string[] }>;
+  programs: string[]; opened: string; jobs: Job[]; tasks: Record<string, { signals: string[]; params: string[] }>;
   signals: string[]; variables: string[]; rtpus: string[]; sbs: string;
 }
 /** A program as the server sends it: with the places of its lines. */

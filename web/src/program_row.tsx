@@ -1,5 +1,5 @@
 // The row of icons: a program's lines as tiles, joined by edges, with loops as frames and jumps as arcs.
-import { useLayoutEffect, useRef, useState } from "react";
+import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { JobIcon } from "./program_icon";
 import { remove, shift } from "./program_forms";
 import {
@@ -124,12 +124,19 @@ function Edge({ of }: { of: NonNullable<ReturnType<typeof fit>> }) {
 
 const GLYPHS = { GOTO: "↷", REPEAT: "↻", END: "↺", FINISH: "■", ORDER: "›" };
 
+/** The mark of the line that runs or comes next; brings it into sight when that begins. */
+export function Lit() {
+  const place = useRef<HTMLSpanElement>(null);
+  useEffect(() => { place.current?.parentElement?.scrollIntoView({ block: "nearest" }); }, []);
+  return <span ref={place} className="tile-runs" aria-hidden="true">{programs.isPaused ? "❚❚" : "▶"}</span>;
+}
+
 function Tile({ line, remarks, first }: { line: Line; remarks: Remark[]; first: boolean }) {
   const chosen = programs.chosen === line.key;
   const worst = remarks.find((one) => one.severity === "error") ?? remarks.find((one) => one.severity === "warning");
   const lit = programs.lit === line.key;
   const kind = line.keyword === "STEP" ? "step" : line.keyword === "FINISH" && line.failed ? "small fail" : "small";
-  const about = [lineText(line), line.keyword === "STEP" && endsText(line) && `until ${endsText(line)}`, lit && "runs now", ...remarks.map((one) => `${one.severity}: ${short(one.text)}`)].filter(Boolean).join("; ");
+  const about = [lineText(line), line.keyword === "STEP" && endsText(line) && `until ${endsText(line)}`, lit && (programs.isPaused ? "comes next" : "runs now"), ...remarks.map((one) => `${one.severity}: ${short(one.text)}`)].filter(Boolean).join("; ");
   return (
     <button
       type="button" className={`tile ${kind} kind-${line.keyword.toLowerCase()}${chosen ? " chosen" : ""}${lit ? " lit" : ""}${worst ? ` has-${worst.severity}` : ""}`}
@@ -141,7 +148,7 @@ function Tile({ line, remarks, first }: { line: Line; remarks: Remark[]; first: 
     >
       {line.keyword === "STEP" ? <StepFace step={line} /> : <OtherFace line={line} />}
       {worst?.severity === "error" && <span className="tile-fault" aria-hidden="true">✕</span>}
-      {lit && <span className="tile-runs" aria-hidden="true">▶</span>}
+      {lit && <Lit />}
     </button>
   );
 }

@@ -17,7 +17,7 @@ function where(state: State): string {
   switch (state.phase) {
     case "enters": return `changes to ${step}`;
     case "waits": return `${step}, waits for ${state.waiting}`;
-    case "paused": return step ? `paused after ${step}` : "paused before its first line";
+    case "paused": return step ? `paused after ${step}` : `paused before its first ${state.line > 0 ? "step" : "line"}`;
     case "done": return "done";
     case "failed": return "failed";
     case "aborted": return "aborted";

@@ -54,8 +54,10 @@ class ProgramState extends Keyed {
   async list(): Promise<void> {
     const answer = await program("list");
     this.refusal = answer.ok ? "" : answer.text;
+    const isFirst = !this.listed;
     if (answer.ok) this.listed = answer.data as unknown as Listed;
     this.tell("list");
+    if (isFirst && this.listed?.opened && !this.name) await this.open(this.listed.opened);
   }
 
   choose(what: Chosen): void { this.chosen = what; this.tell("chosen"); }
@@ -179,13 +181,15 @@ class ProgramState extends Keyed {
     const answer = await this.save();
     return answer.ok ? null : answer;
   }
-  /** The key of the line that runs in the program shown; "safe" for its safe job. */
+  /** The key of the line that runs, or comes next after a pause, in the program shown; "safe" for its safe job. */
   get lit(): number | "safe" | null {
     const running = live.running, draft = this.draft;
     if (!running || !draft || running.program !== draft.name || ENDED.has(running.state.phase)) return null;
     if (running.state.safe) return "safe";
     return draft.savedKeys[running.state.line] ?? null;
   }
+  /** Whether the lit line waits until it is let go on. */
+  get isPaused(): boolean { return live.running?.state.phase === "paused"; }
 }
 
 export const ENDED = new Set(["done", "failed", "aborted", "stopped"]);

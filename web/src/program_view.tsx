@@ -6,7 +6,7 @@ import { live, useLive } from "./live_state";
 import { FormPanel, NewName } from "./program_forms";
 import { JobIcon } from "./program_icon";
 import { newStep, remarks, said, short, steps, stepName, type Content, type Job } from "./program_model";
-import { ProgramRow, StepFace, add, dragged } from "./program_row";
+import { Lit, ProgramRow, StepFace, add, dragged } from "./program_row";
 import { Refusal } from "./program_run";
 import { ENDED, programs, usePrograms } from "./program_state";
 import type { Answer } from "./protocol";
@@ -84,7 +84,7 @@ function Palette() {
   };
   const open = (name: string) => { setAnswer(null); setKnown(""); void programs.open(name).then(setAnswer); };
   return (
-    <nav className="palette" aria-label="programs and jobs">
+    <nav className="program-list" aria-label="programs and jobs">
       <h3>programs</h3>
       {programs.refusal && <p className="refused" role="alert">{programs.refusal}</p>}
       <ul className="program-names">
@@ -206,7 +206,7 @@ function SafeTile() {
       <small>after an abort, or an error that no ELSE takes</small>
       <button type="button" className={`tile step safe${lit ? " lit" : ""}${programs.chosen === "safe" ? " chosen" : ""}`} aria-pressed={programs.chosen === "safe"} aria-current={lit ? "step" : undefined} onClick={() => programs.choose("safe")}>
         {safe ? <StepFace step={safe} /> : <><span className="glyph" aria-hidden="true">+</span><b>no safe job</b><small>the present job stays</small></>}
-        {lit && <span className="tile-runs" aria-hidden="true">▶</span>}
+        {lit && <Lit />}
       </button>
     </div>
   );

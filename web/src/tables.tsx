@@ -1,7 +1,7 @@
 // All tasks and all variables as tables: what the graph shows, for the keyboard and for many.
 import { memo, useEffect, useMemo, useState } from "react";
 import { want } from "./connection";
-import { Outcome, TaskState, commandHelp, useCommand } from "./controls";
+import { Outcome, TaskState, commandHelp, inOrder, useCommand } from "./controls";
 import { field, number, short, unitText } from "./format";
 import { Age } from "./graph_view";
 import { live, useGraph, useLive, useTask, useValue } from "./live_state";
@@ -10,14 +10,11 @@ import { page, usePage } from "./page_state";
 import { parseSeries } from "./series";
 import type { TaskStatus, Variable } from "./protocol";
 
-const ORDER = ["on", "off", "clear", "reinit", "kill"];
-
 /** Returns the signals that all of these tasks may be sent now. */
 export function commonSignals(statuses: readonly (TaskStatus | undefined)[]): string[] {
   if (!statuses.length) return [];
   const [first, ...rest] = statuses;
-  const all = (first?.signals ?? []).filter((signal) => rest.every((one) => one?.signals.includes(signal)));
-  return [...all].sort((a, b) => ORDER.indexOf(a) - ORDER.indexOf(b));
+  return inOrder((first?.signals ?? []).filter((signal) => rest.every((one) => one?.signals.includes(signal))));
 }
 
 export function TaskTable() {

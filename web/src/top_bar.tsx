@@ -1,5 +1,5 @@
 // What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded run.
-import { useState } from "react";
+import { useEffect, useState } from "react";
 import { play, seek, stop } from "./connection";
 import { useClock, useGlobalKey } from "./controls";
 import { clock } from "./format";
@@ -8,6 +8,7 @@ import { MODES, page, usePage } from "./page_state";
 import type { Answer } from "./protocol";
 
 export const STOP_KEY = "F8";
+const DONE_FOR = 6000; // ms; the message covers other buttons
 
 export function TopBar() {
   useLive("hello");
@@ -17,7 +18,7 @@ export function TopBar() {
     <header className="top">
       <div className="who">
         <h1>{hello?.name ?? "pbonet"}</h1>
-        {hello?.job && <span className="dim">job {hello.job}</span>}
+        {hello?.job && <span className="dim">{hello.log ? "" : "opened with "}job {hello.job}</span>}
         {hello && <Role />}
       </div>
       {live.steers && <Modes />}
@@ -66,6 +67,11 @@ function Stop() {
     setAnswer(null);
     void stop().then((got) => { setAnswer(got); setBusy(false); });
   };
+  useEffect(() => { // what it has done is in the events, too; a refusal stays
+    if (!answer?.ok || answer.warnings.length) return undefined;
+    const timer = setTimeout(() => setAnswer(null), DONE_FOR);
+    return () => clearTimeout(timer);
+  }, [answer]);
   useGlobalKey(STOP_KEY, act);
   return (
     <div className="stop-place">

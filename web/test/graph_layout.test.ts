@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { drawing, faultyPorts, outHandle, wirePath } from "../src/graph_layout";
+import { drawing, faultyPorts, outHandle, shiftInto, wirePath } from "../src/graph_layout";
 import type { Graph, Port, TaskInfo } from "../src/protocol";
 
 const port = (variable: string, constant = false): Port => ({ port: variable, variable, constant, unit: "rad", shape: [6], type: "double" });
@@ -133,4 +133,13 @@ test("paths start and end at their ports", () => {
     assert.match(path, /^M0,0/);
     assert.match(path, /(100,40|H100)$/);
   }
+});
+
+test("a message at an edge is moved into the drawing", () => {
+  const area = { left: 0, top: 100, right: 1000, bottom: 800 };
+  const box = (left: number, top: number, width: number, height: number) => ({ left, top, right: left + width, bottom: top + height });
+  assert.deepEqual(shiftInto(box(300, 300, 330, 90), area), [0, 0]);
+  assert.deepEqual(shiftInto(box(900, 760, 330, 90), area), [-238, -58]);
+  assert.deepEqual(shiftInto(box(-50, 50, 330, 90), area), [58, 58]);
+  assert.deepEqual(shiftInto(box(300, 300, 330, 900), area)[1], -192, "the beginning of a long one is read first");
 });

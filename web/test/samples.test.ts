@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { clock, number, seconds } from "../src/format";
+import { clock, count, number, seconds } from "../src/format";
 import type { Variable } from "../src/protocol";
 import { Ring } from "../src/ring";
 import { alignSeries, parseSeries, toCsv } from "../src/series";
@@ -82,4 +82,8 @@ test("numbers read as on the command line", () => {
   assert.deepEqual([seconds(0.00125), seconds(0), seconds(2.5), seconds(null)], ["1.25 ms", "0 s", "2.5 s", "–"]);
   assert.deepEqual([number(null), number(3), number(0.12345), number(1e-7)], ["–", "3", "0.1235", "1.000e-7"]);
   assert.match(clock(0.25), /^\d\d:\d\d:\d\d\.250$/);
+});
+
+test("counts of days of cycles stay short", () => {
+  assert.deepEqual([0, 99_999, 127_221, 43_200_000, 999_600, 2.5e9].map(count), ["0", "99999", "127 k", "43.2 M", "1 M", "2.5 G"]);
 });

@@ -83,6 +83,7 @@ class Programs:
         told: Callable[[Data], None],
     ) -> None:
         self._files = Files(path, library)
+        self._opened = Path(path).stem if Path(path).suffix == ".seq" else ""
         self._place = place
         self._library = library
         self._told = told
@@ -140,6 +141,7 @@ class Programs:
         tasks |= {path.stem for path in folder.glob("*.rmod")}
         return {
             "programs": found,
+            "opened": self._opened,
             "jobs": jobs,
             "tasks": {name: self._task(name) for name in sorted(tasks)},
             "signals": list(PREDEFINED),

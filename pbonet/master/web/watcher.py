@@ -208,9 +208,12 @@ class Watcher(Source):
         return sorted({*map(str, errors), *follower.complaints().values()})
 
     def _redraw(self, subsystem: Subsystem, statuses: dict[str, m.RtpuStatus]) -> None:
-        """Send the graph when tasks came, went, or run elsewhere or otherwise."""
+        """Send the graph when tasks came, went, changed state, or run elsewhere.
+
+        Its faults depend on the states, too.
+        """
         shape = [
-            (one.task, one.rtpu, one.tid, one.ref_f, one.fallback_of)
+            (one.task, one.rtpu, one.tid, one.state, one.ref_f, one.fallback_of)
             for status in statuses.values()
             for one in status.tasks
         ]

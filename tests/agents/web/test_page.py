@@ -98,7 +98,7 @@ def test_the_job_is_drawn(page):
 
 def test_a_task_is_turned_off_and_on_by_its_buttons_and_the_flag_says_why(page):
     one = card(page, "jttrace")
-    assert one.locator(".signal").all_inner_texts() == ["off", "kill", "reinit"]
+    assert one.locator(".signal").all_inner_texts() == ["off", "reinit", "kill"]
     one.get_by_role("button", name="off jttrace").click()
     page.locator(".bar.illegal", has_text="no task writes Q_REF").wait_for()
     one.locator(".outcome.warned", has_text="turn jttrace on").wait_for()

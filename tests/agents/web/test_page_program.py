@@ -275,6 +275,7 @@ def test_a_program_is_steered_from_every_browser_and_aborted_to_its_safe_job(
     do(page, "run paused")
     bar = page.locator(".run-bar")
     bar.get_by_text("paused before its first line").wait_for()
+    page.locator(".tile.lit[aria-label*='comes next']").wait_for()
     with opened(browser, server.link("observer")) as looker:
         looker.locator(".run-bar", has_text="paused before its first line").wait_for()
         assert not looker.locator(".run-bar button").count()

@@ -138,6 +138,14 @@ def cell(tmp_path):
     return Programs(path, Place(), Library(()), lambda _: None), folder
 
 
+def test_the_program_with_which_the_page_was_opened_is_listed_as_that(cell):
+    programs, folder = cell
+    assert programs.do("list", {})["opened"] == ""
+    path = folder / "carry.seq"
+    programs = Programs(path, Place(), Library(()), lambda _: None)
+    assert programs.do("list", {})["opened"] == "carry"
+
+
 def test_programs_and_the_icons_of_jobs_are_listed(cell):
     programs, _ = cell
     listed = programs.do("list", {})

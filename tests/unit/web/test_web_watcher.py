@@ -26,7 +26,12 @@ def test_a_graph_that_lacks_a_task_is_drawn_again_until_it_has_all():
     )
     tasks = [
         SimpleNamespace(
-            task=one["name"], rtpu=one["rtpu"], tid=1, ref_f=1.0, fallback_of=""
+            task=one["name"],
+            rtpu=one["rtpu"],
+            tid=1,
+            state="ON",
+            ref_f=1.0,
+            fallback_of="",
         )
         for one in whole["tasks"]
     ]
@@ -54,3 +59,31 @@ def test_rtpus_that_are_all_silent_are_told_at_once():
     assert watcher._read_states(away, follower) == [str(error)]
     (status,) = told
     assert {one["rtpu"] for one in status["rtpus"] if one["silent"]} == {"arm0", "arm1"}
+
+
+def test_a_graph_is_drawn_again_when_a_task_has_changed_its_state():
+    watcher = Watcher(PUMA, Place())
+    (planned, *_) = watcher.first()
+    faulty = planned["graph"] | {"faults": ["no task that is ON writes Q_MEZ"]}
+    graphs = [faulty, planned["graph"]]
+    subsystem = SimpleNamespace(
+        task_set=SimpleNamespace(refresh=lambda *, strict: strict),
+        graph=lambda: graphs.pop(0),
+    )
+    tasks = [
+        SimpleNamespace(
+            task=one["name"],
+            rtpu=one["rtpu"],
+            tid=1,
+            state="OFF",
+            ref_f=1.0,
+            fallback_of="",
+        )
+        for one in planned["graph"]["tasks"]
+    ]
+    told = []
+    watcher._told = told.append
+    watcher._redraw(subsystem, {"arm0": SimpleNamespace(tasks=tasks)})
+    tasks[0].state = "ON"
+    watcher._redraw(subsystem, {"arm0": SimpleNamespace(tasks=tasks)})
+    assert [one["graph"]["faults"] for one in told] == [faulty["faults"], []]
