@@ -141,8 +141,8 @@ def test_stopped_processes_end_in_order_and_finish_their_logs(run, nodes, tmp_pa
     until_on(process)
     stop_parts(nodes)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=200)
-    assert process.returncode == 0, err
+    out, err = process.communicate(timeout=200)
+    assert process.returncode == 0, out + err
     assert left_of(nodes) == []
     for file in (tmp_path / "runs").rglob("*.mcap"):
         assert log.Log(file).check() == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread  # noqa: PLC2701 - a thread is begun without a lock, in a handler
 import contextlib
 import signal
 import threading
@@ -166,13 +167,17 @@ class Interrupts:
         """Called in a thread of its own by the second interrupt."""
 
     def take(self, _number: int, _frame: FrameType | None) -> None:
-        """Take a signal."""
+        """Take a signal.
+
+        An event is set by another thread: the main one may hold the event's lock just
+        now, because it waits for it, and would wait for itself.
+        """
         self.count += 1
-        self.wished.set()
+        _thread.start_new_thread(self.wished.set, ())
         if self._once:
             self._give_back()
         if self.count == _FORCE and self.force is not None:
-            threading.Thread(target=self.force, daemon=True).start()
+            _thread.start_new_thread(self.force, ())
 
     @contextlib.contextmanager
     def caught(self) -> Generator[None]:

@@ -310,6 +310,8 @@ class Run:
                 events = self._take(listener)
                 self._view.show(passed, statuses, events)
                 if self._over(statuses, passed):
+                    if self._missing and self._resume_agents():
+                        seen.update(self._status(subsystem))
                     break
                 left = _PERIOD
                 if self._seconds is not None:
@@ -363,9 +365,12 @@ class Run:
             self._faults.append(self._reason)
         return statuses
 
-    def _resume_agents(self) -> None:
-        for text in self._agents.resume():
+    def _resume_agents(self) -> bool:
+        """Continue agents that a signal has stopped; return whether there were any."""
+        texts = self._agents.resume()
+        for text in texts:
             self._view.say(render.warning(text))
+        return bool(texts)
 
     def _over(self, statuses: list[RtpuStatus], passed: float) -> bool:
         """Return whether the run is over, and note why."""

@@ -215,7 +215,7 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
     assert states(arm) == {"stays": "ON", "good": "ON", "old": "NOT-CREATED"}
     assert writer(arm) == "good"
-    assert causes(arm) == []
+    wait_for(lambda: causes(arm) == [], "the end of all causes")
     assert arm.status("stays").on_ns == before.on_ns
 
 

@@ -1,11 +1,14 @@
 """What a run lacks, though nothing failed: its last line and its exit status."""
 
+import signal
+
 import msgspec
 import pytest
 
 from pbonet.master.console import summary
 from pbonet.master.console.run_end import (
     MOST_READ,
+    Interrupts,
     Outcome,
     Shortfall,
     Standstills,
@@ -117,3 +120,11 @@ def test_of_several_shortfalls_the_smallest_status_counts_and_all_are_told():
     assert found.status == 3
     assert found.last_line() == "ERROR> exit status 3 (--strict): stopped; lost"
     assert (outcome().status, outcome().last_line()) == (0, "")
+
+
+def test_a_signal_ends_a_wait_that_has_just_begun():
+    """It comes while the main thread holds the lock of the event it waits for."""
+    interrupts = Interrupts()
+    with interrupts.wished._cond:
+        interrupts.take(signal.SIGINT, None)
+    assert interrupts.wished.wait(60)
