@@ -22,7 +22,7 @@ from .condition_gate import ConditionGate
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Collection, Generator, Sequence
+    from collections.abc import Callable, Collection, Generator, Sequence
 
     from pbonet.config import JobFile, JobTask
     from pbonet.master.configuration import Member
@@ -93,7 +93,10 @@ def change(task_set: SubsystemTasks, job: JobFile) -> legality.Change:
 
 
 def start(
-    task_set: SubsystemTasks, job: JobFile, stopped: threading.Event
+    task_set: SubsystemTasks,
+    job: JobFile,
+    stopped: threading.Event,
+    halted: Callable[[], bool] | None = None,
 ) -> list[m.TaskStatus]:
     """Assemble a job; return the status of its tasks.
 
@@ -101,13 +104,15 @@ def start(
         task_set: The subsystem's tasks.
         job: What to assemble; its PRE must hold, before and when all tasks are there.
         stopped: When it is set, the assembly gives up and is undone.
+        halted: Tells whether a stop has come since the start was wanted; None: none can
+            have.
 
     Raises:
         VerificationError: It would be illegal; nothing was done.
         ConditionError: A condition does not hold; nothing was done.
         PbonetError: A step failed; what was done was undone.
     """
-    gate = ConditionGate(task_set, job, leaves=False)
+    gate = ConditionGate(task_set, job, leaves=False, halted=halted)
     wanted = plan(task_set, job)
     tasks = [member.task for member in wanted]
     problems = task_set.legal(legality.job(tasks))

@@ -39,6 +39,8 @@ class ConditionGate:
         leaves: Whether the one that stands is left by that.
         abandons: Whether it is given up, so that its POST is not asked.
         note: What leads to the job, for the log.
+        halted: As for `in_time`; asked when the conditions hold, since a stop may have
+            made them true.
 
     Raises:
         VerificationError: A condition cannot be answered.
@@ -52,8 +54,10 @@ class ConditionGate:
         leaves: bool,
         abandons: bool = False,
         note: str = "",
+        halted: Callable[[], bool] | None = None,
     ) -> None:
         self._task_set = task_set
+        self._halted = halted or no_stop
         self._note = note
         self._job = job
         self._table = task_set.files.table.variables
@@ -72,8 +76,12 @@ class ConditionGate:
 
         Raises:
             ConditionError: One does not hold.
+            StateError: A stop came from elsewhere.
         """
-        return must_hold(self._asked, self._table, self._values)
+        found = must_hold(self._asked, self._table, self._values)
+        if self._halted():
+            raise _stopped()
+        return found
 
     def entered(self) -> None:
         """Record that the job is the present one, for later masters."""
@@ -146,7 +154,10 @@ def in_time(
                     error.expected = f"them to hold within {seconds:g} s"
                 raise
         if clock.wait(min(LOOK_TIME, left), stopped) or halted():
-            raise StateError(
-                "a stop arrived during the wait for conditions",
-                remedy="start it again",
-            )
+            raise _stopped()
+
+
+def _stopped() -> StateError:
+    return StateError(
+        "a stop arrived during the wait for conditions", remedy="start it again"
+    )

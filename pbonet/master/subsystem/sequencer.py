@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct, structs
@@ -314,12 +315,23 @@ class Sequencer:
         kind = "SAFE" if self._state.safe else "STEP"
         note = f"{self.seq.name}: {kind} {line_text(step)[1]}"
 
+        def halted() -> bool:
+            self._must_have_tasks()
+            return False
+
         def attempt() -> object:
             self._must_have_tasks()  # each time: a stop may come during the wait
+            change = partial(
+                self._subsystem.change_to,
+                file,
+                abandon=abandon,
+                note=note,
+                halted=halted,
+            )
             for _ in range(_ATTEMPTS if abandon else 0):
                 with suppress(ReconfigError):  # another task failed meanwhile
-                    return self._subsystem.change_to(file, abandon=abandon, note=note)
-            return self._subsystem.change_to(file, abandon=abandon, note=note)
+                    return change()
+            return change()
 
         in_time(attempt, self.seq.wait, self._subsystem.clock, self._abort)
         entered = (*self._state.entered, step.name)[-_KEPT_STEPS:]

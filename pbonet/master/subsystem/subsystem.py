@@ -762,7 +762,7 @@ class Subsystem:
         from .condition_gate import in_time, no_stop
 
         def attempt() -> Transition:
-            return self.change_to(job, dry_run=dry_run, abandon=abandon)
+            return self.change_to(job, dry_run=dry_run, abandon=abandon, halted=halted)
 
         self.stopped.clear()
         halted = self._halts() if wait else no_stop
@@ -775,6 +775,7 @@ class Subsystem:
         dry_run: bool = False,
         abandon: bool = False,
         note: str = "",
+        halted: Callable[[], bool] | None = None,
     ) -> Transition:
         """Change to another job as `switch` does, if its conditions hold now.
 
@@ -784,6 +785,8 @@ class Subsystem:
             abandon: Give the present job up.
             note: The reason of the change, for the event STEP in the log; without it
                 there is no such event.
+            halted: Tells whether a stop has come since the change was wanted; None:
+                none can have.
 
         Raises:
             PbonetError: As `switch` says.
@@ -796,7 +799,12 @@ class Subsystem:
                 self.inbox.forget()
             wanted = self.files.read_job(job)
             gate = ConditionGate(
-                task_set, wanted, leaves=True, abandons=abandon, note=note
+                task_set,
+                wanted,
+                leaves=True,
+                abandons=abandon,
+                note=note,
+                halted=halted,
             )
             plan = switching.plan_job(task_set, wanted)
             return switching.carry_out(
@@ -839,7 +847,7 @@ class Subsystem:
                 wanted = self.files.read_job(job)
                 self.recordings.of(wanted, self.files)
                 try:
-                    return assembly.start(task_set, wanted, self.stopped)
+                    return assembly.start(task_set, wanted, self.stopped, halted)
                 finally:
                     task_set.settle()
 
