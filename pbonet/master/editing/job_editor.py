@@ -15,12 +15,12 @@ from pbonet.errors import ConfigError, PbonetError, did_you_mean
 
 from .draft_files import Draft, DraftFiles
 from .fitting_ports import Fit, Fitting
-from .history import History
 from .job_verdict import JobVerdict, judge_job
 from .module_palette import ModulePalette
 from .simulated_run import SimulatedRun, simulate_draft
 from .steps import make_step
 from .task_edits import JOB_FIELDS, RMOD_FIELDS, find_line, record_of, task_names
+from .undo_history import History
 from .wiring_offers import Offer, Offers, Step
 
 if TYPE_CHECKING:
