@@ -9,26 +9,13 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from page_kit import PageServer, Programs, chromium, keep_picture, opened
+from page_kit import PageServer, keep_picture, opened
 from watching import wait_for
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma"
 MODULES = PUMA.parents[1] / "pbonet" / "modules"
 TASKS = ["puma_pidg", "grav_comp", "qrdiff", "jttrace"]
 pytestmark = pytest.mark.timeout(600)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def programs():
-    programs = Programs()
-    yield programs
-    programs.close()
 
 
 @pytest.fixture(scope="module")

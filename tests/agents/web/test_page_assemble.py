@@ -7,24 +7,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from page_kit import PageServer, Programs, chromium, keep_picture, opened
+from page_kit import PageServer, keep_picture, opened
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma"
 WITHOUT_QRDIFF = (("TASK  qrdiff     arm1\n", ""), ("jttrace qrdiff", "jttrace"))
 pytestmark = pytest.mark.timeout(300)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def programs():
-    programs = Programs()
-    yield programs
-    programs.close()
 
 
 @pytest.fixture(scope="module")

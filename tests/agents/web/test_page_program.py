@@ -8,24 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from page_kit import PageServer, Programs, chromium, keep_picture, opened
+from page_kit import PageServer, keep_picture, opened
 from watching import END_TIME, wait_for
 
 CELL = Path(__file__).parents[3] / "examples" / "pick_and_place"
 pytestmark = pytest.mark.timeout(600)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
-def programs():
-    programs = Programs()
-    yield programs
-    programs.close()
 
 
 @pytest.fixture(scope="module")
