@@ -67,6 +67,9 @@ SCOUTING_PORT = 17000
 """The first of the thousand ports on which domains search for their agents."""
 OPEN_TIME = 1.1
 """Seconds for which a client tries to connect."""
+BUSY_TIME = 5.0
+"""The same for agents of this machine whose processes run: what does not answer for a
+second is busy, or its machine is, and a `stop` or `swap` must not fail by that."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
     " Were both sides' keys made by one authority and not revoked, and is the address"
@@ -233,7 +236,8 @@ def client(
     Args:
         domain: Agents of this domain on this machine are tried after `connect`.
         connect: Endpoints of other agents.
-        timeout: Seconds to keep trying.
+        timeout: Seconds to keep trying; 0 for one try. Agents that run on this machine
+            are given `BUSY_TIME`.
         local: Whether to try agents of this machine.
         key_folder: A key folder; by default the one in `PBONET_KEYS`.
 
@@ -269,6 +273,7 @@ def client(
         connect={"endpoints": endpoints, "timeout_ms": 0, "exit_on_failure": True},
         key_folder=key_folder,
     )
+    limit = max(timeout, BUSY_TIME) if timeout and running else timeout
     begin = time.monotonic()
     while True:
         tried = time.monotonic()
@@ -276,7 +281,7 @@ def client(
             return zenoh.open(config)
         except zenoh.ZError as error:
             now = time.monotonic()
-            if now - begin + (now - tried) < timeout:  # the next try may take as long
+            if now - begin + (now - tried) < limit:  # the next try may take as long
                 time.sleep(_OPEN_PAUSE)
                 continue
             got, remedy = _reason(error), ""

@@ -1,10 +1,14 @@
 """Why nobody answers at an endpoint: what is told, and what to do."""
 
+import contextlib
 import socket
+import threading
+import time
 
 import pytest
 
-from pbonet.xm.net import probe_endpoint
+from pbonet.errors import UnreachableError
+from pbonet.xm.net import probe_endpoint, run_folder, session
 
 LISTENS = "is an agent running there, and does it listen on that address?"
 
@@ -54,3 +58,53 @@ def test_each_of_several_is_told_and_what_to_do_once() -> None:
     assert got == "udp/127.0.0.1:9: no answer; udp/127.0.0.2:9: no answer"
     assert remedy == LISTENS
     assert probe_endpoint.reasons(["unixsock-stream//run/x.sock"])[0] == "no answer"
+
+
+@contextlib.contextmanager
+def a_busy_agent(places, tries):
+    """Hold an agent's name; answer on its socket only after so many tries."""
+
+    def serve(silent):
+        kept = [silent.accept()[0] for _ in range(tries)]
+        silent.close()
+        places.remove(places.sock)
+        opened.append(session.agent(places))
+        for one in kept:
+            one.close()
+
+    opened = []
+    lock = run_folder.NameLock(places.lock, "process 1")
+    silent = socket.socket(socket.AF_UNIX)
+    silent.bind(str(places.sock))
+    silent.listen()
+    thread = threading.Thread(target=serve, args=(silent,))
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+        for one in opened:
+            one.close()
+        lock.release()
+
+
+@pytest.mark.usefixtures("run_dir")
+def test_an_agent_of_this_machine_that_is_busy_is_waited_for() -> None:
+    places = run_folder.Places("busy", "arm0")
+    with a_busy_agent(places, tries=4):  # two seconds of silence
+        session.client("busy").close()
+
+
+@pytest.mark.usefixtures("run_dir")
+def test_an_agent_of_this_machine_that_stays_silent_is_given_up(monkeypatch) -> None:
+    monkeypatch.setattr(session, "BUSY_TIME", 2.0)
+    places = run_folder.Places("busy", "arm0")
+    lock = run_folder.NameLock(places.lock, "process 1")
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.bind(str(places.sock))
+        silent.listen()
+        before = time.monotonic()
+        with pytest.raises(UnreachableError, match="no agent of domain busy answers"):
+            session.client("busy")
+    assert time.monotonic() - before > session.OPEN_TIME
+    lock.release()
