@@ -31,6 +31,7 @@ RUNS = {
     "costs": "costs",
     "aperiodic": "aperiodic",
     "startup": "startup",
+    "memory": "memory",
     "steering": "steering",
     "unreachable": "unreachable",
     "swap": "swap",

@@ -501,8 +501,12 @@ def drop_rights() -> None:
     """
 
 def prefault_stack(size: int = 1 << 19) -> None: ...
-def populate_pages() -> int:
-    """Make every private writable page present, which undoes the sharing after fork.
+def populate_pages(whole: int = 1 << 24) -> int:
+    """Make private writable pages present, which undoes the sharing after fork.
+
+    Args:
+        whole: Bytes. Of larger areas only those pages that are present already: such
+            are buffers of which little is used.
 
     Returns:
         Bytes populated.

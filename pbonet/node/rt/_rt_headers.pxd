@@ -240,4 +240,5 @@ cdef extern from "guard.h" nogil:
     int rt_lock_memory()
     int rt_prefault_stack(size_t size)
     int rt_populate(size_t at, size_t size)
+    size_t rt_populate_present(size_t at, size_t size)
     void rt_timer_slack(unsigned long ns)

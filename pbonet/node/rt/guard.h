@@ -153,6 +153,29 @@ static inline int rt_populate(size_t at, size_t size)
     return madvise((void *)at, size, 23 /* MADV_POPULATE_WRITE, Linux 5.14 */);
 }
 
+/* The same for those pages only that are present: a page which is shared with the parent
+ * process becomes the caller's own. Returns how many bytes that are. */
+static inline size_t rt_populate_present(size_t at, size_t size)
+{
+    enum { MOST = 1024 };
+    const size_t page = (size_t)sysconf(_SC_PAGESIZE), end = at + size;
+    unsigned char present[MOST];
+    size_t done = 0;
+    for (size_t here = at; here < end;) {
+        size_t pages = (end - here) / page < MOST ? (end - here) / page : MOST;
+        if (!pages || mincore((void *)here, pages * page, present))
+            return done;
+        for (size_t first = 0, last; first < pages; first = last) {
+            for (last = first + 1; last < pages && !((present[first] ^ present[last]) & 1);)
+                last++;
+            if ((present[first] & 1) && !rt_populate(here + first * page, (last - first) * page))
+                done += (last - first) * page;
+        }
+        here += pages * page;
+    }
+    return done;
+}
+
 /* Touch `size` bytes of stack below the caller, so that no cycle faults there. */
 static __attribute__((noinline, unused)) int rt_prefault_stack(size_t size)
 {

@@ -21,7 +21,6 @@ from pbonet.pbo import Signal, State
 
 from . import (
     cleanup,
-    cpu_idle_states,
     ranking,
     rtpu_snapshot as known,
     status,
@@ -130,7 +129,7 @@ class Rtpu:
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
-        self._awake: cpu_idle_states.IdleStateLock | None = None
+        self._awake: rt.IdleStateLock | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
         """Lets successors on other machines be called."""
@@ -172,7 +171,7 @@ class Rtpu:
         self.locks_memory = probe.lock_memory
         await self.spawner.start()
         if self.config.awake:
-            self._awake = cpu_idle_states.IdleStateLock()
+            self._awake = rt.IdleStateLock()
             self.limits += self._awake.limits
         self.core = rt.CoreTable(self.config.core, member=True)
         self._scheduling = SchedulingCheck(self.core, self.events)

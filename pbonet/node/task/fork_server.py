@@ -51,6 +51,7 @@ def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
     """
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     parent = os.getpid()
+    share_objects()
     try:
         pid = os.fork()
     except OSError as error:
@@ -93,10 +94,20 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once, like SIGTERM
     process_setup.set_title("pbonet-forks")
     process_setup.adopt_descendants()
-    gc.collect()
-    gc.freeze()  # children share these pages until a reference count changes
+    if not gc.get_freeze_count():  # started by exec
+        share_objects()
     control.send(rtpu_messages.encode(rtpu_messages.Ready()))
     return ForkServer(control).serve()
+
+
+def share_objects() -> None:
+    """Prepare this process's objects for being shared with its future children.
+
+    A collection writes to each object that it visits. Frozen ones are not visited, in
+    this process and in its children.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 class ForkServer:

@@ -14,6 +14,8 @@ connect.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import struct
 import sys
@@ -31,6 +33,8 @@ from .sanitise_values import of_numpy, readable_tree
 if TYPE_CHECKING:
     import asyncio
     import socket
+
+    from pbonet.errors import PbonetError
 
 LENGTH = struct.Struct("<I")
 LARGEST_FRAME = 64 << 20
@@ -495,6 +499,19 @@ def encode(message: Struct) -> bytes:
     except UnicodeEncodeError:
         tree = msgspec.to_builtins(message, builtin_types=[bytes], enc_hook=of_numpy)
         return msgspec.msgpack.encode(readable_tree(tree))
+
+
+def report_ready(fd: int, error: PbonetError | None = None) -> None:
+    """Report through a pipe that a process has started, or why it has not.
+
+    Args:
+        fd: The pipe, which is closed afterwards; -1 for none.
+        error: What went wrong.
+    """
+    if fd >= 0:
+        with contextlib.suppress(OSError):
+            os.write(fd, encode(Ready(error=error.to_wire() if error else None)))
+            os.close(fd)
 
 
 def frame(message: Struct) -> bytes:

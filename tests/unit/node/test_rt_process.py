@@ -71,6 +71,30 @@ print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
     assert python(code).strip() == "0"
 
 
+def test_a_large_buffer_of_which_little_is_used_stays_small() -> None:
+    """OpenBLAS has one in each process; what it has used is populated."""
+    code = """
+import mmap, os, resource
+size, used = 64 << 20, 3 << 20
+data = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+data[5 << 20 : (5 << 20) + used] = b'x' * used
+data[size - 1] = 1
+pid = os.fork()
+if pid == 0:
+    rss = lambda: int(open('/proc/self/statm').read().split()[1]) * mmap.PAGESIZE
+    before = rss()
+    _rt.populate_pages()
+    more = rss() - before
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for at in (*range(5 << 20, (5 << 20) + used, 4096), size - 1):
+        data[at] = 2
+    taken = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+    os._exit(0 if more < size // 4 and taken < 10 else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+"""
+    assert python(code).strip() == "0"
+
+
 def test_the_stack_is_touched_down_to_the_depth_asked_for() -> None:
     code = """
 import resource
