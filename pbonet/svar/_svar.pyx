@@ -482,7 +482,8 @@ cdef class LocalTable:
 
     def commit(self, long long now_ns=0, unsigned long long cycle=0, long long own_ns=0) -> int:
         """Commit the out-vars as one group; returns flags, and nothing is sent if any is set."""
-        self.publish()
+        if self.held or self.held_ns:
+            self.publish()
         return self.c_commit(own_ns, now_ns or pb_now(), cycle or self.cycles + 1)
 
     def publish(self) -> None:

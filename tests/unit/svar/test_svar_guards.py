@@ -65,6 +65,30 @@ def test_non_finite_is_refused_wherever_it_stands(kind, bad, nelem):
         assert task.counters.refused == 3 * len({0, nelem // 2, nelem - 1})
 
 
+@pytest.mark.parametrize("kind", ["float", "double"])
+@pytest.mark.parametrize("nelem", [1, 3, 5, 11, 16, 33, 256])
+def test_values_that_are_checked_while_they_are_copied_arrive_whole(kind, nelem):
+    """And after a refused commit readers still have what was there before."""
+    random = np.random.default_rng(nelem)
+    variables = [Variable(name=f"X{i}", type=kind, nelem=nelem) for i in range(3)]
+    names = [v.name for v in variables]
+    with Table.create("whole", variables) as table:
+        task = table.local("t", ME, outvar=names)
+        task.claim()
+        for turn in range(6):
+            for name in names:
+                task.array(name)[:] = random.normal(size=nelem)
+            good = {name: task.array(name).copy() for name in names}
+            assert task.commit(7, turn) == 0
+            spoilt = names[turn % 3], int(random.integers(nelem))
+            task.array(spoilt[0])[spoilt[1]] = np.nan
+            assert task.commit(8, turn) == Flags.COMMIT_NONFINITE
+            assert task.blamed[:2] == spoilt
+            for name in names:
+                np.testing.assert_array_equal(table.read(name), good[name])
+                assert table.info(name).time_ns == 7
+
+
 def test_claim_of_a_non_finite_value_claims_nothing(table):
     task = table.local("t", ME, outvar=["V0"])
     fill(task, V0=np.nan)
