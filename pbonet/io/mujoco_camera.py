@@ -15,7 +15,7 @@ import numpy as np
 
 from pbonet.errors import DeviceError, ParameterError, did_you_mean
 
-from .optional_packages import from_extra, load_mujoco
+from .optional_packages import load_mujoco
 
 if TYPE_CHECKING:
     from pathlib import Path
