@@ -275,12 +275,8 @@ BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     "otg": lambda module: new_goal(module._motion),
     "com_zmp": lambda module: module._model.centroidal,
     "self_collision": lambda module: lambda: coal_distance(module._model, module.q),
-    "whole_body": lambda module: (
-        lambda: module._motion.solver.solve(False)  # noqa: FBT003
-    ),
-    "whole_body_dyn": lambda module: (
-        lambda: module._solver.solve(False)  # noqa: FBT003
-    ),
+    "whole_body": lambda module: lambda: placo_posture(module),
+    "whole_body_dyn": lambda module: lambda: placo_torques(module),
 }
 """The bare call of a module's library, made from its instance."""
 
@@ -306,6 +302,32 @@ def placo_step(module: Any) -> None:  # noqa: ANN401 - its parts are its own
     module._task.T_world_frame = module._goal
     motion.solver.dt = 0.002
     motion.solver.solve(False)  # noqa: FBT003
+
+
+def placo_posture(module: Any) -> None:  # noqa: ANN401 - as above
+    """Do what placo must be asked for: frames, for their goals, the step."""
+    motion = module._motion
+    for task, place in zip(module._feet_tasks, module._places, strict=True):
+        task.target_world = place
+    module._body_task.T_world_frame = module._goal
+    motion.solver.dt = 0.002
+    motion.solver.solve(False)  # noqa: FBT003
+    motion.robot.update_kinematics()
+    for frame in (module.params.body, *module.params.feet):
+        motion.robot.get_T_world_frame(frame)
+
+
+def placo_torques(module: Any) -> None:  # noqa: ANN401 - as above
+    """Do what placo must be asked for: of the state, for goals, the torques."""
+    robot, model = module._robot, module._model
+    robot.state.q, robot.state.qd = model.q, model.v
+    robot.update_kinematics()
+    module._body.T_world_frame = module._pose
+    for name, q in zip(model.joints.joints, module.q_ref.tolist(), strict=True):
+        module._posture.set_joint(name, q, 0.0)
+    for task, foot in zip(module._feet, module.params.feet, strict=True):
+        task.target_world = robot.get_T_world_frame(foot)[:3, 3]
+    module._solver.solve(False)  # noqa: FBT003
 
 
 def coal_distance(model: Any, q: Any) -> None:  # noqa: ANN401 - as above
