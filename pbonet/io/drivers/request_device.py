@@ -231,8 +231,8 @@ class RequestDevice(PortDevice, Generic[R]):
         """Write values that were refused together; raise the first error at the end.
 
         Raises:
-            DeviceError: The device refuses one, or does not answer: then all that follow
-                are left out, for each would take as long.
+            DeviceError: The device refuses one, or does not answer: then all that
+                follow are left out, for each would take as long.
             OSError: The device is gone.
         """
         first: DeviceError | None = None

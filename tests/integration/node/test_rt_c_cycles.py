@@ -120,7 +120,7 @@ def meanwhile(act):
 
 
 def test_cycles_go_on_while_another_thread_keeps_the_interpreter(
-    core, slot, svar, local, state, ring
+    core, slot, svar, local, state, *, ring
 ) -> None:
     svar.write("IN", [4.0, 0.0])
     went = []
@@ -149,7 +149,7 @@ def test_cycles_go_on_while_another_thread_keeps_the_interpreter(
 
 
 def test_an_error_comes_through_and_nothing_is_committed(
-    core, slot, svar, local, state, ring
+    core, slot, svar, local, state, *, ring
 ) -> None:
     svar.write("IN", [4.0, 0.0])
 
@@ -175,7 +175,7 @@ def test_what_is_not_finite_is_refused(core, slot, svar, local, state) -> None:
 
 
 def test_stable_runs_in_its_place_while_the_flag_is_up(
-    core, slot, svar, local, state, ring
+    core, slot, svar, local, state, *, ring
 ) -> None:
     def act():
         while core.snapshot(slot.index).cycles < 2:
