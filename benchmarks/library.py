@@ -124,6 +124,29 @@ def camera() -> Mapping[str, Any]:
     return {"ndof": SIZE, "x": np.column_stack((turn, [0.55, -0.1, -0.1]))}
 
 
+def limbs() -> Mapping[str, Any]:
+    """Return what `self_collision` needs: a robot of cylinders."""
+    shape = '<cylinder radius="0.05" length="0.2"/>'
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    body = (
+        f'<inertial><mass value="1"/>{inertia}</inertial><collision>'
+        f'<origin xyz="0 0 0.2"/><geometry>{shape}</geometry></collision>'
+    )
+    parts = [f'<link name="l0">{body}</link>']
+    for k in range(SIZE):
+        axis = "0 1 0" if k % 2 else "1 0 0"
+        parts.append(
+            f'<link name="l{k + 1}">{body}</link><joint name="j{k}" type="revolute">'
+            f'<parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="0 0 0.4"/>'
+            f'<axis xyz="{axis}"/><limit lower="-2" upper="2" effort="9" velocity="9"/>'
+            "</joint>"
+        )
+    robot = f'<robot name="limbs">{"".join(parts)}</robot>'
+    path = Path(FOLDER.name) / "limbs.urdf"
+    path.write_text(robot, encoding="utf-8")
+    return {"params": {"urdf": path.name}, "q": [0.3] * SIZE}
+
+
 def samples() -> str:
     """Return a file of samples of six joints over ten seconds."""
     path = Path(FOLDER.name) / "samples.csv"
@@ -213,6 +236,11 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
         force="F_FEET",
         ndof="NDOF",
     ),
+    "com_zmp": lambda: {
+        **standing(x="X_MEZ", q="Q_MEZ", ndof="NDOF"),
+        "params": {"urdf": "quadruped.urdf"},
+    },
+    "self_collision": limbs,
     "visual_ball": camera,
     "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
     "can_position": lambda: {"ndof": 2},
@@ -245,12 +273,10 @@ BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     "mpc_linear": lambda module: lambda: daqp_plan(module),
     "mujoco_quad": lambda module: lambda: module._robot.advance(0.002),
     "otg": lambda module: new_goal(module._motion),
-    "whole_body": lambda module: (
-        lambda: module._motion.solver.solve(False)  # noqa: FBT003
-    ),
-    "whole_body_dyn": lambda module: (
-        lambda: module._solver.solve(False)  # noqa: FBT003
-    ),
+    "com_zmp": lambda module: module._model.centroidal,
+    "self_collision": lambda module: lambda: coal_distance(module._model, module.q),
+    "whole_body": lambda module: lambda: placo_posture(module),
+    "whole_body_dyn": lambda module: lambda: placo_torques(module),
 }
 """The bare call of a module's library, made from its instance."""
 
@@ -276,6 +302,39 @@ def placo_step(module: Any) -> None:  # noqa: ANN401 - its parts are its own
     module._task.T_world_frame = module._goal
     motion.solver.dt = 0.002
     motion.solver.solve(False)  # noqa: FBT003
+
+
+def placo_posture(module: Any) -> None:  # noqa: ANN401 - as above
+    """Do what placo must be asked for: frames, for their goals, the step."""
+    motion = module._motion
+    for task, place in zip(module._feet_tasks, module._places, strict=True):
+        task.target_world = place
+    module._body_task.T_world_frame = module._goal
+    motion.solver.dt = 0.002
+    motion.solver.solve(False)  # noqa: FBT003
+    motion.robot.update_kinematics()
+    for frame in (module.params.body, *module.params.feet):
+        motion.robot.get_T_world_frame(frame)
+
+
+def placo_torques(module: Any) -> None:  # noqa: ANN401 - as above
+    """Do what placo must be asked for: of the state, for goals, the torques."""
+    robot, model = module._robot, module._model
+    robot.state.q, robot.state.qd = model.q, model.v
+    robot.update_kinematics()
+    module._body.T_world_frame = module._pose
+    for name, q in zip(model.joints.joints, module.q_ref.tolist(), strict=True):
+        module._posture.set_joint(name, q, 0.0)
+    for task, foot in zip(module._feet, module.params.feet, strict=True):
+        task.target_world = robot.get_T_world_frame(foot)[:3, 3]
+    module._solver.solve(False)  # noqa: FBT003
+
+
+def coal_distance(model: Any, q: Any) -> None:  # noqa: ANN401 - as above
+    """Do what pinocchio and coal must be asked for: places, then distances."""
+    shapes, found = model._shapes, model._found
+    model._pin.updateGeometryPlacements(model._model, model._data, shapes, found, q)
+    model._pin.computeDistances(shapes, found)
 
 
 def daqp_plan(module: Any) -> None:  # noqa: ANN401 - its parts are its own

@@ -36,7 +36,8 @@ class Jaws(PortBasedObject[Drive], module_class="robot interface"):
     """WIDTH follows WIDTH_REF; what is between closing jaws is HELD and goes with them.
 
     It tells CLOSED and OPENED when the jaws have come to rest, CLOSED also without a
-    part between them. Setting `x` brings a new part.
+    part between them. Setting `x` brings a new part. When it is turned off, as by a
+    stop, it lets go of the part.
     """
 
     CLOSED = UserSignal(0, "the jaws have stopped closing")
@@ -87,6 +88,11 @@ class Jaws(PortBasedObject[Drive], module_class="robot interface"):
         """Leave the jaws where they are, and what they hold in them."""
         if self.held:
             self.part[:] = self.tip
+
+    def off(self) -> None:
+        """Let go: without a program the drive has no force."""
+        if not self.task.handover:
+            self.held, self.pressing = False, 0.0
 
     def _tell(self, wanted: str, *, moved: bool) -> None:
         """Tell once that the jaws have come to rest."""

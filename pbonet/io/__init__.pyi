@@ -2,6 +2,7 @@ from pbonet.outside import Outside as Outside
 
 from .arm import SimulatedArm as SimulatedArm
 from .chain import Chain as Chain
+from .collision_model import CollisionModel as CollisionModel
 from .floating_model import FloatingModel as FloatingModel
 from .magellan import AXES as AXES, Ball as Ball
 from .mavlink import MavLink as MavLink

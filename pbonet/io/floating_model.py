@@ -55,6 +55,8 @@ class FloatingModel:
         self.q: Floats = np.array(self._pin.neutral(self._model))
         self.v: Floats = np.zeros(self._model.nv)
         self._still = np.zeros(self._model.nv)
+        self.mass = float(self._pin.computeTotalMass(self._model))
+        """Of the whole robot, kg."""
 
     def frame(self, name: str) -> int:
         """Return the number of a frame: of a link or a joint.
@@ -96,6 +98,18 @@ class FloatingModel:
         found -= weight
         drift: Floats = found[RATES:] - self.joints.damping * self.v[RATES:]
         return momentum, drift
+
+    def centroidal(self) -> tuple[Floats, Floats]:
+        """Return the centre of mass, m, and the momenta of the whole robot.
+
+        The momenta are the linear one, N*s, and the one about the centre of mass,
+        N*m*s, in the axes of the world.
+        """
+        pin, model, data = self._pin, self._model, self._data
+        momenta: Floats = pin.computeCentroidalMomentum(
+            model, data, self.q, self.v
+        ).vector
+        return data.com[0], momenta
 
     def levers(self, frames: Iterable[int], out: Floats) -> None:
         """Write how forces at the origins of frames act at the joints, [n, 3 frames].

@@ -15,7 +15,7 @@ import numpy as np
 
 from pbonet.errors import DeviceError, ParameterError, did_you_mean
 
-from .optional_packages import from_extra
+from .optional_packages import load_mujoco
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,9 +44,8 @@ class MujocoCamera:
     """
 
     def __init__(self, file: Path, camera: str, width: int, height: int) -> None:
-        with from_extra("mujoco", "the drawn camera"):
-            self._mujoco: Any = import_module("mujoco")
-        mujoco = self._mujoco
+        mujoco: Any = load_mujoco("the drawn camera")
+        self._mujoco = mujoco
         self._model = self._read(file)
         self._number = self._named(camera, file)
         self._data = mujoco.MjData(self._model)

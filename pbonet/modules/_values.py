@@ -38,6 +38,25 @@ def spread(values: Sequence[float], n: int, name: str) -> Vector:
     return np.broadcast_to(np.asarray(values, dtype=np.float64), (n,)).copy()
 
 
+def bounds(
+    lower: Sequence[float], upper: Sequence[float], n: int
+) -> tuple[Vector, Vector]:
+    """Return the parameters LOWER and UPPER, each for all of n elements.
+
+    Raises:
+        ParameterError: They have another number of values, or leave no room.
+    """
+    low, high = spread(lower, n, "lower"), spread(upper, n, "upper")
+    if (low > high).any():
+        raise ParameterError(
+            "the limits leave no room",
+            expected="LOWER at most UPPER",
+            got=f"LOWER {lower}, UPPER {upper}",
+            remedy="exchange the two",
+        )
+    return low, high
+
+
 def grid(values: Sequence[float], rows: int, columns: int, name: str) -> Matrix:
     """Return the values of a parameter as a matrix, row by row.
 

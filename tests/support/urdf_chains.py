@@ -89,6 +89,33 @@ def write_chain(folder: Path, n: int, *, damping: float = 0.0) -> Chain:
     return chain
 
 
+BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
+
+
+def write_balls(folder: Path, n: int, last: str = BALL) -> Path:
+    """Write `robot.urdf`, links of 1 m in a plane, each with a ball where it begins.
+
+    Args:
+        folder: Where to.
+        n: Number of joints.
+        last: The shape of the last link.
+    """
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    mass = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    parts = [f'<robot name="balls"><link name="base">{BALL}</link>']
+    for k in range(1, n + 1):
+        before = "base" if k == 1 else f"l{k - 1}"
+        parts.append(
+            f'<link name="l{k}">{mass}{last if k == n else BALL}</link>'
+            f'<joint name="j{k}" type="revolute"><parent link="{before}"/>'
+            f'<child link="l{k}"/><origin xyz="1 0 0"/><axis xyz="0 0 1"/>'
+            '<limit lower="-4" upper="4" effort="9" velocity="9"/></joint>'
+        )
+    path = folder / "robot.urdf"
+    path.write_text("".join([*parts, "</robot>"]), encoding="utf-8")
+    return path
+
+
 def _words(values: np.ndarray) -> str:
     return " ".join(repr(float(value)) for value in values)
 

@@ -94,6 +94,14 @@ class ModbusDevice(RequestDevice[Request]):
         """Return the requests that write the opened ports."""
         return list(writes(self._table, self._first, values))
 
+    def requests_one_by_one(self, values: Sequence[int]) -> Sequence[Request]:
+        """Return a request for each port: a block is refused as a whole."""
+        return [
+            request
+            for port, value in enumerate(values, self._first)
+            for request in writes(self._table, port, [value])
+        ]
+
     def check(self, request: Request, answer: bytes) -> None:
         """Return if the device did what it was asked for."""
         check(request, answer, self._where)

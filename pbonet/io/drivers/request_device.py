@@ -79,7 +79,7 @@ class Line(ABC, Generic[R]):
         self.push()
         self._in += self.taken()
         found = self.unframed(self._request)
-        if found is None and monotonic() >= self.ends:
+        if found is None and self.is_late:
             raise DeviceError(
                 "the device does not answer",
                 where=self.where,
@@ -93,6 +93,11 @@ class Line(ABC, Generic[R]):
     def come(self) -> str:
         """Return what has come of an answer that is late, for errors."""
         return self._in[:16].hex(" ") or "nothing"
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the time is over in which the request is answered."""
+        return monotonic() >= self.ends
 
     def wait(self) -> None:
         """Wait for more bytes, at most until the answer is late."""
@@ -160,6 +165,13 @@ class RequestDevice(PortDevice, Generic[R]):
     def requests_to_write(self, values: Sequence[int]) -> Sequence[R]:
         """Return the requests that write the opened ports."""
 
+    def requests_one_by_one(self, values: Sequence[int]) -> Sequence[R]:
+        """Return requests that write the opened ports, each refused for itself alone.
+
+        Here: those of `requests_to_write`, for a protocol that joins no ports.
+        """
+        return self.requests_to_write(values)
+
     @abstractmethod
     def check(self, request: R, answer: bytes) -> None:
         """Return if the device did what it was asked for.
@@ -204,6 +216,35 @@ class RequestDevice(PortDevice, Generic[R]):
                 self._finish()
             self._begin(self.requests_to_write(values), writes=True)
             self._finish()
+
+    def _write_safe(self) -> None:
+        """Write the safe values; what the device refuses keeps no other from it."""
+        try:
+            super()._write_safe()
+        except DeviceError:
+            if self.opening.wait is Wait.NONE or not self._is_open:
+                raise
+            raw = self.raw_of(self.safe)
+            self.ask(self._write_one_by_one, raw, default=None)
+
+    def _write_one_by_one(self, values: Sequence[int]) -> None:
+        """Write values that were refused together; raise the first error at the end.
+
+        Raises:
+            DeviceError: The device refuses one, or does not answer: then all that
+                follow are left out, for each would take as long.
+            OSError: The device is gone.
+        """
+        first: DeviceError | None = None
+        for request in self.requests_one_by_one(values):
+            try:
+                self.request_now([request])
+            except DeviceError as error:
+                first = first or error
+                if self._line.is_late:
+                    break
+        if first is not None:
+            raise first
 
     def request_now(self, job: Sequence[R]) -> list[tuple[R, bytes]]:
         """Return the answers to requests, and wait for them; not in a cycle.

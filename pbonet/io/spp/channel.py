@@ -63,6 +63,12 @@ class Place(NamedTuple):
         folder.mkdir(mode=0o700, exist_ok=True)
         return folder / f"{self.rtpu}.{self.name}.spp"
 
+    @property
+    def pid(self) -> int:
+        """The program that it belongs to; 0: it belongs to an agent."""
+        last = self.name.rpartition(".")[2]
+        return int(last) if "." in self.name and last.isdecimal() else 0
+
     def is_running(self) -> bool:
         """Return whether an executive runs."""
         return run_folder.is_held(self.lock())
@@ -81,6 +87,16 @@ class Place(NamedTuple):
                     ClientMemory(self, client).destroy()
             Executive(self).destroy()
         self.lock().unlink(missing_ok=True)
+
+
+def places_of_programs(domain: str, rtpu: str) -> list[Place]:
+    """Return where executives of programs are, or were."""
+    files = (run_folder.folder() / domain).glob(f"{rtpu}.*.spp")
+    found = [
+        Place(domain, rtpu, path.name.removeprefix(f"{rtpu}.").removesuffix(".spp"))
+        for path in files
+    ]
+    return [place for place in found if place.pid]
 
 
 class ExecutiveState(Struct, kw_only=True):

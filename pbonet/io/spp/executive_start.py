@@ -124,9 +124,17 @@ def ensure(config: ExecutiveConfig) -> None:
     """
     if not _started:
         atexit.register(end_all)
+        _remove_left(config.place)
     found = _started.get(config.place)
     if found is None or found.process.poll() is not None:
         _started[config.place] = Started(config)
+
+
+def _remove_left(own: channel.Place) -> None:
+    """Remove the memory of executives whose programs were killed."""
+    for place in channel.places_of_programs(own.domain, own.rtpu):
+        if not Path(f"/proc/{place.pid}").exists() and not place.is_running():
+            place.remove()
 
 
 def _after_fork() -> None:

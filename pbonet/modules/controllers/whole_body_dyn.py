@@ -1,5 +1,6 @@
 """Torques of a whole robot on its feet, by placo's inverse dynamics."""
 
+from math import isfinite
 from typing import Annotated as A
 
 import numpy as np
@@ -105,7 +106,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             return
         self._takeover.apply(law, self.tau, dt, self.params.fade)
         effort = self._model.joints.effort
-        np.clip(self.tau, -effort, effort, out=self.tau)
+        np.minimum(self.tau, effort, out=self.tau)  # np.clip takes twice as long
+        np.maximum(self.tau, -effort, out=self.tau)
 
     def _show(self) -> None:
         """Tell placo where the robot is and how it moves."""
@@ -150,7 +152,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             return f"X_BODY_DES of frame {k.body} is not a pose: {why}"
         if why := fault_of_wrench(f"X^_BODY_DES of frame {k.body}", self.v_des):
             return why
-        if not np.isfinite(self.contact).all():
+        if not isfinite(sum(self.contact.tolist())):
             foot = k.feet[int(np.argmin(np.isfinite(self.contact)))]
             return f"CONTACT_DES of {foot} is not finite"
         return (

@@ -1,6 +1,6 @@
 """Inverse kinematics of a whole robot: body and feet at once, by placo."""
 
-from math import hypot, sqrt
+from math import hypot, isfinite, sqrt
 from typing import Annotated as A
 
 import numpy as np
@@ -191,18 +191,19 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         """Report once which frame does not move as it should."""
         k = self.params
         self._read_frames()
-        missing, gap = self._goal - self._body, self._places - self._feet
-        turn = k.length * sqrt(0.5 * float((missing[:3, :3] ** 2).sum()))
-        away = max(float(np.abs(missing[:3, 3]).max()), turn) / dt
-        feet = np.abs(gap).max(axis=1) / dt
-        foot = int(np.argmax(feet))
-        far = max(away, float(feet[foot]))
+        missing = (self._goal - self._body)[:3]
+        turned, moved = missing[:, :3].ravel(), missing[:, 3].tolist()
+        turn = k.length * sqrt(0.5 * float(turned @ turned))
+        away = max(turn, *map(abs, moved)) / dt
+        gaps = (self._places - self._feet).tolist()
+        feet = [max(map(abs, gap)) / dt for gap in gaps]
+        far = max(away, *feet)
         if far < 0.5 * k.short:
             self._told.clear()
         elif far >= k.short and not self._told.of("reach"):
             which = f"{k.body} cannot follow X_BODY_DES"
-            if feet[foot] > away:
-                which = f"{k.feet[foot]} cannot follow X_FEET_DES"
+            if far > away:
+                which = f"{k.feet[feet.index(far)]} cannot follow X_FEET_DES"
             why = self._motion.stopped(self.qd_ref)
             self._told.warn("reach", f"frame {which}: {why}")
 
@@ -215,8 +216,8 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         """Return why a goal is none."""
         if why := fault_of(self.x_body):
             return f"X_BODY_DES of frame {self.params.body} is not a pose: {why}"
-        finite = np.isfinite(self.x_feet).all(axis=1)
-        if not finite.all():
+        if not isfinite(sum(self.x_feet.ravel().tolist())):
+            finite = np.isfinite(self.x_feet).all(axis=1)
             foot = self.params.feet[int(np.argmin(finite))]
             return f"X_FEET_DES of frame {foot} is not finite"
         return ""

@@ -13,8 +13,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.errors import ParameterError
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import PerElement, bounds
 
 
 class Range(Params):
@@ -49,14 +48,4 @@ class Integrator(PortBasedObject[Range], module_class="signal"):
 
     def _take_limits(self) -> None:
         k, n = self.params, self.ndof
-        self._lower, self._upper = (
-            spread(k.lower, n, "lower"),
-            spread(k.upper, n, "upper"),
-        )
-        if (self._lower > self._upper).any():
-            raise ParameterError(
-                "the limits leave no room",
-                expected="LOWER at most UPPER",
-                got=f"LOWER {k.lower}, UPPER {k.upper}",
-                remedy="exchange the two",
-            )
+        self._lower, self._upper = bounds(k.lower, k.upper, n)

@@ -13,8 +13,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.errors import ParameterError
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import PerElement, bounds, spread
 
 FREE = 1e12
 """The limit where none is given: more than any robot's, and finite."""
@@ -98,19 +97,9 @@ class Limits(PortBasedObject[Bounds], module_class="signal"):
 
     def _take_limits(self) -> None:
         k, n = self.params, self.ndof
-        self._lower, self._upper = (
-            spread(k.lower, n, "lower"),
-            spread(k.upper, n, "upper"),
-        )
+        self._lower, self._upper = bounds(k.lower, k.upper, n)
         self._velocity = spread(k.velocity, n, "velocity")
         self._acceleration = spread(k.acceleration, n, "acceleration")
-        if (self._lower > self._upper).any():
-            raise ParameterError(
-                "the limits leave no room",
-                expected="LOWER at most UPPER",
-                got=f"LOWER {k.lower}, UPPER {k.upper}",
-                remedy="exchange the two",
-            )
 
 
 def clipped(values: Vector, low: Vector, high: Vector) -> Vector:

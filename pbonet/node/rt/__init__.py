@@ -40,6 +40,7 @@ from ._rt import (
     prefault_stack as prefault_stack,
     probe as probe,
     restrict as restrict,
+    see_interrupt as see_interrupt,
     set_timer_slack as set_timer_slack,
     thread_cpu_ns as thread_cpu_ns,
 )

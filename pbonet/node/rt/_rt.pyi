@@ -512,6 +512,16 @@ def populate_pages(whole: int = 1 << 24) -> int:
         Bytes populated.
     """
 
+def see_interrupt(signal: int) -> None:
+    """Have a signal seen that comes amid a cycle in C, where no bytecode runs.
+
+    Args:
+        signal: One that has a handler in Python.
+
+    Raises:
+        RealTimeError: It has none.
+    """
+
 def set_timer_slack(ns: int = 1) -> None: ...
 def pin(core: int) -> None:
     """Pin the calling thread to a core.

@@ -229,6 +229,10 @@ cdef extern from "restrict.h" nogil:
     int rt_restrict(const int32_t *pids, size_t count)
     int rt_drop_rights()
 
+cdef extern from "interrupts.h" nogil:
+    int rt_see_interrupt(int signal)
+    int rt_take_interrupt()
+
 cdef extern from "guard.h" nogil:
     struct xm_steady:
         pass

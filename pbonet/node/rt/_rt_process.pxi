@@ -23,6 +23,13 @@ def leave_to_next(int signal) -> None:
                             got=os.strerror(error))
 
 
+def see_interrupt(int signal) -> None:
+    cdef int error = rt_see_interrupt(signal)
+    if error:
+        raise RealTimeError("the signal is not seen amid a cycle in C",
+                            got=os.strerror(error))
+
+
 def lock_memory() -> None:
     cdef int error = rt_lock_memory()
     if error:

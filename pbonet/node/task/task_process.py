@@ -136,6 +136,7 @@ class Host:
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         for which in (signal.SIGTERM, signal.SIGINT):
             signal.signal(which, self._on_signal)
+            rt.see_interrupt(which)
 
     def open_core(self, number: int) -> rt.CoreTable:
         """Return the table of a core.

@@ -695,6 +695,19 @@ def test_a_task_that_warns_always_floods_nobody(arm):
     assert arm.off("bad").state == "OFF"
 
 
+@pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
+def test_a_task_in_c_that_is_nearly_always_busy_is_told_to_end(arm, nodes, which):
+    """The signal comes amid a cycle, where no wait notices it."""
+    put_misbehaving(nodes.library)
+    tid = arm.spawn("bad", "c_works", freq=50.0).tid
+    arm.on("bad")
+    arm.wait_cycles("bad", 3)
+    os.kill(tid, which)
+    assert which.name in arm.wait_event("ENDING", "bad").text
+    arm.wait_event("TASK_DIED", "bad")
+    assert not alive(tid)
+
+
 def test_a_deaf_task_is_killed_all_the_same(arm):
     tid = arm.spawn("bad", "ignores_sigterm").tid
     arm.on("bad")

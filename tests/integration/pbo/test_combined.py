@@ -32,7 +32,7 @@ def test_a_controller_in_one_task(arm):
     arm.start()
     cycles(arm, "servo")
     status = arm.status("servo")
-    assert status.module == "forward_kin+damped_ls+integrator"
+    assert status.module == "forward_kin+damped_ls+reference_integrator"
     writers = {one.name: one.writer for one in arm.display()}
     assert writers["Q_REF"] == writers["SIGMA"] == "servo"
     assert not {writers[name] for name in ("X_MEZ", "J_MEZ", "Q^_CMD")} - {"", None}

@@ -86,6 +86,16 @@ def test_safe_values_wait_for_the_node_behind_what_did_not(rig):
     assert values[-3:] == [6, 7, 8]
 
 
+def test_a_safe_value_that_is_refused_keeps_no_other_from_the_node(rig):
+    node = opened(safe=[6, 7, 8])
+    node.write([15, 1, 2])
+    rig.node.aborts[0x6040, 0] = 0x08000022
+    with pytest.raises(DeviceError, match=r"object 6040:00: .*in this state"):
+        node.close()
+    assert rig.node.objects[0x6040, 0] == b"\x0f\0"
+    assert rig.node.objects[0x60FF, 2] == b"\x08"
+
+
 @pytest.mark.parametrize("value", [b"\1", b"123456789"])
 def test_an_object_of_another_size_is_refused(rig, value):
     rig.node.objects[0x6064, 0] = value

@@ -228,6 +228,28 @@ def test_a_refusal_leaves_the_device_open(tcp):
                 plc.write([1, 2])
 
 
+def test_a_safe_value_that_is_refused_keeps_no_other_from_the_device(tcp):
+    """The last port is none of the device's, which refuses the block."""
+    safe = [11, 12, 13, 14]
+    with database.using({"plc": device(tcp, COUNT - 3)}):
+        plc = open_device("plc", 0, 3, mode=Mode.RW, safe=safe)
+        with pytest.raises(DeviceError, match="no such address"):
+            plc.close()
+    with opened(device(tcp, COUNT - 3), 0, 2) as plc:
+        assert plc.read() == safe[:3]
+        plc.write([k * 7 & 0xFFFF for k in range(COUNT - 3, COUNT)])
+
+
+def test_a_device_that_is_silent_is_asked_for_no_more_safe_values(end):
+    with database.using({"plc": device(end.address, timeout=0.02, **end.settings)}):
+        plc = open_device("plc", 0, 3, mode=Mode.RW, safe=[1, 2, 3, 4])
+        end.begin()
+        with pytest.raises(DeviceError, match="does not answer"):
+            plc.close()
+        all_four = len(end.asked())
+    assert all_four < 2 * (7 + 6 + 8), "the block, and the first one alone"
+
+
 @pytest.mark.parametrize("address", ["127.0.0.1", "127.0.0.1:x", "127.0.0.1:1"])
 def test_an_address_where_nothing_answers_is_named(address):
     refused = pytest.raises(DeviceError, match="the device cannot be reached")

@@ -363,7 +363,13 @@ def test_an_executive_ends_with_its_program_also_when_both_are_stopped():
         os.kill(pid, signal.SIGSTOP)
         parent.kill()
     wait_for(lambda: not Path(f"/proc/{pid}/exe").exists(), "the executive's end")
-    Place("default", names.NOWHERE, f"fpa.{parent.pid}").remove()
+    left = Place("default", names.NOWHERE, f"fpa.{parent.pid}")
+    assert left.clients()
+    with processors.using({"fpa": SppEntry(driver="numpy")}):
+        Spp("fpa", str(KERNELS)).finish()  # the next program that has one
+    assert left.clients() == []
+    assert not left.lock().exists()
+    assert [one for one in names.standing("shm", "default") if left.name in one] == []
 
 
 def test_without_an_executive_nothing_waits_that_need_not(monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 import pytest
 from device_rigs import Joystick as Pad
@@ -52,6 +53,23 @@ def test_it_follows_the_events(pad) -> None:
         assert stick.read()[:2] == [255, -100]
         pad.send((KEY, EAST, 1), (KEY, SOUTH, 0), (ABS, 40, 9), (KEY, 44, 1))
         assert stick.read() == stick.read() == [255, -100, 0]
+
+
+PRESSED = """
+    e2 3b 58 66 00 00 00 00  9a 4c 0b 00 00 00 00 00  04 00 04 00 01 00 09 00
+    e2 3b 58 66 00 00 00 00  9a 4c 0b 00 00 00 00 00  01 00 30 01 01 00 00 00
+    e2 3b 58 66 00 00 00 00  9a 4c 0b 00 00 00 00 00  03 00 01 00 c4 ff ff ff
+    e2 3b 58 66 00 00 00 00  9a 4c 0b 00 00 00 00 00  00 00 00 00 00 00 00 00
+"""
+"""What a 64-bit kernel sends for a button pushed and a stick pulled, as `od` shows it:
+four events of 24 bytes, the first with the button's number on the device (MSC_SCAN)."""
+
+
+@pytest.mark.skipif(sys.byteorder != "little" or EVENT.size != 24, reason="other bytes")
+def test_it_reads_the_bytes_of_a_kernel(pad) -> None:
+    with open_device("pad", 0, 3, mode=Mode.READ) as stick:
+        os.write(pad.fd, bytes.fromhex(PRESSED))
+        assert stick.read() == [128, 2**32 - 60, 1, 0]
 
 
 def test_it_asks_again_after_events_were_lost(pad) -> None:

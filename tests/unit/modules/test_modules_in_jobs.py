@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from urdf_chains import write_chain
+from urdf_chains import write_balls, write_chain
 
 import pbonet.modules
 from pbonet import Subsystem
@@ -34,8 +34,10 @@ RMODS = [
     "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
     "wrench_comp", "ekf_odom", "diff_drive", "mecanum", "ackermann", "deadman",
     "joystick", "spacemouse", "mpc_linear", "lqr", "dmp", "encoder_sim",
-    "axes_speed_sim",
+    "axes_speed_sim", "tricycle", "reference_integrator", "com_zmp", "self_collision",
 ]  # fmt: skip
+ROBOTS = {"com_zmp": write_chain, "self_collision": write_balls}
+"""What writes the URDF file that a module needs."""
 
 
 class Variables:
@@ -126,6 +128,8 @@ def job(folder: Path, tasks: list[str], spares=(), sizes=None) -> Subsystem:
 def test_a_module_runs_with_its_rmod(tmp_path, monkeypatch, name: str) -> None:
     monkeypatch.chdir(tmp_path)
     Path("trajectory.csv").write_text(CSV, encoding="ascii")
+    if name in ROBOTS:
+        ROBOTS[name](tmp_path, SIZES["ndof"])
     with job(tmp_path, [name], sizes=KALMAN if name == "kalman" else None) as system:
         system.start()
         system.wait(0.2)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +206,25 @@ def files_noted(folder: Path) -> list[str]:
     return [
         str(Path(one.path).relative_to(folder.absolute())) for one in files_read(player)
     ]
+
+
+LOADS = """
+import sys
+sys.addaudithook(lambda event, args: event == "subprocess.Popen" and sys.exit(args[1]))
+from pbonet.io import MujocoRobot
+print(MujocoRobot(sys.argv[1]).n)
+"""
+
+
+def test_loading_mujoco_starts_no_program_which_a_replay_refuses() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOADS, str(PANDA / "panda.urdf")],
+        env={name: os.environ[name] for name in os.environ if name != "MUJOCO_GL"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("7\n", "")
 
 
 def test_included_files_are_noted_and_those_that_they_include(tmp_path: Path) -> None:

@@ -14,11 +14,13 @@ from pbonet.config import read_rmod
 from pbonet.config.library import Library
 from pbonet.errors import MethodError, ParameterError
 from pbonet.io.puma560 import PUMA560
+from pbonet.master.subsystem import Subsystem
 from pbonet.modules._dh import Geometry, gap, rotation, scale
 from pbonet.modules.kinematics.damped_ls import DampedLS
 from pbonet.modules.kinematics.forward_kin import ForwardKin
 from pbonet.modules.kinematics.puma_inv_kin import PumaInvKin
 from pbonet.modules.signals.integrator import Integrator
+from pbonet.modules.signals.reference_integrator import ReferenceIntegrator
 from pbonet.modules.trajectories.visual_target import VisualTarget
 from pbonet.pbo import decode_params
 from pbonet.testing import Bench
@@ -364,6 +366,81 @@ def test_limits_may_be_set_and_do_not_pull() -> None:
     assert bench.outputs.z == pytest.approx([0.5, -0.6])
     with pytest.raises((MethodError, ParameterError), match="limits leave no room"):
         bench.set("upper", -2.0)
+
+
+# --------------------------------------------------------------- reference_integrator
+
+
+def reference(z: float = 0.0, **params: object) -> Bench[ReferenceIntegrator]:
+    given = {"lower": (-1.0,), "upper": (1.0,), "lead": (0.1,)} | params
+    bench = Bench(ReferenceIntegrator, params=given, ndof=1, z=[z], freq=100)
+    bench.on()
+    assert bench.outputs.z.tolist() == [z], "bumpless"
+    return bench
+
+
+def test_a_reference_that_is_followed_is_the_integral_within_its_limits() -> None:
+    bench = reference()
+    time = np.arange(1, 201) * 0.01
+    for t in time:
+        bench.inputs.z_mez = bench.outputs.z
+        bench.inputs.z_dot = [np.cos(5.0 * t)]
+        bench.step()
+        wanted = 0.01 * np.cos(5.0 * time[: round(t * 100)]).sum()
+        assert bench.outputs.z[0] == pytest.approx(wanted, abs=1e-9)
+    for _ in range(200):
+        bench.inputs.z_mez = bench.outputs.z
+        bench.inputs.z_dot = [2.0]
+        bench.step()
+    assert bench.outputs.z.tolist() == [1.0]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_reference_that_is_not_followed_waits_and_comes_back_at_once(sign) -> None:
+    bench = reference()
+    bench.inputs.z_dot = [0.5 * sign]
+    bench.step(n=500)
+    assert bench.outputs.z[0] == pytest.approx(0.1 * sign, abs=1e-9)
+    bench.inputs.z_dot = [-0.5 * sign]
+    bench.step(n=10)
+    assert bench.outputs.z[0] == pytest.approx(0.05 * sign, abs=1e-9)
+
+
+def test_a_reference_that_begins_far_away_is_not_pulled() -> None:
+    bench = reference(0.7)
+    bench.inputs.z_dot = [1.0]
+    bench.step()
+    assert bench.outputs.z.tolist() == [0.7]
+    bench.inputs.z_dot = [-1.0]
+    bench.step()
+    assert bench.outputs.z[0] == pytest.approx(0.69)
+    bench.set("lead", 1.0)
+    bench.inputs.z_dot = [1.0]
+    bench.step()
+    assert bench.outputs.z[0] == pytest.approx(0.7)
+
+
+def test_an_arm_that_was_in_stable_goes_to_its_target_and_not_beyond() -> None:
+    """The target goes on meanwhile; then the arm has gravity compensated again."""
+    with Subsystem(EXAMPLE / "damped.job", virtual=True) as arm:
+        arm.start()
+        arm.wait(1.0)
+        arm.kill("grav_comp")
+        arm.wait(3.0)
+        arm.spawn("grav_comp", "arm1")
+        arm.on("grav_comp")
+        arm.wait(2.0)
+        arm.finish()
+        recording = arm.simulation.recording
+    held, steps = recording.arrays("puma_pidg"), recording.arrays("qrint")
+    seen = np.searchsorted(held["release_ns"], steps["release_ns"], side="right") - 1
+    lead = np.abs(steps["Q_REF"] - held["Q_MEZ"][seen])
+    assert lead.max() == pytest.approx(0.1, abs=0.01), "it would be 2.4 rad"
+    time = (held["release_ns"] - held["release_ns"][0]) * 1e-9
+    assert np.abs(held["Q^_MEZ"][time > 5.0]).max() < 0.3, "it is there"
+    place = recording.arrays("forward_kin")["X_MEZ"].reshape(-1, 3, 4)[:, :, 3]
+    path = np.linalg.norm(np.diff(place, axis=0), axis=1).sum()
+    assert path < 1.2 * np.linalg.norm(place[-1] - place[0]), "without a detour"
 
 
 # ---------------------------------------------------------------------- visual_target

@@ -138,3 +138,19 @@ def test_jaws_hold_what_is_between_them() -> None:
         bench.step(0.01)
         assert not bench["HELD"]
         assert list(bench["PART"]) == [0.5, -0.25, -0.3], "it stays where it was let go"
+
+
+@pytest.mark.slow
+def test_after_a_stop_with_a_part_the_program_can_begin_again(demo: ModuleType) -> None:
+    with demo.open_cell(sim=True) as cell:
+        program = demo.Program(cell, str)
+        cell.spawn("short_fingers", "arm1")
+        for job, signal in demo.STEPS[:3]:
+            program.enter(job)
+            cell.sigwait([signal], timeout=30.0)
+        program.enter("lift")
+        assert cell.display("HELD")[0].values == [1.0]
+        cell.stop()
+        assert cell.display("HELD")[0].values == [0.0]
+        cell.spawn("short_fingers", "arm1")
+        cell.start("approach")

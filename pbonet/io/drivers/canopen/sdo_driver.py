@@ -4,7 +4,7 @@ The address is the channel of the CAN bus, such as ``can0``. Port k is the k-th 
 setting `objects`, read and written by one SDO request each. Opening asks for the
 node's type (object 1000h). See `RequestDevice` for how a call waits.
 
-A node's process data (PDO) are frames of the driver ``can``.
+Its process data are the driver ``canopen_pdo``.
 
 Its tests have a node that a test makes up. It was not run with hardware here.
 """
@@ -18,21 +18,23 @@ from typing import TYPE_CHECKING, Annotated as A, Any, ClassVar, Final, NamedTup
 from msgspec import Meta
 
 from pbonet.errors import DeviceError
-
-from .can_driver import BusSettings, CanBus
-from .device import Kind, Settings
-from .modes import Mode
-from .port_claims import APART
-from .request_device import Line, RequestDevice
+from pbonet.io.drivers import (
+    BusSettings,
+    CanBus,
+    Kind,
+    Line,
+    Mode,
+    RequestDevice,
+    Settings,
+    port_claims,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pbonet.config import Entry
+    from pbonet.io.drivers import Device, Opening
     from pbonet.outside import Outside
-
-    from .device import Device
-    from .modes import Opening
 
 _OBJECT: Final = r"^[0-9a-fA-F]{4}:[0-9a-fA-F]{2}/(8|16|32)$"
 _REQUESTS, _ANSWERS = 0x600, 0x580
@@ -79,11 +81,11 @@ ABORTS: Final = {
 class CanopenSettings(
     BusSettings, frozen=True, forbid_unknown_fields=True, kw_only=True
 ):
-    """``[device.NAME.settings]`` of a node."""
+    """``[device.NAME.settings]`` of a node, as far as both drivers have them."""
 
     objects: A[tuple[A[str, Meta(pattern=_OBJECT)], ...], Meta(min_length=1)]
     """``INDEX:SUB/BITS`` of each port, index and subindex in hexadecimal digits."""
-    unit: A[int, Meta(ge=1, le=127)] = APART["unit"]
+    unit: A[int, Meta(ge=1, le=127)] = port_claims.APART["unit"]
     """The node's number."""
     timeout: A[float, Meta(gt=0.0)] = 0.5
     """Seconds in which a request is answered."""
@@ -230,11 +232,15 @@ class CanopenDevice(RequestDevice[Sdo]):
                 remedy="name one of them",
             )
         if not self.ask(self._command, NMT[value], default=True):
-            raise DeviceError(
-                "there is no room on the bus",
-                where=self._where,
-                remedy="try again later; check that the bus has another node",
-            )
+            raise self.no_room()
+
+    def no_room(self) -> DeviceError:
+        """Return the error for a bus that takes no frame."""
+        return DeviceError(
+            "there is no room on the bus",
+            where=self._where,
+            remedy="try again later; check that the bus has another node",
+        )
 
     def _command(self, number: int) -> bool:
         return self._node.command(number)
