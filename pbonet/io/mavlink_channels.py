@@ -19,7 +19,11 @@ from pbonet.outside import using
 from .serial_line import SerialLine
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     Place = tuple[str, int]
+    Read = tuple[bytes, Place | None]
+    """What one read gave, and its sender, if there may be several."""
 
 LONGEST = 4096
 """Bytes of one read; a MAVLink frame has 293 at most."""
@@ -82,12 +86,15 @@ class Channel(Protocol):
     def open(self) -> None:
         """Begin."""
 
-    def receive(self) -> bytes | None:
-        """Return what one read gives; None: nothing is there."""
+    def receive(self, most: int) -> list[Read]:
+        """Return what is there, by at most so many reads.
+
+        A loss is raised when nothing is left to return.
+        """
         ...
 
-    def accept(self) -> None:
-        """Send to the sender of the last read, too."""
+    def accept(self, sender: Place | None) -> None:
+        """Send to the sender of a read, too."""
 
     def send(self, data: bytes) -> bool:
         """Send one frame; False: there is no room for it, or no other end."""
@@ -145,7 +152,6 @@ class UdpChannel(_Socket):
     def __init__(self, address: Address) -> None:
         super().__init__(address)
         self._peers: dict[Place, None] = {}
-        self._sender: Place | None = None
         self._accepted: Place | None = None
 
     def open(self) -> None:
@@ -158,23 +164,26 @@ class UdpChannel(_Socket):
         else:
             made.connect(self._place)
 
-    def receive(self) -> bytes | None:
-        """Return the next datagram, which may be empty."""
+    def receive(self, most: int) -> list[Read]:
+        """Return the next datagrams, which may be empty."""
+        made, found = self._open_socket(), list["Read"]()
         try:
-            data, self._sender = self._open_socket().recvfrom(LONGEST)
+            if self._address.kind == "udpout":  # the sender is known: that is faster
+                while len(found) < most:
+                    found.append((made.recv(LONGEST), None))
+            while len(found) < most:
+                found.append(made.recvfrom(LONGEST))
         except (BlockingIOError, ConnectionRefusedError):  # the latter: not there yet
-            return None
-        return data
+            pass
+        return found
 
-    def accept(self) -> None:
-        """Send to the sender of the last datagram, too."""
-        if self._address.kind == "udpout" or self._sender is None:
+    def accept(self, sender: Place | None) -> None:
+        """Send to the sender of a datagram, too."""
+        if sender is None or sender == self._accepted:
             return
-        if self._sender == self._accepted:
-            return
-        self._accepted = self._sender
-        self._peers.pop(self._sender, None)
-        self._peers[self._sender] = None
+        self._accepted = sender
+        self._peers.pop(sender, None)
+        self._peers[sender] = None
         if len(self._peers) > PEERS:
             del self._peers[next(iter(self._peers))]
 
@@ -189,6 +198,21 @@ class UdpChannel(_Socket):
         except (BlockingIOError, ConnectionRefusedError):
             return sent
         return sent
+
+
+def _pieces(read: Callable[[], bytes], most: int) -> list[Read]:
+    """Return the pieces of a stream that are there.
+
+    A loss is raised by the next call when something came before it.
+    """
+    found = list["Read"]()
+    try:
+        while len(found) < most and (data := read()):
+            found.append((data, None))
+    except OSError:
+        if not found:
+            raise
+    return found
 
 
 class TcpChannel(_Socket):
@@ -209,17 +233,20 @@ class TcpChannel(_Socket):
         if code not in {0, errno.EINPROGRESS}:
             raise OSError(code, os.strerror(code))
 
-    def receive(self) -> bytes | None:
+    def receive(self, most: int) -> list[Read]:
         """Return what has arrived."""
+        return _pieces(self._piece, most)
+
+    def _piece(self) -> bytes:
         try:
             data = self._open_socket().recv(LONGEST)
         except BlockingIOError:
-            return None
+            return b""
         if not data:
             raise OSError(errno.ECONNRESET, "the other end has closed the connection")
         return data
 
-    def accept(self) -> None:
+    def accept(self, sender: Place | None) -> None:
         """There is one other end."""
 
     def send(self, data: bytes) -> bool:
@@ -249,11 +276,11 @@ class SerialChannel:
         self._line.open()
         self._unsent = b""
 
-    def receive(self) -> bytes | None:
+    def receive(self, most: int) -> list[Read]:
         """Return what has arrived."""
-        return self._line.read_available(LONGEST) or None
+        return _pieces(lambda: self._line.read_available(LONGEST), most)
 
-    def accept(self) -> None:
+    def accept(self, sender: Place | None) -> None:
         """There is one other end."""
 
     def send(self, data: bytes) -> bool:

@@ -51,17 +51,15 @@ class FrameFinder:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that `data` completes, in order."""
-        alone = data and not self._rest
-        if alone and _size(data, 0) == len(data):  # one frame, as usual
+        self.damaged = 0
+        if not self._rest and _is_frame(data):
             frame = self._check(data, len(data))
             if frame is not None:
-                self.damaged = 0
                 return [frame] if frame.system >= 0 else []
         return self._search(self._rest + data)
 
     def _search(self, data: bytes) -> list[Frame]:
         at, end, found, noise = 0, len(data), list[Frame](), False
-        self.damaged = 0
         while at < end:
             size = _size(data, at)
             if size and at + size > end and not self._whole:
@@ -93,6 +91,17 @@ class FrameFinder:
         if data[crc_at] | data[crc_at + 1] << 8 != crc:
             return None
         return Frame(kind, system, component, data)
+
+
+def _is_frame(data: bytes) -> bool:
+    """Return whether these bytes may be one frame of MAVLink 2, and no more."""
+    size = len(data)
+    return (
+        size >= _LONGEST_HEADER
+        and data[0] == V2
+        and size == data[1] + (12, 12 + _SIGNATURE)[data[2] == SIGNED]
+        and data[2] <= SIGNED
+    )
 
 
 def _size(data: bytes, at: int) -> int:
