@@ -54,6 +54,8 @@ class MavLink:
         refused: Frames without a valid signature.
         foreign: Frames of other systems, by system id.
         unsent: Frames for which the link had no room.
+        alive: Whether the other end is there, and was not lost since its task was
+            turned on; the module that owns the link sets it, for the parts after it.
 
     Raises:
         ParameterError: The address is none, or needs a key.
@@ -78,6 +80,7 @@ class MavLink:
         self.fault: DeviceError | None = None
         self.damaged = self.refused = self.unsent = 0
         self.foreign: dict[int, int] = {}
+        self.alive = False
         self._retry_ns, self._work = round(retry * 1e9), work
         self._next_try_ns: int | None = None
         self._opened = False
@@ -139,7 +142,7 @@ class MavLink:
         return self._kinds[name] in self._received
 
     def send(self, message: Any) -> None:  # noqa: ANN401
-        """Send a message of `mav`, if the link is open; it is lost if there is no room."""
+        """Send a message of `mav` if the link is open; without room it is lost."""
         if not self._opened or self._outside.plays:
             return
         data = message.pack(self.mav)
@@ -244,7 +247,9 @@ class MavLink:
             frames = finder.feed(data)
             damaged += finder.damaged
             if judge is not None:
-                valid = [f for f in frames if judge.valid(f.data, f.system, f.component)]
+                valid = [
+                    f for f in frames if judge.valid(f.data, f.system, f.component)
+                ]
                 refused, frames = refused + len(frames) - len(valid), valid
             if self._keep(frames):
                 self._channel.accept(sender)

@@ -1,7 +1,8 @@
 """Channels for the bytes of a MAVLink link: UDP, TCP or a serial line, never waiting.
 
-An address is one word: ``udpin:HOST:PORT`` waits there for others, ``udpout:HOST:PORT``
-and ``tcp:HOST:PORT`` call them, ``serial:/dev/ttyACM0:57600`` is a line.
+An address is one word: ``udpin:HOST:PORT`` and ``tcpin:HOST:PORT`` wait there for
+others, ``udpout:HOST:PORT`` and ``tcp:HOST:PORT`` call them, and
+``serial:/dev/ttyACM0:57600`` is a line.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import ipaddress
 import os
 import select
 import socket
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from pbonet.errors import ParameterError
 from pbonet.outside import using
@@ -37,7 +38,7 @@ class Address(NamedTuple):
     """An address of a link, taken apart."""
 
     kind: str
-    """udpin, udpout, tcp or serial."""
+    """udpin, udpout, tcp, tcpin or serial."""
     place: str
     """The host's number, or the device file."""
     number: int
@@ -66,11 +67,11 @@ def parse_address(text: str) -> Address:
         port = int(number)
     except ValueError:
         port = 0
-    if kind not in {"udpin", "udpout", "tcp"} or not 0 < port < 1 << 16:
+    if kind not in CHANNELS or not 0 < port < 1 << 16:
         raise ParameterError(
             "this is no address of a MAVLink link",
-            expected="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT with the number "
-            "of a host or localhost, or serial:DEVICE:BAUD",
+            expected="udpin:, udpout:, tcp: or tcpin:HOST:PORT with the number of a "
+            "host or localhost, or serial:DEVICE:BAUD",
             got=text,
             remedy="correct ADDRESS, as in udpin:localhost:14550",
         )
@@ -105,13 +106,6 @@ class Channel(Protocol):
 
     def close(self) -> None:
         """End; allowed twice."""
-
-
-def make_channel(address: Address) -> Channel:
-    """Return the channel of an address; it is not open."""
-    if address.kind == "serial":
-        return SerialChannel(address)
-    return TcpChannel(address) if address.kind == "tcp" else UdpChannel(address)
 
 
 class _Socket:
@@ -261,6 +255,57 @@ class TcpChannel(_Socket):
         return True
 
 
+class TcpServerChannel(TcpChannel):
+    """A stream to the client that connects first."""
+
+    def __init__(self, address: Address) -> None:
+        super().__init__(address)
+        self._door: socket.socket | None = None
+
+    def open(self) -> None:
+        """Take the port, and wait for a client."""
+        self.close()
+        self._unsent = b""
+        self._door = made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        made.settimeout(0.0)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(self._place)
+        made.listen(1)
+
+    def receive(self, most: int) -> list[Read]:
+        """Return what has arrived."""
+        return super().receive(most) if self._connected() else []
+
+    def send(self, data: bytes) -> bool:
+        """Send a frame whole, now or with the next one; False without a client."""
+        return self._connected() and super().send(data)
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something is there."""
+        if self._connected():
+            super().wait(seconds)
+        elif self._door is not None:
+            select.select([self._door], [], [], seconds)
+
+    def close(self) -> None:
+        """End."""
+        super().close()
+        door, self._door = self._door, None
+        if door is not None:
+            door.close()
+
+    def _connected(self) -> bool:
+        """Return whether a client is there, once it has connected."""
+        if self._socket is None and self._door is not None:
+            try:
+                self._socket, _ = self._door.accept()
+            except BlockingIOError:
+                return False
+            self._socket.settimeout(0.0)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return self._socket is not None
+
+
 class SerialChannel:
     """A serial line."""
 
@@ -298,3 +343,18 @@ class SerialChannel:
     def close(self) -> None:
         """End."""
         self._line.close()
+
+
+CHANNELS: Final[dict[str, type[UdpChannel | TcpChannel]]] = {
+    "udpin": UdpChannel,
+    "udpout": UdpChannel,
+    "tcp": TcpChannel,
+    "tcpin": TcpServerChannel,
+}
+"""The channel of each kind of address with a host."""
+
+
+def make_channel(address: Address) -> Channel:
+    """Return the channel of an address; it is not open."""
+    made = CHANNELS.get(address.kind)
+    return SerialChannel(address) if made is None else made(address)

@@ -1,6 +1,6 @@
 """MAVLink messages unpacked, by pymavlink's tables of their fields.
 
-pymavlink's own `decode` checks the check sum once more and makes a message that could be
+pymavlink's own `decode` checks the check sum once more and makes a message that can be
 sent again, which takes several times as long.
 """
 
