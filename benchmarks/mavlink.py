@@ -3,10 +3,10 @@
 `mav_vehicle` on a bench receives 50 messages of telemetry over the loopback in each
 cycle, each in a datagram of its own, and sends set-points. Measured is the CPU time of
 its `cycle` with the system calls, as MAXC is one, with the pause of its period between
-two cycles, in which caches get cold. The objects that Python holds after the warm-up and
-at the end must be the same but for `GROWTH`. The goal: at most 6 % of a core, whether
-the link waits for the vehicle (udpin) or calls it (udpout). Ends with status 3 when one
-is missed.
+two cycles, in which caches get cold. The objects that Python holds after the warm-up
+and at the end must be the same but for `GROWTH`. The goal: at most 6 % of a core,
+whether the link waits for the vehicle (udpin) or calls it (udpout). Ends with status 3
+when one is missed.
 
     python -m benchmarks.mavlink [--cycles N]
 """

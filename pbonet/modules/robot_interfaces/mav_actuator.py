@@ -24,6 +24,7 @@ class Outputs(Params):
     group: A[int, param("none", "which six: 0 is actuators 1 to 6", ge=0, le=100)] = 0
     step: A[float, param("none", "smallest change that is sent", gt=0)] = 0.01
     rate: A[float, param("Hz", "changes sent a second at most", gt=0)] = 10.0
+    silent: A[float, param("s", "an older ACT_DES is not sent", gt=0)] = 0.5
     component: A[int, param("none", "that of its autopilot", ge=1, le=255)] = 1
 
 
@@ -32,20 +33,17 @@ class MavActuator(PortBasedObject[Outputs], module_class="robot interface"):
 
     A part of the task of `mav_vehicle`, after it. ACT_DES is sent when it changes by
     STEP while the task is ON, until the vehicle answers (MAV_CMD_DO_SET_ACTUATOR); what
-    it is at `on` is not sent. While it is stale, the configuration illegal, or the
-    vehicle lost, nothing is sent, also not later: what ACT_DES is when it counts again
-    is as at `on`. After a loss that needs `off` and `on`. The actuators keep what they
-    have; what they do then is set in the autopilot.
+    it is at `on` is not sent. While it is older than SILENT, the configuration illegal,
+    or the vehicle lost, nothing is sent, also not later: what ACT_DES is when it counts
+    again is as at `on`. After a loss that needs `off` and `on`. The actuators keep what
+    they have; what they do then is set in the autopilot.
 
     PULSE_MEZ are the pulses of all outputs, motors included (SERVO_OUTPUT_RAW), in
     seconds, 0 for those that have none; PULSE_AGE is their age, from arrival.
     """
 
     system: A[int, InConst("MAV_SYS", "1", "none", "system id of the vehicle")]
-    des: A[
-        Vector,
-        InVar("ACT_DES", "nact", "none", "desired, -1 to 1", max_age=0.5),
-    ]
+    des: A[Vector, InVar("ACT_DES", "nact", "none", "desired, -1 to 1")]
     pulse: A[Vector, OutVar("PULSE_MEZ", "npulse", "s", "pulses put out", new=True)]
     age: A[float, OutVar("PULSE_AGE", "1", "s", "since they were heard", new=True)]
 
@@ -73,7 +71,8 @@ class MavActuator(PortBasedObject[Outputs], module_class="robot interface"):
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the clock tells
         self._receive()
-        if not self._link.alive or self.task.stale("des"):
+        old = self.task.age("des") > self.params.silent or self.task.stale("des")
+        if old or not self._link.alive:
             self._forget()
             return
         wanted = np.clip(self.des, -1.0, 1.0)

@@ -28,6 +28,7 @@ class Pointing(Params):
         param("none", "GIMBAL_DES is from the vehicle's heading, or from north"),
     ] = "vehicle"
     rate: A[float, param("Hz", "attitudes sent a second", gt=0)] = 20.0
+    silent: A[float, param("s", "an older GIMBAL_DES is not sent", gt=0)] = 0.5
     component: A[int, param("none", "that of its manager", ge=1, le=255)] = 1
 
 
@@ -35,22 +36,20 @@ class MavGimbal(PortBasedObject[Pointing], module_class="robot interface"):
     """GIMBAL_DES to the gimbal of the vehicle, and its attitude out.
 
     A part of the task of `mav_vehicle`, after it, by version 2 of the gimbal protocol.
-    While GIMBAL_DES is fresh it asks the vehicle for control, and sends attitudes, RATE
-    times a second, as soon as the vehicle says that this station has it: then
-    GIMBAL_OURS is 1. When another station takes it over, nothing is sent until the task
-    is turned off and on again. So too when the vehicle is lost. While GIMBAL_DES is
-    stale, or the configuration is illegal, nothing is sent; the gimbal keeps the
-    attitude that it has.
+    While GIMBAL_DES is not older than SILENT it asks the vehicle for control, and sends
+    attitudes, RATE times a second, as soon as the vehicle says that this station has
+    it: then GIMBAL_OURS is 1. When another station takes it over, nothing is sent until
+    the task is turned off and on again. So too when the vehicle is lost. While
+    GIMBAL_DES is older, or the configuration is illegal, nothing is sent; the gimbal
+    keeps the attitude that it has. A MAXAGE of GIMBAL_DES would be about the whole
+    task, so that a silent wish ended the vehicle's set-points.
 
     Roll and pitch are from the horizon. GIMBAL_AGE is the age of GIMBAL_MEZ and
     GIMBAL^_MEZ, from arrival.
     """
 
     system: A[int, InConst("MAV_SYS", "1", "none", "system id of the vehicle")]
-    des: A[
-        Vector,
-        InVar("GIMBAL_DES", "4", "none", "desired attitude w x y z", max_age=0.5),
-    ]
+    des: A[Vector, InVar("GIMBAL_DES", "4", "none", "desired attitude w x y z")]
     att: A[Vector, OutVar("GIMBAL_MEZ", "4", "none", "attitude w x y z", new=True)]
     rates: A[Vector, OutVar("GIMBAL^_MEZ", "3", "rad/s", "its rates", new=True)]
     age: A[float, OutVar("GIMBAL_AGE", "1", "s", "since they were heard", new=True)]
@@ -74,7 +73,7 @@ class MavGimbal(PortBasedObject[Pointing], module_class="robot interface"):
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the clock tells
         self._receive()
-        if self._taken or not self._link.alive or self.task.stale("des"):
+        if self._taken or not self._link.alive or not self._is_fresh():
             self._commands.clear()
             return
         now, size = self.task.now, sqrt(float(self.des @ self.des))
@@ -91,6 +90,10 @@ class MavGimbal(PortBasedObject[Pointing], module_class="robot interface"):
         """Send nothing."""
         self._commands.clear()
         self._receive()
+
+    def _is_fresh(self) -> bool:
+        task = self.task
+        return task.age("des") <= self.params.silent and not task.stale("des")
 
     def _take_control(self, now: int) -> None:
         if now < self._next_ns:
