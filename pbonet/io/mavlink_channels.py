@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Place = tuple[str, int]
     Read = tuple[bytes, Place | None]
-    """What one read gave, and its sender, if there may be several."""
+    """The bytes of one read, and their sender, if there may be several."""
 
 LONGEST = 4096
 """Bytes of one read; a MAVLink frame has 293 at most."""

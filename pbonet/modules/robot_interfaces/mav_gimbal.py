@@ -12,7 +12,7 @@ CONFIGURE = 1001
 LEVEL = 4 | 8
 """Flags: roll and pitch are those of the horizon."""
 YAW = {"vehicle": 32, "earth": 16 | 64}
-"""Flags: what the yaw is from."""
+"""Flags: from where the yaw is."""
 AGAIN_NS = 1_000_000_000
 """Nanoseconds between two attempts to take control."""
 SHORTEST = 0.5

@@ -10,7 +10,7 @@ from pbonet.modules._values import PerElement, keep, spread
 CENTRE, HALF = 1500.0, 500.0
 """Microseconds of a pulse in the middle, and from there to an end."""
 NO_PULSE = {0, 65534, 65535}
-"""What stands for a channel that is not there, not used, or given back."""
+"""Values of a channel that is not there, not used, or given back."""
 FULL = 1000.0
 """An axis of MANUAL_CONTROL at its end."""
 NO_AXIS = 32767
