@@ -15,7 +15,7 @@ from pbonet.ros2 import ros_node
 from pbonet.ros2.message_types import COMMAND, MessageTypes
 from pbonet.ros2.publishing import Filling, Outgoing, TablePublisher
 from pbonet.ros2.repeated_warnings import Warnings
-from pbonet.ros2.ros_node import RosNode
+from pbonet.ros2.ros_node import _SHORT, RosNode
 from pbonet.ros2.services import Services
 from pbonet.ros2.topics_file import Publish
 from pbonet.ros2.wire_format import Attachment, Node, Qos
@@ -99,16 +99,60 @@ def test_a_message_has_the_time_at_which_it_came_not_at_which_it_is_taken(node) 
 
     node.subscribe("speed", NUMBER, Qos(), take, 1000.0)
     comes = node.session.called["arm"]
-    comes("first")
-    assert taken.get(timeout=60)[0] == "first"
-    for name in ("second", "third"):
-        comes(name)
+    first, second, third = (sample_of(size) for size in (_SHORT + 1, 8, 8))
+    comes(first)
+    assert taken.get(timeout=60)[0] is first
+    for sample in (second, third):
+        comes(sample)
     until = now_ns()
     busy.release(3)
     sample, arrived = taken.get(timeout=60)
-    assert sample == "third", "the newest"
+    assert sample is third, "the newest"
     assert arrived <= until, "it came before the first one was done"
     assert taken.empty()
+
+
+def sample_of(size):
+    return SimpleNamespace(payload=bytes(size))
+
+
+def test_a_short_message_is_taken_in_the_thread_that_brings_it(
+    node, monkeypatch
+) -> None:
+    taken, times = Queue(), [1_000_000_000]
+    monkeypatch.setattr(ros_node, "now_ns", lambda: times[-1])
+
+    def take(sample, _arrived):
+        taken.put((sample, threading.current_thread()))
+
+    node.subscribe("speed", NUMBER, Qos(), take, 50.0)
+    comes = node.session.called["arm"]
+    first, second, third = (sample_of(8) for _ in range(3))
+    comes(first)
+    assert taken.get_nowait() == (first, threading.current_thread())
+    comes(second)
+    comes(third)
+    assert taken.empty(), "not more often than max_hz"
+    times.append(times[-1] + 20_000_000)
+    sample, thread = taken.get(timeout=60)
+    assert sample is third
+    assert thread is not threading.current_thread()
+    assert taken.empty()
+
+
+def test_a_message_that_fails_holds_up_no_other(node, told) -> None:
+    taken = Queue()
+
+    def take(sample, _arrived):
+        taken.put(sample)
+        raise RuntimeError("no way")
+
+    node.subscribe("speed", NUMBER, Qos(), take, 1e6)
+    comes = node.session.called["arm"]
+    for size in (1, _SHORT + 1, 2, 3):
+        comes(sample_of(size))
+        assert len(taken.get(timeout=60).payload) == size
+    assert told == ["/arm/speed: it failed inside pbonet: no way"]
 
 
 @pytest.fixture
