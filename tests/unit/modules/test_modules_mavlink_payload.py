@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 from collections.abc import Callable, Iterator
 from math import isnan, radians, sqrt
 from pathlib import Path
@@ -421,6 +422,25 @@ def test_they_are_parts_of_a_task_that_owns_a_link(module: Any) -> None:
     sizes |= {"nact": 2, "npulse": 4} if module is MavActuator else {}
     with pytest.raises(MethodError, match="combine it with mav_vehicle"):
         Bench(module, sizes)
+
+
+def test_every_kind_of_message_with_odd_values_is_survived(
+    payload: Both, piloted: Both, loop: Both
+) -> None:
+    chance = random.Random(4)
+    for kind in mavutil.mavlink.mavlink_map.values():
+        for fill in (0x00, 0x7F, 0xFF, None):
+            size = kind.unpacker.size
+            body = bytes([fill]) * size if fill is not None else chance.randbytes(size)
+            for one in (payload, piloted, loop):
+                message = mavutil.mavlink.MAVLink_message(kind.id, kind.msgname)
+                mav = one.peer.mav
+                one.peer.link.write(message._pack(mav, kind.crc_extra, body))
+        for one in (payload, piloted, loop):
+            one.base.step(STEP)
+            one.peer.received()
+    for one in (payload, piloted, loop):
+        assert one.base.state is State.ON
 
 
 def test_a_command_sets_six_actuators(tmp_path: Path) -> None:
