@@ -216,16 +216,20 @@ class MavLink:
         if not answer:
             return
         if self._outside.plays:
-            self._keep(self._finder.feed(answer[: -_COUNTS.size]))
+            self._keep(self._finder.feed(answer[: -_COUNTS.size]), [])
         damaged, refused = _COUNTS.unpack(answer[-_COUNTS.size :])
         self.damaged += damaged
         self.refused += refused
 
-    def _keep(self, frames: Sequence[Frame]) -> bool:
-        """Keep the frames that count, and count others; return whether one did."""
+    def _keep(self, frames: Sequence[Frame], whole: list[bytes]) -> bool:
+        """Keep the frames that count, and count others; return whether one did.
+
+        The bytes of all are added to `whole`.
+        """
         peer, own, found = self.peer, self.system, False
         for frame in frames:
-            kind, system, _, _ = frame
+            kind, system, _, data = frame
+            whole.append(data)
             if (system == peer) if peer else (system != own):
                 self._received[kind].append(frame)
                 found = True
@@ -251,9 +255,8 @@ class MavLink:
                     f for f in frames if judge.valid(f.data, f.system, f.component)
                 ]
                 refused, frames = refused + len(frames) - len(valid), valid
-            if self._keep(frames):
+            if self._keep(frames, whole):
                 self._channel.accept(sender)
-            whole += [frame.data for frame in frames]
         whole.append(_COUNTS.pack(min(damaged, _MOST), min(refused, _MOST)))
         return b"".join(whole)
 

@@ -7,7 +7,7 @@ takes longer than all of that, so it is left to those that need a message's valu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -32,6 +32,10 @@ class Frame(NamedTuple):
     system: int
     component: int
     data: bytes
+
+
+_new: Any = tuple.__new__
+"""Makes a frame of a tuple, without the call of a function of Python."""
 
 
 class FrameFinder:
@@ -72,7 +76,8 @@ class FrameFinder:
             data[crc_at] | data[crc_at + 1] << 8
         ):
             return None
-        return Frame(kind, data[5], data[6], data)
+        frame: Frame = _new(Frame, (kind, data[5], data[6], data))
+        return frame
 
     def _search(self, data: bytes) -> list[Frame]:
         at, end, found, noise = 0, len(data), list[Frame](), False
