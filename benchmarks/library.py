@@ -195,6 +195,10 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
     "mav_ground": lambda: {"nparam": 1},
     "mav_params": lambda: {"nparam": 1},
     "mav_mission": lambda: {"nparam": 1},
+    "mav_rc": lambda: {"nrc": 8, "nact": 6, "npulse": 8},
+    "mav_gimbal": lambda: {"nrc": 8, "nact": 6, "npulse": 8},
+    "mav_actuator": lambda: {"nrc": 8, "nact": 6, "npulse": 8},
+    "mav_hil": lambda: {"nact": 4, "att": [1.0, 0.0, 0.0, 0.0]},
     "gait": lambda: {"nfeet": 4},
     "kalman": lambda: {"nx": 2, "nz": 1, "nu": 1},
     "lqr": lambda: {"n": 2, "m": 1},
@@ -250,6 +254,7 @@ USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
 }
 """Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
 CRAFT = Path(built_in).parent / "robot_interfaces" / "mav_craft.rmod"
+PAYLOAD = CRAFT.with_name("mav_payload.rmod")
 RMODS = {
     "fk_jac": PANDA / "hand.rmod",
     "computed_torque": PANDA / "torque.rmod",
@@ -261,6 +266,9 @@ RMODS = {
     "contact": QUADRUPED / "touch.rmod",
     "mav_params": CRAFT,  # a part without its task is nothing: that is measured
     "mav_mission": CRAFT,
+    "mav_rc": PAYLOAD,
+    "mav_gimbal": PAYLOAD,
+    "mav_actuator": PAYLOAD,
 }
 """Modules that are measured as an example configures them."""
 BARE: dict[str, Callable[[Any], Callable[[], object]]] = {

@@ -23,8 +23,8 @@ device, so that the same code runs in real time, in simulation and in replay. On
     Samples of a signal over time, from a file.
 ``mavlink``
     A MAVLink link; ``mavlink_channels`` carry its bytes, ``mavlink_frames`` finds
-    frames in them, ``mavlink_signing`` judges signatures, and ``mavlink_clock`` knows
-    the time of the other end.
+    frames in them, ``mavlink_signing`` judges signatures, ``mavlink_messages`` unpacks
+    them, and ``mavlink_clock`` knows the time of the other end.
 ``mujoco_robot``
     A robot that MuJoCo simulates, behind the interface a real one would have.
 ``mujoco_camera``

@@ -1,6 +1,6 @@
 """A MAVLink link: frames in and out, polled once a cycle, never waiting.
 
-pymavlink packs and unpacks the messages, each when its values are asked for. What is
+pymavlink knows the messages; each is unpacked when its values are asked for. What is
 read is recorded frame by frame, so a replay of a log gets the same messages without a
 link, and without the link's key.
 """
@@ -8,6 +8,7 @@ link, and without the link's key.
 from __future__ import annotations
 
 import struct
+from collections import defaultdict
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -16,6 +17,7 @@ from pbonet.outside import Outside
 
 from .mavlink_channels import make_channel, parse_address
 from .mavlink_frames import Frame, FrameFinder
+from .mavlink_messages import Message, Unpacker
 from .mavlink_signing import Signatures, read_key, time_stamp
 from .optional_packages import from_extra
 from .policy import require_devices
@@ -23,12 +25,9 @@ from .policy import require_devices
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-Message = Any
-"""A message of pymavlink: attributes as the protocol names them."""
 _COUNTS: Final = struct.Struct("<HH")
 """At the end of a recorded answer: damaged frames, and frames that were refused."""
 _MOST: Final = (1 << 16) - 1
-_NONE: Final = _COUNTS.pack(0, 0)
 
 
 class MavLink:
@@ -55,6 +54,8 @@ class MavLink:
         refused: Frames without a valid signature.
         foreign: Frames of other systems, by system id.
         unsent: Frames for which the link had no room.
+        alive: Whether the other end is there, and was not lost since its task was
+            turned on; the module that owns the link sets it, for the parts after it.
 
     Raises:
         ParameterError: The address is none, or needs a key.
@@ -79,17 +80,17 @@ class MavLink:
         self.fault: DeviceError | None = None
         self.damaged = self.refused = self.unsent = 0
         self.foreign: dict[int, int] = {}
+        self.alive = False
         self._retry_ns, self._work = round(retry * 1e9), work
         self._next_try_ns: int | None = None
         self._opened = False
-        self._received: dict[int, list[Frame]] = {}
-        self._frames: list[Frame] = []
+        self._received = defaultdict[int, list[Frame]](list)
         self._outside = Outside(f"MAVLink {address}")
         kinds = self._dialect.mavlink_map
         self._kinds = {one.msgname: number for number, one in kinds.items()}
         self._extras = {n: bytes((one.crc_extra,)) for n, one in kinds.items()}
         self.mav: Any = self._dialect.MAVLink(None, system, component)
-        self._unpacker: Any = self._dialect.MAVLink(None)
+        self._unpacker = Unpacker(kinds)
         self._checksum = _checksum_of(self._dialect)
         self._signatures = self._sign(key)
         self._channel = make_channel(parse_address(address))
@@ -116,7 +117,7 @@ class MavLink:
     def all_of(self, name: str) -> Sequence[Message]:
         """Return the messages of a kind that the last poll received, oldest first."""
         found = self._received.get(self._kinds[name])
-        return [self._unpack(one) for one in found] if found else ()
+        return [self._unpacker.unpack(one) for one in found] if found else ()
 
     def newest(self, name: str, component: int = 0) -> Message | None:
         """Return the newest message of a kind that the last poll received.
@@ -127,10 +128,10 @@ class MavLink:
         """
         for one in reversed(self._received.get(self._kinds[name], ())):
             if component in {0, one.component}:
-                return self._unpack(one)
+                return self._unpacker.unpack(one)
         return None
 
-    def is_addressed(self, message: Message) -> bool:
+    def is_addressed(self, message: Any) -> bool:  # noqa: ANN401
         """Return whether a message is for this end, or for all."""
         return message.target_system in {0, self.system} and (
             message.target_component in {0, self.component}
@@ -140,11 +141,8 @@ class MavLink:
         """Return whether the last poll received a message of a kind."""
         return self._kinds[name] in self._received
 
-    def _unpack(self, frame: Frame) -> Message:
-        return self._unpacker.decode(bytearray(frame.data))
-
-    def send(self, message: Message) -> None:
-        """Send a message, if the link is open; it is lost if there is no room."""
+    def send(self, message: Any) -> None:  # noqa: ANN401
+        """Send a message of `mav` if the link is open; without room it is lost."""
         if not self._opened or self._outside.plays:
             return
         data = message.pack(self.mav)
@@ -214,49 +212,53 @@ class MavLink:
     # -- receiving --------------------------------------------------------------------
 
     def _read(self) -> None:
-        for _ in range(self._work):
-            answer = self._outside.ask(self._receive, default=b"")
-            if not answer:
-                return
-            if self._outside.plays:
-                self._frames = self._finder.feed(answer[: -_COUNTS.size])
-            damaged, refused = _COUNTS.unpack(answer[-_COUNTS.size :])
-            self.damaged += damaged
-            self.refused += refused
-            for frame in self._frames:
-                self._keep(frame)
+        answer = self._outside.ask(self._receive, default=b"")
+        if not answer:
+            return
+        if self._outside.plays:
+            self._keep(self._finder.feed(answer[: -_COUNTS.size]), [])
+        damaged, refused = _COUNTS.unpack(answer[-_COUNTS.size :])
+        self.damaged += damaged
+        self.refused += refused
 
-    def _keep(self, frame: Frame) -> None:
-        if self._counts(frame.system):
-            self._received.setdefault(frame.kind, []).append(frame)
-        else:
-            self.foreign[frame.system] = self.foreign.get(frame.system, 0) + 1
+    def _keep(self, frames: Sequence[Frame], whole: list[bytes]) -> bool:
+        """Keep the frames that count, and count others; return whether one did.
 
-    def _counts(self, system: int) -> bool:
-        return system == self.peer if self.peer else system != self.system
+        The bytes of all are added to `whole`.
+        """
+        peer, own, found = self.peer, self.system, False
+        for frame in frames:
+            kind, system, _, data = frame
+            whole.append(data)
+            if (system == peer) if peer else (system != own):
+                self._received[kind].append(frame)
+                found = True
+            else:
+                self.foreign[system] = self.foreign.get(system, 0) + 1
+        return found
 
     def _receive(self) -> bytes:
-        """Return the valid frames of one read, and the counts of others.
+        """Keep what has arrived; return the valid frames, and the counts of others.
 
-        It is empty when nothing is there; after an empty datagram there may be more.
+        It is empty when nothing is there.
         """
-        data = self._channel.receive()
-        self._frames = []
-        if not data:
-            return b"" if data is None else _NONE
-        finder, refused = self._finder, 0
-        frames = finder.feed(data)
-        if (judge := self._signatures) is not None:
-            valid = [f for f in frames if judge.valid(f.data, f.system, f.component)]
-            refused, frames = len(frames) - len(valid), valid
-        self._frames = frames
-        for frame in frames:
-            if self._counts(frame.system):
-                self._channel.accept()
-                break
-        odd = finder.damaged or refused
-        counts = _COUNTS.pack(min(finder.damaged, _MOST), refused) if odd else _NONE
-        return b"".join([*[frame.data for frame in frames], counts])
+        reads = self._channel.receive(self._work)
+        if not reads:
+            return b""
+        finder, judge = self._finder, self._signatures
+        whole, damaged, refused = list[bytes](), 0, 0
+        for data, sender in reads:
+            frames = finder.feed(data)
+            damaged += finder.damaged
+            if judge is not None:
+                valid = [
+                    f for f in frames if judge.valid(f.data, f.system, f.component)
+                ]
+                refused, frames = refused + len(frames) - len(valid), valid
+            if self._keep(frames, whole):
+                self._channel.accept(sender)
+        whole.append(_COUNTS.pack(min(damaged, _MOST), min(refused, _MOST)))
+        return b"".join(whole)
 
 
 def _checksum_of(dialect: Any) -> Callable[[bytes], int]:  # noqa: ANN401

@@ -1,7 +1,8 @@
 """Channels for the bytes of a MAVLink link: UDP, TCP or a serial line, never waiting.
 
-An address is one word: ``udpin:HOST:PORT`` waits there for others, ``udpout:HOST:PORT``
-and ``tcp:HOST:PORT`` call them, ``serial:/dev/ttyACM0:57600`` is a line.
+An address is one word: ``udpin:HOST:PORT`` and ``tcpin:HOST:PORT`` wait there for
+others, ``udpout:HOST:PORT`` and ``tcp:HOST:PORT`` call them, and
+``serial:/dev/ttyACM0:57600`` is a line.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import ipaddress
 import os
 import select
 import socket
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from pbonet.errors import ParameterError
 from pbonet.outside import using
@@ -19,7 +20,11 @@ from pbonet.outside import using
 from .serial_line import SerialLine
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     Place = tuple[str, int]
+    Read = tuple[bytes, Place | None]
+    """The bytes of one read, and their sender, if there may be several."""
 
 LONGEST = 4096
 """Bytes of one read; a MAVLink frame has 293 at most."""
@@ -33,7 +38,7 @@ class Address(NamedTuple):
     """An address of a link, taken apart."""
 
     kind: str
-    """udpin, udpout, tcp or serial."""
+    """udpin, udpout, tcp, tcpin or serial."""
     place: str
     """The host's number, or the device file."""
     number: int
@@ -62,11 +67,11 @@ def parse_address(text: str) -> Address:
         port = int(number)
     except ValueError:
         port = 0
-    if kind not in {"udpin", "udpout", "tcp"} or not 0 < port < 1 << 16:
+    if kind not in CHANNELS or not 0 < port < 1 << 16:
         raise ParameterError(
             "this is no address of a MAVLink link",
-            expected="udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT with the number "
-            "of a host or localhost, or serial:DEVICE:BAUD",
+            expected="udpin:, udpout:, tcp: or tcpin:HOST:PORT with the number of a "
+            "host or localhost, or serial:DEVICE:BAUD",
             got=text,
             remedy="correct ADDRESS, as in udpin:localhost:14550",
         )
@@ -82,12 +87,15 @@ class Channel(Protocol):
     def open(self) -> None:
         """Begin."""
 
-    def receive(self) -> bytes | None:
-        """Return what one read gives; None: nothing is there."""
+    def receive(self, most: int) -> list[Read]:
+        """Return what is there, by at most so many reads.
+
+        A loss is raised when nothing is left to return.
+        """
         ...
 
-    def accept(self) -> None:
-        """Send to the sender of the last read, too."""
+    def accept(self, sender: Place | None) -> None:
+        """Send to the sender of a read, too."""
 
     def send(self, data: bytes) -> bool:
         """Send one frame; False: there is no room for it, or no other end."""
@@ -98,13 +106,6 @@ class Channel(Protocol):
 
     def close(self) -> None:
         """End; allowed twice."""
-
-
-def make_channel(address: Address) -> Channel:
-    """Return the channel of an address; it is not open."""
-    if address.kind == "serial":
-        return SerialChannel(address)
-    return TcpChannel(address) if address.kind == "tcp" else UdpChannel(address)
 
 
 class _Socket:
@@ -145,7 +146,6 @@ class UdpChannel(_Socket):
     def __init__(self, address: Address) -> None:
         super().__init__(address)
         self._peers: dict[Place, None] = {}
-        self._sender: Place | None = None
         self._accepted: Place | None = None
 
     def open(self) -> None:
@@ -158,23 +158,26 @@ class UdpChannel(_Socket):
         else:
             made.connect(self._place)
 
-    def receive(self) -> bytes | None:
-        """Return the next datagram, which may be empty."""
+    def receive(self, most: int) -> list[Read]:
+        """Return the next datagrams, which may be empty."""
+        made, found = self._open_socket(), list["Read"]()
         try:
-            data, self._sender = self._open_socket().recvfrom(LONGEST)
+            if self._address.kind == "udpout":  # the sender is known: that is faster
+                while len(found) < most:
+                    found.append((made.recv(LONGEST), None))
+            while len(found) < most:
+                found.append(made.recvfrom(LONGEST))
         except (BlockingIOError, ConnectionRefusedError):  # the latter: not there yet
-            return None
-        return data
+            pass
+        return found
 
-    def accept(self) -> None:
-        """Send to the sender of the last datagram, too."""
-        if self._address.kind == "udpout" or self._sender is None:
+    def accept(self, sender: Place | None) -> None:
+        """Send to the sender of a datagram, too."""
+        if sender is None or sender == self._accepted:
             return
-        if self._sender == self._accepted:
-            return
-        self._accepted = self._sender
-        self._peers.pop(self._sender, None)
-        self._peers[self._sender] = None
+        self._accepted = sender
+        self._peers.pop(sender, None)
+        self._peers[sender] = None
         if len(self._peers) > PEERS:
             del self._peers[next(iter(self._peers))]
 
@@ -189,6 +192,21 @@ class UdpChannel(_Socket):
         except (BlockingIOError, ConnectionRefusedError):
             return sent
         return sent
+
+
+def _pieces(read: Callable[[], bytes], most: int) -> list[Read]:
+    """Return the pieces of a stream that are there.
+
+    A loss is raised by the next call when something came before it.
+    """
+    found = list["Read"]()
+    try:
+        while len(found) < most and (data := read()):
+            found.append((data, None))
+    except OSError:
+        if not found:
+            raise
+    return found
 
 
 class TcpChannel(_Socket):
@@ -209,17 +227,20 @@ class TcpChannel(_Socket):
         if code not in {0, errno.EINPROGRESS}:
             raise OSError(code, os.strerror(code))
 
-    def receive(self) -> bytes | None:
+    def receive(self, most: int) -> list[Read]:
         """Return what has arrived."""
+        return _pieces(self._piece, most)
+
+    def _piece(self) -> bytes:
         try:
             data = self._open_socket().recv(LONGEST)
         except BlockingIOError:
-            return None
+            return b""
         if not data:
             raise OSError(errno.ECONNRESET, "the other end has closed the connection")
         return data
 
-    def accept(self) -> None:
+    def accept(self, sender: Place | None) -> None:
         """There is one other end."""
 
     def send(self, data: bytes) -> bool:
@@ -232,6 +253,57 @@ class TcpChannel(_Socket):
         except BlockingIOError:  # also: not connected yet
             return True
         return True
+
+
+class TcpServerChannel(TcpChannel):
+    """A stream to the client that connects first."""
+
+    def __init__(self, address: Address) -> None:
+        super().__init__(address)
+        self._door: socket.socket | None = None
+
+    def open(self) -> None:
+        """Take the port, and wait for a client."""
+        self.close()
+        self._unsent = b""
+        self._door = made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        made.settimeout(0.0)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(self._place)
+        made.listen(1)
+
+    def receive(self, most: int) -> list[Read]:
+        """Return what has arrived."""
+        return super().receive(most) if self._connected() else []
+
+    def send(self, data: bytes) -> bool:
+        """Send a frame whole, now or with the next one; False without a client."""
+        return self._connected() and super().send(data)
+
+    def wait(self, seconds: float) -> None:
+        """Wait until something is there."""
+        if self._connected():
+            super().wait(seconds)
+        elif self._door is not None:
+            select.select([self._door], [], [], seconds)
+
+    def close(self) -> None:
+        """End."""
+        super().close()
+        door, self._door = self._door, None
+        if door is not None:
+            door.close()
+
+    def _connected(self) -> bool:
+        """Return whether a client is there, once it has connected."""
+        if self._socket is None and self._door is not None:
+            try:
+                self._socket, _ = self._door.accept()
+            except BlockingIOError:
+                return False
+            self._socket.settimeout(0.0)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return self._socket is not None
 
 
 class SerialChannel:
@@ -249,11 +321,11 @@ class SerialChannel:
         self._line.open()
         self._unsent = b""
 
-    def receive(self) -> bytes | None:
+    def receive(self, most: int) -> list[Read]:
         """Return what has arrived."""
-        return self._line.read_available(LONGEST) or None
+        return _pieces(lambda: self._line.read_available(LONGEST), most)
 
-    def accept(self) -> None:
+    def accept(self, sender: Place | None) -> None:
         """There is one other end."""
 
     def send(self, data: bytes) -> bool:
@@ -271,3 +343,18 @@ class SerialChannel:
     def close(self) -> None:
         """End."""
         self._line.close()
+
+
+CHANNELS: Final[dict[str, type[UdpChannel | TcpChannel]]] = {
+    "udpin": UdpChannel,
+    "udpout": UdpChannel,
+    "tcp": TcpChannel,
+    "tcpin": TcpServerChannel,
+}
+"""The channel of each kind of address with a host."""
+
+
+def make_channel(address: Address) -> Channel:
+    """Return the channel of an address; it is not open."""
+    made = CHANNELS.get(address.kind)
+    return SerialChannel(address) if made is None else made(address)

@@ -7,10 +7,10 @@ takes longer than all of that, so it is left to those that need a message's valu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 V1, V2 = 0xFE, 0xFD
 """The marks of both versions."""
@@ -20,6 +20,8 @@ _SIGNATURE = 13
 _HEAD = 3
 """Bytes that say how long a frame is."""
 _LONGEST_HEADER = 10
+_SHORTEST = 12
+"""Bytes of a frame of MAVLink 2 without a message."""
 
 
 class Frame(NamedTuple):
@@ -30,6 +32,10 @@ class Frame(NamedTuple):
     system: int
     component: int
     data: bytes
+
+
+_new: Any = tuple.__new__
+"""Makes a frame of a tuple, without the call of a function of Python."""
 
 
 class FrameFinder:
@@ -49,19 +55,32 @@ class FrameFinder:
         self.damaged = 0
         """Stretches of noise and frames with a wrong check sum, of the last call."""
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> Sequence[Frame]:
         """Return the frames that `data` completes, in order."""
-        alone = data and not self._rest
-        if alone and _size(data, 0) == len(data):  # one frame, as usual
-            frame = self._check(data, len(data))
-            if frame is not None:
-                self.damaged = 0
-                return [frame] if frame.system >= 0 else []
+        self.damaged = 0
+        if not self._rest and (frame := self._alone(data)) is not None:
+            return (frame,)
         return self._search(self._rest + data)
+
+    def _alone(self, data: bytes) -> Frame | None:
+        """Return the frame of MAVLink 2 that is all of `data`, as usual; else None."""
+        size = len(data)
+        if size < _SHORTEST or data[0] != V2 or (flags := data[2]) > SIGNED:
+            return None
+        crc_at = data[1] + _LONGEST_HEADER
+        if size != crc_at + 2 + flags * _SIGNATURE:
+            return None
+        kind = data[7] | data[8] << 8 | data[9] << 16
+        extra = self._extras.get(kind)
+        if extra is None or self._crc(data[1:crc_at] + extra) != (
+            data[crc_at] | data[crc_at + 1] << 8
+        ):
+            return None
+        frame: Frame = _new(Frame, (kind, data[5], data[6], data))
+        return frame
 
     def _search(self, data: bytes) -> list[Frame]:
         at, end, found, noise = 0, len(data), list[Frame](), False
-        self.damaged = 0
         while at < end:
             size = _size(data, at)
             if size and at + size > end and not self._whole:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _GLANCE_NS: Final = 1_000_000
 """Nanoseconds between checks of a table that is not expected to change."""
-_NEAR_NS: Final = 30_000
+_NEAR_NS: Final = 20_000
 """The same while a commit is expected."""
 _EARLY: Final = 0.2
 """Share of a period by which a commit is expected early."""
@@ -208,6 +208,7 @@ class Outgoing:
         self._local: LocalTable | None = None
         self._values: dict[str, NDArray[Any]] = {}
         self._sent: list[tuple[int, int]] = []
+        self._paused = False
         self.copied: list[tuple[int, int]] = []
         """Registers that were copied last, and the number of the commit of each."""
         self.due_ns = 0
@@ -239,8 +240,11 @@ class Outgoing:
         name = self.publisher.end.name
         if local.flags & Flags.COPY_STALE or max(ages) == float("inf"):
             self._warnings.warn(name, _PAUSED)
+            self._paused = True
             return
-        self._warnings.over(name, _PAUSED)
+        if self._paused:
+            self._warnings.over(name, _PAUSED)
+            self._paused = False
         self.due_ns = now + self._pause_ns
         stamp_ns = time.time_ns() - round(max(ages) * 1e9)
         self.publisher.put(self.filling.encode(self._values, stamp_ns), stamp_ns)

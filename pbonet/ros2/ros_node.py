@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
+from zenoh import ext
 
 from pbonet.errors import PbonetError, ProtocolError
 from pbonet.svar import now_ns
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 _WAITING: Final = 32
 """Requests to services that wait at most; more are refused."""
+_SHORT: Final = 4096
+"""Bytes of a message that is taken in zenoh's own thread."""
 _CDR: Final = "application/cdr"
 _SERVICE_QOS: Final = Qos()
 _OTHERS: Final = {
@@ -42,15 +45,25 @@ class Publisher:
     Args:
         session: The session.
         end: What it is.
+        qos: Its quality of service.
     """
 
-    def __init__(self, session: zenoh.Session, end: End) -> None:
+    def __init__(self, session: zenoh.Session, end: End, qos: Qos) -> None:
         self.end = end
         self.number = 0
         self._gid = end.gid
-        publisher: Any = session.declare_publisher(
-            end.key, encoding=_CDR, congestion_control=zenoh.CongestionControl.DROP
-        )
+        told: dict[str, Any] = {
+            "encoding": _CDR,
+            "congestion_control": zenoh.CongestionControl.DROP,
+        }
+        if qos.transient_local:  # as rmw_zenoh has it
+            cache = ext.CacheConfig(qos.depth)
+            publisher: Any = ext.declare_advanced_publisher(
+                session, end.key, cache=cache, publisher_detection=True, **told
+            )
+        else:
+            publisher = session.declare_publisher(end.key, **told)
+        self._publisher = publisher  # undeclared when it is dropped
         self._put = publisher.put
 
     def put(self, data: bytes, stamp_ns: int) -> None:
@@ -66,32 +79,74 @@ class Publisher:
 
 
 class _Newest:
-    """The newest message and when it came, for one thread that takes it."""
+    """The newest message of a topic, taken at most so often, one at a time.
 
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
+    A short one is taken at once, in zenoh's own thread, when none waits and none is
+    being taken; a change of threads would take longer than the rest. Others wait, each
+    in place of the one before it, for a thread of its own (`run`).
+
+    Args:
+        take: Called with a message and when it came; it does not raise.
+        max_hz: How often a second at most.
+    """
+
+    def __init__(
+        self, take: Callable[[zenoh.Sample, int], None], max_hz: float
+    ) -> None:
+        self._take, self._pause_ns = take, round(1e9 / max_hz)
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
         self._got: tuple[zenoh.Sample, int] | None = None
-        self._over = False
+        self._due_ns = 0
+        self._taking = self._over = False
 
     def put(self, sample: zenoh.Sample) -> None:
-        """Replace the one that waits; zenoh's own thread calls it."""
+        """Take a message, or replace the one that waits; zenoh calls it."""
         arrived = now_ns()
-        with self._changed:
-            self._got = sample, arrived
-            self._changed.notify()
+        short = len(sample.payload) <= _SHORT
+        with self._lock:
+            waits = self._got is not None
+            if waits or self._taking or not short or arrived < self._due_ns:
+                self._got = sample, arrived
+                if not waits:
+                    self._changed.notify()
+                return
+            self._taking, self._due_ns = True, arrived + self._pause_ns
+        self._take(sample, arrived)
+        self._finish()
 
-    def take(self) -> tuple[zenoh.Sample, int] | None:
-        """Wait for a message; None at the end."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._over or self._got is not None)
-            got, self._got = self._got, None
-            return None if self._over else got
+    def run(self) -> None:
+        """Take those that wait, until the end."""
+        while (got := self._wait()) is not None:
+            self._take(*got)
+            self._finish()
 
     def end(self) -> None:
         """Wake the thread for the last time."""
         with self._changed:
             self._over = True
             self._changed.notify()
+
+    def _finish(self) -> None:
+        with self._lock:
+            self._taking = False
+            if self._got is not None:
+                self._changed.notify()
+
+    def _wait(self) -> tuple[zenoh.Sample, int] | None:
+        """Wait for a message that may be taken; None at the end."""
+        with self._changed:
+            while not self._over:
+                left_ns = self._due_ns - now_ns()
+                if self._got is None or self._taking:
+                    self._changed.wait()
+                elif left_ns > 0:
+                    self._changed.wait(left_ns * 1e-9)
+                else:
+                    got, self._got = self._got, None
+                    self._taking, self._due_ns = True, now_ns() + self._pause_ns
+                    return got
+        return None
 
 
 class _Requests(queue.Queue["tuple[Callable[[Any], Any], End, Any] | None"]):
@@ -167,7 +222,7 @@ class RosNode:
     def publisher(self, topic: str, kind: str, qos: Qos) -> Publisher:
         """Declare a publisher."""
         end = self._end(Kind.PUBLISHER, topic, kind, qos)
-        made = Publisher(self.session, end)
+        made = Publisher(self.session, end, qos)
         self._declare(end)
         return made
 
@@ -185,29 +240,29 @@ class RosNode:
             topic: The topic.
             kind: Its type.
             qos: Its quality of service.
-            take: Called with messages and when each arrived (`now_ns`), in a thread of
-                its own.
+            take: Called with messages and when each arrived (`now_ns`), one at a time,
+                in zenoh's thread or in one of its own.
             max_hz: How often a second at most.
         """
         end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
-        newest = _Newest()
+
+        def safely(sample: zenoh.Sample, arrived: int) -> None:
+            self._safely(end.name, partial(take, sample, arrived))
+
+        newest = _Newest(safely, max_hz)
         self._ends.append(newest.end)
-        self._declared.append(
-            self.session.declare_subscriber(end.key, direct(newest.put))
-        )
+        self._start(newest.run, f"ros {topic}")
+        handler = direct(newest.put)
+        if qos.transient_local:
+            history = ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+            self._declared.append(
+                ext.declare_advanced_subscriber(
+                    self.session, end.key, handler, history=history
+                )
+            )
+        else:
+            self._declared.append(self.session.declare_subscriber(end.key, handler))
         self._declare(end)
-
-        def run() -> None:
-            pause = 1.0 / max_hz
-            while True:
-                began = time.monotonic()
-                if (got := newest.take()) is None:
-                    return
-                self._safely(end.name, partial(take, *got))
-                if (left := began + pause - time.monotonic()) > 0:
-                    time.sleep(left)
-
-        self._start(run, f"ros {topic}")
         return end
 
     def serve(

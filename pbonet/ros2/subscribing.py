@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -81,8 +82,15 @@ class Selection:
         order = self._joints.order(message)
         at = 0
         for one in self._sources:
-            place = to[at : at + one.size]
-            place[:] = field_paths.numbers(message, one, order)
+            to[at : at + one.size] = field_paths.numbers(message, one, order)
+            at += one.size
+        if not isfinite(to.dot(to)):  # which costs less than to ask for each
+            self._must_be_finite(to)
+
+    def _must_be_finite(self, values: NDArray[np.float64]) -> None:
+        at = 0
+        for one in self._sources:
+            place = values[at : at + one.size]
             if not np.isfinite(place).all():
                 raise ProtocolError(
                     f"{one.leaf.path} is not finite, and the message was not used",

@@ -41,13 +41,15 @@ class Topic(Struct, kw_only=True, forbid_unknown_fields=True):
     """The message, such as ``geometry_msgs/msg/Twist``."""
     reliable: bool = True
     depth: int = 10
+    transient_local: bool = False
+    """Who comes later gets the last messages; a subscriber asks for the last one."""
     max_hz: float = 1000.0
     """How often a second a message is handled at most; the newest one then."""
 
     @property
     def qos(self) -> Qos:
         """Its quality of service."""
-        return Qos(reliable=self.reliable, depth=self.depth)
+        return Qos(self.reliable, self.depth, self.transient_local)
 
 
 class Publish(Topic, kw_only=True, forbid_unknown_fields=True):

@@ -26,7 +26,7 @@ NAME: Final = re.compile(r"/?[A-Za-z_~][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _NUMBER: Final = re.compile(r"[0-9]{1,20}")
 _ATTACHMENT: Final = struct.Struct("<qqB16s")
 _GID: Final = 16
-_VOLATILE: Final = 2
+_TRANSIENT_LOCAL, _VOLATILE = 1, 2
 _NODE_PARTS, _END_PARTS = 9, 13
 
 
@@ -45,11 +45,14 @@ class Qos(Struct, frozen=True):
 
     reliable: bool = True
     depth: int = 10
+    transient_local: bool = False
+    """Whether who comes later gets the last messages."""
 
     @property
     def text(self) -> str:
         """Return it as tokens have it, defaults included, which differ by version."""
-        return f"{2 - self.reliable}:{_VOLATILE}:1,{self.depth}:,:,:,,"
+        durability = _TRANSIENT_LOCAL if self.transient_local else _VOLATILE
+        return f"{2 - self.reliable}:{durability}:1,{self.depth}:,:,:,,"
 
 
 class Attachment(NamedTuple):

@@ -8,11 +8,13 @@
 #define _GNU_SOURCE 1
 #endif
 #include <linux/futex.h>
+#include <sys/prctl.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 #include "local.h"
 
+enum { PB_SLACK_NS = 50000 }; /* by which Linux ends timers late, unless told otherwise */
 enum { PB_WATCHED = 128, PB_MOVED = 0, PB_RUNG, PB_OVER };
 
 /* A word and its last handled value; of a register's head the number alone. */
@@ -25,6 +27,7 @@ struct pb_word {
 struct pb_watch {
     _Atomic uint32_t bell; /* 1: rung */
     uint32_t n;
+    bool exact;        /* the thread's timers end without the usual slack */
     int64_t glance_ns; /* when to read the words next */
     struct pb_word words[PB_WATCHED];
 };
@@ -53,6 +56,10 @@ static inline bool pb_watch_moved(const struct pb_watch *w) {
 /* Sleep until `until_ns`, and read the words every `pause_ns`, even if bells ring more
  * often. A changed word that is not handled ends at most one sleep per pause. */
 static inline int pb_watch_sleep(struct pb_watch *w, int64_t until_ns, int64_t pause_ns) {
+    if (pause_ns < PB_SLACK_NS && !w->exact) {
+        w->exact = true; /* one thread sleeps by one watch */
+        prctl(PR_SET_TIMERSLACK, 1UL);
+    }
     for (;;) {
         const int64_t now = pb_now();
         int64_t at = until_ns;

@@ -116,7 +116,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
         self._setpoints = Every(self.params.rate)
 
     def on(self) -> None:
-        self._lost = False
+        self._lost = self._link.alive = False
         self._heard_ns = 0
         self._began_ns = self.task.now
         self._stamps: dict[str, int] = {}
@@ -168,6 +168,7 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
             self.task.illegal(
                 f"vehicle {self.params.system}: no heartbeat for {self.age:.3g} s"
             )
+        link.alive = bool(self._heard_ns) and not self._lost
         if self._needed <= self._stamps.keys():
             self.task.stamp_ns = max(min(self._stamps.values()), 1)
 

@@ -161,7 +161,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         self._pending: dict[int, Pending] = {}
         self._heard_ns = self._asked_ns = 0
         self._began_ns = self.task.now
-        self._lost = False
+        self._lost = self._link.alive = False
         self._reached_ns = 0
         self._flown: Item | None = None
         self._start = 0.0, 0.0
@@ -319,6 +319,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
             if self.armed and k.lost != "continue":
                 self.mode = k.hold_mode if k.lost == "hold" else k.land_mode
             self._say(f"no station for {self.age:.3g} s: {k.lost}")
+        link.alive = bool(self._heard_ns) and not self._lost
 
     # -- the mission ------------------------------------------------------------------
 

@@ -326,6 +326,7 @@ def ros2(
             "exit_on_failure": True,
         },
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
+        "timestamping": {"enabled": True},  # the caches of publishers need it
         "transport": {
             "shared_memory": {"enabled": False},
             "link": {"rx": {"max_message_size": _ROS_LONGEST}},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 import struct
 import subprocess
@@ -17,6 +18,8 @@ import mavsdk_grpc as mavsdk
 import numpy as np
 import pytest
 from mavsdk_grpc import telemetry_server
+from mavsdk_grpc.async_plugin_manager import AsyncPluginManager
+from mavsdk_grpc.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
 from mavsdk_grpc.mission_raw import MissionItem
 from mavsdk_grpc.offboard import PositionNedYaw
 from pymavlink.dialects.v20 import common
@@ -29,8 +32,10 @@ from pbonet.testing import Bench
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator
 
-CRAFT = Path(pbonet.modules.__file__).parent / "robot_interfaces" / "mav_craft.rmod"
-PARTS = ("vehicle", "params", "mission")
+MODULES = Path(pbonet.modules.__file__).parent
+CRAFT = MODULES / "robot_interfaces" / "mav_craft.rmod"
+PILOTED = MODULES / "subsystem_interfaces" / "mav_piloted.rmod"
+PARTS = ("vehicle", "params", "mission", "gimbal", "actuator")
 OFFBOARD, LAND, HOLD = 6 << 16, 4 << 16 | 6 << 24, 4 << 16 | 3 << 24
 LIMIT = 60.0
 
@@ -122,20 +127,24 @@ def follow(air: Any) -> None:
         air.inputs.x = out.setpoint[2:5]
 
 
-def test_mavsdk_steers_a_subsystem() -> None:
+def test_mavsdk_steers_a_subsystem(tmp_path: Path) -> None:
     port = free_port()
-    params = {
-        "address": f"udpout:127.0.0.1:{port}",
-        "params": ("SPEED_MAX=3", "GAIN=1.5"),
-    }
+    rmod = tmp_path / "piloted.rmod"
+    rmod.write_text(
+        PILOTED.read_text().replace("EOF", "LOCAL")
+        + f"mav_ground.ADDRESS udpout:127.0.0.1:{port}\n"
+        + "mav_ground.PARAMS SPEED_MAX=3 GAIN=1.5\nEOF\n"
+    )
     at = {"nparam": 2, "lla": [0.8, 0.15, 400.0], "battery": 15.2, "fix": 3}
-    air = Bench(MavGround, {**at, "att": [1.0, 0, 0, 0]}, params=params)
+    air = Bench.of(rmod, {**at, "nrc": 4, "att": [1.0, 0, 0, 0]})
 
     async def fly(said: list[str]) -> None:
         async with client(f"udpin://127.0.0.1:{port}") as station:
             await steer(station)
         await until(lambda: air.outputs.mode == HOLD)
         assert any("no station for 2.5" in one for one in said)
+        assert any("no pilot" in one for one in said)
+        assert not air["RC_MEZ"].any()
 
     async def steer(station: Any) -> None:
         seen = station.telemetry
@@ -154,6 +163,11 @@ def test_mavsdk_steers_a_subsystem() -> None:
         }
         assert air.outputs.param.tolist() == [3.0, 2.25]
         await exchange_missions(station)
+        stick = station.manual_control.set_manual_control_input
+        async with asyncio.timeout(LIMIT):
+            while air["RC_MEZ"].tolist() != [-0.25, 0.5, 0.75, 1.0]:
+                await stick(0.5, -0.25, 0.75, 1.0)
+                await asyncio.sleep(0.05)
         await station.action.arm()
         await first(seen.armed(), bool)
         await station.offboard.set_position_ned(PositionNedYaw(1.0, 2.0, -3.0, 30.0))
@@ -176,7 +190,7 @@ def test_mavsdk_steers_a_subsystem() -> None:
             for k in range(20)
         ]  # fmt: skip
         await station.mission_raw.upload_mission(given)
-        assert [one.z for one in air.module._mission.items] == [
+        assert [one.z for one in air.module.parts[0]._mission.items] == [
             np.float32(k / 9) for k in range(20)
         ]
         got = await station.mission_raw.download_mission()
@@ -186,20 +200,59 @@ def test_mavsdk_steers_a_subsystem() -> None:
         asyncio.run(fly(said))
 
 
+async def point_and_grip(craft: Any, base: Any) -> None:
+    """MAVSDK's own codec reads our messages, and writes those of a gimbal."""
+    at = await AsyncPluginManager.create(host="127.0.0.1", port=craft._port)
+    direct = MavlinkDirectServer(at)
+
+    async def sends(name: str, **fields: Any) -> None:
+        told = MavlinkMessage(name, 1, 191, 0, 0, json.dumps(fields))
+        await direct.send_message(told)
+
+    async def gets(name: str, wanted: Callable[[Any], bool]) -> Any:
+        def fits(m: Any) -> bool:
+            return wanted(json.loads(m.fields_json))
+
+        return json.loads((await first(direct.message(name), fits)).fields_json)
+
+    base["GIMBAL_DES"] = [1.0, 0.0, 0.0, 0.0]
+    asked = await gets("COMMAND_LONG", lambda m: m["command"] == 1001)
+    assert (asked["param1"], asked["param2"]) == (255, 190)
+    us = {"primary_control_sysid": 255, "primary_control_compid": 190}
+    await sends(
+        "GIMBAL_MANAGER_STATUS", time_boot_ms=0, flags=0, gimbal_device_id=1,
+        secondary_control_sysid=0, secondary_control_compid=0, **us,
+    )  # fmt: skip
+    point = await gets("GIMBAL_MANAGER_SET_ATTITUDE", lambda _: True)
+    assert (point["q"], point["flags"]) == ([1, 0, 0, 0], 4 | 8 | 32)
+    base["ACT_DES"] = [0.25, 0.0]
+    grip = await gets("COMMAND_LONG", lambda m: m["command"] == 187)
+    assert (grip["param1"], grip["param2"]) == (0.25, 0)
+    raw = {f"servo{k}_raw": 1000 + k for k in range(1, 17)}
+    await sends("SERVO_OUTPUT_RAW", time_usec=0, port=0, **raw)
+    await until(lambda: base["PULSE_MEZ"][3] == pytest.approx(1004e-6))
+
+
 def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
     """Its vehicle's side has the component 191, and begins when it hears a vehicle."""
     port = free_port()
     (tmp_path / "plan.waypoints").write_text(mission_text())
     rmod = tmp_path / "craft.rmod"
+    text = CRAFT.read_text().replace(
+        "mav_mission\n", "mav_mission mav_gimbal mav_actuator\n"
+    )
+    text = text.replace("MODE_CMD", "MODE_CMD GIMBAL_DES ACT_DES")
+    text = text.replace("WP_COUNT", "WP_COUNT GIMBAL_MEZ GIMBAL_OURS PULSE_MEZ")
     rmod.write_text(
-        CRAFT.read_text().replace("EOF", "LOCAL")
+        text.replace("EOF", "LOCAL")
         + f"mav_vehicle.ADDRESS udpout:127.0.0.1:{port}\nmav_vehicle.WAIT 0\n"
         + "mav_params.WATCH SPEED GAIN\nmav_params.WANT GAIN=2.25\n"
         + "mav_mission.FILE plan.waypoints\n"
         + "".join(f"mav_{one}.COMPONENT 191\n" for one in PARTS)
         + "EOF\n"
     )
-    base = Bench.of(rmod, {"nparam": 2}, library=[tmp_path])
+    sizes = {"nparam": 2, "nact": 2, "npulse": 4}
+    base = Bench.of(rmod, sizes, library=[tmp_path])
     parser: Any = common.MAVLink(None, 200, 1)
     other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
@@ -235,6 +288,7 @@ def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
         assert await craft.param_server.retrieve_param_float("GAIN") == 2.25
         await until(lambda: base["WP_COUNT"] == 20)  # read back, equal to the bit
         given.cancel()
+        await point_and_grip(craft, base)
         base["ARM_CMD"] = 1
         vehicle = base.module.parts[0]
         asked = vehicle._commands._asked

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 import socket
 import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from watching import wait_for
+from watching import processes_of, wait_for
 
 from pbonet import Subsystem
 
@@ -49,10 +50,34 @@ def test_another_vehicle_is_called_at_its_address() -> None:
         assert (folder / "pilot.job").is_file()
 
 
-def test_after_a_loss_nothing_is_sent_before_the_task_is_turned_on_again() -> None:
-    def value(subsystem: Subsystem, name: str) -> float:
-        return float(subsystem.display(name)[0].values[0])
+MARK = "PBONET_VEHICLE_TEST"
+"""A variable in the environment of all processes of a test."""
 
+
+def title(pid: int) -> str:
+    return Path(f"/proc/{pid}/comm").read_text().strip()
+
+
+def value(subsystem: Subsystem, name: str) -> float:
+    return float(subsystem.display(name)[0].values[0])
+
+
+def killed(subsystem: Subsystem, task: str) -> None:
+    """End a task's process as `kill -9` does."""
+    ours = processes_of(MARK, str(os.getpid()))
+    (pid,) = (pid for pid, _ in ours if title(pid) == task)
+    os.kill(pid, signal.SIGKILL)
+    wait_for(
+        lambda: (task, "NOT-CREATED")
+        in {(one.task, one.state) for one in subsystem.status_all()},
+        "the end of the task",
+    )
+
+
+def test_after_a_loss_nothing_is_sent_before_the_task_is_turned_on_again(
+    monkeypatch,
+) -> None:
+    monkeypatch.setenv(MARK, str(os.getpid()))
     with ExitStack() as stack:
         folder = demo._on_port(free_port(), stack)
         told = {"domain": f"lost{os.getpid()}", "embed": True, "libraries": [folder]}
@@ -61,8 +86,9 @@ def test_after_a_loss_nothing_is_sent_before_the_task_is_turned_on_again() -> No
         demo._started(craft, stack)
         demo._started(pilot, stack)
         wait_for(lambda: value(craft, "SETPOINT") == 84, "set-points")
-        craft.off("ground")
+        killed(craft, "ground")
         wait_for(lambda: value(pilot, "LINK_AGE") > 2.6, "the loss")
+        craft.spawn("ground", "craft0")
         craft.on("ground")
         wait_for(lambda: value(pilot, "LINK_AGE") < 1.0, "the vehicle again")
         began = craft.status("ground").cycle
@@ -72,3 +98,7 @@ def test_after_a_loss_nothing_is_sent_before_the_task_is_turned_on_again() -> No
         pilot.off("vehicle")
         pilot.on("vehicle")
         wait_for(lambda: value(craft, "SETPOINT") == 84, "set-points again")
+        killed(pilot, "vehicle")
+        wait_for(lambda: value(craft, "SETPOINT") == 0, "that none come")
+        wait_for(lambda: value(craft, "LINK_AGE") > 2.5, "that the station is missed")
+        assert craft.status("ground").state == "ON"

@@ -102,6 +102,8 @@ def test_qualities_of_service_are_read_by_another_implementation(reliable) -> No
     read = qos.QosProfile.decode(Qos(reliable=reliable, depth=7).text)
     assert read.reliability is qos.QosReliability(2 - reliable)
     assert (read.durability, read.history_depth) == (qos.QosDurability.VOLATILE, 7)
+    late = qos.QosProfile.decode(Qos(transient_local=True).text)
+    assert late.durability is qos.QosDurability.TRANSIENT_LOCAL
 
 
 def test_tokens_are_read_as_they_were_written() -> None:

@@ -11,11 +11,12 @@ import pytest
 from watching import wait_for
 
 from pbonet.config.model import Variable
+from pbonet.errors import AccessError, UnknownTaskError
 from pbonet.ros2 import ros_node
 from pbonet.ros2.message_types import COMMAND, MessageTypes
 from pbonet.ros2.publishing import Filling, Outgoing, TablePublisher
 from pbonet.ros2.repeated_warnings import Warnings
-from pbonet.ros2.ros_node import RosNode
+from pbonet.ros2.ros_node import _SHORT, RosNode
 from pbonet.ros2.services import Services
 from pbonet.ros2.topics_file import Publish
 from pbonet.ros2.wire_format import Attachment, Node, Qos
@@ -99,16 +100,60 @@ def test_a_message_has_the_time_at_which_it_came_not_at_which_it_is_taken(node) 
 
     node.subscribe("speed", NUMBER, Qos(), take, 1000.0)
     comes = node.session.called["arm"]
-    comes("first")
-    assert taken.get(timeout=60)[0] == "first"
-    for name in ("second", "third"):
-        comes(name)
+    first, second, third = (sample_of(size) for size in (_SHORT + 1, 8, 8))
+    comes(first)
+    assert taken.get(timeout=60)[0] is first
+    for sample in (second, third):
+        comes(sample)
     until = now_ns()
     busy.release(3)
     sample, arrived = taken.get(timeout=60)
-    assert sample == "third", "the newest"
+    assert sample is third, "the newest"
     assert arrived <= until, "it came before the first one was done"
     assert taken.empty()
+
+
+def sample_of(size):
+    return SimpleNamespace(payload=bytes(size))
+
+
+def test_a_short_message_is_taken_in_the_thread_that_brings_it(
+    node, monkeypatch
+) -> None:
+    taken, times = Queue(), [1_000_000_000]
+    monkeypatch.setattr(ros_node, "now_ns", lambda: times[-1])
+
+    def take(sample, _arrived):
+        taken.put((sample, threading.current_thread()))
+
+    node.subscribe("speed", NUMBER, Qos(), take, 50.0)
+    comes = node.session.called["arm"]
+    first, second, third = (sample_of(8) for _ in range(3))
+    comes(first)
+    assert taken.get_nowait() == (first, threading.current_thread())
+    comes(second)
+    comes(third)
+    assert taken.empty(), "not more often than max_hz"
+    times.append(times[-1] + 20_000_000)
+    sample, thread = taken.get(timeout=60)
+    assert sample is third
+    assert thread is not threading.current_thread()
+    assert taken.empty()
+
+
+def test_a_message_that_fails_holds_up_no_other(node, told) -> None:
+    taken = Queue()
+
+    def take(sample, _arrived):
+        taken.put(sample)
+        raise RuntimeError("no way")
+
+    node.subscribe("speed", NUMBER, Qos(), take, 1e6)
+    comes = node.session.called["arm"]
+    for size in (1, _SHORT + 1, 2, 3):
+        comes(sample_of(size))
+        assert len(taken.get(timeout=60).payload) == size
+    assert told == ["/arm/speed: it failed inside pbonet: no way"]
 
 
 @pytest.fixture
@@ -166,6 +211,81 @@ def test_a_request_that_fails_is_answered(node, ask, told) -> None:
     assert ask("fails").get(timeout=60) == "/fails failed: no way"
     wait_for(lambda: told, "the warning")
     assert told == ["/fails: it failed inside pbonet: no way"]
+
+
+class Params:
+    """Stands for the parameters of two tasks."""
+
+    def __init__(self, types):
+        self.made = Services.__new__(Services)
+        self.made._types, self.made.call = types, self.call
+        self.types, self.set = types, []
+
+    def call(self, name, **args):
+        if name == "status":
+            return SimpleNamespace(data={"tasks": [{"task": "pid"}, {"task": "arm"}]})
+        if name == "set":
+            if args["param"] != "kp":
+                raise AccessError("this bridge only shows it")
+            self.set.append(args)
+            return None
+        about = {"doc": "stiffness", "unit": "N/m", "bounds": ">= 0"}
+        values = {"pid": {"kp": 2.5, "name": "x"}, "arm": {"joints": (1, 2)}}
+        if args["task"] not in values:
+            raise UnknownTaskError("no such task")
+        found = values[args["task"]].items()
+        params = [{"name": k, "value": v, **about} for k, v in found]
+        return SimpleNamespace(data={"params": params})
+
+    def request(self, name, **fields):
+        made = self.types.new(f"rcl_interfaces/srv/{name}_Request")
+        for key, value in fields.items():
+            setattr(made, key, value)
+        return made
+
+    def parameter(self, name, **value):
+        made = self.types.new("rcl_interfaces/msg/Parameter")
+        made.name = name
+        for key, one in value.items():
+            setattr(made.value, key, one)
+        return made
+
+
+def test_parameters_are_listed_and_described(types) -> None:
+    params = Params(types)
+    services = params.made
+    found = services._list(params.request("ListParameters")).result
+    assert found.names == ["pid.kp", "pid.name", "arm.joints"]
+    assert found.prefixes == ["pid", "arm"]
+    some = services._list(params.request("ListParameters", prefixes=["arm"])).result
+    assert some.names == ["arm.joints"]
+    names = ["pid.kp", "arm.joints", "pid.nothing", "nobody.kp"]
+    kinds = services._get_types(params.request("GetParameterTypes", names=names))
+    assert kinds.types.tolist() == [3, 7, 0, 0]
+    about = services._describe(params.request("DescribeParameters", names=names))
+    first, *_, last = about.descriptors
+    assert (first.name, first.type) == ("pid.kp", 3)
+    assert first.description == "stiffness [N/m]"
+    assert first.additional_constraints == ">= 0"
+    assert (last.name, last.type, last.description) == ("nobody.kp", 0, "")
+
+
+def test_one_parameter_is_set_at_once_and_several_are_not(types) -> None:
+    params = Params(types)
+
+    def set_at_once(*given):
+        request = params.request("SetParametersAtomically", parameters=list(given))
+        return params.made._set_at_once(request).result
+
+    kp = params.parameter("pid.kp", type=3, double_value=4.5)
+    assert set_at_once(kp).successful
+    assert params.set == [{"task": "pid", "param": "kp", "value": ["4.5"]}]
+    both = set_at_once(kp, kp)
+    assert not both.successful
+    assert "one by one" in both.reason
+    refused = set_at_once(params.parameter("pid.name", type=4, string_value="y"))
+    assert (refused.successful, refused.reason) == (False, "this bridge only shows it")
+    assert len(params.set) == 1
 
 
 def test_a_topic_that_cannot_be_published_stops_no_other(types, told) -> None:
