@@ -1,7 +1,15 @@
 // Builds the page into pbonet/master/web/dist, or with --tests the tests into build/.
 import { build } from "esbuild";
 import { gzipSync } from "node:zlib";
-import { cpSync, existsSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import {
+  cpSync,
+  existsSync,
+  mkdirSync,
+  readFileSync,
+  readdirSync,
+  rmSync,
+  writeFileSync,
+} from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
@@ -30,12 +38,19 @@ function licences(inputs) {
     const found = /^(.*node_modules\/(?:@[^/]+\/)?[^/]+)\//.exec(file);
     if (found) folders.add(found[1]);
   }
-  return [...folders].sort().map((folder) => {
-    const about = JSON.parse(readFileSync(join(here, folder, "package.json"), "utf8"));
-    const name = ["LICENSE", "LICENSE.md", "LICENSE.txt", "license"].find((one) => existsSync(join(here, folder, one)));
-    const text = name ? readFileSync(join(here, folder, name), "utf8").trim() : `License: ${about.license}`;
-    return `${about.name} ${about.version}\n\n${text}\n`;
-  }).join(`\n${"-".repeat(72)}\n\n`);
+  return [...folders]
+    .sort()
+    .map((folder) => {
+      const about = JSON.parse(readFileSync(join(here, folder, "package.json"), "utf8"));
+      const name = ["LICENSE", "LICENSE.md", "LICENSE.txt", "license"].find((one) =>
+        existsSync(join(here, folder, one)),
+      );
+      const text = name
+        ? readFileSync(join(here, folder, name), "utf8").trim()
+        : `License: ${about.license}`;
+      return `${about.name} ${about.version}\n\n${text}\n`;
+    })
+    .join(`\n${"-".repeat(72)}\n\n`);
 }
 
 async function buildPage() {
@@ -58,7 +73,8 @@ async function buildPage() {
   });
   for (const name of ["index.html", "icon.svg"]) cpSync(join(here, name), join(out, name));
   let size = 0;
-  for (const name of readdirSync(out)) size += gzipSync(readFileSync(join(out, name)), { level: 9 }).length;
+  for (const name of readdirSync(out))
+    size += gzipSync(readFileSync(join(out, name)), { level: 9 }).length;
   writeFileSync(join(out, "licences.txt"), licences(made.metafile.inputs));
   console.log(`the page takes ${(size / 1000).toFixed(1)} kB by gzip, of ${LIMIT / 1000} kB`);
   if (size > LIMIT) {

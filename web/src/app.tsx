@@ -14,7 +14,12 @@ import { TaskPanel } from "./task_panel";
 import { Bars, LogBar, TopBar } from "./top_bar";
 
 const PANELS: Record<Tab, () => React.ReactNode> = {
-  Tasks: TaskTable, Task: TaskPanel, Variables: VariableTable, Change: ChangePanel, Events: EventsPanel, Commands: CommandsPanel,
+  Tasks: TaskTable,
+  Task: TaskPanel,
+  Variables: VariableTable,
+  Change: ChangePanel,
+  Events: EventsPanel,
+  Commands: CommandsPanel,
 };
 const STEERING: Tab[] = ["Change", "Commands"];
 
@@ -35,12 +40,33 @@ function Side() {
     <aside className="side" aria-label="details">
       <div role="tablist" aria-label="panels" onKeyDown={go}>
         {tabs.map((one) => (
-          <button key={one} id={`tab-${one}`} type="button" role="tab" aria-selected={one === tab} aria-controls="panel" tabIndex={one === tab ? 0 : -1} onClick={() => page.show(one)}>{one}{one === "Events" && <NewErrors />}</button>
+          <button
+            key={one}
+            id={`tab-${one}`}
+            type="button"
+            role="tab"
+            aria-selected={one === tab}
+            aria-controls="panel"
+            tabIndex={one === tab ? 0 : -1}
+            onClick={() => page.show(one)}
+          >
+            {one}
+            {one === "Events" && <NewErrors />}
+          </button>
         ))}
       </div>
-      <div key={tab} role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}><Panel /></div>
-      {live.role === "observer" && !live.log && <p className="observer-note">You are an observer: this page shows everything and steers nothing. The operator’s link does.</p>}
-      {live.log && <p className="observer-note">A recorded run is shown: nothing can be steered.</p>}
+      <div key={tab} role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}>
+        <Panel />
+      </div>
+      {live.role === "observer" && !live.log && (
+        <p className="observer-note">
+          You are an observer: this page shows everything and steers nothing. The operator’s link
+          does.
+        </p>
+      )}
+      {live.log && (
+        <p className="observer-note">A recorded run is shown: nothing can be steered.</p>
+      )}
     </aside>
   );
 }
@@ -48,8 +74,14 @@ function Side() {
 /** How many errors there are among the events. */
 function NewErrors() {
   useLive("events");
-  const count = live.events.filter((one) => one.severity === "error" || one.severity === "fatal").length;
-  return count ? <span className="count" aria-label={`${count} errors`}>{count}</span> : null;
+  const count = live.events.filter(
+    (one) => one.severity === "error" || one.severity === "fatal",
+  ).length;
+  return count ? (
+    <span className="count" aria-label={`${count} errors`}>
+      {count}
+    </span>
+  ) : null;
 }
 
 /** What stands below the bars: by what the page is for now. */
@@ -72,13 +104,20 @@ function Main() {
 /** Says that its part of the page has failed, so that Stop and the other parts go on. */
 class Guard extends Component<{ children: ReactNode }, { failed: string }> {
   override state = { failed: "" };
-  static getDerivedStateFromError(error: unknown) { return { failed: String(error) }; }
+  static getDerivedStateFromError(error: unknown) {
+    return { failed: String(error) };
+  }
   override render() {
     if (!this.state.failed) return this.props.children;
     return (
       <main className="failed" role="alert">
         <p>This part of the page has failed: {this.state.failed}</p>
-        <p>Stop still works, and nothing was changed in the subsystem. <button type="button" onClick={() => location.reload()}>load the page again</button></p>
+        <p>
+          Stop still works, and nothing was changed in the subsystem.{" "}
+          <button type="button" onClick={() => location.reload()}>
+            load the page again
+          </button>
+        </p>
       </main>
     );
   }
@@ -86,7 +125,11 @@ class Guard extends Component<{ children: ReactNode }, { failed: string }> {
 
 function Guarded() {
   usePage("mode");
-  return <Guard key={page.mode}><Main /></Guard>;
+  return (
+    <Guard key={page.mode}>
+      <Main />
+    </Guard>
+  );
 }
 
 export function App() {
@@ -94,7 +137,8 @@ export function App() {
   useEffect(() => {
     const pressed = (event: KeyboardEvent) => {
       const node = (event.target as HTMLElement).closest?.(".react-flow__node-task");
-      if (event.key !== "Enter" || !node || event.target !== node || page.selected.length !== 1) return;
+      if (event.key !== "Enter" || !node || event.target !== node || page.selected.length !== 1)
+        return;
       page.openTask(page.selected[0]!);
     };
     window.addEventListener("keyup", pressed);

@@ -7,7 +7,10 @@ import { jobName, newTasks, type Connecting } from "./assemble_words";
 export const ASSEMBLE_TABS = ["Details", "Faults", "Simulate", "Save"] as const;
 export type AssembleTab = (typeof ASSEMBLE_TABS)[number];
 export type Chosen =
-  | { kind: "job" } | { kind: "task"; task: string } | { kind: "port"; task: string; port: string } | { kind: "variable"; name: string };
+  | { kind: "job" }
+  | { kind: "task"; task: string }
+  | { kind: "port"; task: string; port: string }
+  | { kind: "variable"; name: string };
 
 class AssembleState extends Keyed {
   chosen: Chosen = { kind: "job" };
@@ -33,17 +36,28 @@ class AssembleState extends Keyed {
     live.subscribe("editor", () => this.take(live.editor!));
   }
 
-  get state(): EditorState | null { return live.editor; }
-  get job(): string { return this.state ? jobName(this.state.file) : ""; }
-  get isChanged(): boolean { return (this.state?.unsaved.length ?? 0) > 0; }
+  get state(): EditorState | null {
+    return live.editor;
+  }
+  get job(): string {
+    return this.state ? jobName(this.state.file) : "";
+  }
+  get isChanged(): boolean {
+    return (this.state?.unsaved.length ?? 0) > 0;
+  }
 
-  show(tab: AssembleTab): void { this.tab = tab; this.tell("tab"); }
+  show(tab: AssembleTab): void {
+    this.tab = tab;
+    this.tell("tab");
+  }
   choose(chosen: Chosen): void {
     this.chosen = chosen;
     this.tell("chosen");
     this.show("Details");
   }
-  get task(): string { return this.chosen.kind === "task" || this.chosen.kind === "port" ? this.chosen.task : ""; }
+  get task(): string {
+    return this.chosen.kind === "task" || this.chosen.kind === "port" ? this.chosen.task : "";
+  }
 
   /** Opens the job that is edited, or another one. */
   async open(job = ""): Promise<void> {
@@ -58,7 +72,9 @@ class AssembleState extends Keyed {
   private askBeforeLeaving(): void {
     if (this.asksBeforeLeaving) return;
     this.asksBeforeLeaving = true;
-    window.addEventListener("beforeunload", (event) => { if (this.isChanged) event.preventDefault(); });
+    window.addEventListener("beforeunload", (event) => {
+      if (this.isChanged) event.preventDefault();
+    });
   }
 
   /** Asks which jobs there are, where the one that was asked for cannot be opened. */
@@ -85,9 +101,14 @@ class AssembleState extends Keyed {
     return answer;
   }
   /** Whether an answer is awaited. */
-  get busy(): boolean { return this.asked > 0; }
+  get busy(): boolean {
+    return this.asked > 0;
+  }
 
-  refuse(refused: { at: string; text: string } | null): void { this.refused = refused; this.tell("refused"); }
+  refuse(refused: { at: string; text: string } | null): void {
+    this.refused = refused;
+    this.tell("refused");
+  }
 
   async fitting(task: string, port: string): Promise<Fit[]> {
     const answer = await edit("fitting", { task, port });
@@ -105,11 +126,25 @@ class AssembleState extends Keyed {
       this.tell("connecting");
     });
   }
-  end(): void { this.connecting = null; this.over = ""; this.tell("connecting", "over"); }
-  hover(text: string): void { if (this.connecting && this.over !== text) { this.over = text; this.tell("over"); } }
+  end(): void {
+    this.connecting = null;
+    this.over = "";
+    this.tell("connecting", "over");
+  }
+  hover(text: string): void {
+    if (this.connecting && this.over !== text) {
+      this.over = text;
+      this.tell("over");
+    }
+  }
 
   /** Connects a port to another one, or to a variable. */
-  connect(task: string, port: string, to: { task: string; port: string; variable: string }, at: string): Promise<boolean> {
+  connect(
+    task: string,
+    port: string,
+    to: { task: string; port: string; variable: string },
+    at: string,
+  ): Promise<boolean> {
     return to.port
       ? this.change("connect_ports", { task, port, other: to.task, other_port: to.port }, at)
       : this.change("connect", { task, port, variable: to.variable }, at);
@@ -129,7 +164,8 @@ class AssembleState extends Keyed {
     const fresh = before && before.job === after.job ? newTasks(before, after) : [];
     const isGone = this.task !== "" && !after.tasks.some((one) => one.name === this.task);
     const noVariable = this.chosen.kind === "variable" && !(this.chosen.name in state.table);
-    if (fresh.length === 1 && (isGone || after.tasks.length > before!.tasks.length)) this.chosen = { kind: "task", task: fresh[0]! };
+    if (fresh.length === 1 && (isGone || after.tasks.length > before!.tasks.length))
+      this.chosen = { kind: "task", task: fresh[0]! };
     else if (isGone || noVariable) this.chosen = { kind: "job" };
     this.tell("chosen");
   }
