@@ -164,7 +164,7 @@ function VariableLabel({ name, constant }: { name: string; constant: boolean }) 
 export function Age({ name }: { name: string }) {
   const value = useValue(name);
   useClock();
-  if (!value) return null;
+  if (!value) return live.log ? <span className="age">not in the log</span> : null;
   if (value.t === null) return <span className="age live">never written</span>;
   if (live.link !== "live") return <span className="age">old</span>;
   const age = Math.max(0, live.now() - value.t);
@@ -205,7 +205,11 @@ function Inspector() {
         ))}
         {about.n > 36 && <li>… {about.n} in all</li>}
       </ol>
-      {!value && <p className="dim">no value has come yet</p>}
+      {!value && (
+        <p className="dim">
+          {live.log ? "this log holds no values of it" : "no value has come yet"}
+        </p>
+      )}
       <p className="dim">
         {value?.writer
           ? `written by ${value.writer}`

@@ -237,7 +237,13 @@ export class LiveState extends Keyed {
   }
 
   private takeHistory({ values, events, anew }: Extract<Message, { kind: "history" }>): void {
-    if (anew) this.rings.clear();
+    if (anew) {
+      // What was shown of another time is not of this one.
+      const old = [...this.values.keys()].map((name) => `value:${name}`);
+      this.values.clear();
+      this.rings.clear();
+      this.tell(...old);
+    }
     for (const [name, { t, v }] of Object.entries(values))
       if (v[0]) this.ring(name, v[0].length).putHistory(t, v);
     if (events?.length) this.events = this.log ? events : mergeEvents(this.events, events);

@@ -202,6 +202,8 @@ function Warnings({ task }: { task: string }) {
   );
 }
 
+const NOT_IN_LOG = "the log does not hold it for this time";
+
 /** Hz measured and wanted, CPU, misses and failures. */
 function Figures({ task }: { task: string }) {
   const status = useTask(task);
@@ -209,6 +211,7 @@ function Figures({ task }: { task: string }) {
   if (!fields || status.state === "NOT-CREATED") return <div className="figures" />;
   const counted = (name: string, word: string, bad: boolean) => {
     const value = fields[name];
+    if (value === null && live.log) return <span title={NOT_IN_LOG}>– {word}</span>;
     return typeof value === "number" ? (
       <span className={bad && value ? "bad" : ""} title={`${value} ${word}`}>
         <b>{count(value)}</b> {word}
@@ -219,7 +222,9 @@ function Figures({ task }: { task: string }) {
     <div className="figures live">
       <div>
         <span className="rate">{rate(fields) || "–"}</span>
-        <span>CPU {field(fields.avgU, "%")}</span>
+        <span title={live.log && fields.avgU === null ? NOT_IN_LOG : undefined}>
+          CPU {field(fields.avgU, "%")}
+        </span>
       </div>
       <div>
         {counted("cycle", "cycles", false)}

@@ -1,5 +1,8 @@
 // The newest samples of one variable, with their times.
 
+/** Seconds by which a sample may be older than the newest; more: a clock was put back. */
+export const CLOCK = 1;
+
 export class Ring {
   private readonly times: Float64Array;
   private readonly values: Float64Array;
@@ -29,9 +32,15 @@ export class Ring {
     return this.values[((this.first + k) % this.capacity) * this.width + element]!;
   }
 
-  /** Adds a sample; one that is not newer than the newest is ignored. Returns whether it was added. */
+  /**
+   * Adds a sample; one that is not newer than the newest is ignored, but after a clock was put
+   * back it takes the place of those after it. Returns whether it was added.
+   */
   push(t: number, v: readonly (number | null)[]): boolean {
-    if (this.count && t <= this.newest) return false;
+    if (this.count && t <= this.newest) {
+      if (t > this.newest - CLOCK) return false;
+      this.count = this.indexOf(t);
+    }
     const place = (this.first + this.count) % this.capacity;
     if (this.count === this.capacity) this.first = (this.first + 1) % this.capacity;
     else this.count += 1;

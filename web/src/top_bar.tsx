@@ -85,7 +85,7 @@ function LinkState() {
 
 function Flag() {
   useLive("status");
-  if (!live.rtpus.size || live.log) return null;
+  if (!live.rtpus.size) return null;
   const isIllegal = illegalCauses(live.rtpus.values()).length > 0;
   return (
     <span className={`flag live ${isIllegal ? "illegal" : "legal"}`}>

@@ -24,6 +24,11 @@ export class Trigger {
 
   /** Takes a sample; returns the time of the crossing if this sample triggers, else null. */
   feed(t: number, v: number): number | null {
+    if (this.before && t < this.before.t) {
+      // A clock was put back, or another time was sought.
+      this.before = null;
+      if (!this.settings.once) this.at = null;
+    }
     const before = this.before;
     this.before = Number.isFinite(v) ? { t, v } : null;
     if (!before || !this.before || !this.waits) return null;

@@ -58,6 +58,20 @@ test("history comes before the samples that are there, each once", () => {
   ]);
 });
 
+test("after a clock was put back samples go on", () => {
+  const ring = new Ring(1, 10);
+  for (let t = 100; t < 105; t++) ring.push(t, [t]);
+  assert.equal(ring.push(103.5, [0]), false); // out of order, but the clock is the same
+  assert.equal(ring.push(101.5, [1]), true);
+  assert.equal(ring.push(102, [2]), true);
+  assert.deepEqual(ring.between(0, -Infinity, Infinity), [
+    [100, 101, 101.5, 102],
+    [100, 101, 1, 2],
+  ]);
+  assert.equal(ring.push(3, [3]), true);
+  assert.deepEqual(ring.between(0, -Infinity, Infinity), [[3], [3]]);
+});
+
 const settings = {
   variable: "Q",
   element: 0,
@@ -115,6 +129,17 @@ test("within its hold a trigger ignores crossings, and after one if once", () =>
     ]),
     [null, 6.5],
   );
+});
+
+test("a trigger goes on after a clock was put back", () => {
+  const trigger = new Trigger({ ...settings, hold: 3 });
+  const samples: [number, number][] = [
+    [100, 0],
+    [101, 2],
+    [5, 0],
+    [6, 2],
+  ];
+  assert.deepEqual(feed(trigger, samples), [null, 100.5, null, 5.5]);
 });
 
 test("no crossing over a sample that is no number", () => {

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { complete } from "../src/completion";
-import { illegalCauses, mergeEvents, mergeStatus } from "../src/live_state";
+import { LiveState, illegalCauses, mergeEvents, mergeStatus } from "../src/live_state";
 import type { Command, PbonetEvent, RtpuStatus, StatusMessage, TaskStatus } from "../src/protocol";
 
 const status = (task: string, state: TaskStatus["state"] = "ON"): TaskStatus => ({
@@ -174,4 +174,16 @@ test("a command line is completed from the table and the names", () => {
   assert.deepEqual(complete("status ", commands, names), ["grav", "pid", "set"]);
   assert.deepEqual(complete("status set c", commands, names), ["cycle"]);
   assert.deepEqual(complete("nothing x", commands, names), []);
+});
+
+test("another time of a recorded run has none of the values that were shown before", () => {
+  const live = new LiveState();
+  const value = { t: 5, v: [1], writer: "", age: 0, stale: false };
+  live.take({ kind: "values", t: 5, values: { Q: value } });
+  let told = 0;
+  live.subscribe("value:Q", () => (told += 1));
+  live.take({ kind: "history", values: {}, events: [], anew: true });
+  assert.equal(live.values.has("Q"), false);
+  assert.equal(live.rings.has("Q"), false);
+  assert.ok(told > 0);
 });
