@@ -2,7 +2,7 @@
 import { Handle, Position, useReactFlow, useStore, type NodeProps } from "@xyflow/react";
 import { memo, useEffect, useState, type ReactNode } from "react";
 import { SignalButtons, StateMark, TaskState } from "./controls";
-import { count, field, short } from "./format";
+import { clock, count, field, short } from "./format";
 import {
   inHandle,
   outHandle,
@@ -13,7 +13,7 @@ import {
   type OtherNode,
   type TaskNode,
 } from "./graph_layout";
-import { live, stateOf, useLive, useRtpu, useTask } from "./live_state";
+import { live, stateOf, useGraph, useLive, useRtpu, useTask } from "./live_state";
 import { page } from "./page_state";
 import type { Port, State, TaskInfo, TaskStatus } from "./protocol";
 
@@ -250,11 +250,24 @@ export function notesOf(status: TaskStatus): [string, string][] {
   return notes.filter(([, text]) => text);
 }
 
-/** Errors and warnings in full, below the card. */
+/**
+ * Returns why a task of the job does not exist, and what was told of it last; empty: it does, or
+ * no task does.
+ */
+export function missingNote(task: string): string {
+  const lacks = live.tasks.size > 0 && !live.tasks.has(task);
+  const reason = lacks ? (live.graph?.missing?.[task] ?? "") : "";
+  const last = reason && live.events.findLast((one) => one.task === task);
+  return last ? `${reason}; last: ${clock(last.t, 0)} ${last.code} ${last.text}` : reason;
+}
+
+/** Errors and warnings in full, below the card; of a task that does not exist, why. */
 function Notes({ task }: { task: string }) {
   const status = useTask(task);
-  if (!status) return null;
-  const there = notesOf(status);
+  useGraph();
+  const there: [string, string][] = status ? notesOf(status) : [];
+  const missing = missingNote(task);
+  if (missing) there.push(["missing", missing]);
   if (!there.length) return null;
   return (
     <div className="notes live">

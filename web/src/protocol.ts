@@ -120,6 +120,8 @@ export interface Graph {
   wires: Wire[];
   links: Link[];
   faults: Fault[];
+  /** Tasks of the present job that do not exist, and why; only of a subsystem that is watched. */
+  missing?: Record<string, string>;
 }
 
 export interface TaskStatus {

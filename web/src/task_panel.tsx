@@ -12,7 +12,7 @@ import {
 } from "./controls";
 import { field, seconds, short, unitText } from "./format";
 import { live, useGraph, useLive, useTask } from "./live_state";
-import { notesOf } from "./node_cards";
+import { missingNote, notesOf } from "./node_cards";
 import { page, usePage } from "./page_state";
 import type { ParamInfo, ParamValue, TaskInfo, TaskProfile } from "./protocol";
 
@@ -42,7 +42,8 @@ export function TaskPanel() {
 
 function About({ task }: { task: TaskInfo }) {
   const status = useTask(task.name);
-  const notes = status ? notesOf(status) : [];
+  const missing = missingNote(task.name);
+  const notes: [string, string][] = status ? notesOf(status) : missing ? [["missing", missing]] : [];
   return (
     <section>
       <p className="big live">

@@ -18,11 +18,7 @@ export function TopBar() {
     <header className="top">
       <div className="who">
         <h1>{hello?.name ?? "pbonet"}</h1>
-        {hello?.job && (
-          <span className="dim">
-            {hello.log ? "" : "opened with "}job {hello.job}
-          </span>
-        )}
+        <Job />
         {hello && <Role />}
       </div>
       {live.steers && <Modes />}
@@ -31,6 +27,15 @@ export function TopBar() {
       {live.steers && <Stop />}
     </header>
   );
+}
+
+/** The job that was entered last; before any was, the one with which the page was opened. */
+function Job() {
+  const present = useGraph()?.job ?? "";
+  const opened = live.hello?.job ?? "";
+  if (live.log) return <span className="dim">job {opened}</span>;
+  if (present) return <span className="job">job {present}</span>;
+  return opened ? <span className="dim">opened with job {opened}</span> : null;
 }
 
 /** Chooses what the page is for. */

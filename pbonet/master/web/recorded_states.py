@@ -106,7 +106,9 @@ class RecordedStates:
             if one["rtpu"] == name and one["state"] == "ON"
         ]
         known = [one for one in shares if one is not None]
-        load = {"load": sum(known) / 100.0} if known and len(known) == len(shares) else {}
+        load = (
+            {"load": sum(known) / 100.0} if known and len(known) == len(shares) else {}
+        )
         up: dict[str, None] = {}
         for time, cause, raised in self._flags.get(name, ()):
             if time <= at and raised:
@@ -134,9 +136,15 @@ class RecordedStates:
 
     def _fields(self, name: str, state: str, begun: float, at: float) -> Data:
         freq = self._tasks[name]["freq"]
-        fields: Data = dict.fromkeys(
-            ("mezF", "cycle", "miss", "failed", "avgU", "avgC", "maxC")
-        )
+        fields: Data = dict.fromkeys((
+            "mezF",
+            "cycle",
+            "miss",
+            "failed",
+            "avgU",
+            "avgC",
+            "maxC",
+        ))
         fields["refF"] = freq or None
         times = self._releases.get(name)
         if times is not None:
@@ -160,7 +168,7 @@ class RecordedStates:
         return fields
 
     def _born(self, name: str, begun: float) -> float:
-        """Return when a task was spawned that changed its state at a time; 0: unknown."""
+        """Return when a task was spawned before a time; 0: it is not known."""
         ends = [
             one.end_ns * 1e-9 for one in self._lines.get(name, []) if one.state == GONE
         ]
