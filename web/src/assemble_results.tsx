@@ -3,6 +3,7 @@ import { useEffect, useRef, useState } from "react";
 import uPlot from "uplot";
 import { Planned } from "./change_panel";
 import { lineColour, plotOptions } from "./chart";
+import { edit } from "./connection";
 import { number, unitText } from "./format";
 import { useLive } from "./live_state";
 import type { FileChange, SimulatedRun } from "./protocol";
@@ -69,6 +70,11 @@ export function SimulatePanel() {
           <button type="submit" className="primary" disabled={isRunning}>
             {isRunning ? "it runs…" : "simulate"}
           </button>
+          {isRunning && (
+            <button type="button" onClick={() => void edit("cancel")}>
+              cancel
+            </button>
+          )}
         </p>
         <p className="row wrap chips">
           {wanted.map((one) => (

@@ -91,10 +91,11 @@ class AssembleState extends Keyed {
 
   /** Asks something about the job, or changes it. */
   async ask(name: string, args: Record<string, unknown>, at: string): Promise<Answer> {
-    this.asked += 1;
+    const keepsWaiting = name !== "simulate" ? 1 : 0; // a simulation runs beside all else
+    this.asked += keepsWaiting;
     this.tell("busy");
     const answer = await edit(name, args);
-    this.asked -= 1;
+    this.asked -= keepsWaiting;
     if (!answer.ok) this.refuse({ at, text: answer.text });
     else if (name !== "changes") this.refuse(null);
     this.tell("busy");

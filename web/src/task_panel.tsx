@@ -43,7 +43,11 @@ export function TaskPanel() {
 function About({ task }: { task: TaskInfo }) {
   const status = useTask(task.name);
   const missing = missingNote(task.name);
-  const notes: [string, string][] = status ? notesOf(status) : missing ? [["missing", missing]] : [];
+  const notes: [string, string][] = status
+    ? notesOf(status)
+    : missing
+      ? [["missing", missing]]
+      : [];
   return (
     <section>
       <p className="big live">

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import msgspec
@@ -106,8 +107,6 @@ def test_a_new_job_is_begun_beside_the_others(puma):
         ("remove_task", {}, "task"),
         ("remove_task", {"task": "x", "do": "y"}, ""),
         ("apply", {"offer": 3}, "this is no offer"),
-        ("simulate", {"seconds": 1e9}, "is not simulated on a page"),
-        ("simulate", {"seconds": "x"}, "is not simulated on a page"),
         ("fitting", {}, "the job has no task"),
         ("set_field", {"task": "qrdiff", "field": "f", "value": []}, ""),
     ],
@@ -123,10 +122,30 @@ def test_wrong_edits_are_refused_and_change_nothing(puma, name, args, text):
 
 def test_a_job_is_simulated_in_place(puma):
     edits, _, folder = puma
-    run = edits.do("simulate", {"seconds": 0.2, "variables": ["Q_MEZ"]})["run"]
+    simulate = edits.simulation({"seconds": 0.2, "variables": ["Q_MEZ"]})
+    edits.do("remove_task", {"task": "jttrace"})  # it runs what was there before
+    run = simulate()["run"]
     assert run["ok"], run
     assert len(run["series"]["Q_MEZ"]["t"]) > 10
     assert not list(folder.glob("runs*"))
+
+
+@pytest.mark.parametrize("seconds", [1e9, "x"])
+def test_a_senseless_time_is_not_simulated(puma, seconds):
+    edits, _, _ = puma
+    with pytest.raises(ConfigError, match="is not simulated on a page"):
+        edits.simulation({"seconds": seconds})
+
+
+def test_a_simulation_is_cancelled(puma):
+    edits, _, _ = puma
+    run = edits.simulation({"seconds": 20})
+    results = []
+    thread = threading.Thread(target=lambda: results.append(run()["run"]))
+    thread.start()
+    edits.cancel()
+    thread.join(60)
+    assert results[0]["problems"] == ["it was cancelled"]
 
 
 @pytest.fixture

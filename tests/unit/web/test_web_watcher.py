@@ -7,7 +7,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
 from msgspec import structs
 
 from pbonet.errors import UnknownVariableError, UnreachableError
@@ -157,7 +156,7 @@ def test_the_job_that_was_entered_is_the_present_one(watcher, tmp_path):
 
 
 def test_variables_that_the_running_table_lacks_hide_no_others(watcher):
-    watcher, whole, files, told = watcher
+    watcher, _, files, told = watcher
     subsystem = FakeSubsystem(files, [])
     subsystem.table = ["Q_MEZ"]
     watcher.want(["Q_MEZ", "Q_REF"])
