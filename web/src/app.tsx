@@ -1,17 +1,20 @@
 // The page: its parts, and where they stand.
-import { Component, useEffect, type ReactNode } from "react";
-import { AssembleView } from "./assemble_view";
+import { Component, Suspense, lazy, useEffect, type ReactNode } from "react";
 import { ChangePanel } from "./change_panel";
 import { GraphView } from "./graph_view";
+import { VariableNames } from "./controls";
 import { live, useLive } from "./live_state";
 import { CommandsPanel, EventsPanel } from "./messages_panels";
 import { TABS, page, usePage, type Tab } from "./page_state";
-import { PlotsPanel, VariableNames } from "./plots_panel";
 import { RunBar } from "./program_run";
-import { ProgramView } from "./program_view";
 import { TaskTable, VariableTable } from "./tables";
 import { TaskPanel } from "./task_panel";
 import { Bars, LogBar, TopBar } from "./top_bar";
+
+// What is not on the first screen, or comes into it later, is loaded after it.
+const AssembleView = lazy(() => import("./editors").then((one) => ({ default: one.AssembleView })));
+const ProgramView = lazy(() => import("./editors").then((one) => ({ default: one.ProgramView })));
+const PlotsPanel = lazy(() => import("./plots_panel").then((one) => ({ default: one.PlotsPanel })));
 
 const PANELS: Record<Tab, () => React.ReactNode> = {
   Tasks: TaskTable,
@@ -95,7 +98,9 @@ function Main() {
   return (
     <main className={!page.plotsOpen ? "plots-closed" : page.charts.length ? "" : "no-charts"}>
       <GraphView />
-      <PlotsPanel />
+      <Suspense fallback={<section className="plots" />}>
+        <PlotsPanel />
+      </Suspense>
       <Side />
     </main>
   );
@@ -127,7 +132,9 @@ function Guarded() {
   usePage("mode");
   return (
     <Guard key={page.mode}>
-      <Main />
+      <Suspense fallback={<main aria-busy="true" />}>
+        <Main />
+      </Suspense>
     </Guard>
   );
 }

@@ -24,7 +24,7 @@ import {
   type FrameNode,
   type WireEdge,
 } from "./graph_layout";
-import { Markers, WireLabel, WireLine } from "./graph_view";
+import { Markers, WireLabel, WireLine, useLayout } from "./graph_view";
 import { OtherCard } from "./node_cards";
 import { DraftCard, DraftFrame } from "./assemble_cards";
 import { DRAGGED } from "./assemble_palette";
@@ -99,12 +99,13 @@ function Flow() {
   useAssemble("chosen");
   const graph = state?.graph ?? null;
   const flow = useReactFlow<AnyNode, WireEdge>();
+  const isLoaded = useLayout();
   const made = useMemo<Drawing>(
     () =>
-      graph
+      graph && isLoaded
         ? drawing(graph, { compact: false, folded: NONE, operator: false, empty: true })
         : { nodes: [], edges: [] },
-    [graph],
+    [graph, isLoaded],
   );
   const [now, setNow] = useState(made);
   const places = useRef(new Map<string, { x: number; y: number }>());

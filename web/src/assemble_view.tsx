@@ -15,7 +15,6 @@ import {
 } from "./assemble_state";
 import { FaultsPanel, Timing } from "./assemble_verdict";
 import { fileName } from "./assemble_words";
-import "./assemble.css";
 
 const PANELS: Record<AssembleTab, () => React.ReactNode> = {
   Details: DetailsPanel,

@@ -201,6 +201,23 @@ export function WordField(props: {
   );
 }
 
+/** The names for all fields that take a variable. */
+export function VariableNames() {
+  useLive("graph");
+  return (
+    <datalist id="plot-variables">
+      {[...live.variables.values()]
+        .filter((one) => !one.constant)
+        .slice(0, 600)
+        .map((one) => (
+          <option key={one.name} value={one.name}>
+            {one.desc}
+          </option>
+        ))}
+    </datalist>
+  );
+}
+
 /** Draws again twice a second, where an age is shown that grows by itself. */
 export function useClock(): void {
   useLive("status");

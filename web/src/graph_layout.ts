@@ -1,7 +1,14 @@
 // From a GRAPH to the nodes and edges that are drawn, and where they stand.
-import { Graph as Digraph, layout } from "@dagrejs/dagre";
+import type { Graph as Digraph } from "@dagrejs/dagre";
 import type { Edge, Node } from "@xyflow/react";
 import type { Graph, Link, Port, TaskInfo } from "./protocol";
+
+let dagre: typeof import("@dagrejs/dagre") | null = null;
+/** Fulfilled when graphs can be drawn: what arranges them comes after the rest of the page. */
+export const layoutLoaded: Promise<void> = import("@dagrejs/dagre").then((loaded) => {
+  dagre = loaded;
+});
+export const canDraw = (): boolean => dagre !== null;
 
 export const CARD = 236;
 export const SMALL_CARD = 176;
@@ -357,7 +364,8 @@ interface Spaces {
 
 /** Has dagre arrange nodes from left to right along their wires; returns its graph. */
 function arranged(nodes: AnyNode[], edges: WireEdge[], spaces: Spaces): Digraph {
-  const graph = new Digraph({ multigraph: true, compound: true });
+  if (!dagre) throw new Error("the layout is not loaded yet");
+  const graph: Digraph = new dagre.Graph({ multigraph: true, compound: true });
   graph.setGraph({
     rankdir: "LR",
     ranksep: spaces.ranksep,
@@ -390,7 +398,7 @@ function arranged(nodes: AnyNode[], edges: WireEdge[], spaces: Spaces): Digraph 
       edge.id,
     );
   }
-  layout(graph);
+  dagre.layout(graph);
   for (const node of nodes) {
     const { x, y } = graph.node(node.id) as { x: number; y: number };
     node.position = { x: x - node.width! / 2, y: y - node.height! / 2 };

@@ -19,7 +19,9 @@ import { Outcome, commandHelp, useClock, useCommand } from "./controls";
 import { want } from "./connection";
 import { clock, number, seconds, unitText } from "./format";
 import {
+  canDraw,
   drawing,
+  layoutLoaded,
   refit,
   shouldCompact,
   taskId,
@@ -231,19 +233,27 @@ function Inspector() {
   );
 }
 
+/** Returns whether graphs can be drawn already, and draws again when they can. */
+export function useLayout(): boolean {
+  const [isLoaded, setLoaded] = useState(canDraw);
+  useEffect(() => void layoutLoaded.then(() => setLoaded(true)), []);
+  return isLoaded;
+}
+
 function Flow() {
   const graph = useGraph();
   const choice = usePage("drawing");
   usePage("selected");
   const role = useLive("hello");
   const flow = useReactFlow<AnyNode, WireEdge>();
+  const isLoaded = useLayout();
   const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
   const made = useMemo<Drawing>(
     () =>
-      graph
+      graph && isLoaded
         ? drawing(graph, { compact, folded: page.folded, operator: live.steers })
         : { nodes: [], edges: [] },
-    [graph, compact, choice, role], // `choice` and `role` stand for what is outside of React
+    [graph, isLoaded, compact, choice, role], // `choice` and `role` stand for what is outside of React
   );
   const [now, setNow] = useState(made);
   const shape = made.nodes.map((one) => one.id).join("\n"),

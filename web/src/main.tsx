@@ -3,6 +3,8 @@ import { createRoot } from "react-dom/client";
 import "@xyflow/react/dist/style.css";
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
+import "./assemble.css";
+import "./program.css";
 import { App } from "./app";
 import { connect, watchForSilence } from "./connection";
 

@@ -102,23 +102,6 @@ function AddSeries({ label, chart }: { label: string; chart?: number }) {
   );
 }
 
-/** The names for all fields that take a variable. */
-export function VariableNames() {
-  useLive("graph");
-  return (
-    <datalist id="plot-variables">
-      {[...live.variables.values()]
-        .filter((one) => !one.constant)
-        .slice(0, 600)
-        .map((one) => (
-          <option key={one.name} value={one.name}>
-            {one.desc}
-          </option>
-        ))}
-    </datalist>
-  );
-}
-
 function ViewTools() {
   usePage("view");
   const view = page.view;

@@ -1,6 +1,5 @@
 // The application level: jobs put in a row are a program.
 import { useEffect, useMemo, useState } from "react";
-import "./program.css";
 import { program } from "./connection";
 import { live, useLive } from "./live_state";
 import { FormPanel, NewName } from "./program_forms";

@@ -11,7 +11,7 @@ import {
   newTasks,
   numbersOf,
 } from "../src/assemble_words";
-import { drawing } from "../src/graph_layout";
+import { drawing, layoutLoaded } from "../src/graph_layout";
 import type {
   EditorState,
   Fault,
@@ -62,6 +62,8 @@ const graph = (...tasks: TaskInfo[]): Graph => ({
   links: [],
   faults: [],
 });
+
+await layoutLoaded;
 
 test("a fault is said in one sentence, without its place and what was expected", () => {
   assert.equal(

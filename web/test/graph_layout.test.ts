@@ -1,6 +1,13 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { drawing, faultyPorts, outHandle, shiftInto, wirePath } from "../src/graph_layout";
+import {
+  drawing,
+  layoutLoaded,
+  faultyPorts,
+  outHandle,
+  shiftInto,
+  wirePath,
+} from "../src/graph_layout";
 import type { Graph, Port, TaskInfo } from "../src/protocol";
 
 const port = (variable: string, constant = false): Port => ({
@@ -64,6 +71,8 @@ function puma(): Graph {
 const plain = { compact: false, folded: new Set<string>(), operator: true };
 const frames = (made: ReturnType<typeof drawing>) =>
   made.nodes.filter((one) => one.type === "frame");
+
+await layoutLoaded;
 
 test("one card per task, within a frame per RTPU", () => {
   const made = drawing(puma(), plain);

@@ -164,6 +164,21 @@ def test_a_swap_is_shown_first_and_then_done(page):
     card(page, "qrdiff2").wait_for(state="detached")
 
 
+def test_a_killed_task_of_the_job_stays_and_says_why(page):
+    assert page.locator(".who .job").inner_text() == "job teleop"
+    one = card(page, "jttrace")
+    one.get_by_role("button", name="kill jttrace").click()
+    one.locator(".state-not-created").wait_for()
+    note = one.locator(".note-missing")
+    note.wait_for()
+    assert "it was not spawned, or was killed; last: " in note.inner_text()
+    assert page.locator(".card").count() == 4
+    one.get_by_role("button", name="spawn jttrace").click()
+    one.get_by_role("button", name="on jttrace").click()
+    page.locator(".flag.legal").wait_for()
+    note.wait_for(state="detached")
+
+
 def test_variables_are_plotted_triggered_and_saved(page, tmp_path):
     new = page.get_by_label("variable for new chart")
     for words in ("Q_MEZ[0:3]", "Q_REF[1] Q_MEZ[1]"):
