@@ -2,7 +2,7 @@
 import { edit, program } from "./connection";
 import { Keyed, live, useKey } from "./live_state";
 import type { Answer, EditorState, Fit, Graph, SimulatedRun } from "./protocol";
-import { jobName, newTasks, type Connecting } from "./assemble_words";
+import { doneElsewhere, jobName, newTasks, type Connecting } from "./assemble_words";
 
 export const ASSEMBLE_TABS = ["Details", "Faults", "Simulate", "Save"] as const;
 export type AssembleTab = (typeof ASSEMBLE_TABS)[number];
@@ -27,7 +27,9 @@ class AssembleState extends Keyed {
   run: SimulatedRun | null = null;
   /** The state that was simulated. */
   runOf: EditorState | null = null;
-  private graph: Graph | null = null;
+  /** What another browser did last to the job, which all browsers edit. */
+  elsewhere = "";
+  private before: EditorState | null = null;
   private asked = 0;
   private asksBeforeLeaving = false;
 
@@ -153,10 +155,12 @@ class AssembleState extends Keyed {
 
   private take(state: EditorState): void {
     if (state.jobs) this.jobs = state.jobs;
-    const before = this.graph;
-    this.graph = state.graph;
+    const before = this.before;
+    this.before = state;
     if (this.connecting) this.end();
-    this.keepChoice(before, state.graph, state);
+    this.keepChoice(before?.graph ?? null, state.graph, state);
+    if (!this.busy && before) this.elsewhere = doneElsewhere(before, state) || this.elsewhere;
+    else this.elsewhere = "";
     this.tell("state");
   }
 
@@ -165,7 +169,8 @@ class AssembleState extends Keyed {
     const fresh = before && before.job === after.job ? newTasks(before, after) : [];
     const isGone = this.task !== "" && !after.tasks.some((one) => one.name === this.task);
     const noVariable = this.chosen.kind === "variable" && !(this.chosen.name in state.table);
-    if (fresh.length === 1 && (isGone || after.tasks.length > before!.tasks.length))
+    const follows = this.busy || isGone; // what another browser adds is not chosen here
+    if (fresh.length === 1 && follows && (isGone || after.tasks.length > before!.tasks.length))
       this.chosen = { kind: "task", task: fresh[0]! };
     else if (isGone || noVariable) this.chosen = { kind: "job" };
     this.tell("chosen");

@@ -119,6 +119,11 @@ function Tools() {
       >
         save…
       </button>
+      {assemble.elsewhere && (
+        <p className="outcome warned elsewhere" role="status">
+          Another browser {assemble.elsewhere}
+        </p>
+      )}
       <Refusal at="tools" />
       <Refusal at="open" />
     </header>

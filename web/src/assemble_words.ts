@@ -114,6 +114,21 @@ export function diffLines(
   }));
 }
 
+/** Returns what another browser has done to the job; empty: nothing that can be seen. */
+export function doneElsewhere(before: EditorState, after: EditorState): string {
+  if (before.file !== after.file)
+    return `opened ${jobName(after.file)} instead of ${jobName(before.file)}${
+      before.unsaved.length ? `, without saving ${before.unsaved.map(fileName).join(", ")}` : ""
+    }`;
+  if (before.unsaved.length && !after.unsaved.length && before.undo === after.undo)
+    return "saved the job";
+  if (after.redo && after.redo !== before.redo && before.undo === after.redo)
+    return `took back: ${after.redo}`;
+  return after.undo && (after.undo !== before.undo || after.graph !== before.graph)
+    ? `changed the job: ${after.undo}`
+    : "";
+}
+
 /** Returns the name of a file without its folder, and of a job without its ending. */
 export const fileName = (path: string): string => path.replace(/^.*\//, "");
 export const jobName = (path: string): string => fileName(path).replace(/\.job$/, "");

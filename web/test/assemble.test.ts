@@ -3,6 +3,7 @@ import { test } from "node:test";
 import {
   barOf,
   diffLines,
+  doneElsewhere,
   faultHead,
   faultsOf,
   groupModules,
@@ -219,4 +220,18 @@ test("an RTPU without a task is drawn where a module can be dropped, and apart f
     first!.position.y + first!.height! <= second!.position.y ||
       second!.position.y + second!.height! <= first!.position.y,
   );
+});
+
+test("what another browser did to the job is said", () => {
+  const state = (more: Partial<EditorState>): EditorState =>
+    ({ file: "/x/a.job", graph: {}, undo: "", redo: "", unsaved: [], ...more }) as EditorState;
+  const edited = state({ undo: "add qrdiff", unsaved: ["/x/a.job"] });
+  assert.equal(doneElsewhere(state({}), edited), "changed the job: add qrdiff");
+  assert.equal(doneElsewhere(edited, state({ redo: "add qrdiff" })), "took back: add qrdiff");
+  assert.equal(doneElsewhere(edited, state({ undo: "add qrdiff" })), "saved the job");
+  assert.equal(
+    doneElsewhere(edited, state({ file: "/x/b.job" })),
+    "opened b instead of a, without saving a.job",
+  );
+  assert.equal(doneElsewhere(edited, edited), "");
 });
