@@ -30,12 +30,14 @@ import {
   type Drawing,
   type WireEdge,
 } from "./graph_layout";
-import { live, useGraph, useLive, useStale, useValue } from "./live_state";
+import { live, stateOf, useGraph, useLive, useStale, useValue } from "./live_state";
 import { FrameCard, OtherCard, TaskCard } from "./node_cards";
 import { page, usePage } from "./page_state";
 import { parseSeries } from "./series";
 
 const FAR = 0.42;
+/** Room around the drawing; the buttons of the graph stand above it. */
+const PADDING = { top: "52px", x: 0.05, bottom: 0.05 } as const;
 const NODE_TYPES = { task: TaskCard, frame: FrameCard, other: OtherCard };
 const EDGE_TYPES = { wire: memo(Wire) };
 
@@ -52,10 +54,15 @@ function countLabel(variable: string, by: 1 | -1): void {
   }, 120);
 }
 
+/** Returns whether a task of a node exists; a frame has some that do. */
+const isThere = (node: string): boolean =>
+  !node.startsWith(taskId("")) || stateOf(node.slice(taskId("").length)) !== "NOT-CREATED";
+
 function Wire(props: EdgeProps<WireEdge>) {
   const data = props.data!;
   const first = data.variables[0] ?? "";
-  const stale = useStale(data.kind === "constant" ? "" : first);
+  const isOld = useStale(data.kind === "constant" ? "" : first);
+  const stale = isOld && (isThere(props.source) || isThere(props.target));
   return (
     <WireLine wire={props} look={stale ? "stale" : ""}>
       {data.labelled && (
@@ -282,7 +289,7 @@ function Flow() {
   useEffect(() => {
     if (drawn && !moved.current)
       requestAnimationFrame(
-        () => void flow.fitView({ padding: 0.06, maxZoom: 1.05, minZoom: 0.08 }),
+        () => void flow.fitView({ padding: PADDING, maxZoom: 1.05, minZoom: 0.08 }),
       );
   }, [drawn, compact, flow, width, height]);
 

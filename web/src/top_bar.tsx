@@ -93,7 +93,10 @@ function Flag() {
   if (!live.rtpus.size) return null;
   const isIllegal = illegalCauses(live.rtpus.values()).length > 0;
   return (
-    <span className={`flag live ${isIllegal ? "illegal" : "legal"}`}>
+    <span
+      className={`flag live ${isIllegal ? "illegal" : "legal"}`}
+      title={`the flag of the configuration that ${live.log ? "ran" : "runs"}`}
+    >
       {isIllegal ? "▲ ILLEGAL" : "✓ legal"}
     </span>
   );
