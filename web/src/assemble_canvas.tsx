@@ -16,6 +16,7 @@ import {
 import { memo, useCallback, useEffect, useMemo, useRef, useState } from "react";
 import {
   drawing,
+  keepEqual,
   refit,
   shouldCompact,
   taskId,
@@ -100,11 +101,16 @@ function Flow() {
   const graph = state?.graph ?? null;
   const flow = useReactFlow<AnyNode, WireEdge>();
   const isLoaded = useLayout();
+  const last = useRef<Drawing>({ nodes: [], edges: [] });
   const made = useMemo<Drawing>(
     () =>
-      graph && isLoaded
-        ? drawing(graph, { compact: false, folded: NONE, operator: false, empty: true })
-        : { nodes: [], edges: [] },
+      (last.current =
+        graph && isLoaded
+          ? keepEqual(
+              last.current,
+              drawing(graph, { compact: false, folded: NONE, operator: false, empty: true }),
+            )
+          : { nodes: [], edges: [] }),
     [graph, isLoaded],
   );
   const [now, setNow] = useState(made);
@@ -133,9 +139,10 @@ function Flow() {
 
   const nodes = useMemo(
     () =>
-      now.nodes.map((one) =>
-        one.type === "task" ? { ...one, selected: one.id === taskId(assemble.task) } : one,
-      ),
+      now.nodes.map((one) => {
+        const isChosen = one.type === "task" && one.id === taskId(assemble.task);
+        return Boolean(one.selected) === isChosen ? one : { ...one, selected: isChosen };
+      }),
     [now.nodes, assemble.task],
   );
   const changed = useCallback((changes: NodeChange<AnyNode>[]) => {

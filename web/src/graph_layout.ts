@@ -494,6 +494,18 @@ function intoRows(cards: AnyNode[]): void {
   });
 }
 
+/** Returns a drawing in which what is as it was before is the same object: it is not drawn anew. */
+export function keepEqual(before: Drawing, after: Drawing): Drawing {
+  const keep = <T extends { id: string }>(olds: readonly T[], news: readonly T[]): T[] => {
+    const known = new Map(olds.map((one) => [one.id, one]));
+    return news.map((one) => {
+      const old = known.get(one.id);
+      return old && JSON.stringify(old) === JSON.stringify(one) ? old : one;
+    });
+  };
+  return { nodes: keep(before.nodes, after.nodes), edges: keep(before.edges, after.edges) };
+}
+
 /** Returns the drawing with frames and wires as fits cards that were moved. */
 export function refit(nodes: AnyNode[], edges: WireEdge[]): Drawing {
   const frameOf = new Map(

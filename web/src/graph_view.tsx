@@ -21,6 +21,7 @@ import { clock, number, seconds, unitText } from "./format";
 import {
   canDraw,
   drawing,
+  keepEqual,
   layoutLoaded,
   refit,
   shouldCompact,
@@ -38,6 +39,7 @@ import { parseSeries } from "./series";
 const FAR = 0.42;
 /** Room around the drawing; the buttons of the graph stand above it. */
 const PADDING = { top: "52px", x: 0.05, bottom: 0.05 } as const;
+const EMPTY: Drawing = { nodes: [], edges: [] };
 const NODE_TYPES = { task: TaskCard, frame: FrameCard, other: OtherCard };
 const EDGE_TYPES = { wire: memo(Wire) };
 
@@ -255,11 +257,16 @@ function Flow() {
   const flow = useReactFlow<AnyNode, WireEdge>();
   const isLoaded = useLayout();
   const compact = page.compact ?? (graph ? shouldCompact(graph) : false);
+  const last = useRef<Drawing>(EMPTY);
   const made = useMemo<Drawing>(
     () =>
-      graph && isLoaded
-        ? drawing(graph, { compact, folded: page.folded, operator: live.steers })
-        : { nodes: [], edges: [] },
+      (last.current =
+        graph && isLoaded
+          ? keepEqual(
+              last.current,
+              drawing(graph, { compact, folded: page.folded, operator: live.steers }),
+            )
+          : EMPTY),
     [graph, isLoaded, compact, choice, role], // `choice` and `role` stand for what is outside of React
   );
   const [now, setNow] = useState(made);

@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import {
   drawing,
+  keepEqual,
   layoutLoaded,
   faultyPorts,
   outHandle,
@@ -278,4 +279,17 @@ test("a message at an edge is moved into the drawing", () => {
     -192,
     "the beginning of a long one is read first",
   );
+});
+
+test("what has not changed is the same object in the next drawing", () => {
+  const before = drawing(puma(), plain);
+  const graph = puma();
+  graph.tasks = graph.tasks.map((one, k) => (k === 1 ? { ...one, desc: "another" } : one));
+  const after = keepEqual(before, drawing(graph, plain));
+  const changed = after.nodes.filter((one) => !before.nodes.includes(one));
+  assert.deepEqual(
+    changed.map((one) => one.id),
+    [`task ${graph.tasks[1]!.name}`],
+  );
+  assert.ok(after.edges.every((one) => before.edges.includes(one)));
 });

@@ -328,8 +328,13 @@ class Orders:
             return _Work("simulate", simulate, self._simulating)
         if request.edit == "cancel":
             return _Work("cancel", self._cancel, self._steering)
-        edit = partial(self._edits.do, request.edit, request.args)
-        return _Work(request.edit, lambda: Done(data=edit()), self._files)
+
+        def edit() -> Done:
+            data = self._edits.do(request.edit, request.args)
+            data.pop("state", None)  # all browsers are told it, this one too
+            return Done(data=data)
+
+        return _Work(request.edit, edit, self._files)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):
