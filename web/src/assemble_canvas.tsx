@@ -249,7 +249,9 @@ async function finish(event: MouseEvent | TouchEvent): Promise<void> {
   });
 }
 
-/** What is said while a connection is made, and variables without a port to which it can be made. */
+/**
+ * What is said while a connection is made, and variables without a port to which it can be made.
+ */
 function Connection() {
   useAssemble("connecting");
   useAssemble("over");

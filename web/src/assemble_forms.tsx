@@ -9,7 +9,10 @@ import { FaultCard } from "./assemble_verdict";
 import { assemble, useAssemble, useEditor } from "./assemble_state";
 import { faultsOf, numbersOf, portOf } from "./assemble_words";
 
-/** A setting of a task: its name, its unit, what it means, and words to choose from if it takes no others. */
+/**
+ * A setting of a task: its name, its unit, what it means, and words to choose from if it takes no
+ * others.
+ */
 interface Setting {
   field: string;
   label: string;
@@ -689,7 +692,9 @@ function JobForm({ state }: { state: EditorState }) {
   );
 }
 
-/** The order in which tasks are turned off; none: the reverse of that in which they are turned on. */
+/**
+ * The order in which tasks are turned off; none: the reverse of that in which they are turned on.
+ */
 function OffOrder({ state }: { state: EditorState }) {
   const tasks = state.graph.tasks.filter((one) => !one.fallback_of).map((one) => one.name);
   const order = state.off_order.length

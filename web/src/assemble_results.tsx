@@ -1,4 +1,5 @@
-// What comes of the job that is edited: a simulated run with plots, and saved files that can be applied.
+// What comes of the job that is edited: a simulated run with plots, and saved files that can be
+// applied.
 import { useEffect, useRef, useState } from "react";
 import uPlot from "uplot";
 import { Planned } from "./change_panel";

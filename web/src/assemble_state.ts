@@ -70,7 +70,10 @@ class AssembleState extends Keyed {
     this.choose({ kind: "job" });
   }
 
-  /** Has the browser ask before it leaves a page with changes that are not saved, whatever it shows. */
+  /**
+   * Has the browser ask before it leaves a page with changes that are not saved, whatever it
+   * shows.
+   */
   private askBeforeLeaving(): void {
     if (this.asksBeforeLeaving) return;
     this.asksBeforeLeaving = true;
@@ -86,7 +89,9 @@ class AssembleState extends Keyed {
     this.tell("state");
   }
 
-  /** Makes a change; returns whether it was done. A refusal is shown at the control of that name. */
+  /**
+   * Makes a change; returns whether it was done. A refusal is shown at the control of that name.
+   */
   async change(name: string, args: Record<string, unknown>, at: string): Promise<boolean> {
     return (await this.ask(name, args, at)).ok;
   }

@@ -1,4 +1,5 @@
-// The verdict on the job that is edited: its faults with what puts them right, and the load of each RTPU.
+// The verdict on the job that is edited: its faults with what puts them right, and the load of
+// each RTPU.
 import { short } from "./format";
 import type { Offer, TimingBar } from "./protocol";
 import { Refusal } from "./assemble_fields";

@@ -58,7 +58,10 @@ export interface Connecting {
   port: string;
   fits: readonly Fit[];
 }
-/** Returns why a port cannot be connected to the one from which a connection is made; empty: it can. */
+/**
+ * Returns why a port cannot be connected to the one from which a connection is made; empty: it
+ * can.
+ */
 export function misfit(graph: Graph, from: Connecting, task: string, port: string): string {
   if (task === from.task) return port === from.port ? "" : `it is of ${task}, too`;
   const found = from.fits.find((one) => one.task === task && one.port === port);
@@ -133,7 +136,10 @@ export function doneElsewhere(before: EditorState, after: EditorState): string {
 export const fileName = (path: string): string => path.replace(/^.*\//, "");
 export const jobName = (path: string): string => fileName(path).replace(/\.job$/, "");
 
-/** Returns numbers of a text, as INIT, MIN and MAX have them; null: none. Throws a sentence for the user. */
+/**
+ * Returns numbers of a text, as INIT, MIN and MAX have them; null: none. Throws a sentence for the
+ * user.
+ */
 export function numbersOf(text: string): number[] | null {
   const words = text
     .trim()

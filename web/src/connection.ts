@@ -93,7 +93,9 @@ async function askWhy(): Promise<void> {
   }
 }
 
-/** Notices a server that says nothing more. It answers each `watch`, so that quiet is no silence. */
+/**
+ * Notices a server that says nothing more. It answers each `watch`, so that quiet is no silence.
+ */
 export function watchForSilence(): void {
   setInterval(() => {
     if (live.link !== "live") return;
@@ -189,7 +191,10 @@ export function play(speed: number): void {
   socket?.send(JSON.stringify({ do: "play", speed }));
 }
 
-/** Says which variables one part of the page shows; the first parts named go first where it is too many. */
+/**
+ * Says which variables one part of the page shows; the first parts named go first where it is too
+ * many.
+ */
 export function want(
   part: "plots" | "trigger" | "inspect" | "list" | "graph",
   names: readonly string[],

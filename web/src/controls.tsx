@@ -76,7 +76,10 @@ export function useCommand(): Running {
   return { run, busy, answer, clear, progress };
 }
 
-/** What became of the command of one control: its refusal word for word, its warnings, how long it takes. */
+/**
+ * What became of the command of one control: its refusal word for word, its warnings, how long it
+ * takes.
+ */
 export function Outcome({
   of,
   done = "",

@@ -203,7 +203,8 @@ function wiringsOf(graph: Graph, options: GraphOptions, folded: Set<string>): Wi
     });
   };
   for (const wire of graph.wires) {
-    if (end(wire.from) === end(wire.to) && wire.from !== wire.to) continue; // both within one folded frame
+    // Both within one folded frame
+    if (end(wire.from) === end(wire.to) && wire.from !== wire.to) continue;
     add(
       end(wire.from),
       end(wire.to),
@@ -329,7 +330,10 @@ function place(nodes: AnyNode[], edges: WireEdge[]): void {
 
 const FRAME_GAP = 24;
 
-/** Moves down what is below a frame that reaches into another one; returns where a height has moved to. */
+/**
+ * Moves down what is below a frame that reaches into another one; returns where a height has moved
+ * to.
+ */
 function separateFrames(
   frames: FrameNode[],
   nodes: AnyNode[],
@@ -454,7 +458,8 @@ function placeMany(
 }
 
 /**
- * Places cards in columns: each to the right of those whose variables it reads, but for wires that lead back.
+ * Places cards in columns: each to the right of those whose variables it reads, but for wires that
+ * lead back.
  * dagre's own way takes seconds for hundreds of cards.
  */
 function intoColumns(cards: AnyNode[], edges: WireEdge[]): void {
@@ -634,7 +639,10 @@ interface Sides {
   bottom: number;
 }
 
-/** Returns how far to move a box so that it is within an area; one that is too large keeps its upper left corner there. */
+/**
+ * Returns how far to move a box so that it is within an area; one that is too large keeps its
+ * upper left corner there.
+ */
 export function shiftInto(box: Sides, area: Sides, margin = 8): [number, number] {
   const one = (from: number, to: number, low: number, high: number) => {
     const back = Math.min(0, high - margin - to);

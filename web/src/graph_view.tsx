@@ -289,7 +289,8 @@ function Flow() {
   }, [made, shape, compact]);
   const width = useStore((state) => state.width),
     height = useStore((state) => state.height);
-  const drawn = now.nodes.map((one) => one.id).join("\n"); // what is on the screen, after the new drawing has come
+  // What is on the screen, after the new drawing has come
+  const drawn = now.nodes.map((one) => one.id).join("\n");
   useEffect(() => {
     moved.current = false;
   }, [drawn, compact]);

@@ -11,4 +11,5 @@ import { connect, watchForSilence } from "./connection";
 createRoot(document.getElementById("root")!).render(<App />);
 connect();
 watchForSilence();
-if (location.search) history.replaceState(null, "", location.pathname); // a link works once; the cookie goes on
+// A link works once; the cookie goes on
+if (location.search) history.replaceState(null, "", location.pathname);

@@ -6,7 +6,9 @@ import type { Series } from "./series";
 import { Trigger, triggerWindow, type TriggerSettings } from "./trigger";
 
 export const TABS = ["Tasks", "Task", "Variables", "Change", "Events", "Commands"] as const;
-/** What the page is for now: to watch and steer, to assemble a job, or to write a program of jobs. */
+/**
+ * What the page is for now: to watch and steer, to assemble a job, or to write a program of jobs.
+ */
 export const MODES = ["Watch", "Assemble", "Program"] as const;
 export type Mode = (typeof MODES)[number];
 export type Tab = (typeof TABS)[number];
@@ -176,7 +178,8 @@ class PageState extends Keyed {
     if (!trigger || name !== trigger.settings.variable || this.due) return;
     const at = trigger.feed(t, v[trigger.settings.element] ?? NaN);
     if (at === null) return;
-    const rest = Math.max(0, at + this.width / 2 - live.now()) * 1000 + 100; // until what follows has come, too
+    // Until what follows has come, too
+    const rest = Math.max(0, at + this.width / 2 - live.now()) * 1000 + 100;
     this.due = setTimeout(() => {
       this.due = null;
       const [from, to] = triggerWindow(at, this.width);

@@ -194,7 +194,10 @@ export function inserted(seq: Seq, at: number, ...lines: Content[]): Seq {
   const made = lines.map((one) => ({ ...one, key: ++lastKey }));
   return { ...seq, lines: seq.lines.toSpliced(at, 0, ...made) };
 }
-/** Returns the program with one line in place of another; places where a step is named follow its new name. */
+/**
+ * Returns the program with one line in place of another; places where a step is named follow its
+ * new name.
+ */
 export function replaced(seq: Seq, at: number, line: Content): Seq {
   const old = seq.lines[at]!;
   let lines: Line[] = seq.lines.with(at, { ...line, key: old.key });
@@ -227,7 +230,10 @@ export function removed(seq: Seq, at: number): Seq {
   const other = partner(seq, at);
   return { ...seq, lines: seq.lines.filter((_, k) => k !== at && k !== other) };
 }
-/** Returns the program with one line moved before the line that is at `to` now; the same if nothing moves. */
+/**
+ * Returns the program with one line moved before the line that is at `to` now; the same if nothing
+ * moves.
+ */
 export function moved(seq: Seq, from: number, to: number): Seq {
   if (to === from || to === from + 1 || to < 0 || to > seq.lines.length) return seq;
   const lines = seq.lines.toSpliced(from, 1);
@@ -321,7 +327,10 @@ export const said = (text: string): string => text.replace(/^\S+\.seq(:\d+)*:? /
 export const short = (text: string): string =>
   text.replace(/(^|[\s(])\/\S*\/(?=[^\s/]+\.\w)/g, "$1");
 
-/** Returns what was said about each line by its index, of the safe job under -1, and of none of them under -2. */
+/**
+ * Returns what was said about each line by its index, of the safe job under -1, and of none of
+ * them under -2.
+ */
 export function remarks(judged: Judged, count: number): Map<number, Remark[]> {
   const found = new Map<number, Remark[]>();
   const lines = new Map<number, number>();

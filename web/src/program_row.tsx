@@ -1,4 +1,5 @@
-// The row of icons: a program's lines as tiles, joined by edges, with loops as frames and jumps as arcs.
+// The row of icons: a program's lines as tiles, joined by edges, with loops as frames and jumps as
+// arcs.
 import { useEffect, useLayoutEffect, useRef, useState } from "react";
 import { JobIcon } from "./program_icon";
 import { remove, shift } from "./program_forms";

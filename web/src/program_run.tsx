@@ -64,7 +64,8 @@ export function RunBar() {
   if (!running || (ENDED.has(running.state.phase) && !here)) return null;
   const { state, program: name } = running;
   const ended = ENDED.has(state.phase);
-  const errors = state.errors.filter((one) => !ended || !state.text.includes(one)); // why it ended is said already
+  // Why it ended is said already
+  const errors = state.errors.filter((one) => !ended || !state.text.includes(one));
   const steer = (what: string) => {
     setAnswer(null);
     void program(what).then(setAnswer);

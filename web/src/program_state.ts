@@ -261,7 +261,10 @@ class ProgramState extends Keyed {
     const answer = await this.save();
     return answer.ok ? null : answer;
   }
-  /** The key of the line that runs, or comes next after a pause, in the program shown; "safe" for its safe job. */
+  /**
+   * The key of the line that runs, or comes next after a pause, in the program shown; "safe" for
+   * its safe job.
+   */
   get lit(): number | "safe" | null {
     const running = live.running,
       draft = this.draft;

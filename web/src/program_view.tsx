@@ -30,7 +30,8 @@ export function ProgramView() {
     const pressed = (event: KeyboardEvent) => {
       if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z" || event.altKey)
         return;
-      if ((event.target as HTMLElement).matches?.("[data-typed], .new-name input")) return; // the field's own undo
+      // The field's own undo
+      if ((event.target as HTMLElement).matches?.("[data-typed], .new-name input")) return;
       event.preventDefault();
       if (event.shiftKey) programs.redo();
       else programs.undo();

@@ -208,7 +208,9 @@ export interface EditorState {
   redo: string;
   unsaved: string[];
 }
-/** A port, or a variable alone if `port` is empty, and whether another port can be connected to it. */
+/**
+ * A port, or a variable alone if `port` is empty, and whether another port can be connected to it.
+ */
 export interface Fit {
   task: string;
   port: string;

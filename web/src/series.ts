@@ -90,6 +90,7 @@ export function toCsv(
 }
 
 function csvCell(text: string): string {
-  const safe = /^[=+\-@]/.test(text) ? `'${text}` : text; // a spreadsheet would take it for a formula
+  // A spreadsheet would take it for a formula
+  const safe = /^[=+\-@]/.test(text) ? `'${text}` : text;
   return /[",\r\n]/.test(safe) ? `"${safe.replaceAll('"', '""')}"` : safe;
 }

@@ -1,4 +1,5 @@
-// What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded run.
+// What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded
+// run.
 import { useEffect, useState } from "react";
 import { play, seek, stop } from "./connection";
 import { useClock, useGlobalKey } from "./controls";
