@@ -62,6 +62,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --config scripts/rooms.toml
+	@test ! -x web/node_modules/.bin/prettier || npm --prefix web run --silent format:check
 
 mypy: setup
 	$(BIN)/mypy

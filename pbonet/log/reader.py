@@ -394,6 +394,21 @@ class Log(Cycles):
         """Return the sum of a count over all processes of each task."""
         before: dict[str, tuple[int, int]] = {}
         found: dict[str, int] = {}
+        for _, task, counts in self.counted():
+            cycles, count = counts["cycles"], counts[key]
+            last = before.get(task, (0, 0))
+            again = cycles < last[0] or count < last[1]  # it was spawned again
+            found[task] = found.get(task, 0) + count - (0 if again else last[1])
+            before[task] = cycles, count
+        return found
+
+    def counted(self) -> Iterator[tuple[int, str, dict[str, int]]]:
+        """Yield what RTPUs counted of tasks, about once a second, by time.
+
+        Yields:
+            The time in nanoseconds since 1970, the task, and its ``cycles``, ``missed``
+            and ``failed`` since it was spawned.
+        """
         for one in self.messages("json"):
             if "/status/" not in one.topic:
                 continue
@@ -401,12 +416,9 @@ class Log(Cycles):
             subsystem = one.topic.partition("/status/")[0]
             for short, counts in status["tasks"].items():
                 task = self.name_of(subsystem, short)
-                cycles, count = counts["cycles"], counts.get(key, 0)
-                last = before.get(task, (0, 0))
-                again = cycles < last[0] or count < last[1]  # it was spawned again
-                found[task] = found.get(task, 0) + count - (0 if again else last[1])
-                before[task] = cycles, count
-        return found
+                found = {"cycles": counts["cycles"]}
+                found |= {key: counts.get(key, 0) for key in ("missed", "failed")}
+                yield one.time_ns, task, found
 
     def lost(self) -> dict[str, int]:
         """Return how many records of each task did not fit its ring."""

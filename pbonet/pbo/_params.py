@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import cache
 from typing import (
     TYPE_CHECKING,
     Annotated as A,
@@ -191,10 +192,16 @@ def decode_params(
                 remedy="remove one of them",
             )
         values[field] = _decode(about, line.words, place)
-    for need in structs.fields(kind):
-        if need.required and need.name not in values:
-            raise _missing(cls, kind.__declared__[need.name], local, where)
+    for need in _required(kind):
+        if need not in values:
+            raise _missing(cls, kind.__declared__[need], local, where)
     return kind(**values)
+
+
+@cache
+def _required(kind: type[Params]) -> tuple[str, ...]:
+    """Return the fields that must be given."""
+    return tuple(one.name for one in structs.fields(kind) if one.required)
 
 
 def change_param(

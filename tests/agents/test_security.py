@@ -4,6 +4,8 @@ Two agents, of which the second is connected to the first. Clients have a runtim
 of their own, so that no Unix socket leads them past the keys.
 """
 
+import contextlib
+import http.client
 import json
 import os
 import subprocess
@@ -14,6 +16,7 @@ import pytest
 import zenoh
 from nodekit import Master, rmod
 from watching import free_port, wait_for
+from websockets.sync.client import connect
 
 from pbonet.errors import AccessError, UnreachableError
 from pbonet.xm.net import (
@@ -341,8 +344,57 @@ def test_observers_verbs(cell, tmp_path):
     done = pbonet("lab observer", "stop")
     assert done.returncode == 1
     assert "dropped on the way" in done.stderr
+    _page_of_an_observer(cell, tmp_path)
     done = pbonet("lab master", "stop")
     assert done.returncode == 0, done.stderr
+
+
+def _page_of_an_observer(cell, folder):
+    """With an observer's keys the page's server has no link with which to steer."""
+    words = ["web", "arm.sbs", "--port", "0", "--json", "--connect", cell.far]
+    words += ["--keys", str(cell.lab["lab observer"]), "--domain", cell.nodes.domain]
+    server = subprocess.Popen(
+        [sys.executable, "-m", "pbonet.cli", *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PBONET_RUN_DIR": str(cell.elsewhere)},
+    )
+    try:
+        links = json.loads(server.stdout.readline())
+        assert links.keys() == {"observer"}
+        url, _, token = links["observer"].partition("/?")
+        asking = http.client.HTTPConnection(url.removeprefix("http://"))
+        with contextlib.closing(asking):
+            asking.request("GET", f"/?{token}")
+            cookie = asking.getresponse().getheader("set-cookie").partition(";")[0]
+        with connect(
+            url.replace("http", "ws") + "/ws",
+            origin=url,
+            additional_headers={"Cookie": cookie},
+        ) as page:
+
+            def wait(kind, good=lambda _: True):
+                while True:
+                    message = json.loads(page.recv(timeout=60))
+                    if message["kind"] == kind and good(message):
+                        return message
+
+            assert wait("hello")["role"] == "observer"
+            assert (
+                wait("status", lambda one: one["rtpus"])["rtpus"][0]["rtpu"] == "arm0"
+            )
+            for number, request in enumerate((
+                {"do": "line", "line": "off a"},
+                {"do": "stop"},
+            )):
+                page.send(json.dumps({"id": number, **request}))
+                told = wait("answer", lambda one, n=number: one["id"] == n)
+                assert not told["ok"]
+                assert "this page is an observer's" in told["text"]
+    finally:
+        server.terminate()
+        server.communicate(timeout=60)
 
 
 class _Over:

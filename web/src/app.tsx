@@ -1,20 +1,28 @@
 // The page: its parts, and where they stand.
-import { Component, useEffect, type ReactNode } from "react";
-import { AssembleView } from "./assemble_view";
+import { Component, Suspense, lazy, useEffect, type ReactNode } from "react";
 import { ChangePanel } from "./change_panel";
 import { GraphView } from "./graph_view";
+import { VariableNames } from "./controls";
 import { live, useLive } from "./live_state";
 import { CommandsPanel, EventsPanel } from "./messages_panels";
 import { TABS, page, usePage, type Tab } from "./page_state";
-import { PlotsPanel, VariableNames } from "./plots_panel";
 import { RunBar } from "./program_run";
-import { ProgramView } from "./program_view";
 import { TaskTable, VariableTable } from "./tables";
 import { TaskPanel } from "./task_panel";
 import { Bars, LogBar, TopBar } from "./top_bar";
 
+// What is not on the first screen, or comes into it later, is loaded after it.
+const AssembleView = lazy(() => import("./editors").then((one) => ({ default: one.AssembleView })));
+const ProgramView = lazy(() => import("./editors").then((one) => ({ default: one.ProgramView })));
+const PlotsPanel = lazy(() => import("./plots_panel").then((one) => ({ default: one.PlotsPanel })));
+
 const PANELS: Record<Tab, () => React.ReactNode> = {
-  Tasks: TaskTable, Task: TaskPanel, Variables: VariableTable, Change: ChangePanel, Events: EventsPanel, Commands: CommandsPanel,
+  Tasks: TaskTable,
+  Task: TaskPanel,
+  Variables: VariableTable,
+  Change: ChangePanel,
+  Events: EventsPanel,
+  Commands: CommandsPanel,
 };
 const STEERING: Tab[] = ["Change", "Commands"];
 
@@ -35,12 +43,33 @@ function Side() {
     <aside className="side" aria-label="details">
       <div role="tablist" aria-label="panels" onKeyDown={go}>
         {tabs.map((one) => (
-          <button key={one} id={`tab-${one}`} type="button" role="tab" aria-selected={one === tab} aria-controls="panel" tabIndex={one === tab ? 0 : -1} onClick={() => page.show(one)}>{one}{one === "Events" && <NewErrors />}</button>
+          <button
+            key={one}
+            id={`tab-${one}`}
+            type="button"
+            role="tab"
+            aria-selected={one === tab}
+            aria-controls="panel"
+            tabIndex={one === tab ? 0 : -1}
+            onClick={() => page.show(one)}
+          >
+            {one}
+            {one === "Events" && <NewErrors />}
+          </button>
         ))}
       </div>
-      <div key={tab} role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}><Panel /></div>
-      {live.role === "observer" && !live.log && <p className="observer-note">You are an observer: this page shows everything and steers nothing. The operator’s link does.</p>}
-      {live.log && <p className="observer-note">A recorded run is shown: nothing can be steered.</p>}
+      <div key={tab} role="tabpanel" id="panel" aria-labelledby={`tab-${tab}`} tabIndex={-1}>
+        <Panel />
+      </div>
+      {live.role === "observer" && !live.log && (
+        <p className="observer-note">
+          You are an observer: this page shows everything and steers nothing. The operator’s link
+          does.
+        </p>
+      )}
+      {live.log && (
+        <p className="observer-note">A recorded run is shown: nothing can be steered.</p>
+      )}
     </aside>
   );
 }
@@ -48,8 +77,14 @@ function Side() {
 /** How many errors there are among the events. */
 function NewErrors() {
   useLive("events");
-  const count = live.events.filter((one) => one.severity === "error" || one.severity === "fatal").length;
-  return count ? <span className="count" aria-label={`${count} errors`}>{count}</span> : null;
+  const count = live.events.filter(
+    (one) => one.severity === "error" || one.severity === "fatal",
+  ).length;
+  return count ? (
+    <span className="count" aria-label={`${count} errors`}>
+      {count}
+    </span>
+  ) : null;
 }
 
 /** What stands below the bars: by what the page is for now. */
@@ -63,7 +98,9 @@ function Main() {
   return (
     <main className={!page.plotsOpen ? "plots-closed" : page.charts.length ? "" : "no-charts"}>
       <GraphView />
-      <PlotsPanel />
+      <Suspense fallback={<section className="plots" />}>
+        <PlotsPanel />
+      </Suspense>
       <Side />
     </main>
   );
@@ -72,13 +109,20 @@ function Main() {
 /** Says that its part of the page has failed, so that Stop and the other parts go on. */
 class Guard extends Component<{ children: ReactNode }, { failed: string }> {
   override state = { failed: "" };
-  static getDerivedStateFromError(error: unknown) { return { failed: String(error) }; }
+  static getDerivedStateFromError(error: unknown) {
+    return { failed: String(error) };
+  }
   override render() {
     if (!this.state.failed) return this.props.children;
     return (
       <main className="failed" role="alert">
         <p>This part of the page has failed: {this.state.failed}</p>
-        <p>Stop still works, and nothing was changed in the subsystem. <button type="button" onClick={() => location.reload()}>load the page again</button></p>
+        <p>
+          Stop still works, and nothing was changed in the subsystem.{" "}
+          <button type="button" onClick={() => location.reload()}>
+            load the page again
+          </button>
+        </p>
       </main>
     );
   }
@@ -86,7 +130,13 @@ class Guard extends Component<{ children: ReactNode }, { failed: string }> {
 
 function Guarded() {
   usePage("mode");
-  return <Guard key={page.mode}><Main /></Guard>;
+  return (
+    <Guard key={page.mode}>
+      <Suspense fallback={<main aria-busy="true" />}>
+        <Main />
+      </Suspense>
+    </Guard>
+  );
 }
 
 export function App() {
@@ -94,7 +144,8 @@ export function App() {
   useEffect(() => {
     const pressed = (event: KeyboardEvent) => {
       const node = (event.target as HTMLElement).closest?.(".react-flow__node-task");
-      if (event.key !== "Enter" || !node || event.target !== node || page.selected.length !== 1) return;
+      if (event.key !== "Enter" || !node || event.target !== node || page.selected.length !== 1)
+        return;
       page.openTask(page.selected[0]!);
     };
     window.addEventListener("keyup", pressed);

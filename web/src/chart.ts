@@ -5,14 +5,28 @@ import { live } from "./live_state";
 import { page } from "./page_state";
 import { alignSeries, type Series, type Table } from "./series";
 
-export const COLOURS = ["#2a7fd4", "#d9651b", "#12a06c", "#bb55aa", "#b08a1e", "#3bb3cc", "#a0623f", "#858b96"];
+export const COLOURS = [
+  "#2a7fd4",
+  "#d9651b",
+  "#12a06c",
+  "#bb55aa",
+  "#b08a1e",
+  "#3bb3cc",
+  "#a0623f",
+  "#858b96",
+];
 export const DASHES = [[], [6, 3], [2, 3], [9, 3, 2, 3]];
 export const lineColour = (k: number): string => COLOURS[k % COLOURS.length]!;
-export const lineDash = (k: number): number[] => DASHES[Math.floor(k / COLOURS.length) % DASHES.length]!;
-const TIME_STEPS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600];
+export const lineDash = (k: number): number[] =>
+  DASHES[Math.floor(k / COLOURS.length) % DASHES.length]!;
+const TIME_STEPS = [
+  0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600,
+  1800, 3600,
+];
 const HEIGHT = 170;
 
-const css = (name: string): string => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const css = (name: string): string =>
+  getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** Values at the cursor of any chart, or the newest ones. */
 export type AtCursor = (values: (number | null)[], t: number | null) => void;
@@ -23,13 +37,25 @@ export class ChartView {
   private readonly stops: (() => void)[] = [];
   private asked = 0;
 
-  constructor(private readonly series: Series[], place: HTMLElement, private readonly atCursor: AtCursor) {
+  constructor(
+    private readonly series: Series[],
+    place: HTMLElement,
+    private readonly atCursor: AtCursor,
+  ) {
     this.plot = new uPlot(this.options(place.clientWidth), this.table as uPlot.AlignedData, place);
-    const resized = new ResizeObserver(() => { if (place.clientWidth > 60) this.plot.setSize({ width: place.clientWidth, height: Math.max(HEIGHT, place.clientHeight) }); });
+    const resized = new ResizeObserver(() => {
+      if (place.clientWidth > 60)
+        this.plot.setSize({
+          width: place.clientWidth,
+          height: Math.max(HEIGHT, place.clientHeight),
+        });
+    });
     resized.observe(place);
     this.stops.push(
       () => resized.disconnect(),
-      live.subscribe("samples", () => { if (page.view.mode === "live") this.ask(); }),
+      live.subscribe("samples", () => {
+        if (page.view.mode === "live") this.ask();
+      }),
       page.subscribe("view", () => this.ask()),
       page.subscribe("trigger", () => this.ask()),
     );
@@ -42,7 +68,12 @@ export class ChartView {
     this.plot.destroy();
   }
 
-  private ask(): void { this.asked ||= requestAnimationFrame(() => { this.asked = 0; this.draw(); }); }
+  private ask(): void {
+    this.asked ||= requestAnimationFrame(() => {
+      this.asked = 0;
+      this.draw();
+    });
+  }
 
   private draw(): void {
     const [from, to] = page.range();
@@ -57,23 +88,31 @@ export class ChartView {
   private tellCursor(): void {
     const at = this.plot.cursor.idx;
     const isOver = at !== null && at !== undefined && (this.plot.cursor.left ?? -1) >= 0;
-    const values = this.series.map((_, k) => this.near(k + 1, isOver ? at : this.table[0].length - 1));
-    this.atCursor(values, isOver ? this.table[0][at] ?? null : null);
+    const values = this.series.map((_, k) =>
+      this.near(k + 1, isOver ? at : this.table[0].length - 1),
+    );
+    this.atCursor(values, isOver ? (this.table[0][at] ?? null) : null);
   }
 
   /** Returns the value of a series at a place, or of the nearest place before it that has one. */
   private near(column: number, at: number): number | null {
     const values = this.table[column];
-    for (let k = at; values && k >= 0; k--) { const v = values[k]; if (v !== undefined) return v; }
+    for (let k = at; values && k >= 0; k--) {
+      const v = values[k];
+      if (v !== undefined) return v;
+    }
     return null;
   }
 
   private options(width: number): uPlot.Options {
-    const times = (splits: number[], step: number) => splits.map((t) => clock(t, step < 0.1 ? 3 : step < 1 ? 1 : 0));
+    const times = (splits: number[], step: number) =>
+      splits.map((t) => clock(t, step < 0.1 ? 3 : step < 1 ? 1 : 0));
     return {
       ...plotOptions(this.series.length, width, times),
       cursor: {
-        sync: { key: "time", scales: ["x", null] }, drag: { x: true, y: false, setScale: false }, points: { size: 6 },
+        sync: { key: "time", scales: ["x", null] },
+        drag: { x: true, y: false, setScale: false },
+        points: { size: 6 },
         dataIdx: (_, column, hovered) => this.hoverPlace(column, hovered),
       },
       hooks: {
@@ -92,7 +131,8 @@ export class ChartView {
 
   private zoom(plot: uPlot): void {
     if (plot.select.width < 4) return;
-    const from = plot.posToVal(plot.select.left, "x"), to = plot.posToVal(plot.select.left + plot.select.width, "x");
+    const from = plot.posToVal(plot.select.left, "x"),
+      to = plot.posToVal(plot.select.left + plot.select.width, "x");
     plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
     page.hold(from, to, "zoomed");
   }
@@ -110,7 +150,11 @@ export class ChartView {
     ctx.setLineDash([4, 4]);
     ctx.lineWidth = devicePixelRatio;
     ctx.beginPath();
-    if (trigger.at !== null) { const x = plot.valToPos(trigger.at, "x", true); ctx.moveTo(x, bbox.top); ctx.lineTo(x, bbox.top + bbox.height); }
+    if (trigger.at !== null) {
+      const x = plot.valToPos(trigger.at, "x", true);
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+    }
     const { variable, element, level } = trigger.settings;
     if (this.series.some((one) => one.variable === variable && one.element === element)) {
       const y = plot.valToPos(level, "y", true);
@@ -123,22 +167,53 @@ export class ChartView {
 }
 
 /** Returns what all charts have in common: axes, lines and their colours. */
-export function plotOptions(count: number, width: number, timeTexts: (splits: number[], step: number) => string[]): uPlot.Options {
+export function plotOptions(
+  count: number,
+  width: number,
+  timeTexts: (splits: number[], step: number) => string[],
+): uPlot.Options {
   const grid = { stroke: css("--grid"), width: 1 };
-  const axis = { stroke: css("--dim"), grid, ticks: { show: false }, font: `11px ${css("--font")}` };
+  const axis = {
+    stroke: css("--dim"),
+    grid,
+    ticks: { show: false },
+    font: `11px ${css("--font")}`,
+  };
   return {
-    width: Math.max(200, width), height: HEIGHT, legend: { show: false }, padding: [8, 34, 0, 0],
+    width: Math.max(200, width),
+    height: HEIGHT,
+    legend: { show: false },
+    padding: [8, 34, 0, 0],
     scales: { x: { time: false }, y: { range: (_, low, high) => spread(low, high) } },
     axes: [
-      { ...axis, size: 24, space: 90, incrs: TIME_STEPS, values: (_, splits, __, ___, step) => timeTexts(splits, step) },
-      { ...axis, size: 62, values: (_, splits) => splits.map((v) => String(Number(v.toPrecision(6)))) },
+      {
+        ...axis,
+        size: 24,
+        space: 90,
+        incrs: TIME_STEPS,
+        values: (_, splits, __, ___, step) => timeTexts(splits, step),
+      },
+      {
+        ...axis,
+        size: 62,
+        values: (_, splits) => splits.map((v) => String(Number(v.toPrecision(6)))),
+      },
     ],
-    series: [{}, ...Array.from({ length: count }, (_, k) => ({ stroke: lineColour(k), width: 1.6, dash: lineDash(k), points: { show: false } }))],
+    series: [
+      {},
+      ...Array.from({ length: count }, (_, k) => ({
+        stroke: lineColour(k),
+        width: 1.6,
+        dash: lineDash(k),
+        points: { show: false },
+      })),
+    ],
   };
 }
 
 function spread(low: number | null, high: number | null): [number, number] {
-  if (low === null || high === null || !Number.isFinite(low) || !Number.isFinite(high)) return [0, 1];
+  if (low === null || high === null || !Number.isFinite(low) || !Number.isFinite(high))
+    return [0, 1];
   const room = (high - low) * 0.08 || Math.abs(high) * 0.1 || 1;
   return [low - room, high + room];
 }

@@ -9,9 +9,13 @@ const EVERY = 10; // attempts after which it is asked why none succeeds
 const MOST_WATCHED = 200;
 
 export interface Sent {
-  id: number; text: string; at: number;
+  id: number;
+  text: string;
+  at: number;
   outcome: "running" | "done" | "refused" | "unknown";
-  answer: string; warnings: string[]; seconds: number;
+  answer: string;
+  warnings: string[];
+  seconds: number;
 }
 
 /** What the page sent, the newest last; the list is replaced with each change. */
@@ -34,26 +38,41 @@ export function connect(): void {
   const mine = new WebSocket(url);
   socket = mine;
   heardAt = performance.now();
-  mine.onmessage = (event) => { if (socket === mine) take(String(event.data)); };
-  mine.onclose = (event) => { if (socket === mine) lose(event.reason); };
+  mine.onmessage = (event) => {
+    if (socket === mine) take(String(event.data));
+  };
+  mine.onclose = (event) => {
+    if (socket === mine) lose(event.reason);
+  };
 }
 
 function take(data: string): void {
   heardAt = performance.now();
   const message = JSON.parse(data) as Message;
   if (message.kind === "answer") return answered(message);
-  if (message.kind === "progress") return change(message.id, { seconds: message.seconds, answer: message.text });
+  if (message.kind === "progress")
+    return change(message.id, { seconds: message.seconds, answer: message.text });
   live.take(message);
-  if (message.kind === "hello") { attempts = 0; sendWatch(true); }
+  if (message.kind === "hello") {
+    attempts = 0;
+    sendWatch(true);
+  }
 }
 
 function lose(reason: string): void {
   socket = null;
   for (const id of [...waiting.keys()]) {
-    answered({
-      kind: "answer", id, ok: false, warnings: [], data: null,
-      text: "the connection was lost before the answer came: whether it was done is unknown",
-    }, "unknown");
+    answered(
+      {
+        kind: "answer",
+        id,
+        ok: false,
+        warnings: [],
+        data: null,
+        text: "the connection was lost before the answer came: whether it was done is unknown",
+      },
+      "unknown",
+    );
   }
   live.setLink(live.hello ? "lost" : "connecting", reason);
   setTimeout(connect, RETRY);
@@ -64,11 +83,19 @@ function lose(reason: string): void {
 async function askWhy(): Promise<void> {
   try {
     const answer = await fetch(new URL(".", location.href), { cache: "no-store" });
-    if (answer.status === 401 && live.link !== "live") live.setLink(live.link, "This page's link holds no more: open a new one that “pbonet web” has printed.");
-  } catch { /* the server is not there, as is shown already */ }
+    if (answer.status === 401 && live.link !== "live")
+      live.setLink(
+        live.link,
+        "This page's link holds no more: open a new one that “pbonet web” has printed.",
+      );
+  } catch {
+    /* the server is not there, as is shown already */
+  }
 }
 
-/** Notices a server that says nothing more. It answers each `watch`, so that quiet is no silence. */
+/**
+ * Notices a server that says nothing more. It answers each `watch`, so that quiet is no silence.
+ */
 export function watchForSilence(): void {
   setInterval(() => {
     if (live.link !== "live") return;
@@ -94,7 +121,11 @@ function answered(answer: Answer, outcome: Sent["outcome"] = answer.ok ? "done" 
 
 function request(text: string, message: Record<string, unknown>, quiet = false): Promise<Answer> {
   const id = ++lastId;
-  if (!quiet) sent = [...sent.slice(-499), { id, text, at: live.now(), outcome: "running", answer: "", warnings: [], seconds: 0 }];
+  if (!quiet)
+    sent = [
+      ...sent.slice(-499),
+      { id, text, at: live.now(), outcome: "running", answer: "", warnings: [], seconds: 0 },
+    ];
   live.tell("sent");
   return new Promise((resolve) => {
     waiting.set(id, resolve);
@@ -102,7 +133,14 @@ function request(text: string, message: Record<string, unknown>, quiet = false):
       socket.send(JSON.stringify({ ...message, id }));
       return;
     }
-    answered({ kind: "answer", id, ok: false, warnings: [], data: null, text: "there is no connection to the server: nothing was sent" });
+    answered({
+      kind: "answer",
+      id,
+      ok: false,
+      warnings: [],
+      data: null,
+      text: "there is no connection to the server: nothing was sent",
+    });
   });
 }
 
@@ -116,7 +154,9 @@ export function command(name: string, args: Args): Promise<Answer> {
 export function readingCommand(name: string, args: Args): Promise<Answer> {
   return request(asLine(name, args), { do: "command", command: name, args }, true);
 }
-export function line(text: string): Promise<Answer> { return request(text, { do: "line", line: text }); }
+export function line(text: string): Promise<Answer> {
+  return request(text, { do: "line", line: text });
+}
 /** Changes the job that is edited, or asks something about it. */
 export function edit(name: string, args: Record<string, unknown> = {}): Promise<Answer> {
   return request(`edit ${name}`, { do: "edit", edit: name, args }, true);
@@ -125,14 +165,21 @@ export function edit(name: string, args: Record<string, unknown> = {}): Promise<
 export function program(name: string, args: Record<string, unknown> = {}): Promise<Answer> {
   return request(`program ${name}`, { do: "program", program: name, args }, true);
 }
-export function stop(): Promise<Answer> { return request("stop", { do: "stop" }); }
+export function stop(): Promise<Answer> {
+  return request("stop", { do: "stop" });
+}
 
 /** Returns a command as it would be typed. */
 export function asLine(name: string, args: Args): string {
-  const options = new Set(live.hello?.commands.find((one) => one.name === name)?.args
-    .filter((one) => one.use === "named").map((one) => one.name));
+  const options = new Set(
+    live.hello?.commands
+      .find((one) => one.name === name)
+      ?.args.filter((one) => one.use === "named")
+      .map((one) => one.name),
+  );
   const words = Object.entries(args).flatMap(([key, value]) =>
-    options.has(key) ? [`${key}=${[value].flat().join(",")}`] : [value].flat());
+    options.has(key) ? [`${key}=${[value].flat().join(",")}`] : [value].flat(),
+  );
   return [name, ...words].join(" ");
 }
 
@@ -140,24 +187,41 @@ export function asLine(name: string, args: Args): string {
 export function seek(t: number): void {
   socket?.send(JSON.stringify({ do: "seek", t }));
 }
-export function play(speed: number): void { socket?.send(JSON.stringify({ do: "play", speed })); }
+export function play(speed: number): void {
+  socket?.send(JSON.stringify({ do: "play", speed }));
+}
 
-/** Says which variables one part of the page shows; the first parts named go first where it is too many. */
-export function want(part: "plots" | "trigger" | "inspect" | "list" | "graph", names: readonly string[]): void {
+/**
+ * Says which variables one part of the page shows; the first parts named go first where it is too
+ * many.
+ */
+export function want(
+  part: "plots" | "trigger" | "inspect" | "list" | "graph",
+  names: readonly string[],
+): void {
   wanted.set(part, names);
   sendWatch();
 }
 
-export function allWanted(parts: ReadonlyMap<string, readonly string[]>, most = MOST_WATCHED): string[] {
+export function allWanted(
+  parts: ReadonlyMap<string, readonly string[]>,
+  most = MOST_WATCHED,
+): string[] {
   const names = new Set<string>();
-  for (const part of ["trigger", "plots", "inspect", "list", "graph"]) for (const name of parts.get(part) ?? []) names.add(name);
+  for (const part of ["trigger", "plots", "inspect", "list", "graph"])
+    for (const name of parts.get(part) ?? []) names.add(name);
   return [...names].slice(0, most);
 }
 
 function sendWatch(anyway = false): void {
   const variables = allWanted(wanted).sort();
   const text = variables.join("\n");
-  if ((text === watched && !anyway) || socket?.readyState !== WebSocket.OPEN || live.link !== "live") return;
+  if (
+    (text === watched && !anyway) ||
+    socket?.readyState !== WebSocket.OPEN ||
+    live.link !== "live"
+  )
+    return;
   watched = text;
   socket.send(JSON.stringify({ do: "watch", variables }));
 }

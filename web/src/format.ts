@@ -1,6 +1,11 @@
 // Numbers and times as people read them, in the words of the command line.
 
-const PREFIXES: [number, string][] = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"]];
+const PREFIXES: [number, string][] = [
+  [1, ""],
+  [1e-3, "m"],
+  [1e-6, "µ"],
+  [1e-9, "n"],
+];
 
 export function short(value: number): string {
   if (!Number.isFinite(value)) return String(value);

@@ -1,7 +1,21 @@
 // All that the server told last, outside of React: parts of the page subscribe to what they show.
 import { useCallback, useSyncExternalStore } from "react";
 import type {
-  EditorState, FieldInfo, Graph, Hello, LogInfo, Message, PbonetEvent, Role, RtpuStatus, RunningProgram, State, StatusMessage, TaskStatus, Value, Variable,
+  EditorState,
+  FieldInfo,
+  Graph,
+  Hello,
+  LogInfo,
+  Message,
+  PbonetEvent,
+  Role,
+  RtpuStatus,
+  RunningProgram,
+  State,
+  StatusMessage,
+  TaskStatus,
+  Value,
+  Variable,
 } from "./protocol";
 import { Ring } from "./ring";
 
@@ -10,23 +24,43 @@ const SHOW_PERIOD = 250; // ms between two drawings of a value as text
 
 /** Puts a status into the maps of tasks and RTPUs; returns the keys of what changed. */
 export function mergeStatus(
-  tasks: Map<string, TaskStatus>, rtpus: Map<string, RtpuStatus>, status: StatusMessage,
+  tasks: Map<string, TaskStatus>,
+  rtpus: Map<string, RtpuStatus>,
+  status: StatusMessage,
 ): string[] {
   const changed: string[] = [];
   if (status.whole) {
     const there = new Set(status.tasks.map((one) => one.task));
-    for (const name of [...tasks.keys()]) if (!there.has(name)) { tasks.delete(name); changed.push(`task:${name}`); }
+    for (const name of [...tasks.keys()])
+      if (!there.has(name)) {
+        tasks.delete(name);
+        changed.push(`task:${name}`);
+      }
     const rtpusThere = new Set(status.rtpus.map((one) => one.rtpu));
-    for (const name of [...rtpus.keys()]) if (!rtpusThere.has(name)) { rtpus.delete(name); changed.push(`rtpu:${name}`); }
+    for (const name of [...rtpus.keys()])
+      if (!rtpusThere.has(name)) {
+        rtpus.delete(name);
+        changed.push(`rtpu:${name}`);
+      }
   }
   for (const name of status.gone) if (tasks.delete(name)) changed.push(`task:${name}`);
-  for (const one of status.tasks) { tasks.set(one.task, one); changed.push(`task:${one.task}`); }
-  for (const one of status.rtpus) { rtpus.set(one.rtpu, one); changed.push(`rtpu:${one.rtpu}`); }
+  for (const one of status.tasks) {
+    tasks.set(one.task, one);
+    changed.push(`task:${one.task}`);
+  }
+  for (const one of status.rtpus) {
+    rtpus.set(one.rtpu, one);
+    changed.push(`rtpu:${one.rtpu}`);
+  }
   return changed;
 }
 
 /** Returns the events with new ones put in by number, each once, the newest `most` of them. */
-export function mergeEvents(known: readonly PbonetEvent[], more: readonly PbonetEvent[], most = MOST_EVENTS): PbonetEvent[] {
+export function mergeEvents(
+  known: readonly PbonetEvent[],
+  more: readonly PbonetEvent[],
+  most = MOST_EVENTS,
+): PbonetEvent[] {
   const last = known.at(-1);
   const first = more[0];
   if (!first) return known as PbonetEvent[];
@@ -39,7 +73,8 @@ export function mergeEvents(known: readonly PbonetEvent[], more: readonly Pbonet
 /** Returns the causes of the illegal-configuration flag, each with the RTPUs that show it. */
 export function illegalCauses(rtpus: Iterable<RtpuStatus>): { cause: string; rtpus: string[] }[] {
   const found = new Map<string, string[]>();
-  for (const one of rtpus) for (const cause of one.illegal) found.set(cause, [...(found.get(cause) ?? []), one.rtpu]);
+  for (const one of rtpus)
+    for (const cause of one.illegal) found.set(cause, [...(found.get(cause) ?? []), one.rtpu]);
   return [...found].map(([cause, names]) => ({ cause, rtpus: names }));
 }
 
@@ -53,10 +88,15 @@ export class Keyed {
     let set = this.listeners.get(key);
     if (!set) this.listeners.set(key, (set = new Set()));
     set.add(changed);
-    return () => { set.delete(changed); if (!set.size && this.listeners.get(key) === set) this.listeners.delete(key); };
+    return () => {
+      set.delete(changed);
+      if (!set.size && this.listeners.get(key) === set) this.listeners.delete(key);
+    };
   }
 
-  version(key: string): number { return this.versions.get(key) ?? 0; }
+  version(key: string): number {
+    return this.versions.get(key) ?? 0;
+  }
 
   tell(...keys: string[]): void {
     for (const key of keys) {
@@ -95,20 +135,32 @@ export class LiveState extends Keyed {
   linkText = "";
   /** The server's time of the newest message, and when it came by this page's clock (ms). */
   private heard = { t: 0, at: 0 };
-  private sampleListeners = new Set<(name: string, t: number, v: readonly (number | null)[]) => void>();
+  private sampleListeners = new Set<
+    (name: string, t: number, v: readonly (number | null)[]) => void
+  >();
   private toShow = new Set<string>();
   private timer: ReturnType<typeof setTimeout> | null = null;
 
-  get role(): Role | null { return this.hello?.role ?? null; }
-  get log(): LogInfo | null { return this.hello?.log ?? null; }
+  get role(): Role | null {
+    return this.hello?.role ?? null;
+  }
+  get log(): LogInfo | null {
+    return this.hello?.log ?? null;
+  }
   /** Whether this page may steer: an observer may not, and a recorded run cannot be steered. */
-  get steers(): boolean { return this.role === "operator" && !this.log; }
-  get fields(): FieldInfo[] { return this.hello?.fields ?? []; }
+  get steers(): boolean {
+    return this.role === "operator" && !this.log;
+  }
+  get fields(): FieldInfo[] {
+    return this.hello?.fields ?? [];
+  }
 
   /** The time of the subsystem now: by its server, or the place in a recorded run. */
   now(): number {
     if (!this.heard.at) return 0;
-    return this.link === "live" && !this.log ? this.heard.t + (performance.now() - this.heard.at) / 1000 : this.heard.t;
+    return this.link === "live" && !this.log
+      ? this.heard.t + (performance.now() - this.heard.at) / 1000
+      : this.heard.t;
   }
 
   /** Calls with every sample of every watched variable as it comes. */
@@ -125,9 +177,12 @@ export class LiveState extends Keyed {
 
   take(message: Message): void {
     switch (message.kind) {
-      case "hello": return this.takeHello(message);
-      case "graph": return this.takeGraph(message.graph);
-      case "history": return this.takeHistory(message);
+      case "hello":
+        return this.takeHello(message);
+      case "graph":
+        return this.takeGraph(message.graph);
+      case "history":
+        return this.takeHistory(message);
       case "at":
         this.hear(message.t);
         this.speed = message.speed;
@@ -157,7 +212,9 @@ export class LiveState extends Keyed {
     }
   }
 
-  private hear(t: number): void { this.heard = { t, at: performance.now() }; }
+  private hear(t: number): void {
+    this.heard = { t, at: performance.now() };
+  }
 
   private takeHello(hello: Hello): void {
     this.hello = hello;
@@ -174,13 +231,21 @@ export class LiveState extends Keyed {
   private takeGraph(graph: Graph): void {
     this.graph = graph;
     this.variables = new Map(graph.variables.map((one) => [one.name, one]));
-    for (const [name, ring] of this.rings) if (this.variables.get(name)?.n !== ring.width) this.rings.delete(name);
+    for (const [name, ring] of this.rings)
+      if (this.variables.get(name)?.n !== ring.width) this.rings.delete(name);
     this.tell("graph");
   }
 
   private takeHistory({ values, events, anew }: Extract<Message, { kind: "history" }>): void {
-    if (anew) this.rings.clear();
-    for (const [name, { t, v }] of Object.entries(values)) if (v[0]) this.ring(name, v[0].length).putHistory(t, v);
+    if (anew) {
+      // What was shown of another time is not of this one.
+      const old = [...this.values.keys()].map((name) => `value:${name}`);
+      this.values.clear();
+      this.rings.clear();
+      this.tell(...old);
+    }
+    for (const [name, { t, v }] of Object.entries(values))
+      if (v[0]) this.ring(name, v[0].length).putHistory(t, v);
     if (events?.length) this.events = this.log ? events : mergeEvents(this.events, events);
     this.tell("samples", "events");
   }
@@ -189,7 +254,8 @@ export class LiveState extends Keyed {
     for (const [name, value] of Object.entries(values)) {
       this.values.set(name, value);
       const t = value.t;
-      if (t !== null && this.ring(name, value.v.length).push(t, value.v)) this.sampleListeners.forEach((heard) => heard(name, t, value.v));
+      if (t !== null && this.ring(name, value.v.length).push(t, value.v))
+        this.sampleListeners.forEach((heard) => heard(name, t, value.v));
       this.toShow.add(`value:${name}`);
     }
     this.tell("samples");
@@ -214,7 +280,10 @@ export const useLive = (key: string): number => useKey(live, key);
 
 /** Draws again only when the variable becomes stale, or is so no more. */
 export function useStale(name: string): boolean {
-  const subscribe = useCallback((changed: () => void) => live.subscribe(`value:${name}`, changed), [name]);
+  const subscribe = useCallback(
+    (changed: () => void) => live.subscribe(`value:${name}`, changed),
+    [name],
+  );
   return useSyncExternalStore(subscribe, () => live.values.get(name)?.stale ?? false);
 }
 /** The state to show: a task of the graph without a status does not exist. */

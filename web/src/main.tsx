@@ -3,10 +3,13 @@ import { createRoot } from "react-dom/client";
 import "@xyflow/react/dist/style.css";
 import "uplot/dist/uPlot.min.css";
 import "./app.css";
+import "./assemble.css";
+import "./program.css";
 import { App } from "./app";
 import { connect, watchForSilence } from "./connection";
 
 createRoot(document.getElementById("root")!).render(<App />);
 connect();
 watchForSilence();
-if (location.search) history.replaceState(null, "", location.pathname); // a link works once; the cookie goes on
+// A link works once; the cookie goes on
+if (location.search) history.replaceState(null, "", location.pathname);

@@ -16,13 +16,34 @@ export function PlotsPanel() {
   return (
     <section className={`plots${page.plotsOpen ? "" : " closed"}`} aria-label="plots">
       <header className="row wrap">
-        <button type="button" className="fold" aria-expanded={page.plotsOpen} onClick={() => page.togglePlots()}>{page.plotsOpen ? "▾" : "▸"} Plots</button>
-        {page.plotsOpen && <><AddSeries label="new chart" /><ViewTools /><TriggerTools /><Files charts={charts} /></>}
+        <button
+          type="button"
+          className="fold"
+          aria-expanded={page.plotsOpen}
+          onClick={() => page.togglePlots()}
+        >
+          {page.plotsOpen ? "▾" : "▸"} Plots
+        </button>
+        {page.plotsOpen && (
+          <>
+            <AddSeries label="new chart" />
+            <ViewTools />
+            <TriggerTools />
+            <Files charts={charts} />
+          </>
+        )}
       </header>
       {page.plotsOpen && (
         <div className="charts">
-          {charts.map((one) => <ChartCard key={one.id} chart={one} />)}
-          {!charts.length && <p className="dim">No chart yet: name a variable above, such as {example()}, or press “plot” beside a variable.</p>}
+          {charts.map((one) => (
+            <ChartCard key={one.id} chart={one} />
+          ))}
+          {!charts.length && (
+            <p className="dim">
+              No chart yet: name a variable above, such as {example()}, or press “plot” beside a
+              variable.
+            </p>
+          )}
         </div>
       )}
     </section>
@@ -31,29 +52,54 @@ export function PlotsPanel() {
 
 function example(): string {
   const found = live.graph?.variables.find((one) => !one.constant && one.writers.length);
-  return found ? (found.n > 1 ? `${found.name} or ${found.name}[0]` : found.name) : "Q_MEZ or Q_MEZ[0]";
+  return found
+    ? found.n > 1
+      ? `${found.name} or ${found.name}[0]`
+      : found.name
+    : "Q_MEZ or Q_MEZ[0]";
 }
 
 function AddSeries({ label, chart }: { label: string; chart?: number }) {
   const [text, setText] = useState("");
   const [refused, setRefused] = useState("");
   const add = () => {
-    try { page.addSeries(parseSeries(text, live.variables), chart); setText(""); setRefused(""); }
-    catch (error) { setRefused(error instanceof Error ? error.message : String(error)); }
+    try {
+      page.addSeries(parseSeries(text, live.variables), chart);
+      setText("");
+      setRefused("");
+    } catch (error) {
+      setRefused(error instanceof Error ? error.message : String(error));
+    }
   };
   return (
-    <form className="add" onSubmit={(event) => { event.preventDefault(); add(); }}>
-      <input list="plot-variables" value={text} size={14} spellCheck={false} autoComplete="off" aria-label={`variable for ${label}`} placeholder={chart ? "add variable" : "variable to plot"} onChange={(event) => { setText(event.target.value); setRefused(""); }} />
+    <form
+      className="add"
+      onSubmit={(event) => {
+        event.preventDefault();
+        add();
+      }}
+    >
+      <input
+        list="plot-variables"
+        value={text}
+        size={14}
+        spellCheck={false}
+        autoComplete="off"
+        aria-label={`variable for ${label}`}
+        placeholder={chart ? "add variable" : "variable to plot"}
+        onChange={(event) => {
+          setText(event.target.value);
+          setRefused("");
+        }}
+      />
       <button type="submit">{chart ? "add" : "new chart"}</button>
-      {refused && <span className="refused" role="alert">{refused}</span>}
+      {refused && (
+        <span className="refused" role="alert">
+          {refused}
+        </span>
+      )}
     </form>
   );
-}
-
-/** The names for all fields that take a variable. */
-export function VariableNames() {
-  useLive("graph");
-  return <datalist id="plot-variables">{[...live.variables.values()].filter((one) => !one.constant).slice(0, 600).map((one) => <option key={one.name} value={one.name}>{one.desc}</option>)}</datalist>;
 }
 
 function ViewTools() {
@@ -61,15 +107,54 @@ function ViewTools() {
   const view = page.view;
   return (
     <span className="row tools" role="group" aria-label="time axis">
-      <label>last <select value={page.width} aria-label="seconds shown" onChange={(event) => page.setWidth(Number(event.target.value))}>{WIDTHS.map((one) => <option key={one} value={one}>{one} s</option>)}</select></label>
-      {view.mode === "live" ? <button type="button" onClick={() => page.pause()}>pause</button> : <button type="button" className="primary" onClick={() => page.resume()}>{page.trigger ? "wait again" : "live"}</button>}
-      {view.mode === "held" && <><button type="button" aria-label="earlier" onClick={() => move(-0.5, 1)}>←</button><button type="button" aria-label="later" onClick={() => move(0.5, 1)}>→</button><button type="button" aria-label="zoom in" onClick={() => move(0, 0.5)}>+</button><button type="button" aria-label="zoom out" onClick={() => move(0, 2)}>−</button><span className="badge">{view.why}</span></>}
+      <label>
+        last{" "}
+        <select
+          value={page.width}
+          aria-label="seconds shown"
+          onChange={(event) => page.setWidth(Number(event.target.value))}
+        >
+          {WIDTHS.map((one) => (
+            <option key={one} value={one}>
+              {one} s
+            </option>
+          ))}
+        </select>
+      </label>
+      {view.mode === "live" ? (
+        <button type="button" onClick={() => page.pause()}>
+          pause
+        </button>
+      ) : (
+        <button type="button" className="primary" onClick={() => page.resume()}>
+          {page.trigger ? "wait again" : "live"}
+        </button>
+      )}
+      {view.mode === "held" && (
+        <>
+          <button type="button" aria-label="earlier" onClick={() => move(-0.5, 1)}>
+            ←
+          </button>
+          <button type="button" aria-label="later" onClick={() => move(0.5, 1)}>
+            →
+          </button>
+          <button type="button" aria-label="zoom in" onClick={() => move(0, 0.5)}>
+            +
+          </button>
+          <button type="button" aria-label="zoom out" onClick={() => move(0, 2)}>
+            −
+          </button>
+          <span className="badge">{view.why}</span>
+        </>
+      )}
     </span>
   );
 }
 
 function move(by: number, scale: number): void {
-  const [from, to] = page.range(), width = to - from, middle = (from + to) / 2 + by * width;
+  const [from, to] = page.range(),
+    width = to - from,
+    middle = (from + to) / 2 + by * width;
   page.hold(middle - (width * scale) / 2, middle + (width * scale) / 2, "zoomed");
 }
 
@@ -77,32 +162,119 @@ function TriggerTools() {
   usePage("trigger");
   usePage("view");
   const trigger = page.trigger;
-  const [settings, set] = useState({ variable: "", level: "0", edge: "rising" as "rising" | "falling", hold: "0", once: true });
+  const [settings, set] = useState({
+    variable: "",
+    level: "0",
+    edge: "rising" as "rising" | "falling",
+    hold: "0",
+    once: true,
+  });
   const [refused, setRefused] = useState("");
   const place = useRef<HTMLDetailsElement>(null);
   const arm = () => {
     try {
       const [one] = parseSeries(settings.variable, live.variables);
-      const level = Number(settings.level), hold = Number(settings.hold);
-      if (!settings.level.trim() || !Number.isFinite(level)) throw new Error(`the level is not a number: ${settings.level}`);
-      if (!Number.isFinite(hold) || hold < 0) throw new Error(`the hold is not a number of seconds: ${settings.hold}`);
+      const level = Number(settings.level),
+        hold = Number(settings.hold);
+      if (!settings.level.trim() || !Number.isFinite(level))
+        throw new Error(`the level is not a number: ${settings.level}`);
+      if (!Number.isFinite(hold) || hold < 0)
+        throw new Error(`the hold is not a number of seconds: ${settings.hold}`);
       setRefused("");
       page.arm({ ...one!, level, hold, edge: settings.edge, once: settings.once });
       if (place.current) place.current.open = false;
-    } catch (error) { setRefused(error instanceof Error ? error.message : String(error)); }
+    } catch (error) {
+      setRefused(error instanceof Error ? error.message : String(error));
+    }
   };
-  const told = !trigger ? "" : page.view.mode === "held" && page.view.why === "triggered" ? `triggered at ${clock(trigger.at ?? 0)}` : trigger.at === null ? "waits" : "triggered";
+  const told = !trigger
+    ? ""
+    : page.view.mode === "held" && page.view.why === "triggered"
+      ? `triggered at ${clock(trigger.at ?? 0)}`
+      : trigger.at === null
+        ? "waits"
+        : "triggered";
   return (
     <details className="trigger" ref={place}>
-      <summary>trigger{trigger && <span className="badge" role="status">{told}</span>}</summary>
-      <form className="popup" onSubmit={(event) => { event.preventDefault(); arm(); }}>
-        <label className="field"><span>variable<small>and element: Q_MEZ[2]; it need not be plotted</small></span><input list="plot-variables" value={settings.variable} spellCheck={false} onChange={(event) => set({ ...settings, variable: event.target.value })} /></label>
-        <label className="field"><span>level</span><input inputMode="decimal" value={settings.level} onChange={(event) => set({ ...settings, level: event.target.value })} /></label>
-        <label className="field"><span>edge</span><select value={settings.edge} onChange={(event) => set({ ...settings, edge: event.target.value as "rising" | "falling" })}><option>rising</option><option>falling</option></select></label>
-        <label className="field"><span>hold<small>seconds without another trigger</small></span><input inputMode="decimal" value={settings.hold} onChange={(event) => set({ ...settings, hold: event.target.value })} /></label>
-        <label className="check"><input type="checkbox" checked={settings.once} onChange={(event) => set({ ...settings, once: event.target.checked })} /> stay at the first</label>
-        <p className="row"><button type="submit" className="primary">{trigger ? "arm again" : "arm"}</button>{trigger && <button type="button" onClick={() => page.disarm()}>off</button>}</p>
-        {refused && <p className="refused" role="alert">{refused}</p>}
+      <summary>
+        trigger
+        {trigger && (
+          <span className="badge" role="status">
+            {told}
+          </span>
+        )}
+      </summary>
+      <form
+        className="popup"
+        onSubmit={(event) => {
+          event.preventDefault();
+          arm();
+        }}
+      >
+        <label className="field">
+          <span>
+            variable<small>and element: Q_MEZ[2]; it need not be plotted</small>
+          </span>
+          <input
+            list="plot-variables"
+            value={settings.variable}
+            spellCheck={false}
+            onChange={(event) => set({ ...settings, variable: event.target.value })}
+          />
+        </label>
+        <label className="field">
+          <span>level</span>
+          <input
+            inputMode="decimal"
+            value={settings.level}
+            onChange={(event) => set({ ...settings, level: event.target.value })}
+          />
+        </label>
+        <label className="field">
+          <span>edge</span>
+          <select
+            value={settings.edge}
+            onChange={(event) =>
+              set({ ...settings, edge: event.target.value as "rising" | "falling" })
+            }
+          >
+            <option>rising</option>
+            <option>falling</option>
+          </select>
+        </label>
+        <label className="field">
+          <span>
+            hold<small>seconds without another trigger</small>
+          </span>
+          <input
+            inputMode="decimal"
+            value={settings.hold}
+            onChange={(event) => set({ ...settings, hold: event.target.value })}
+          />
+        </label>
+        <label className="check">
+          <input
+            type="checkbox"
+            checked={settings.once}
+            onChange={(event) => set({ ...settings, once: event.target.checked })}
+          />{" "}
+          stay at the first
+        </label>
+        <p className="row">
+          <button type="submit" className="primary">
+            {trigger ? "arm again" : "arm"}
+          </button>
+          {trigger && (
+            <button type="button" onClick={() => page.disarm()}>
+              off
+            </button>
+          )}
+        </p>
+        {refused && (
+          <p className="refused" role="alert">
+            {refused}
+          </p>
+        )}
       </form>
     </details>
   );
@@ -116,25 +288,58 @@ function ChartCard({ chart }: { chart: Chart }) {
   useEffect(() => {
     if (!place.current) return undefined;
     const made = new ChartView(chart.series, place.current, (values, t) => {
-      values.forEach((value, k) => { const cell = cells.current[k]; if (cell) cell.textContent = number(value); });
+      values.forEach((value, k) => {
+        const cell = cells.current[k];
+        if (cell) cell.textContent = number(value);
+      });
       if (time.current) time.current.textContent = t === null ? "" : clock(t);
     });
     views.set(chart.id, made);
-    return () => { views.delete(chart.id); made.destroy(); };
+    return () => {
+      views.delete(chart.id);
+      made.destroy();
+    };
   }, [chart.id, chart.series, theme]);
   return (
-    <article className="chart" aria-label={`chart of ${chart.series.map((one) => nameOf(one)).join(", ")}`}>
+    <article
+      className="chart"
+      aria-label={`chart of ${chart.series.map((one) => nameOf(one)).join(", ")}`}
+    >
       <header className="row wrap">
         {chart.series.map((one, k) => (
           <span className="series" key={nameOf(one)}>
-            <svg viewBox="0 0 22 8" aria-hidden="true"><path d="M0 4H22" stroke={lineColour(k)} strokeDasharray={lineDash(k).join(" ")} /></svg>
-            {nameOf(one)} <b ref={(cell) => { cells.current[k] = cell; }} className="live" /> {unitText(live.variables.get(one.variable)?.unit ?? "")}
-            <button type="button" className="close" aria-label={`remove ${nameOf(one)}`} onClick={() => page.removeSeries(chart.id, one)}>×</button>
+            <svg viewBox="0 0 22 8" aria-hidden="true">
+              <path d="M0 4H22" stroke={lineColour(k)} strokeDasharray={lineDash(k).join(" ")} />
+            </svg>
+            {nameOf(one)}{" "}
+            <b
+              ref={(cell) => {
+                cells.current[k] = cell;
+              }}
+              className="live"
+            />{" "}
+            {unitText(live.variables.get(one.variable)?.unit ?? "")}
+            <button
+              type="button"
+              className="close"
+              aria-label={`remove ${nameOf(one)}`}
+              onClick={() => page.removeSeries(chart.id, one)}
+            >
+              ×
+            </button>
           </span>
         ))}
         <i ref={time} className="cursor-time" />
         <AddSeries label="this chart" chart={chart.id} />
-        <button type="button" className="close" aria-label="remove this chart" title="remove this chart" onClick={() => page.removeChart(chart.id)}>×</button>
+        <button
+          type="button"
+          className="close"
+          aria-label="remove this chart"
+          title="remove this chart"
+          onClick={() => page.removeChart(chart.id)}
+        >
+          ×
+        </button>
       </header>
       <div className="live" ref={place} />
     </article>
@@ -160,12 +365,31 @@ function Files({ charts }: { charts: Chart[] }) {
   const once = [...new Map(all.map((one) => [nameOf(one), one])).values()];
   const csv = () => {
     const [from, to] = page.range();
-    download("csv", new Blob([toCsv(once, alignSeries(once, page.rings(), from, to), live.variables, from, to)], { type: "text/csv" }));
+    download(
+      "csv",
+      new Blob([toCsv(once, alignSeries(once, page.rings(), from, to), live.variables, from, to)], {
+        type: "text/csv",
+      }),
+    );
   };
   return (
     <span className="row tools">
-      <button type="button" disabled={!once.length} onClick={csv} title="save what is shown as a table">CSV</button>
-      <button type="button" disabled={!once.length} onClick={() => savePicture(charts)} title="save the charts as a picture">PNG</button>
+      <button
+        type="button"
+        disabled={!once.length}
+        onClick={csv}
+        title="save what is shown as a table"
+      >
+        CSV
+      </button>
+      <button
+        type="button"
+        disabled={!once.length}
+        onClick={() => savePicture(charts)}
+        title="save the charts as a picture"
+      >
+        PNG
+      </button>
     </span>
   );
 }
@@ -180,8 +404,12 @@ function download(ending: string, blob: Blob): void {
 
 /** Draws the charts below each other, each with its names, and saves them. */
 function savePicture(charts: Chart[]): void {
-  const parts = charts.flatMap((one) => { const view = views.get(one.id); return view ? [{ series: one.series, from: view.plot.ctx.canvas }] : []; });
-  const scale = devicePixelRatio, head = 24 * scale;
+  const parts = charts.flatMap((one) => {
+    const view = views.get(one.id);
+    return view ? [{ series: one.series, from: view.plot.ctx.canvas }] : [];
+  });
+  const scale = devicePixelRatio,
+    head = 24 * scale;
   const canvas = document.createElement("canvas");
   canvas.width = Math.max(...parts.map((one) => one.from.width));
   canvas.height = parts.reduce((sum, one) => sum + one.from.height + head, 0);
@@ -194,7 +422,8 @@ function savePicture(charts: Chart[]): void {
   for (const { series, from } of parts) {
     let x = 12 * scale;
     series.forEach((one, k) => {
-      const unit = unitText(live.variables.get(one.variable)?.unit ?? ""), text = `${nameOf(one)}${unit && ` (${unit})`}`;
+      const unit = unitText(live.variables.get(one.variable)?.unit ?? ""),
+        text = `${nameOf(one)}${unit && ` (${unit})`}`;
       ctx.fillStyle = lineColour(k);
       ctx.fillText(text, x, y + 16 * scale);
       x += ctx.measureText(text).width + 18 * scale;
@@ -202,5 +431,7 @@ function savePicture(charts: Chart[]): void {
     ctx.drawImage(from, 0, y + head);
     y += from.height + head;
   }
-  canvas.toBlob((blob) => { if (blob) download("png", blob); });
+  canvas.toBlob((blob) => {
+    if (blob) download("png", blob);
+  });
 }

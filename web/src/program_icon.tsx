@@ -13,9 +13,16 @@ const SHAPES = [
 export function JobIcon({ job, faulty = false }: { job: string; faulty?: boolean }) {
   const number = hash(job);
   return (
-    <svg className={`job-icon${faulty ? " faulty" : ""}`} viewBox="0 0 48 48" aria-hidden="true" style={{ "--hue": `${((number >>> 8) % 12) * 30}` } as React.CSSProperties}>
+    <svg
+      className={`job-icon${faulty ? " faulty" : ""}`}
+      viewBox="0 0 48 48"
+      aria-hidden="true"
+      style={{ "--hue": `${((number >>> 8) % 12) * 30}` } as React.CSSProperties}
+    >
       {SHAPES[number % SHAPES.length]}
-      <text x="24" y="24.5">{faulty ? "!" : initials(job)}</text>
+      <text x="24" y="24.5">
+        {faulty ? "!" : initials(job)}
+      </text>
     </svg>
   );
 }

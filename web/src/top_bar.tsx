@@ -1,4 +1,5 @@
-// What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded run.
+// What is always visible: who and where, the flag, complaints, Stop, and the time of a recorded
+// run.
 import { useEffect, useState } from "react";
 import { play, seek, stop } from "./connection";
 import { useClock, useGlobalKey } from "./controls";
@@ -18,7 +19,7 @@ export function TopBar() {
     <header className="top">
       <div className="who">
         <h1>{hello?.name ?? "pbonet"}</h1>
-        {hello?.job && <span className="dim">{hello.log ? "" : "opened with "}job {hello.job}</span>}
+        <Job />
         {hello && <Role />}
       </div>
       {live.steers && <Modes />}
@@ -29,34 +30,77 @@ export function TopBar() {
   );
 }
 
+/** The job that was entered last; before any was, the one with which the page was opened. */
+function Job() {
+  const present = useGraph()?.job ?? "";
+  const opened = live.hello?.job ?? "";
+  if (live.log) return <span className="dim">job {opened}</span>;
+  if (present) return <span className="job">job {present}</span>;
+  return opened ? <span className="dim">opened with job {opened}</span> : null;
+}
+
 /** Chooses what the page is for. */
 function Modes() {
   usePage("mode");
   return (
     <nav className="modes" aria-label="what the page is for">
-      {MODES.map((one) => <button key={one} type="button" aria-pressed={page.mode === one} onClick={() => page.setMode(one)}>{one}</button>)}
+      {MODES.map((one) => (
+        <button
+          key={one}
+          type="button"
+          aria-pressed={page.mode === one}
+          onClick={() => page.setMode(one)}
+        >
+          {one}
+        </button>
+      ))}
     </nav>
   );
 }
 
 function Role() {
   if (live.log) return <span className="badge">recorded run</span>;
-  return live.role === "observer"
-    ? <span className="badge" title="the link that this page was opened with lets you look, not steer">observer: looks only</span>
-    : <span className="badge">operator</span>;
+  return live.role === "observer" ? (
+    <span
+      className="badge"
+      title="the link that this page was opened with lets you look, not steer"
+    >
+      observer: looks only
+    </span>
+  ) : (
+    <span className="badge">operator</span>
+  );
 }
 
 function LinkState() {
   useClock();
-  if (live.link === "live") return <span className="link-state ok"><i aria-hidden="true" />{live.log ? "recorded" : "live"} <time>{live.now() ? clock(live.now(), 0) : ""}</time></span>;
-  return <span className="link-state lost"><i aria-hidden="true" />{live.link === "lost" ? "connection lost" : "connecting"}</span>;
+  if (live.link === "live")
+    return (
+      <span className="link-state ok">
+        <i aria-hidden="true" />
+        {live.log ? "recorded" : "live"} <time>{live.now() ? clock(live.now(), 0) : ""}</time>
+      </span>
+    );
+  return (
+    <span className="link-state lost">
+      <i aria-hidden="true" />
+      {live.link === "lost" ? "connection lost" : "connecting"}
+    </span>
+  );
 }
 
 function Flag() {
   useLive("status");
-  if (!live.rtpus.size || live.log) return null;
+  if (!live.rtpus.size) return null;
   const isIllegal = illegalCauses(live.rtpus.values()).length > 0;
-  return <span className={`flag live ${isIllegal ? "illegal" : "legal"}`}>{isIllegal ? "▲ ILLEGAL" : "✓ legal"}</span>;
+  return (
+    <span
+      className={`flag live ${isIllegal ? "illegal" : "legal"}`}
+      title={`the flag of the configuration that ${live.log ? "ran" : "runs"}`}
+    >
+      {isIllegal ? "▲ ILLEGAL" : "✓ legal"}
+    </span>
+  );
 }
 
 function Stop() {
@@ -65,9 +109,13 @@ function Stop() {
   const act = () => {
     setBusy(true);
     setAnswer(null);
-    void stop().then((got) => { setAnswer(got); setBusy(false); });
+    void stop().then((got) => {
+      setAnswer(got);
+      setBusy(false);
+    });
   };
-  useEffect(() => { // what it has done is in the events, too; a refusal stays
+  useEffect(() => {
+    // what it has done is in the events, too; a refusal stays
     if (!answer?.ok || answer.warnings.length) return undefined;
     const timer = setTimeout(() => setAnswer(null), DONE_FOR);
     return () => clearTimeout(timer);
@@ -75,8 +123,28 @@ function Stop() {
   useGlobalKey(STOP_KEY, act);
   return (
     <div className="stop-place">
-      <button type="button" className="stop" onClick={act} aria-keyshortcuts={STOP_KEY} title="turn all tasks off and end them, now; it asks nothing">{busy ? "stopping…" : "STOP"} <kbd>{STOP_KEY}</kbd></button>
-      {answer && <div className={`outcome ${answer.ok ? "done" : "refusal"}`} role="alert"><button type="button" className="close" aria-label="close this message" onClick={() => setAnswer(null)}>×</button><pre>{answer.text || "stopped"}</pre></div>}
+      <button
+        type="button"
+        className="stop"
+        onClick={act}
+        aria-keyshortcuts={STOP_KEY}
+        title="turn all tasks off and end them, now; it asks nothing"
+      >
+        {busy ? "stopping…" : "STOP"} <kbd>{STOP_KEY}</kbd>
+      </button>
+      {answer && (
+        <div className={`outcome ${answer.ok ? "done" : "refusal"}`} role="alert">
+          <button
+            type="button"
+            className="close"
+            aria-label="close this message"
+            onClick={() => setAnswer(null)}
+          >
+            ×
+          </button>
+          <pre>{answer.text || "stopped"}</pre>
+        </div>
+      )}
     </div>
   );
 }
@@ -88,17 +156,42 @@ export function Bars() {
   useLive("status");
   const graph = useGraph();
   const causes = illegalCauses(live.rtpus.values());
-  const failed = [...live.tasks.values()].filter((one) => one.state === "ERROR").map((one) => one.task);
+  const failed = [...live.tasks.values()]
+    .filter((one) => one.state === "ERROR")
+    .map((one) => one.task);
   return (
     <div className="bars">
-      <p className="away" aria-live="polite">{failed.length ? `in ERROR: ${failed.join(", ")}` : ""}</p>
+      <p className="away" aria-live="polite">
+        {failed.length ? `in ERROR: ${failed.join(", ")}` : ""}
+      </p>
       {live.link === "lost" && (
-        <p className="bar lost" role="alert"><b>Connection lost.</b> {live.linkText} What is shown is old: it is from {clock(live.now(), 0)}. Trying again every half second.{live.steers && " Stop cannot be sent from here: use the emergency stop, or “pbonet stop”."}</p>
+        <p className="bar lost" role="alert">
+          <b>Connection lost.</b> {live.linkText} What is shown is old: it is from{" "}
+          {clock(live.now(), 0)}. Trying again every half second.
+          {live.steers &&
+            " Stop cannot be sent from here: use the emergency stop, or “pbonet stop”."}
+        </p>
       )}
-      {causes.map(({ cause, rtpus }) => <p className="bar illegal live" key={cause} role="alert"><b>ILLEGAL</b> <span className="dim">{rtpus.join(", ")}</span> {cause}</p>)}
-      {graph?.faults.filter((one) => one.severity !== "warn").map((one) => <p className="bar fault-refuse" key={one.text}><b>✕ fault</b> <span>{one.text}</span></p>)}
-      <Remarks texts={graph?.faults.filter((one) => one.severity === "warn").map((one) => one.text) ?? []} />
-      {live.complaints.map((text) => <p className="bar complaint" key={text} role="status"><b>⚠</b> <span>{text}</span></p>)}
+      {causes.map(({ cause, rtpus }) => (
+        <p className="bar illegal live" key={cause} role="alert">
+          <b>ILLEGAL</b> <span className="dim">{rtpus.join(", ")}</span> {cause}
+        </p>
+      ))}
+      {graph?.faults
+        .filter((one) => one.severity !== "warn")
+        .map((one) => (
+          <p className="bar fault-refuse" key={one.text}>
+            <b>✕ fault</b> <span>{one.text}</span>
+          </p>
+        ))}
+      <Remarks
+        texts={graph?.faults.filter((one) => one.severity === "warn").map((one) => one.text) ?? []}
+      />
+      {live.complaints.map((text) => (
+        <p className="bar complaint" key={text} role="status">
+          <b>⚠</b> <span>{text}</span>
+        </p>
+      ))}
     </div>
   );
 }
@@ -108,8 +201,13 @@ function Remarks({ texts }: { texts: string[] }) {
   if (!texts.length) return null;
   return (
     <details className="bar fault-warn">
-      <summary><b>⚠ {texts.length === 1 ? "one remark" : `${texts.length} remarks`}</b> about the configuration</summary>
-      {texts.map((text) => <p key={text}>{text}</p>)}
+      <summary>
+        <b>⚠ {texts.length === 1 ? "one remark" : `${texts.length} remarks`}</b> about the
+        configuration
+      </summary>
+      {texts.map((text) => (
+        <p key={text}>{text}</p>
+      ))}
     </details>
   );
 }
@@ -128,15 +226,51 @@ export function LogBar() {
   const at = dragged ?? Math.max(log.begin, Math.min(log.end, live.now()));
   const playing = live.speed > 0;
   const go = (on: boolean, by = speed) => play(on ? by : 0);
-  const release = () => { if (dragged !== null) { seek(dragged); setDragged(null); } };
+  const release = () => {
+    if (dragged !== null) {
+      seek(dragged);
+      setDragged(null);
+    }
+  };
   return (
     <div className="log-bar row" role="group" aria-label="recorded run">
-      <button type="button" className="primary" onClick={() => go(!playing)}>{playing ? "pause" : "play"}</button>
-      <select value={speed} aria-label="speed" onChange={(event) => { const by = Number(event.target.value); setSpeed(by); if (playing) go(true, by); }}>{SPEEDS.map((one) => <option key={one} value={one}>{one} ×</option>)}</select>
-      <input type="range" min={log.begin} max={log.end} step="any" value={at} aria-label="time in the run" aria-valuetext={`${(at - log.begin).toFixed(1)} s`}
-        onChange={(event) => setDragged(Number(event.target.value))} onPointerUp={release} onKeyUp={release} onBlur={release} />
-      <span>{(at - log.begin).toFixed(1)} / {(log.end - log.begin).toFixed(1)} s</span>
-      <span className="dim" title={log.file}>{clock(at, 1)}</span>
+      <button type="button" className="primary" onClick={() => go(!playing)}>
+        {playing ? "pause" : "play"}
+      </button>
+      <select
+        value={speed}
+        aria-label="speed"
+        onChange={(event) => {
+          const by = Number(event.target.value);
+          setSpeed(by);
+          if (playing) go(true, by);
+        }}
+      >
+        {SPEEDS.map((one) => (
+          <option key={one} value={one}>
+            {one} ×
+          </option>
+        ))}
+      </select>
+      <input
+        type="range"
+        min={log.begin}
+        max={log.end}
+        step="any"
+        value={at}
+        aria-label="time in the run"
+        aria-valuetext={`${(at - log.begin).toFixed(1)} s`}
+        onChange={(event) => setDragged(Number(event.target.value))}
+        onPointerUp={release}
+        onKeyUp={release}
+        onBlur={release}
+      />
+      <span>
+        {(at - log.begin).toFixed(1)} / {(log.end - log.begin).toFixed(1)} s
+      </span>
+      <span className="dim" title={log.file}>
+        {clock(at, 1)}
+      </span>
     </div>
   );
 }

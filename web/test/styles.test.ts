@@ -10,7 +10,11 @@ function firstClasses(file: string): Set<string> {
 }
 
 test("what one part of the page styles is not styled by another one, too", () => {
-  const program = firstClasses("program.css"), assemble = firstClasses("assemble.css");
+  const program = firstClasses("program.css"),
+    assemble = firstClasses("assemble.css");
   assert.ok(program.has(".tile") && assemble.has(".palette"));
-  assert.deepEqual([...program].filter((one) => assemble.has(one)), []);
+  assert.deepEqual(
+    [...program].filter((one) => assemble.has(one)),
+    [],
+  );
 });

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -106,7 +107,7 @@ class Problem(Struct, frozen=True, kw_only=True):
         return (self.code, self.tasks, self.ports, self.variables)
 
 
-class Task(Struct, frozen=True, kw_only=True):
+class Task(Struct, frozen=True, kw_only=True, dict=True):
     """One task of a configuration."""
 
     rmod: Rmod
@@ -154,22 +155,22 @@ class Task(Struct, frozen=True, kw_only=True):
             return self.profile.worst_ns / 1e9
         return self.maxc
 
-    @property
+    @cached_property
     def inputs(self) -> tuple[str, ...]:
         """Variables it reads every cycle (X of section 3.3.1)."""
         return tuple(map(self.rmod.svar_name, self.rmod.invar))
 
-    @property
+    @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Variables it writes every cycle (Y of section 3.3.1)."""
         return tuple(map(self.rmod.svar_name, self.rmod.outvar))
 
-    @property
+    @cached_property
     def needs(self) -> tuple[str, ...]:
         """Constants that it reads before `init`."""
         return tuple(map(self.rmod.svar_name, self.rmod.inconst))
 
-    @property
+    @cached_property
     def gives(self) -> tuple[str, ...]:
         """Constants that it writes after `init`."""
         return tuple(map(self.rmod.svar_name, self.rmod.outconst))
@@ -185,7 +186,7 @@ class Task(Struct, frozen=True, kw_only=True):
         return str(said or self.rmod.file)
 
 
-class Configuration(Struct, frozen=True, kw_only=True):
+class Configuration(Struct, frozen=True, kw_only=True, dict=True):
     """A subsystem at one moment: its tasks, and which of them are ON."""
 
     svar: SvarFile
@@ -210,12 +211,31 @@ class Configuration(Struct, frozen=True, kw_only=True):
     """Share of a core that tasks may use, at most 1."""
     copy_speed: float = COPY_SPEED
 
-    @property
+    @cached_property
     def running(self) -> tuple[Task, ...]:
         """The tasks that are ON."""
         return tuple(task for task in self.tasks if task.name in self.on)
 
-    @property
+    @cached_property
     def table(self) -> dict[str, Variable]:
         """The variables by name."""
         return {variable.name: variable for variable in self.svar.variables}
+
+    @cached_property
+    def notes(self) -> dict[str, object]:
+        """Results about it that several checks need, by name."""
+        return {}
+
+    @cached_property
+    def given(self) -> frozenset[str]:
+        """The constants that its tasks give."""
+        return frozenset(name for task in self.tasks for name in task.gives)
+
+    @cached_property
+    def writers(self) -> dict[str, list[Task]]:
+        """The tasks that are ON and write a variable, by variable."""
+        found: dict[str, list[Task]] = {}
+        for task in self.running:
+            for variable in task.outputs:
+                found.setdefault(variable, []).append(task)
+        return found

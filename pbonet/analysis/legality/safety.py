@@ -51,9 +51,7 @@ def _old_inputs(
 
 def _way(configuration: Configuration, task: Task, variable: str) -> str:
     """Return how a variable comes here from elsewhere; empty if it does not."""
-    for writer in configuration.running:
-        if variable not in writer.outputs:
-            continue
+    for writer in configuration.writers.get(variable, ()):
         if not RECEIVERS.isdisjoint(writer.rmod.module.split("+")):
             return f"over the link that {writer.name} receives"
         machines = configuration.machines

@@ -142,8 +142,7 @@ def _initial(
     configuration: Configuration, task: Task, info: ModuleInfo
 ) -> dict[str, int]:
     """Return sizes of constants without a producer, from the table's INIT lines."""
-    produced = {name for other in configuration.tasks for name in other.gives}
-    table = configuration.table
+    produced, table = configuration.given, configuration.table
     known: dict[str, int] = {}
     for port in info.ports:
         name = task.rmod.svar_name(port.name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from msgspec import Struct, structs
 
@@ -136,7 +136,10 @@ def _aperiodic(task: Task, rtpu: RtpuEntry) -> Assigned:
 
 def loads(configuration: Configuration) -> list[Load]:
     """Return the load on each RTPU of the subsystem."""
-    return [_load(configuration, rtpu) for rtpu in configuration.rtpus]
+    known = configuration.notes
+    if "loads" not in known:
+        known["loads"] = [_load(configuration, rtpu) for rtpu in configuration.rtpus]
+    return cast("list[Load]", known["loads"])
 
 
 def load_without_servers(configuration: Configuration, rtpu: str) -> Load:

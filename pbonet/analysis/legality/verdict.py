@@ -8,6 +8,7 @@ writer. Turning off, killing and stopping are never refused.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
@@ -179,13 +180,17 @@ def judge(current: Configuration, change: Change) -> Verdict:
     """Return the verdict on a change of the present configuration."""
     problems: list[Problem] = []
     after = current
+    known = (*current.tasks, *change.tasks)
+    shared = _shared(known)
+    contested = {task.name for task in known if not shared.isdisjoint(_out(task))}
+    given = {task.name: task for task in change.tasks}
     for name, sent in change.items:
-        step = _step(after, change, name, sent)
+        step = _step(after, given.get(name), name, sent)
         if step is None:
             problems.append(_unknown(after, name, sent))
         else:
             after = step
-            if change.whole and sent == "on":
+            if change.whole and sent == "on" and name in contested:
                 problems += _passing(after, name)
     standing = {task.name for task in current.tasks}
     new = [task for task in change.tasks if task.name not in standing]
@@ -235,22 +240,22 @@ def _as_warning(problem: Problem) -> Problem:
 
 
 def _step(
-    now: Configuration, change: Change, name: str, sent: str
+    now: Configuration, given: Task | None, name: str, sent: str
 ) -> Configuration | None:
     """Return the configuration after one signal, None if it knows no such task."""
-    given = {task.name: task for task in change.tasks}.get(name)
-    standing = {task.name: task for task in now.tasks}
-    known = name in standing
+    known = any(task.name == name for task in now.tasks)
     if given is not None and (sent == "spawn" or (sent == "freq" and known)):
-        return structs.replace(now, tasks=tuple((standing | {name: given}).values()))
+        tasks = tuple(given if task.name == name else task for task in now.tasks)
+        return structs.replace(now, tasks=tasks if known else (*tasks, given))
     if not known:
         return None
     on = now.on | {name} if sent == "on" else now.on
     if sent in ENDING:
         on -= {name}
+    tasks = now.tasks
     if sent in {"kill", "stop"}:
-        del standing[name]
-    return structs.replace(now, on=on, tasks=tuple(standing.values()))
+        tasks = tuple(task for task in tasks if task.name != name)
+    return structs.replace(now, on=on, tasks=tasks)
 
 
 def _passing(after: Configuration, name: str) -> list[Problem]:
@@ -269,6 +274,17 @@ def _passing(after: Configuration, name: str) -> list[Problem]:
                 )
             )
     return found
+
+
+def _out(task: Task) -> tuple[str, ...]:
+    """Return all that a task writes."""
+    return (*task.outputs, *task.gives)
+
+
+def _shared(tasks: Iterable[Task]) -> set[str]:
+    """Return the variables and constants that more than one of the tasks can write."""
+    count = Counter(name for task in tasks for name in _out(task))
+    return {name for name, times in count.items() if times > 1}
 
 
 def _unknown(now: Configuration, name: str, sent: str) -> Problem:

@@ -319,11 +319,12 @@ def critical_set(
         msg = f"limit {limit} is not within (0, 1]"
         raise ValueError(msg)
     servers = list(servers)
-    reserved, chosen = _sum(servers), list[Demand]()
+    used, chosen = _sum(servers), list[Demand]()
     most = Fraction(limit) * (1 + Fraction(1, 10**12))
     for task in by_period(tasks):
         chosen.append(task)
-        if reserved + _sum(chosen) > most or not edf_schedulable(chosen, servers):
+        used += task.share
+        if used > most or not edf_schedulable(chosen, servers):
             chosen.pop()
             break
     return tuple(task.name for task in chosen)

@@ -48,5 +48,6 @@ from .subsystem_graph import (
     job_graph as job_graph,
     planned_graph as planned_graph,
     unread as unread,
+    with_planned as with_planned,
 )
 from .task_model import Member as Member, TaskModel as TaskModel

@@ -11,7 +11,7 @@ import contextlib
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from msgspec import Struct, field
+from msgspec import Struct, field, structs
 
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError
@@ -241,6 +241,29 @@ def graph_of(
         wires=_wires(made),
         links=[link for task in tasks for link in _links(task)],
         faults=[*faults, *map(_fault, problems)],
+    )
+
+
+def with_planned(files: Files, graph: Graph, planned: Graph) -> Graph:
+    """Return the graph of existing tasks, and of those that a job plans beside them.
+
+    Args:
+        files: The subsystem's files.
+        graph: That of the existing tasks.
+        planned: That of the job, whose order of tasks is kept.
+    """
+    there = {one.name: one for one in graph.tasks}
+    tasks = [there.pop(one.name, one) for one in planned.tasks]
+    tasks += there.values()
+    names = {one.name for one in graph.tasks}
+    table = {variable.name: variable for variable in files.table.variables}
+    return structs.replace(
+        graph,
+        job=planned.job,
+        tasks=tasks,
+        variables=_variables(table, tasks),
+        wires=_wires(tasks),
+        links=[*graph.links, *(one for one in planned.links if one.task not in names)],
     )
 
 

@@ -17,7 +17,7 @@ from .draft_files import Draft, DraftFiles
 from .fitting_ports import Fit, Fitting
 from .job_verdict import JobVerdict, judge_job
 from .module_palette import ModulePalette
-from .simulated_run import SimulatedRun, simulate_draft
+from .simulated_run import DraftSimulation, SimulatedRun
 from .steps import make_step
 from .task_edits import JOB_FIELDS, RMOD_FIELDS, find_line, record_of, task_names
 from .undo_history import History
@@ -375,13 +375,23 @@ class JobEditor:
         Raises:
             ConfigError: The job has no task, or the time is none.
         """
-        return simulate_draft(
-            self.files,
-            seconds,
-            variables,
-            limit=limit,
-            conditions=conditions,
-            libraries=self._libraries,
+        run = self.simulation(seconds, conditions=conditions)
+        return run.run(variables, limit=limit)
+
+    def simulation(self, seconds: float, *, conditions: bool = True) -> DraftSimulation:
+        """Return the present state ready to be run in virtual time.
+
+        It can be run in another thread, while this editor is used further.
+
+        Args:
+            seconds: How much virtual time passes.
+            conditions: Whether PRE and POST are judged.
+
+        Raises:
+            ConfigError: The job has no task, or the time is none.
+        """
+        return DraftSimulation(
+            self.files, seconds, conditions=conditions, libraries=self._libraries
         )
 
     # -- parts of them

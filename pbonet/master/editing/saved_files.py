@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import os
 import shutil
 import tempfile
@@ -118,7 +119,7 @@ class SavedFiles:
                     "the file cannot be written",
                     where=str(path),
                     got=error.strerror or str(error),
-                    remedy="correct the permissions and save again; saved before it: "
+                    remedy=f"{_remedy(error)} and save again; saved before it: "
                     + (", ".join(map(str, done)) or "nothing"),
                 ) from None
             self._now[path] = wanted[path]
@@ -179,6 +180,12 @@ def _diff(path: Path, before: bytes, after: bytes) -> str:
     )
     found = difflib.unified_diff(old, new, f"a/{path.name}", f"b/{path.name}")
     return "".join(line if line.endswith("\n") else f"{line}\n" for line in found)
+
+
+def _remedy(error: OSError) -> str:
+    if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
+        return "make room on the disk"
+    return "correct the permissions"
 
 
 def _replace(path: Path, data: bytes | None) -> None:

@@ -7,8 +7,9 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec import Struct, structs
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 2000
 """Number of values of one variable that are returned, evenly spread over the run."""
+CANCELLED: Final = "it was cancelled"
 
 
 class SimulatedRun(Struct, frozen=True, kw_only=True):
@@ -41,72 +43,112 @@ class SimulatedRun(Struct, frozen=True, kw_only=True):
     """By variable: ``t`` in seconds, and ``v``, the elements at that time."""
 
 
-def simulate_draft(
-    files: DraftFiles,
-    seconds: float,
-    variables: Sequence[str],
-    *,
-    limit: float,
-    conditions: bool = True,
-    libraries: Iterable[str | Path] = (),
-) -> SimulatedRun:
-    """Run the job of a draft in virtual time.
+class DraftSimulation:
+    """A draft's job that is to be run in virtual time: a copy of its files.
 
     The files of the job's folders are there by links, and those that differ by copies.
+    So the draft can be changed while it runs, which may be in another thread.
 
     Args:
         files: The files, with the draft's texts.
         seconds: How much virtual time passes.
-        variables: Those whose values are returned.
-        limit: Seconds that the process may take; then it is ended.
         conditions: Whether PRE and POST are judged.
         libraries: Folders of modules.
 
     Raises:
         ConfigError: The job has no task, or the time is none.
     """
-    if not files.draft.job.tasks:
-        raise ConfigError(
-            "the job has no task to simulate",
-            where=files.draft.job.file,
-            remedy="add one from the library",
+
+    def __init__(
+        self,
+        files: DraftFiles,
+        seconds: float,
+        *,
+        conditions: bool = True,
+        libraries: Iterable[str | Path] = (),
+    ) -> None:
+        if not files.draft.job.tasks:
+            raise ConfigError(
+                "the job has no task to simulate",
+                where=files.draft.job.file,
+                remedy="add one from the library",
+            )
+        if not 0.0 < seconds < math.inf:
+            raise ConfigError(
+                "the time to simulate is not above 0",
+                got=f"{seconds} s",
+                expected="seconds of virtual time",
+                remedy="say how long",
+            )
+        self._folder = tempfile.TemporaryDirectory(prefix="pbonet-edit-")
+        self._root, self._runs = (
+            Path(self._folder.name) / one for one in ("files", "runs")
         )
-    if not 0.0 < seconds < math.inf:
-        raise ConfigError(
-            "the time to simulate is not above 0",
-            got=f"{seconds} s",
-            expected="seconds of virtual time",
-            remedy="say how long",
-        )
-    with tempfile.TemporaryDirectory(prefix="pbonet-edit-") as name:
-        root, runs = Path(name) / "files", Path(name) / "runs"
-        real = _copy(files, root)
-        job = root / files.job_path.absolute().relative_to(real)
+        self._real = _copy(files, self._root)
+        job = self._root / files.job_path.absolute().relative_to(self._real)
         if not conditions:
             bare = structs.replace(files.draft.job, pre=(), post=())
             job.write_bytes(write_job(bare).encode())
-        command = [sys.executable, "-P", "-m", "pbonet.cli", "run", str(job), "--sim"]
-        command += ["--seconds", repr(seconds), "--record", "all", "--runs", str(runs)]
-        command += ["--json"]
+        words = ["run", str(job), "--sim", "--seconds", repr(seconds)]
+        words += ["--record", "all", "--runs", str(self._runs), "--json"]
         for one in libraries:
-            command += ["--library", str(one)]
-        try:
-            done = subprocess.run(
-                command,
+            words += ["--library", str(one)]
+        self._command = [sys.executable, "-P", "-m", "pbonet.cli", *words]
+        self._guard = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self._cancelled = False
+
+    def run(self, variables: Sequence[str], *, limit: float) -> SimulatedRun:
+        """Run it in another process, once, and remove the copy.
+
+        Args:
+            variables: Those whose values are returned.
+            limit: Seconds that the process may take; then it is ended.
+        """
+        with self._folder:
+            text, done = self._carry_out(limit)
+            if done is None:
+                return SimulatedRun(ok=False, problems=[text], output="")
+            return _outcome(done, self._runs, variables)
+
+    def cancel(self) -> None:
+        """End it, from another thread; `run` returns at once."""
+        with self._guard:
+            self._cancelled = True
+            if self._process is not None:
+                self._process.kill()
+
+    def _was_cancelled(self) -> bool:
+        return self._cancelled
+
+    def _carry_out(
+        self, limit: float
+    ) -> tuple[str, subprocess.CompletedProcess[str] | None]:
+        """Run the process; return what it printed, or why there is nothing."""
+        with self._guard:
+            if self._was_cancelled():
+                return CANCELLED, None
+            self._process = process = subprocess.Popen(
+                self._command,
                 env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
                 stdin=subprocess.DEVNULL,
-                capture_output=True,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 text=True,
                 errors="replace",
-                timeout=limit,
-                check=False,
             )
+        try:
+            out, err = process.communicate(timeout=limit)
         except subprocess.TimeoutExpired:
-            text = f"it took longer than {limit:g} s and was ended"
-            return SimulatedRun(ok=False, problems=[text], output="")
-        done.stdout = done.stdout.replace(str(root), str(real))
-        done.stderr = done.stderr.replace(str(root), str(real))
-        return _outcome(done, runs, variables)
+            process.kill()
+            process.communicate()
+            return f"it took longer than {limit:g} s and was ended", None
+        if self._was_cancelled():
+            return CANCELLED, None
+        root, real = str(self._root), str(self._real)
+        texts = (one.replace(root, real) for one in (out, err))
+        status = process.returncode
+        return "", subprocess.CompletedProcess(self._command, status, *texts)
 
 
 def _outcome(

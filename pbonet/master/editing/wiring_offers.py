@@ -355,6 +355,8 @@ def _missing_entries(files: DraftFiles, verdict: JobVerdict) -> dict[str, Variab
         if task.info is not None
     ]
     lacking = [use for use in uses if use.ports().keys() - known]
+    if not lacking:
+        return {}
     for some in (uses, *([use] for use in lacking)):
         try:
             found, _ = scaffold_system.new_svar(

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pbonet.config import SeqLine, StepEnd
 
     from .subsystem import Subsystem
+    from .switching import Transition
 
 _KEPT_STEPS: Final = 1000
 _KEPT_ERRORS: Final = 100
@@ -163,6 +164,8 @@ class Sequencer:
         self._stops = 0
         self._unhandled = False
         self._given_up = False
+        self._rests_in = ""
+        """The present job, if its step has ended; empty: none, or it has not."""
 
     # -- from any thread ---------------------------------------------------------------
 
@@ -319,7 +322,10 @@ class Sequencer:
             self._must_have_tasks()
             return False
 
-        def attempt() -> object:
+        rests = self._state.safe and self._rests_in == step.job
+        self._rests_in = ""
+
+        def attempt() -> Transition:
             self._must_have_tasks()  # each time: a stop may come during the wait
             change = partial(
                 self._subsystem.change_to,
@@ -333,18 +339,22 @@ class Sequencer:
                     return change()
             return change()
 
-        in_time(attempt, self.seq.wait, self._subsystem.clock, self._abort)
+        done = in_time(attempt, self.seq.wait, self._subsystem.clock, self._abort)
+        rests = rests and not (done.spawns or done.items or done.kills)
         entered = (*self._state.entered, step.name)[-_KEPT_STEPS:]
         self._show(entered=entered, count=self._state.count + 1)
-        if not step.waits:
+        if rests or not step.waits:  # what it did is done, and not announced again
+            self._rests_in = step.job
             return None
         self._show(phase=Phase.WAITS, waiting=_awaited(step))
         within = step.within
         if within is None and step.until and step.seconds is None:
             within = self.seq.within
-        return self._subsystem.step_ends.wait(
+        end = self._subsystem.step_ends.wait(
             step.until, seconds=step.seconds, timeout=within, look=self._must_go_on
         )
+        self._rests_in = step.job
+        return end
 
     def _go_safe(self) -> None:
         """Go to the safe job; note what fails."""

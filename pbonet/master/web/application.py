@@ -116,6 +116,11 @@ class Page:
                 await asyncio.to_thread(self._orders.close)
             await asyncio.to_thread(self._source.close)
 
+    @property
+    def left(self) -> list[str]:
+        """What is still being carried out after the end, in words."""
+        return self._orders.left if self._orders is not None else []
+
     def send_to_all(self, message: Data) -> None:
         """Send a message to all browsers; any thread may call it."""
         loop = self._loop

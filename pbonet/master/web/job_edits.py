@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from pbonet.config import Library
+    from pbonet.master.editing import DraftSimulation
 
     Data = dict[str, Any]
 
@@ -23,6 +24,8 @@ _SIMULATED: Final = 20.0
 """Seconds of virtual time that a page may have simulated at once."""
 _LIMIT: Final = 60.0
 """Seconds that it may take."""
+BESIDE: Final = ("simulate", "cancel")
+"""Edits that keep no others waiting, and are no business of `JobEdits.do`."""
 _SEARCHED: Final = {
     "class": "module_class",
     "in": "reads",
@@ -57,15 +60,16 @@ class JobEdits:
             "fitting": self._fitting,
             "changes": self._changes,
             "save": self._save,
-            "simulate": self._simulate,
         }
+        self._simulations: list[DraftSimulation] = []
+        """Those that run or wait."""
 
     def do(self, name: str, args: Mapping[str, Any]) -> Data:
         """Carry out one edit, or answer a question about the job.
 
         Args:
-            name: ``open apply undo redo palette fitting changes save simulate``, or a
-                change of `pbonet.master.editing.JobEditor.edit`.
+            name: ``open apply undo redo palette fitting changes save``, or a change of
+                `pbonet.master.editing.JobEditor.edit`.
             args: Its arguments.
 
         Returns:
@@ -79,7 +83,7 @@ class JobEdits:
             return self._shown(self._edit(name, given))
         does = self._does.get(name)
         if does is None:
-            known = [*self._does, *EDITS]
+            known = [*self._does, *BESIDE, *EDITS]
             raise ProtocolError(
                 f"there is no edit {name[:40]}",
                 expected=" ".join(known),
@@ -173,7 +177,15 @@ class JobEdits:
         state = self._now.state() | {"jobs": self._files.jobs()}
         return self._shown(state) | {"written": written}
 
-    def _simulate(self, args: Data) -> Data:
+    def simulation(self, args: Mapping[str, Any]) -> Callable[[], Data]:
+        """Return what runs the present state in virtual time, in any thread.
+
+        Args:
+            args: ``seconds``, and ``variables`` whose values are returned.
+
+        Raises:
+            PbonetError: It is refused.
+        """
         seconds, names = args.get("seconds", 2.0), args.get("variables", [])
         if not isinstance(seconds, int | float) or not 0 < seconds <= _SIMULATED:
             raise ConfigError(
@@ -189,5 +201,19 @@ class JobEdits:
                 remedy="send a list of their names",
             )
         wanted = [str(name) for name in cast("list[object]", names)]
-        run = self._now.simulate(float(seconds), wanted, limit=_LIMIT)
-        return {"run": msgspec.to_builtins(run)}
+        simulation = self._now.simulation(float(seconds))
+        self._simulations.append(simulation)
+
+        def run() -> Data:
+            try:
+                result = simulation.run(wanted, limit=_LIMIT)
+            finally:
+                self._simulations.remove(simulation)
+            return {"run": msgspec.to_builtins(result)}
+
+        return run
+
+    def cancel(self) -> None:
+        """End all simulations, from any thread."""
+        for simulation in [*self._simulations]:
+            simulation.cancel()

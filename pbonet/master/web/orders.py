@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -56,8 +57,10 @@ log = logging.getLogger("pbonet.master")
 Data = dict[str, Any]
 _SLOW: Final = 0.5
 """Seconds after which a browser hears that its command still runs."""
-_END_TIME: Final = 5.0
-"""Seconds that the command which is being carried out has when the server ends."""
+_END_TIME: Final = 30.0
+"""Seconds that a command which is carried out from here has when the server ends."""
+_OTHERS_END_TIME: Final = 3.0
+"""Seconds that are waited for one that another master carries out."""
 _PAUSE: Final = 0.05
 _MOST_WAITING: Final = 16
 """Commands that may wait."""
@@ -216,26 +219,49 @@ class Orders:
         self._commands = ThreadPoolExecutor(1, "command")
         self._looks = ThreadPoolExecutor(1, "look")
         self._files = ThreadPoolExecutor(1, "files")
+        self._simulating = ThreadPoolExecutor(1, "simulating")
         self._steering = ThreadPoolExecutor(1, "steering")
         self._stops = ThreadPoolExecutor(4, "stop")
         self._pools = (
-            self._commands, self._looks, self._files, self._steering, self._stops
+            self._commands, self._looks, self._files, self._simulating, self._steering,
+            self._stops,
         )  # fmt: skip
         self._waiting = dict.fromkeys(self._pools, 0)
         self._stopped = 0
         """Stops that were carried out."""
         self._changing: Subsystem | None = None
         """The subsystem of the command that changes it now."""
+        self._doing: dict[int, str] = {}
+        """The names of what is being done, by thread."""
 
     def close(self) -> None:
-        """Carry out nothing more; a command that waits for conditions gives up."""
+        """Carry out nothing more, and wait some seconds for what is being done.
+
+        A command that waits for conditions gives up, and a simulation ends. One that
+        changes the subsystem from here is given longer than one that another master
+        carries out, which goes on without this server.
+        """
         for pool in self._pools:
             pool.shutdown(wait=False, cancel_futures=True)
-        end = time.monotonic() + _END_TIME
-        while (changing := self._changing) is not None and time.monotonic() < end:
-            changing.stopped.set()  # it may just have begun, which clears it
+        begun = time.monotonic()
+        while self._doing:
+            self._edits.cancel()
+            changing = self._changing
+            if changing is not None:
+                changing.stopped.set()  # it may just have begun, which clears it
+            limit = _OTHERS_END_TIME if changing is None else _END_TIME
+            if time.monotonic() - begun > limit:
+                break
             time.sleep(_PAUSE)
         self._programs.close()
+
+    @property
+    def left(self) -> list[str]:
+        """What is still being carried out, in words."""
+        names = list(self._doing.values())
+        own = self._changing is not None
+        where = "from here: it is cut off" if own else "elsewhere: it goes on there"
+        return [f"{name} was still being carried out {where}" for name in names]
 
     def first(self) -> list[Data]:
         """Return the messages for a new browser about the program that runs."""
@@ -289,12 +315,26 @@ class Orders:
         if isinstance(request, Stop):
             return _Work("stop", self._stop, self._stops)
         if isinstance(request, Edit):
-            edit = partial(self._edits.do, request.edit, request.args)
-            return _Work(request.edit, lambda: Done(data=edit()), self._files)
+            return self._edit(request)
         program = partial(self._programs.do, request.program, request.args)
         pool = self._steering if request.program in STEERING else self._files
         starts = request.program == "run"
         return _Work(request.program, lambda: Done(data=program()), pool, starts=starts)
+
+    def _edit(self, request: Edit) -> _Work:
+        """Return the work of an edit; a simulation keeps no edits waiting."""
+        if request.edit == "simulate":
+            simulate = partial(self._simulate, request.args)
+            return _Work("simulate", simulate, self._simulating)
+        if request.edit == "cancel":
+            return _Work("cancel", self._cancel, self._steering)
+
+        def edit() -> Done:
+            data = self._edits.do(request.edit, request.args)
+            data.pop("state", None)  # all browsers are told it, this one too
+            return Done(data=data)
+
+        return _Work(request.edit, edit, self._files)
 
     def _call(self, request: Order | Line) -> Call | None:
         if isinstance(request, Line):
@@ -332,7 +372,12 @@ class Orders:
                 f"a stop came before {work.name} was carried out; it was left out",
                 remedy="give it again",
             )
-        return work.do()
+        me = threading.get_ident()
+        self._doing[me] = work.name
+        try:
+            return work.do()
+        finally:
+            del self._doing[me]
 
     def _perform(self, call: Call, role: Role) -> Done:
         path, place = self._steered.path, self._steered.place
@@ -348,6 +393,15 @@ class Orders:
                 self._changing = None
         text = render.text(reply.command, reply.data)
         return Done(text, reply.warnings, reply.data)
+
+    def _simulate(self, args: Data) -> Done:
+        """Run the job that is edited in virtual time; edits go on meanwhile."""
+        prepared = self._files.submit(self._edits.simulation, args).result()
+        return Done(data=prepared())
+
+    def _cancel(self) -> Done:
+        self._edits.cancel()
+        return Done()
 
     def _stop(self) -> Done:
         self._stopped += 1

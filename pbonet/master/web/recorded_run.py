@@ -13,10 +13,11 @@ import numpy as np
 
 from pbonet.config import Library
 from pbonet.errors import LogError, PbonetError, Severity
-from pbonet.log import Log, timelines
+from pbonet.log import Log
 from pbonet.master.configuration import Files, job_graph
 
 from .history import EVENTS, SECONDS
+from .recorded_states import RecordedStates
 from .source import Source
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class RecordedRun(Source):
         self._log = Log(path)
         begin, end = (time_ns * 1e-9 for time_ns in self._log.span_ns)
         self._begin, self._end = begin, end
-        self._graph = _graph(self._log)
+        self._graph, self._maxages = _graph(self._log)
         self.about = {
             "name": self._graph["name"],
             "job": self._graph["job"],
@@ -63,8 +64,9 @@ class RecordedRun(Source):
         }
         events = enumerate(self._log.events(), 1)
         self._events = [_event(one, number) for number, one in events]
-        self._states = _States(self._log, self._graph)
+        self._states = RecordedStates(self._log, self._graph)
         self._series: dict[str, tuple[NDArray[np.float64], NDArray[Any]]] = {}
+        self._writers: dict[str, list[tuple[float, str]]] = {}
         self._at = begin
         self._speed = 0.0
         self._wanted: frozenset[str] = frozenset()
@@ -114,9 +116,13 @@ class RecordedRun(Source):
             {"kind": "graph", "graph": self._graph},
             self._states.at(at),
             {"kind": "history", "values": {}, "events": self._until(at)},
-            {"kind": "complaints", "texts": [str(one) for one in self._log.damage]},
+            {"kind": "complaints", "texts": self._complaints()},
             {"kind": "at", "t": at, "speed": speed},
         ]
+
+    def _complaints(self) -> list[str]:
+        """Return what is damaged, and what the log does not hold."""
+        return [*map(str, self._log.damage), *self._states.lacks]
 
     def history(self, names: Iterable[str]) -> list[Data]:
         """Return the minute before the present time, thinned out."""
@@ -188,20 +194,36 @@ class RecordedRun(Source):
         return [one for one in self._events if one["t"] <= at][-EVENTS:]
 
     def _values(self, names: Iterable[str], at: float) -> dict[str, Data]:
-        """Return the values of variables as they were at a time."""
+        """Return the values of variables as they were at a time.
+
+        Those that no task of the log has written are left out.
+        """
         found: dict[str, Data] = {}
         for name in names:
+            if name not in self._written:
+                continue
             times, numbers = self._of(name)
             row = int(np.searchsorted(times, at, side="right")) - 1
-            if row >= 0:
-                found[name] = {
-                    "t": float(times[row]),
-                    "v": np.ravel(numbers[row]).tolist(),
-                    "writer": "",
-                    "age": at - float(times[row]),
-                    "stale": False,
-                }
+            when = float(times[row]) if row >= 0 else None
+            age = at - when if when is not None else None
+            maxage = self._maxages.get(name)
+            found[name] = {
+                "t": when,
+                "v": np.ravel(numbers[row]).tolist() if row >= 0 else [],
+                "writer": self._writer(name, at) if row >= 0 else "",
+                "age": age,
+                "stale": maxage is not None and (age is None or age > maxage),
+            }
         return found
+
+    def _writer(self, name: str, at: float) -> str:
+        """Return the task that wrote a variable last before a time."""
+        if name not in self._writers:
+            begin = self._log.begin_time_ns * 1e-9
+            each = self._log.writers(name)
+            self._writers[name] = [(begin + since, task) for since, task in each]
+        before = [task for since, task in self._writers[name] if since <= at]
+        return before[-1] if before else ""
 
     def _of(self, name: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Return a variable's times, in seconds since 1970, and its values."""
@@ -213,69 +235,8 @@ class RecordedRun(Source):
         return self._series[name]
 
 
-class _States:
-    """The states of tasks over time, and how many cycles they had run.
-
-    Args:
-        log: The run.
-        graph: Its graph.
-    """
-
-    def __init__(self, log: Log, graph: Data) -> None:
-        self._lines = timelines(log)
-        offset = log.begin_time_ns - log.begin_ns
-        self._cycles = {
-            task: (log.arrays(task)["release_ns"] + offset) * 1e-9 for task in log.tasks
-        }
-        self._tasks = {one["name"]: one for one in graph["tasks"]}
-        self._rtpus = [one["name"] for one in graph["rtpus"]]
-
-    def at(self, at: float) -> Data:
-        """Return the message with the status of all at a time."""
-        return {
-            "kind": "status",
-            "t": at,
-            "whole": True,
-            "rtpus": [
-                {"rtpu": name, "illegal": [], "silent": False} for name in self._rtpus
-            ],
-            "tasks": [self._task(name, at) for name in self._tasks],
-            "gone": [],
-        }
-
-    def _task(self, name: str, at: float) -> Data:
-        begun, state = self._state(name, at)
-        times = self._cycles.get(name, np.zeros(0))
-        ran = np.searchsorted(times, (begun, at - 1.0, at), side="right")
-        about = self._tasks[name]
-        return {
-            "task": name,
-            "rtpu": about["rtpu"],
-            "state": state,
-            "signals": [],
-            "fields": {
-                "refF": about["freq"] or None,
-                "mezF": int(ran[2] - ran[1]) if state == "ON" else None,
-                "cycle": int(ran[2] - ran[0]),
-            },
-            "error": "",
-            "warning": "",
-            "waits": "",
-            "standby": False,
-            "fallback_of": about["fallback_of"],
-            "restarted": "",
-        }
-
-    def _state(self, name: str, at: float) -> tuple[float, str]:
-        """Return since when a task is in its state at a time, and that state."""
-        for stretch in reversed(self._lines.get(name, [])):
-            if stretch.begin_ns * 1e-9 <= at:
-                return stretch.begin_ns * 1e-9, stretch.state
-        return 0.0, "NOT-CREATED"
-
-
-def _graph(log: Log) -> Data:
-    """Return the graph of a run, from the files that are attached to its log.
+def _graph(log: Log) -> tuple[Data, dict[str, float | None]]:
+    """Return the graph of a run, and the MAXAGE of variables, from attached files.
 
     It has the tasks of all its jobs, and those that were spawned without one.
 
@@ -298,11 +259,12 @@ def _graph(log: Log) -> Data:
             if file not in {"", ".."}:
                 (folder / file).write_bytes(data)
         try:
-            graphs = [_drawn(folder / one) for one in jobs or systems[:1]]
+            maxages: dict[str, float | None] = {}
+            graphs = [_drawn(folder / one, maxages) for one in jobs or systems[:1]]
             graph = _joined([one for one in graphs if one["name"] == graphs[0]["name"]])
             rest = _without_job(log, graph, folder)
             if rest is not None and systems:
-                graph = _joined([graph, _drawn(rest)]) | {"job": graph["job"]}
+                graph = _joined([graph, _drawn(rest, maxages)]) | {"job": graph["job"]}
         except PbonetError as error:
             raise LogError(
                 "the page cannot be drawn from the files in the log",
@@ -311,11 +273,13 @@ def _graph(log: Log) -> Data:
                 remedy="if the log is damaged, 'pbonet log recover' repairs it; "
                 "'pbonet log plot' needs no files",
             ) from None
-    return graph
+    return graph, maxages
 
 
-def _drawn(path: Path) -> Data:
+def _drawn(path: Path, maxages: dict[str, float | None]) -> Data:
+    """Return the graph of a job; add the MAXAGE of its variables to `maxages`."""
     found = Files(path, Library(()))
+    maxages.update((one.name, one.maxage) for one in found.table.variables)
     graph: Data = msgspec.to_builtins(job_graph(found, code=False))
     return graph
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
+import os
 import signal
 import socket
 import ssl
+import sys
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -104,6 +106,7 @@ def serve(
     config.ssl = context
     asyncio.run(_until_interrupted(uvicorn_.Server(config), listening))
     key.remove()
+    _leave(page.left)
 
 
 async def _until_interrupted(server: uvicorn.Server, listening: socket.socket) -> None:
@@ -118,6 +121,17 @@ async def _until_interrupted(server: uvicorn.Server, listening: socket.socket) -
     # Its own handlers would end the process before it has cleaned up.
     server.capture_signals = contextlib.nullcontext  # type: ignore[assignment]
     await server.serve(sockets=[listening])
+
+
+def _leave(left: list[str]) -> None:
+    """End this process now if something is left, whose threads would keep it."""
+    if not left:
+        return
+    for one in left:
+        render.print_error(render.warning(one))
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def _is_log(path: Path) -> bool:

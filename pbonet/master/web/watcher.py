@@ -10,36 +10,41 @@ import itertools
 import logging
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec import structs
 
-from pbonet.errors import PbonetError, Severity
+from pbonet.errors import PbonetError, Severity, UnknownVariableError
 from pbonet.master.console import Follower
 from pbonet.master.subsystem import EventFilter, Subsystem
 from pbonet.xm.net import Event, messages as m
 
 from .differences import States, Values
 from .history import History
+from .present_job import PresentJob
 from .source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
-    from pbonet.master.configuration import Place
+    from pbonet.master.configuration import Files, Place
 
     Data = dict[str, Any]
 
 STATES: Final = 0.5
 """Seconds between two requests of the status, the events and all values."""
+JOBS: Final = 5.0
+"""Seconds between two requests of the present job, unless something has changed."""
 RETRY: Final = 1.0
 """Seconds between two attempts to reach the subsystem's agents."""
 _LARGEST: Final = 64
 """Numbers of a variable whose history is kept though no browser watches it, at most."""
 
 log = logging.getLogger("pbonet.master")
+
+_Times = tuple[int, ...]
 
 
 class Watcher(Source):
@@ -66,9 +71,18 @@ class Watcher(Source):
             "hz": hz,
             "log": None,
         }
-        self._graph: Data = msgspec.to_builtins(made.graph())
-        self._planned = self._graph
+        self._graph: Data = msgspec.to_builtins(made.graph()) | {"missing": {}}
+        self._graph["job"] = ""  # that it runs is not known yet
+        self._present = PresentJob(made.files, place.libraries)
+        self._read_from = _times(made.files)
         self.variables = frozenset(one["name"] for one in self._graph["variables"])
+        self._unread: tuple[_Times, str] = (), ""
+        """Files that were changed and cannot be read, by their times, and why."""
+        self._job_due = 0.0
+        self._unknown: frozenset[str] = frozenset()
+        """Variables of the files that the running table does not have."""
+        self._recheck = False
+        """Whether another table may have been made since."""
         self._told: Callable[[Data], None] = _unheard
         self._lock = threading.Lock()
         self._history = History()
@@ -114,6 +128,7 @@ class Watcher(Source):
 
     def refresh_soon(self) -> None:
         """Read the status now, because a command was carried out."""
+        self._job_due = 0.0
         self._look.set()
 
     def knows(self, task: str) -> bool:
@@ -147,7 +162,9 @@ class Watcher(Source):
     def _run(self) -> None:
         while not self._ended.is_set():
             try:
-                with self._made() as subsystem:
+                made = self._made()
+                self._take_files(made.files)
+                with made as subsystem:
                     self._read(subsystem)
             except PbonetError as error:
                 self._complain([str(error)])
@@ -155,7 +172,46 @@ class Watcher(Source):
                 log.exception("the watcher failed inside pbonet; it starts again")
             self._ended.wait(RETRY)
 
+    def _take_files(self, files: Files) -> None:
+        """Show what the files say now: another table may have been written."""
+        times = _times(files)
+        if times == self._read_from:
+            return
+        self._read_from = times
+        self._present = PresentJob(files, self._place.libraries)
+        self._unknown = frozenset()
+        self._shape = None
+        with self._lock:
+            self.variables = frozenset(one.name for one in files.table.variables)
+
+    def _files_changed(self, files: Files) -> bool:
+        """Return whether the files say something else now, and can be read."""
+        times = _times(files)
+        if times in {self._read_from, self._unread[0]}:
+            return False
+        try:
+            self._made()
+        except PbonetError as error:
+            self._unread = times, str(error)
+            return False
+        self._unread = (), ""
+        return True
+
+    def _about_files(self) -> list[str]:
+        """Return what there is to say of files and table that are not of one time."""
+        found = (
+            [f"{self._unread[1]} (shown as it was before)"] if self._unread[1] else []
+        )
+        if self._unknown:
+            names = ", ".join(sorted(self._unknown))
+            found.append(
+                f"the table that runs was made before the .svar file had {names}: stop "
+                "everything and start the job again, and it will have them"
+            )
+        return found
+
     def _read(self, subsystem: Subsystem) -> None:
+        """Read it until the page ends, or a file of it has changed."""
         follower = Follower(subsystem, EventFilter.of({}))
         due = states = time.monotonic()
         while not self._ended.is_set():
@@ -166,9 +222,12 @@ class Watcher(Source):
             except PbonetError as error:
                 complaints.append(str(error))
             if look:
+                if self._files_changed(subsystem.files):
+                    return
                 self._look.clear()
                 states = due + STATES
                 complaints += self._read_states(subsystem, follower)
+                complaints += self._about_files()
                 self._complain(list(dict.fromkeys(complaints)))
             due = max(due + self._pause, time.monotonic())
             self._ended.wait(due - time.monotonic())
@@ -179,18 +238,32 @@ class Watcher(Source):
         if every:
             variables = subsystem.files.table.variables
             names |= {one.name for one in variables if one.nelem <= _LARGEST}
+        names -= frozenset() if self._recheck else self._unknown
         if not names:
             return
-        request = m.Display(names=sorted(names))
         before = time.time()
-        keeper = subsystem.files.sbs.keeper
-        answer = subsystem.clients.call(keeper, request, list[m.VarValue])
+        try:
+            answer = self._display(subsystem, sorted(names))
+        except UnknownVariableError:  # the table is older than the .svar file
+            there = {one.name for one in self._display(subsystem, None)}
+            self._unknown, self._recheck = frozenset(names - there), False
+            return
+        if self._recheck:
+            self._unknown, self._recheck = frozenset(), False
         new = self._values.new(answer, (before + time.time()) / 2)
         if new:
             with self._lock:
                 self._history.add_values({n: v for n, v in new.items() if v["t"]})
                 self._last.update(new)
             self._told({"kind": "values", "t": time.time(), "values": new})
+
+    def _display(
+        self, subsystem: Subsystem, names: list[str] | None
+    ) -> list[m.VarValue]:
+        """Return variables of the table; all if none are named."""
+        keeper = subsystem.files.sbs.keeper
+        request = m.Display(names=names)
+        return subsystem.clients.call(keeper, request, list[m.VarValue])
 
     def _read_states(self, subsystem: Subsystem, follower: Follower) -> list[str]:
         events = [_event(one, next(self._count)) for one in follower.take()]
@@ -217,13 +290,17 @@ class Watcher(Source):
             for status in statuses.values()
             for one in status.tasks
         ]
-        if shape == self._shape:
+        now = time.monotonic()
+        if shape == self._shape and now < self._job_due:
+            return
+        self._job_due = now + JOBS
+        self._recheck = self._recheck or shape != self._shape
+        if not self._present.ask(subsystem) and shape == self._shape:
             return
         subsystem.task_set.refresh(strict=False)
-        graph: Data = msgspec.to_builtins(subsystem.graph())
-        drawn = {one["name"] for one in graph["tasks"]}
-        complete = drawn == {one[0] for one in shape}
-        graph = graph if graph["tasks"] else self._planned
+        drawn = subsystem.graph()
+        complete = {one.name for one in drawn.tasks} == {one[0] for one in shape}
+        graph = self._present.complete(drawn, statuses)
         self._shape = shape if complete else None  # it is drawn again at the next look
         if graph == self._graph:
             return
@@ -245,6 +322,19 @@ def _event(event: Event, number: int) -> Data:
     data["t"] = data.pop("wall")
     data["severity"] = Severity(event.severity).name.lower()
     return data
+
+
+def _times(files: Files) -> _Times:
+    """Return when the files of a subsystem were written; 0: one is not there."""
+    paths = [files.path, Path(files.table.file)]
+    paths += [Path(files.job.file)] if files.job is not None else []
+    found: list[int] = []
+    for path in paths:
+        try:
+            found.append(path.stat().st_mtime_ns)
+        except OSError:
+            found.append(0)
+    return tuple(found)
 
 
 def _unheard(_: Data) -> None:

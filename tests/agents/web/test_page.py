@@ -12,9 +12,28 @@ import pytest
 from page_kit import PageServer, keep_picture, opened
 from watching import wait_for
 
+from pbonet.log import Log, last_run
+
 PUMA = Path(__file__).parents[3] / "examples" / "puma"
 MODULES = PUMA.parents[1] / "pbonet" / "modules"
 TASKS = ["puma_pidg", "grav_comp", "qrdiff", "jttrace"]
+SLID = """MODULE pid
+DESC a parameter between two bounds
+SVARALIAS Z_REF=Q_REF
+SVARALIAS Z_MEZ=Q_MEZ
+SVARALIAS Z_CMD=T_GRAV
+INCONST NDOF
+OUTCONST none
+INVAR Z_REF Z_MEZ
+OUTVAR Z_CMD
+TASKTYPE periodic
+FREQ 10
+LOCAL
+KP 1
+LOWER -1
+UPPER 1
+EOF
+"""
 pytestmark = pytest.mark.timeout(600)
 
 
@@ -26,6 +45,7 @@ def job(programs, browser, tmp_path_factory):  # noqa: ARG001 - skips before it 
         shutil.copy(PUMA / name, folder / name)
     (found,) = MODULES.rglob("qrdiff.rmod")
     shutil.copy(found, folder / "qrdiff2.rmod")
+    (folder / "slid.rmod").write_text(SLID)
     for name in ("arm0", "arm1"):
         programs.begin("agent", "--name", name, "--runs", folder / "runs")
     wait_for(lambda: "jttrace ON" in programs.call("start", folder / "puma.job"), "job")
@@ -162,6 +182,72 @@ def test_a_swap_is_shown_first_and_then_done(page):
     card(page, "qrdiff").locator(".state-on").wait_for()
     card(page, "qrdiff2").get_by_role("button", name="kill qrdiff2").click()
     card(page, "qrdiff2").wait_for(state="detached")
+
+
+def test_a_killed_task_of_the_job_stays_and_says_why(page):
+    assert page.locator(".who .job").inner_text() == "job teleop"
+    one = card(page, "jttrace")
+    one.get_by_role("button", name="kill jttrace").click()
+    one.locator(".state-not-created").wait_for()
+    note = one.locator(".note-missing")
+    note.wait_for()
+    assert "it was not spawned, or was killed; last: " in note.inner_text()
+    assert page.locator(".card").count() == 4
+    one.get_by_role("button", name="spawn jttrace").click()
+    one.get_by_role("button", name="on jttrace").click()
+    page.locator(".flag.legal").wait_for()
+    note.wait_for(state="detached")
+
+
+def test_a_parameter_with_both_bounds_has_a_slider(page):
+    give(page, "spawn slid arm1")
+    panel = tab(page, "Task")
+    panel.locator("select").first.select_option("slid")
+    weight = panel.locator(".parameter", has=page.locator("b:text-is('weight')"))
+    slider = weight.get_by_label("weight, slider")
+    slider.focus()
+    page.keyboard.press("Home")
+    field = weight.get_by_label("weight", exact=True)
+    wait_for(lambda: field.input_value() == "0", "the least value")
+    given = "get slid weight"
+    wait_for(lambda: " 0" in give(page, given).locator("pre").inner_text(), "it is set")
+    give(page, "kill slid")
+
+
+def test_a_job_is_changed_in_assemble_and_applied_to_the_running_system(page, job):
+    page.get_by_role("button", name="Assemble").click()
+    page.locator(".canvas .card", has_text="qrdiff").locator(".kind").click()
+    page.keyboard.press("Delete")
+    page.locator("button.flag.illegal").wait_for()
+    page.get_by_role("searchbox").fill("qrdiff2")
+    module = page.get_by_label("module qrdiff2", exact=True)
+    module.drag_to(page.locator(".frame header", has_text="arm1"))
+    page.locator("button.flag.legal").wait_for()
+    page.locator("#assemble-Save").click()
+    page.get_by_role("button", name="save one file").click()
+    page.locator(".unsaved:text-is('all is saved')").wait_for()
+    apply = page.get_by_label("apply to the running system")
+    apply.get_by_role("button", name="show what would be done").click()
+    steps = apply.locator(".steps")
+    assert "qrdiff2, created on arm1" in steps.locator(".step-comes").inner_text()
+    keep_picture(page, "apply")
+    apply.get_by_role("button", name="do it").click()
+    apply.locator(".outcome.done").wait_for()
+    assert "qrdiff2" in job.read_text()
+    page.get_by_role("button", name="Watch").click()
+    card(page, "qrdiff2").locator(".state-on").wait_for()
+    card(page, "qrdiff").wait_for(state="detached")
+    assert page.locator(".card.is-on").count() == 4
+
+
+def test_who_did_what_is_in_the_log(page, job):
+    give(page, "set puma_pidg follow 10")
+
+    def given():
+        done = Log(last_run(job.parent / "runs")).commands()
+        return {one["op"] for one in done if one["client"].startswith("web-operator-")}
+
+    wait_for(lambda: {"claim", "set"} <= given(), "the page's commands in the log")
 
 
 def test_variables_are_plotted_triggered_and_saved(page, tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from page_kit import PageServer, keep_picture, opened
+from watching import wait_for
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma"
 WITHOUT_QRDIFF = (("TASK  qrdiff     arm1\n", ""), ("jttrace qrdiff", "jttrace"))
@@ -226,3 +227,59 @@ def test_forms_the_keyboard_and_a_simulated_run(assembling, folder):
     cycles = page.locator("tr", has_text="puma_pidg").locator("td").nth(2)
     assert cycles.inner_text() == "250"
     keep_picture(page, "assemble_simulated")
+
+
+def test_a_second_browser_is_told_what_the_first_one_did(
+    assembling, browser, server, folder
+):
+    page = assembling
+    begin(page, folder, "shared")
+    with opened(browser, server.link()) as other:
+        other.get_by_role("button", name="Assemble").click()
+        other.locator(".canvas .card").nth(3).wait_for()
+        page.locator(".canvas .card", has_text="jttrace").locator(".kind").click()
+        rate = page.get_by_label("FREQ")
+        rate.fill("40")
+        rate.press("Enter")
+        said = other.locator(".elsewhere", has_text="Another browser changed the job:")
+        said.wait_for()
+        keep_picture(other, "assemble_shared")
+        assert page.locator(".elsewhere").count() == 0
+        other.get_by_role("button", name="undo").click()
+        page.locator(".elsewhere", has_text="Another browser took back:").wait_for()
+        said.wait_for(state="detached")
+
+
+def test_tasks_and_wires_are_drawn_by_touch(browser, server, assembling, folder):
+    begin(assembling, folder, "touched")
+    size = {"width": 1180, "height": 820}
+    with opened(browser, server.link(), has_touch=True, viewport=size) as page:
+        page.get_by_role("button", name="Assemble").tap()
+        page.locator(".canvas .card").nth(3).wait_for()
+        touch = page.context.new_cdp_session(page)
+
+        def drag_by_touch(begin, end):
+            points = [
+                (
+                    begin[0] + (end[0] - begin[0]) * k / 6,
+                    begin[1] + (end[1] - begin[1]) * k / 6,
+                )
+                for k in range(7)
+            ]
+            for k, (x, y) in enumerate(points):
+                kind = "touchMove" if k else "touchStart"
+                where = {"type": kind, "touchPoints": [{"x": x, "y": y}]}
+                touch.send("Input.dispatchTouchEvent", where)
+            touch.send(
+                "Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []}
+            )
+
+        head = page.locator(".canvas .card", has_text="grav_comp").locator(".name")
+        before = middle(head)
+        drag_by_touch(before, (before[0] + 40, before[1] + 30))
+        wait_for(lambda: middle(head)[0] > before[0] + 20, "the card has moved")
+        handle = "[data-nodeid='task puma_pidg'][data-handleid='out:Q_MEZ']"
+        drag_by_touch(middle(page.locator(handle)), middle(port(page, "qrdiff", "Z")))
+        port(page, "qrdiff_2", "Z").locator("text=Q_MEZ").wait_for()
+        page.get_by_role("button", name="undo").click()
+        page.locator(".unsaved:text-is('all is saved')").wait_for()

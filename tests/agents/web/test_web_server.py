@@ -12,12 +12,13 @@ import subprocess
 import sys
 
 import pytest
+from watching import wait_for
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from pbonet.errors import PbonetError
 from pbonet.master.configuration import Place
-from pbonet.master.console import CommandSession, oneshot, render
+from pbonet.master.console import CommandSession, Port, oneshot, render
 from pbonet.master.subsystem import Subsystem
 
 LEVEL = """
@@ -69,7 +70,9 @@ class Server:
     def __init__(self, file, place, *words, port=0):
         command = [sys.executable, "-m", "pbonet.cli", "web", str(file)]
         command += ["--domain", place.domain, "--port", str(port), "--json", *words]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
         self.links = json.loads(self.process.stdout.readline())
         self.url = next(iter(self.links.values())).partition("/?")[0]
         self.address = self.url.removeprefix("http://")
@@ -200,6 +203,67 @@ def test_commands_of_the_page_and_of_the_prompt_are_the_same(server, levels) -> 
             told = answer(page, line, number)
             data = json.loads(json.dumps(at_prompt[2]))
             assert (told["ok"], told["text"], told["data"]) == (*at_prompt[:2], data)
+
+
+def test_the_end_of_the_server_leaves_what_another_master_carries_out(
+    server, levels
+) -> None:
+    """A job whose condition never holds is started by a living master, for an hour."""
+    file, place = levels
+    job = file.with_name("never.job")
+    job.write_text(
+        "JOB never\nDESC\nSBS l.sbs\nPRE LEVEL[0] > 99 [m]\nTASK level arm0\nEOF\n"
+    )
+    with Subsystem(file, domain=place.domain, record="off") as master:
+        port = Port(master, master.name, handover=False, told=lambda _: None)
+        port.open()
+        try:
+            with server.connect(server.cookie("operator")) as page:
+                say(page, do="line", id=1, line="switch never wait=3600")
+                wait(page, "progress")
+                server.process.terminate()
+                _, errors = server.process.communicate(timeout=60)
+        finally:
+            master.stopped.set()
+            port.close()
+            master.detach()
+    assert server.process.returncode == 0
+    said = "switch was still being carried out elsewhere: it goes on there"
+    assert said in errors
+
+
+def test_a_browser_that_is_killed_frees_its_places(server) -> None:
+    cookie = server.cookie("operator")
+    script = (
+        "import socket, sys, time\n"
+        "kept = []\n"
+        "for _ in range(40):\n"
+        "    one = socket.create_connection(('127.0.0.1', int(sys.argv[1])))\n"
+        "    one.sendall(sys.argv[2].encode())\n"
+        "    kept.append((one, one.recv(12)))\n"
+        "print(len([1 for _, said in kept if b'101' in said]), flush=True)\n"
+        "time.sleep(3600)\n"
+    )
+    command = [sys.executable, "-c", script, str(server.port)]
+    browsers = subprocess.Popen(
+        [*command, _upgrade(server, cookie)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert browsers.stdout.readline() == "32\n"
+        with pytest.raises(InvalidStatus):
+            server.connect(cookie).close()
+    finally:
+        browsers.kill()
+        browsers.communicate(timeout=60)
+
+    def served():
+        try:
+            with server.connect(cookie) as page:
+                return answer(page, "status")["ok"]
+        except InvalidStatus:
+            return False
+
+    wait_for(served, "a place for a browser")
 
 
 def test_a_server_that_is_killed_comes_back_and_knows_its_browsers(levels) -> None:

@@ -345,6 +345,42 @@ def test_an_abort_leads_to_the_safe_job_and_a_second_one_ends_it(shop):
     assert "the safe job rest was given up" in state.errors[-1]
 
 
+def test_an_abort_waits_for_no_signal_of_a_safe_job_that_has_done_its_work(shop):
+    times = []
+
+    def told(subsystem, sequencer, state):
+        waits = state.phase is Phase.WAITS and not state.safe
+        if waits and not state.pausing:
+            sequencer.pause()
+        if state.phase is Phase.PAUSED and not times:
+            times.append(subsystem.clock.now())
+            sequencer.abort()
+        if state.ended:
+            times.append(subsystem.clock.now())
+
+    head = "SAFE quick UNTIL FINISH WITHIN 9"
+    text = "STEP quick UNTIL FINISH\nSTEP silent UNTIL FINISH"
+    state, _ = run(shop, text, head=head, told=told)
+    assert (state.phase, state.errors) == (Phase.ABORTED, ())
+    begin, end = times
+    assert end - begin < 1.0  # of virtual time
+
+
+def test_an_abort_waits_for_a_safe_job_that_is_at_work(shop):
+    waits = []
+
+    def told(_, sequencer, state):
+        if state.phase is Phase.WAITS:
+            waits.append(state.safe)
+            if not state.safe:
+                sequencer.abort()
+
+    head = "SAFE slow UNTIL FINISH WITHIN 9"
+    state, _ = run(shop, "STEP slow UNTIL FINISH", head=head, told=told)
+    assert (state.phase, state.errors) == (Phase.ABORTED, ())
+    assert waits[:2] == [False, True]
+
+
 def test_a_stop_ends_it_and_nothing_is_started_again(shop):
     def told(subsystem, _, state):
         if state.step == "silent" and state.phase is Phase.WAITS and not state.ended:

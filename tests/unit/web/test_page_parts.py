@@ -27,3 +27,7 @@ def test_types_and_parts_of_the_page_are_right():
     )
     assert done.returncode == 0, done.stdout
     assert "# fail 0" in done.stdout
+
+
+def test_the_lock_file_names_no_registry():
+    assert '"resolved"' not in (WEB / "package-lock.json").read_text("utf-8")

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import msgspec
@@ -106,8 +107,6 @@ def test_a_new_job_is_begun_beside_the_others(puma):
         ("remove_task", {}, "task"),
         ("remove_task", {"task": "x", "do": "y"}, ""),
         ("apply", {"offer": 3}, "this is no offer"),
-        ("simulate", {"seconds": 1e9}, "is not simulated on a page"),
-        ("simulate", {"seconds": "x"}, "is not simulated on a page"),
         ("fitting", {}, "the job has no task"),
         ("set_field", {"task": "qrdiff", "field": "f", "value": []}, ""),
     ],
@@ -123,10 +122,68 @@ def test_wrong_edits_are_refused_and_change_nothing(puma, name, args, text):
 
 def test_a_job_is_simulated_in_place(puma):
     edits, _, folder = puma
-    run = edits.do("simulate", {"seconds": 0.2, "variables": ["Q_MEZ"]})["run"]
+    simulate = edits.simulation({"seconds": 0.2, "variables": ["Q_MEZ"]})
+    edits.do("remove_task", {"task": "jttrace"})  # it runs what was there before
+    run = simulate()["run"]
     assert run["ok"], run
     assert len(run["series"]["Q_MEZ"]["t"]) > 10
     assert not list(folder.glob("runs*"))
+
+
+FULL = """
+import resource, sys
+from pbonet.config import Library
+from pbonet.errors import ConfigFileError
+from pbonet.master.configuration import Place
+from pbonet.master.web.job_edits import JobEdits
+from pbonet.master.web.programs import Programs
+folder, library = sys.argv[1], Library(())
+edits = JobEdits(folder + "/puma.job", library, lambda _: None)
+edits.do("set_field", {"task": "qrdiff", "field": "freq", "value": 40.0})
+programs = Programs(folder + "/puma.job", Place(), library, lambda _: None)
+lines = [{"keyword": "STEP", "job": "puma"}]
+program = {"name": "one", "seq": {"name": "one", "lines": lines}}
+resource.setrlimit(resource.RLIMIT_FSIZE, (20, 20))
+for save in (lambda: edits.do("save", {}), lambda: programs.do("save", program)):
+    try:
+        save()
+    except ConfigFileError as error:
+        print(error)
+print(edits.do("open", {})["state"]["unsaved"])
+"""
+
+
+def test_a_full_disk_is_said_and_leaves_files_and_changes_as_they_are(puma):
+    """No file can be longer than 20 bytes here, as on a disk without room."""
+    _, _, folder = puma
+    before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    command = [sys.executable, "-c", FULL, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    edited, program, unsaved = done.stdout.splitlines()
+    for text in (edited, program):
+        assert "the file cannot be written" in text
+        assert "make room on the disk and save again" in text
+    assert "qrdiff" in unsaved or "puma.job" in unsaved
+    after = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    assert after == before
+
+
+@pytest.mark.parametrize("seconds", [1e9, "x"])
+def test_a_senseless_time_is_not_simulated(puma, seconds):
+    edits, _, _ = puma
+    with pytest.raises(ConfigError, match="is not simulated on a page"):
+        edits.simulation({"seconds": seconds})
+
+
+def test_a_simulation_is_cancelled(puma):
+    edits, _, _ = puma
+    run = edits.simulation({"seconds": 20})
+    results = []
+    thread = threading.Thread(target=lambda: results.append(run()["run"]))
+    thread.start()
+    edits.cancel()
+    thread.join(60)
+    assert results[0]["problems"] == ["it was cancelled"]
 
 
 @pytest.fixture

@@ -80,26 +80,73 @@ def test_arguments_of_all_kinds_arrive(made, carried):
     ]
 
 
-def test_a_program_is_steered_while_a_simulation_keeps_others_waiting(
-    made, monkeypatch
-):
+def test_edits_and_programs_go_on_while_a_simulation_runs(made, monkeypatch):
     gate = threading.Event()
-    monkeypatch.setattr(made._edits, "do", lambda *_: gate.wait(30))
+
+    def simulation(args):
+        assert args == {"seconds": 3}
+        return lambda: {"ran": gate.wait(30)}
+
+    monkeypatch.setattr(made._edits, "simulation", simulation)
+    monkeypatch.setattr(made._edits, "cancel", gate.set)
+    monkeypatch.setattr(made._edits, "do", lambda name, _: {"did": name})
     monkeypatch.setattr(made._programs, "do", lambda name, _: {"did": name})
 
-    async def steer():
-        told = []
-        simulated = made.answer(orders.Edit(1, "simulate"), Role.OPERATOR, told.append)
-        waiting = asyncio.create_task(simulated)
-        await asyncio.sleep(0)
-        asked = [orders.Program(2, name) for name in ("abort", "pause")]
-        answers = [await made.answer(one, Role.OPERATOR, told.append) for one in asked]
-        assert not waiting.done()
-        gate.set()
-        await waiting
-        return [one["data"]["did"] for one in answers]
+    async def work():
+        def answer(request):
+            return made.answer(request, Role.OPERATOR, lambda _: None)
 
-    assert asyncio.run(steer()) == ["abort", "pause"]
+        simulates = orders.Edit(1, "simulate", {"seconds": 3})
+        waiting = asyncio.create_task(answer(simulates))
+        await asyncio.sleep(0)
+        asked = [orders.Program(2, "abort"), orders.Program(3, "save")]
+        answers = [await answer(one) for one in [*asked, orders.Edit(4, "undo")]]
+        assert not waiting.done()
+        await answer(orders.Edit(5, "cancel"))
+        return [one["data"]["did"] for one in answers], await waiting
+
+    did, simulated = asyncio.run(work())
+    assert did == ["abort", "save", "undo"]
+    assert simulated["data"] == {"ran": True}
+
+
+@pytest.mark.parametrize(
+    ("here", "text"),
+    [
+        (False, "on was still being carried out elsewhere: it goes on there"),
+        (True, "on was still being carried out from here: it is cut off"),
+    ],
+)
+def test_the_end_waits_some_time_for_a_command_and_says_it_is_left(
+    made, carried, monkeypatch, here, text
+):
+    monkeypatch.setattr(orders, "_END_TIME", 0.1)
+    monkeypatch.setattr(orders, "_OTHERS_END_TIME", 0.1)
+    started = threading.Event()
+
+    def perform(_path, _call, _place, *, kind="", begun=None):  # noqa: ARG001
+        if here:
+            begun(carried)
+        started.set()
+        carried.gate.wait(30)
+        return Reply(command="on", data={"states": {"pid": "ON"}})
+
+    monkeypatch.setattr(oneshot, "perform", perform)
+    carried.gate.clear()
+
+    async def end():
+        asked = orders.Line(1, "on pid")
+        task = asyncio.create_task(made.answer(asked, Role.OPERATOR, lambda _: None))
+        await asyncio.to_thread(started.wait, 30)
+        await asyncio.to_thread(made.close)
+        left = made.left
+        carried.gate.set()
+        await task
+        return left
+
+    assert asyncio.run(end()) == [text]
+    assert made.left == []
+    assert carried.stopped.is_set() == here
 
 
 def test_a_refusal_is_told_word_for_word(made):
@@ -299,7 +346,7 @@ def test_a_program_is_aborted_while_files_are_busy(made, monkeypatch):
 
     async def both():
         slow = asyncio.create_task(
-            made.answer(orders.Edit(1, "simulate"), Role.OPERATOR, lambda _: None)
+            made.answer(orders.Edit(1, "save"), Role.OPERATOR, lambda _: None)
         )
         await asyncio.sleep(0)
         aborted = await made.answer(

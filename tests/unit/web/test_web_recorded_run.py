@@ -76,6 +76,31 @@ def test_values_states_and_events_are_those_of_the_chosen_time(shown, folder):
     assert at["t"] == pytest.approx(begin + 1.0)
 
 
+def test_a_value_is_stale_after_its_maxage_and_unknown_before_it_was_written(shown):
+    run, _ = shown
+    run.seek(run.about["log"]["end"])
+    history, now = run.history(["Q_REF"])
+    last = now["values"]["Q_REF"]
+    assert (last["stale"], last["writer"]) == (False, "jttrace")
+    assert run._values(["Q_REF"], last["t"] + 5.0)["Q_REF"]["stale"]
+    first = history["values"]["Q_REF"]["t"][0]
+    before = run._values(["Q_REF", "QCMD", "N"], first - 0.001)
+    assert before.keys() == {"Q_REF"}  # no task of the log has written the others
+    assert before["Q_REF"] == {
+        "t": None, "v": [], "writer": "", "age": None, "stale": True
+    }  # fmt: skip
+
+
+def test_what_the_log_does_not_hold_is_said(shown):
+    run, _ = shown
+    status, complaints = (
+        next(one for one in run.first() if one["kind"] == kind)
+        for kind in ("status", "complaints")
+    )
+    assert complaints["texts"] == ["the log holds no CPU times"]  # in virtual time
+    assert all(one["fields"]["avgU"] is None for one in status["tasks"])
+
+
 def test_it_goes_on_to_the_end_and_stands_there(shown):
     run, told = shown
     log = run.about["log"]
