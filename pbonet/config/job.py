@@ -33,10 +33,10 @@ _PAIR = 2
 RESTARTS: Final[tuple[Restart, ...]] = ("never", "off", "on")
 """Treatment of a task whose RTPU process or machine was lost."""
 _TASK = (
-    "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod [TAKEOVER seconds]] "
+    "TASK rmod [rtpu [FIXED]] [FREQ hz] [FALLBACK rmod [TAKEOVER seconds]] "
     "[RESTART never|off|on]"
 )
-_OPTIONS = {"FREQ", "FALLBACK", "RESTART"}
+_OPTIONS = {"FIXED", "FREQ", "FALLBACK", "RESTART"}
 SHORTEST_TAKEOVER, LONGEST_TAKEOVER = 0.5, 30.0
 
 
@@ -122,9 +122,11 @@ def _task(reader: Reader, line: Line) -> JobTask:
     rmod = _rmod(rest.pop(0))
     rtpu = freq = fallback = None
     takeover = 0.0
+    fixed = False
     restart: Restart = "off"
     if rest and rest[0].text not in _OPTIONS:
         rtpu = _rtpu(rest.pop(0))
+        fixed = _is_fixed(rest)
     if (word := _taken(rest, "FREQ")) is not None:
         freq = frequency(reader, word._replace(keyword="FREQ"))
     if (word := _taken(rest, "FALLBACK")) is not None:
@@ -139,18 +141,27 @@ def _task(reader: Reader, line: Line) -> JobTask:
             rest[0].place,
             expected=_TASK,
             got=f"{quote(rest[0].text)} here",
-            remedy="write the RTPU first, then FREQ and Hz, then FALLBACK and an RMOD, "
+            remedy="write the RTPU first and FIXED behind it, then FREQ and Hz, then FALLBACK and an RMOD, "
             "then TAKEOVER and seconds, then RESTART",
         )
     return JobTask(
         rmod=rmod,
         rtpu=rtpu,
+        fixed=fixed,
         freq=freq,
         fallback=fallback,
         takeover=takeover,
         restart=restart,
         place=line.place,
     )
+
+
+def _is_fixed(rest: list[Word]) -> bool:
+    """Take FIXED from the words behind the RTPU; return whether it was there."""
+    if not rest or rest[0].text != "FIXED":
+        return False
+    del rest[0]
+    return True
 
 
 def _restart(word: Word) -> Restart:
@@ -324,7 +335,8 @@ def job_text(record: JobFile) -> str:
         standby = f"FALLBACK {task.fallback}" if task.fallback else ""
         after = f"TAKEOVER {number(task.takeover)}" if task.takeover else ""
         again = "" if task.restart == "off" else f"RESTART {task.restart}"
-        parts = (task.rmod, task.rtpu or "", freq, standby, after, again)
+        place = f"{task.rtpu} FIXED" if task.rtpu and task.fixed else task.rtpu or ""
+        parts = (task.rmod, place, freq, standby, after, again)
         lines.append(text_line("TASK", " ".join(part for part in parts if part)))
     lines += [
         text_line("RECORD", " ".join((one.mode, *one.names))) for one in record.record

@@ -233,6 +233,8 @@ class JobTask(Struct, frozen=True, kw_only=True):
 
     rmod: str
     rtpu: str | None = None
+    fixed: bool = False
+    """It stays on that RTPU when tasks are allocated (``pbonet allocate``)."""
     freq: float | None = None
     fallback: str | None = None
     """The RMOD that stands by to take its place when it fails."""

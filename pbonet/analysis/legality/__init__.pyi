@@ -12,7 +12,11 @@ from .demands import (
     least as least,
     worst as worst,
 )
-from .devices_on_rtpus import named_things as named_things, only_home as only_home
+from .devices_on_rtpus import (
+    Named as Named,
+    named_things as named_things,
+    only_home as only_home,
+)
 from .joins import CONNECTORS as CONNECTORS, intermediate as intermediate
 from .order import (
     change_order as change_order,

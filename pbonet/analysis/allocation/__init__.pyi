@@ -1,0 +1,16 @@
+from .best_assignment import (
+    SECONDS as SECONDS,
+    Assignment as Assignment,
+    assign as assign,
+)
+from .assignment import (
+    FOLLOWS as FOLLOWS,
+    LATENCY as LATENCY,
+    Item as Item,
+    Problem as Problem,
+    allowed as allowed,
+    declared as declared,
+    share as share,
+)
+from .data_flow import Chain as Chain, Cost as Cost, Flow as Flow
+from .no_assignment import FIXED as FIXED
