@@ -142,7 +142,7 @@ def _unpinned(problem: Problem, here: Sequence[Item]) -> Iterator[str]:
             item, pin="", tasks=dict.fromkeys(names, item.task) | dict(item.tasks)
         )
         if _fits(_with(problem, free)):
-            yield f"let {item.name} run elsewhere: take its mark FIXED away"
+            yield f"let {item.name} run elsewhere ({item.pin})"
 
 
 def _slower(

@@ -81,8 +81,9 @@ def verdict(found: Allocation) -> str:
     if not found.moves:
         return f"the present assignment stays: {found.cost_after:.3f}, {best} ({formula})"
     now = "" if found.keeps else ", which does not keep all deadlines and pins"
+    count = len(found.moves)
     return (
-        f"{len(found.moves)} moves; cost {found.cost_after:.3f} instead of "
+        f"{count} move{'s' * (count > 1)}; cost {found.cost_after:.3f} instead of "
         f"{found.cost_before:.3f}{now}; {best} ({formula})"
     )
 
