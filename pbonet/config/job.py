@@ -141,8 +141,8 @@ def _task(reader: Reader, line: Line) -> JobTask:
             rest[0].place,
             expected=_TASK,
             got=f"{quote(rest[0].text)} here",
-            remedy="write the RTPU first and FIXED behind it, then FREQ and Hz, then FALLBACK and an RMOD, "
-            "then TAKEOVER and seconds, then RESTART",
+            remedy="write the RTPU first and FIXED behind it, then FREQ and Hz, then "
+            "FALLBACK and an RMOD, then TAKEOVER and seconds, then RESTART",
         )
     return JobTask(
         rmod=rmod,

@@ -10,7 +10,9 @@ from nodekit import MISBEHAVING, rmod, svar
 
 pytest.importorskip("scipy")
 SBS = "SUBSYSTEM cell\nSVARFILE cell.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
-JOB = "JOB work\nDESC two tasks\nSBS cell.sbs\nTASK first arm0 FIXED\nTASK second arm1\n"
+JOB = (
+    "JOB work\nDESC two tasks\nSBS cell.sbs\nTASK first arm0 FIXED\nTASK second arm1\n"
+)
 
 
 @pytest.fixture
@@ -23,7 +25,9 @@ def job(nodes, tmp_path):
     reads = {"out": "Y1", "invar": "Y0", "local": {"LEVEL": 1}}
     for name, more in (("first", {}), ("second", reads)):
         module = "holds" if more else "counts"
-        text = rmod(module, freq=100.0, **more).replace("FREQ 100", "FREQ 100\nMAXC 1e-3")
+        text = rmod(module, freq=100.0, **more).replace(
+            "FREQ 100", "FREQ 100\nMAXC 1e-3"
+        )
         (folder / f"{name}.rmod").write_text(text)
     (folder / "work.job").write_text(f"{JOB}EOF\n")
     nodes.agent("arm0")
@@ -36,7 +40,8 @@ def test_a_task_takes_over_on_another_rtpu(job, nodes, call):
 
     def states():
         _, out, _ = call("status", job, *where, "--json")
-        return {one["task"]: (one["rtpu"], one["state"]) for one in json.loads(out)["tasks"]}
+        fields = {one["task"]: one["fields"] for one in json.loads(out)["tasks"]}
+        return {task: (one["rtpu"], one["state"]) for task, one in fields.items()}
 
     status, _, err = call("start", job, *where)
     assert status == 0, err

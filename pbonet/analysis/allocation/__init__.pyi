@@ -1,8 +1,3 @@
-from .best_assignment import (
-    SECONDS as SECONDS,
-    Assignment as Assignment,
-    assign as assign,
-)
 from .assignment import (
     FOLLOWS as FOLLOWS,
     LATENCY as LATENCY,
@@ -11,6 +6,11 @@ from .assignment import (
     allowed as allowed,
     declared as declared,
     share as share,
+)
+from .best_assignment import (
+    SECONDS as SECONDS,
+    Assignment as Assignment,
+    assign as assign,
 )
 from .data_flow import Chain as Chain, Cost as Cost, Flow as Flow
 from .no_assignment import FIXED as FIXED

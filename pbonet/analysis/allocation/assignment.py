@@ -1,4 +1,4 @@
-"""What there is to assign: tasks with the RTPUs that each may run on.
+"""The problem of an assignment: tasks with the RTPUs that each may run on.
 
 A task is given once for each RTPU that it may run on, because its execution time may
 differ from machine to machine. Times that were measured count as if they were declared:
@@ -82,12 +82,12 @@ class Problem(Struct, frozen=True, kw_only=True, dict=True):
 
     @cached_property
     def running(self) -> tuple[Item, ...]:
-        """Those that are ON: all but the standbys."""
+        """Tasks that are ON: all but the standbys."""
         return tuple(item for item in self.items if not item.fallback_of)
 
     @cached_property
     def standbys(self) -> tuple[Item, ...]:
-        """Those that stand by."""
+        """Tasks that stand by."""
         return tuple(item for item in self.items if item.fallback_of)
 
     def entry(self, rtpu: str) -> RtpuEntry:
@@ -151,8 +151,7 @@ def sets_on(problem: Problem, places: Places, rtpu: str) -> list[list[str]]:
     on = [one.name for one in problem.running if places[one.name] == rtpu]
     here = [one for one in problem.standbys if places[one.name] == rtpu]
     found = [on]
-    for one in here:
-        found.append([n for n in on if n != one.fallback_of] + [one.name])
+    found += [[n for n in on if n != one.fallback_of] + [one.name] for one in here]
     if len(problem.standbys) > 1:
         gone = {one.fallback_of for one in problem.standbys}
         found.append([n for n in on if n not in gone] + [one.name for one in here])

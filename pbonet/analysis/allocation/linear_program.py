@@ -187,10 +187,20 @@ class Program:
     def _parted(
         self, link: Link, places: Iterable[str], here: Callable[[str, str], Terms]
     ) -> int:
-        """Return a variable that is 1 if the ends of a link are at other places."""
+        """Return a variable that is 1 if the ends of a link are at other places.
+
+        It is what is left of 1 after all places at which both are: that leaves less
+        room for fractions than differences of each place do.
+        """
         parted = self._variable(0.0, 1.0)
+        terms: Terms = [(parted, 1.0)]
         for place in places:
-            self._at_least(parted, here(link.reader, place), here(link.writer, place))
+            both = self._variable(0.0, 1.0)
+            for end in (link.reader, link.writer):
+                less = [(at, -factor) for at, factor in here(end, place)]
+                self._row([(both, 1.0), *less], high=0.0)
+            terms.append((both, 1.0))
+        self._row(terms, low=1.0)
         return parted
 
     def _moves(self) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .linear_program import Solution
 
 LOOK = 2.0
-"""Seconds that one way out is looked at."""
+"""Seconds in which one way out is tried."""
 MOST = 6
 """Tasks, and ways out of one kind, that are named at most."""
 
@@ -107,9 +107,7 @@ def _fits(problem: Problem) -> bool:
     return found.places is not None and sum(found.excess.values()) <= EXACT
 
 
-def _ways_out(
-    problem: Problem, here: Sequence[Item], rtpu: str, excess: float
-) -> str:
+def _ways_out(problem: Problem, here: Sequence[Item], rtpu: str, excess: float) -> str:
     """Return changes of which each one makes room, as was tried."""
     found = [*_unpinned(problem, here), *_slower(problem, here, rtpu, excess)]
     more = structs.replace(
@@ -122,8 +120,8 @@ def _ways_out(
         found.append("add an RTPU to the .sbs file")
     if not found:
         return (
-            f"no single change is enough: {excess:.1%} of a core is missing; add RTPUs, "
-            "lower several frequencies, or shorten cycles"
+            f"no single change is enough: {excess:.1%} of a core is missing; add "
+            "RTPUs, lower several frequencies, or shorten cycles"
         )
     return "; or ".join(found)
 

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 def command(
     *,
     file: A[Path, Argument("The .job file.")],
-    running: A[
-        bool, Option("Ask the agents for their machines and devices.")
-    ] = False,
+    running: A[bool, Option("Ask the agents for their machines and devices.")] = False,
     machine: A[
         list[str] | None,
         Option("Say on which machine an RTPU is; others are their own.", "RTPU=NAME"),

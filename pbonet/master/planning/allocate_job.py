@@ -129,9 +129,9 @@ def allocate(
             remedy="name one of its jobs: " + (", ".join(files.jobs()) or "none yet"),
         )
     known = (
-        known_rtpus.asked(files.sbs, place)
+        known_rtpus.ask_agents(files.sbs, place)
         if running
-        else known_rtpus.told(files.sbs, machines)
+        else known_rtpus.as_stated(files.sbs, machines)
     )
     problem, warnings = problem_of(
         files,
@@ -156,7 +156,7 @@ def _must_have_solver() -> None:
         PbonetError: It is not.
     """
     try:
-        import scipy.optimize  # noqa: F401, PLC0415 - only whether it is there
+        import scipy.optimize  # noqa: F401 - only whether it is there
     except ImportError as error:
         raise PbonetError(
             "allocate needs a package that does not import",
@@ -222,7 +222,7 @@ def _described(
 
 
 def _load(problem: Problem, places: dict[str, str], rtpu: str) -> float:
-    """Return the utilization of an RTPU; on one where a task may not be, as elsewhere."""
+    """Return the utilization of an RTPU by the tasks that are ON."""
     return sum(
         allocation.share(item.tasks.get(rtpu, item.task))
         for item in problem.running

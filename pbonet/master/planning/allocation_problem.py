@@ -234,13 +234,9 @@ def _homes(
     return "", every
 
 
-def _has(
-    known: KnownRtpus, rtpu: str, things: Sequence[legality.Named]
-) -> bool:
+def _has(known: KnownRtpus, rtpu: str, things: Sequence[legality.Named]) -> bool:
     """Return whether an RTPU has all these things; a kind it does not tell counts."""
     kinds = known.names.get(rtpu, {})
     return all(
-        one.name in have
-        for one in things
-        if (have := kinds.get(one.kind)) is not None
+        one.name in have for one in things if (have := kinds.get(one.kind)) is not None
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from pbonet.master.console import render
@@ -44,8 +45,8 @@ def _lines(found: Allocation) -> Iterator[str]:
         yield f"stays: {task}, {pin}"
     if not found.machines_known:
         yield (
-            "no agent was asked, so each RTPU counts as a machine of its own: --running "
-            "asks, --machine says which share one"
+            "no agent was asked, so each RTPU counts as a machine of its own: "
+            "--running asks, --machine says which share one"
         )
     yield verdict(found)
 
@@ -79,7 +80,9 @@ def verdict(found: Allocation) -> str:
         else f"a better one would cost at most {found.gap:.1%} less"
     )
     if not found.moves:
-        return f"the present assignment stays: {found.cost_after:.3f}, {best} ({formula})"
+        return (
+            f"the present assignment stays: {found.cost_after:.3f}, {best} ({formula})"
+        )
     now = "" if found.keeps else ", which does not keep all deadlines and pins"
     count = len(found.moves)
     return (
@@ -89,10 +92,5 @@ def verdict(found: Allocation) -> str:
 
 
 def _bytes(rate: float) -> str:
-    for unit in ("B/s", "kB/s", "MB/s"):
-        if rate < _KILO:
-            break
-        rate /= _KILO
-    else:
-        return f"{rate:.4g} GB/s"
-    return f"{rate:.4g} {unit}"
+    unit = min(int(math.log10(rate)) // 3, 3) if rate >= 1 else 0
+    return f"{rate / _KILO**unit:.4g} {('B/s', 'kB/s', 'MB/s', 'GB/s')[unit]}"

@@ -1,4 +1,4 @@
-"""What is known of a subsystem's RTPUs: their machines, and what tasks can open there.
+"""Facts about a subsystem's RTPUs: their machines, and what tasks can open there.
 
 It is asked of their agents, or told by the user; else each RTPU counts as a machine of
 its own, and a task stays where it is if it opens something by name.
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 
 class KnownRtpus(Struct, frozen=True, kw_only=True):
-    """What is known of the RTPUs of a subsystem."""
+    """Facts about the RTPUs of a subsystem."""
 
     machines: dict[str, str]
     """The machine of each."""
     hosts: dict[str, str] = {}
     """Its name, under which profiles are saved; empty: not known."""
     names: dict[str, dict[str, list[str]]] = {}
-    """What tasks can open by name on each, by kind; empty: not known."""
+    """Names that tasks can open on each, by kind; empty: not known."""
     asked: bool = False
     """Agents told it."""
 
 
-def told(sbs: SbsFile, pairs: Iterable[str]) -> KnownRtpus:
+def as_stated(sbs: SbsFile, pairs: Iterable[str]) -> KnownRtpus:
     """Return what the user says of the machines.
 
     Args:
@@ -58,7 +58,7 @@ def told(sbs: SbsFile, pairs: Iterable[str]) -> KnownRtpus:
     return KnownRtpus(machines=machines)
 
 
-def asked(sbs: SbsFile, place: Place) -> KnownRtpus:
+def ask_agents(sbs: SbsFile, place: Place) -> KnownRtpus:
     """Return what the agents of the subsystem's RTPUs tell.
 
     Raises:

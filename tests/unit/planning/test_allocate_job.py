@@ -42,7 +42,7 @@ def test_all_that_fits_comes_together(puma):
     assert (found.gap, found.keeps) == (0.0, True)
     assert (found.traffic_before > 40_000, found.traffic_after) == (True, 0.0)
     (chain,) = found.chains
-    assert chain.tasks == "jttrace qrdiff puma_pidg grav_comp puma_pidg".split()
+    assert chain.tasks == ["jttrace", "qrdiff", "puma_pidg", "grav_comp", "puma_pidg"]
     # grav_comp runs half as often as puma_pidg: on one RTPU it reads what is new
     assert chain.after < chain.before
     assert [one.before for one in found.rtpus] == pytest.approx([0.2, 0.6])
@@ -166,7 +166,9 @@ def test_times_are_those_of_each_machine(puma):
 def test_devices_keep_tasks_where_they_are(tmp_path):
     folder = tmp_path / "rig"
     folder.mkdir()
-    (folder / "rig.svar").write_text("NAME Z\nTYPE double\nDESC value\nUNITS m\nNELEM 1\nEOF\n")
+    (folder / "rig.svar").write_text(
+        "NAME Z\nTYPE double\nDESC value\nUNITS m\nNELEM 1\nEOF\n"
+    )
     (folder / "rig.sbs").write_text(
         "SUBSYSTEM rig\nSVARFILE rig.svar\nRTPU a\nRTPU b\nRTPU c\nEOF\n"
     )
