@@ -29,6 +29,7 @@ GROUPS: Final = {
         *("status", "profile", "freq", "get", "set", "display", "write"),
         *("events", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
+    "Express mail": ("sem", "queue", "mailbox", "file"),
     "Recordings": ("log", "replay"),
     "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
 }
@@ -41,7 +42,10 @@ _OWN: Final = {
     *("agent", "devices", "doctor", "keys", "completion"),
 }
 """Verbs with a file of their own."""
-_FOLDERS: Final = {"planning": ("allocate",)}
+_FOLDERS: Final = {
+    "planning": ("allocate",),
+    "xm": ("sem", "queue", "mailbox", "file"),
+}
 """Folders with the files of verbs."""
 
 
