@@ -361,9 +361,7 @@ def test_verbs_use_resources_of_another_machine(hands):
         kind: verbs.do(f"verb({kind!r}, 'ls')")[1]["resources"]
         for kind in ("sem", "queue", "mailbox")
     }
-    values = {
-        (one["name"], one["value"]) for many in listed.values() for one in many
-    }
+    values = {(one["name"], one["value"]) for many in listed.values() for one in many}
     assert values == {("vision0:go", 1), ("vision0:work", 1), ("vision0:bell", 0)}
     status, data = verbs.do("verb('queue', 'get', 'vision0:work')")
     assert (status, data["messages"][0]["text"]) == (0, "a part")

@@ -11,7 +11,9 @@ from pbonet.cli.parser import Argument, Option
 HELP = "List, copy and remove files in the folders that agents declare."
 
 Far = A[str, Argument("RTPU/PATH, in the folder that its agent declares.", "RTPU/PATH")]
-Recursive = A[bool, Option("A folder with all that is in it.", names=("--recursive", "-r"))]
+Recursive = A[
+    bool, Option("A folder with all that is in it.", names=("--recursive", "-r"))
+]
 
 
 def ls(
@@ -57,6 +59,8 @@ def put(
     Examples:
         Send a map:
         pbonet file put floor.npy arm1/maps/floor.npy
+        Send a folder of them:
+        pbonet file put maps arm1/maps --recursive
     """
     from pbonet.master.tools import remote_files
 
@@ -95,7 +99,9 @@ def rm(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """Remove a file, a link or an empty folder; never the target of a link.
+    """Remove a file, a link, or an empty folder.
+
+    The target of a link is never removed.
 
     Examples:
         Remove an old log:

@@ -20,11 +20,13 @@ def ls(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """List mailboxes: interrupts that wait, room, sent and refused ones, the handler.
+    """List mailboxes: pending, sent and refused interrupts, handler.
 
     Examples:
         Show those of all machines that are reached:
         pbonet mailbox ls
+        Show those of one RTPU as data:
+        pbonet mailbox ls arm1 --json
     """
     words.show_list(
         "mailbox",
@@ -54,6 +56,8 @@ def put(
     Examples:
         Tell a task that the door is open:
         pbonet mailbox put arm1:door 3
+        Send the value 1 to a program of this machine:
+        pbonet mailbox put bell
     """
     from pbonet.master.tools import express_mail
 
@@ -73,7 +77,7 @@ def get(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """Take interrupts of a mailbox on this machine, in place of its handler.
+    """Take interrupts of a mailbox on this machine, as its handler.
 
     A mailbox that is not there is installed. One with a living handler is refused: a
     mailbox has one handler.
@@ -81,6 +85,8 @@ def get(
     Examples:
         Wait for an interrupt, up to a minute, and print its value:
         pbonet mailbox get arm0:door --wait 60
+        Print all values that wait:
+        pbonet mailbox get arm0:door --count 64
     """
     from pbonet.master.tools import express_mail
 
@@ -101,6 +107,8 @@ def rm(
     Examples:
         Remove one whose program is no more:
         pbonet mailbox rm arm1:door
+        Remove one of this machine's programs:
+        pbonet mailbox rm bell
     """
     from pbonet.master.tools import express_mail
 

@@ -22,7 +22,7 @@ def ls(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """List queues: messages that wait, room, policy, sent and dropped ones.
+    """List queues: messages, policy, waits, sent and dropped ones.
 
     Examples:
         Show those of all machines that are reached:
@@ -65,6 +65,8 @@ def new(
     Examples:
         Make one for orders, of which urgent ones go first:
         pbonet queue new arm0:orders --policy hpf
+        Make one for ten long messages:
+        pbonet queue new arm0:maps --messages 10 --block 65536
     """
     from pbonet.master.tools import express_mail
 
@@ -82,9 +84,7 @@ def put(
     file: A[Path | None, Option("Send what a file holds; - is standard input.")] = None,
     hex_: A[str | None, Option("Send bytes given as hexadecimal digits.")] = None,
     priority: A[int, Option("Of the message, for queues of policy hpf.")] = 0,
-    wait: A[
-        float, Option("Wait for room.", "SECONDS", least=0.0, most=1e8)
-    ] = 0.0,
+    wait: A[float, Option("Wait for room.", "SECONDS", least=0.0, most=1e8)] = 0.0,
     full: A[
         Literal["refuse", "drop", "drop-oldest"], Option("If there is no room then.")
     ] = "refuse",
@@ -96,8 +96,8 @@ def put(
     Examples:
         Send a text with a priority:
         pbonet queue put arm0:orders 'fetch 3' --priority 2
-        Send what another program prints:
-        make_order | pbonet queue put arm0:orders --file -
+        Send what comes on standard input:
+        pbonet queue put arm0:orders --file -
     """
     from pbonet.master.tools import express_mail
 
@@ -151,7 +151,9 @@ def get(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """Receive messages and print them; what is no text, as hexadecimal digits.
+    """Receive messages and print them.
+
+    A message that is no text is printed as hexadecimal digits.
 
     Examples:
         Receive one, and wait for it up to five seconds:
@@ -187,6 +189,8 @@ def rm(
     Examples:
         Remove one:
         pbonet queue rm arm0:orders
+        Remove one of another machine:
+        pbonet queue rm arm1:done --connect tcp/10.0.0.2:7447
     """
     from pbonet.master.tools import express_mail
 

@@ -20,7 +20,7 @@ def ls(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """List semaphores: value, maximum, who holds them, who waits.
+    """List semaphores: value, maximum, holder and number of waits.
 
     Examples:
         Show those of all machines that are reached:
@@ -79,6 +79,8 @@ def put(
     Examples:
         Let a task go on that waits for a signal:
         pbonet sem put arm0:go
+        Give one and print the value that it has then, as data:
+        pbonet sem put arm0:parts --json
     """
     from pbonet.master.tools import express_mail
 
@@ -126,11 +128,13 @@ def rm(
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
-    """Remove a semaphore; its users and those who wait for it get an error.
+    """Remove a semaphore; its users get an error.
 
     Examples:
         Remove one:
         pbonet sem rm arm0:parts
+        Remove one of another machine:
+        pbonet sem rm arm1:grip --connect tcp/10.0.0.2:7447
     """
     from pbonet.master.tools import express_mail
 

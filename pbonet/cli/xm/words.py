@@ -10,7 +10,7 @@ from pbonet.cli.parser import Argument, Option
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pbonet.master.tools.express_mail import Listed
+    from pbonet.master.tools import express_mail
 
 Rtpus = A[list[str] | None, Argument("Which RTPUs; all if left out.", "RTPU")]
 Wait = A[float, Option("How long it waits.", "SECONDS", least=0.0, most=1e8)]
@@ -31,7 +31,7 @@ def show_list(
     rtpus: Sequence[str] | None,
     reach: options.Reach,
     head: Sequence[str],
-    row: Callable[[Listed], Sequence[object]],
+    row: Callable[[express_mail.Listed], Sequence[object]],
     *,
     as_data: bool,
 ) -> None:

@@ -202,7 +202,8 @@ def take(
         What P returned, and the command's exit status.
 
     Raises:
-        XmError: It did not get one in that time, it is binary and no command is run, or it cannot be used.
+        XmError: It did not get one in that time; it is binary, and no command is run;
+            or it cannot be used.
     """
     with closing(xm.Semaphore.attach(name)) as semaphore:
         if semaphore.binary and not run:
@@ -214,7 +215,9 @@ def take(
             )
         taken = semaphore.p(_until(wait), priority=priority)
         if not taken:
-            holder = f"; process {semaphore.holder} holds it" if semaphore.holder else ""
+            holder = (
+                f"; process {semaphore.holder} holds it" if semaphore.holder else ""
+            )
             raise XmError(
                 f"the semaphore was not free within {wait:g} s",
                 where=name,
@@ -224,7 +227,8 @@ def take(
         if not run:
             return taken, 0
         try:
-            return taken, subprocess.run(run, shell=True, check=False).returncode  # noqa: S602 - the user's own words
+            done = subprocess.run(run, shell=True, check=False)  # noqa: S602 - the user's
+            return taken, done.returncode
         finally:
             semaphore.v()
 
@@ -254,7 +258,12 @@ def make_queue(
 
 
 def send(
-    name: str, data: bytes, *, priority: int = 0, wait: float = 0.0, full: str = "refuse"
+    name: str,
+    data: bytes,
+    *,
+    priority: int = 0,
+    wait: float = 0.0,
+    full: str = "refuse",
 ) -> bool:
     """Send a message to a queue; return whether it was put there.
 
@@ -308,10 +317,11 @@ def receive(
 def message(data: bytes, priority: int) -> Message:
     """Return a message as data."""
     try:
-        text = data.decode()
-        text = text if text.isprintable() or "\n" in text or "\t" in text else None
+        found = data.decode()
     except UnicodeDecodeError:
-        text = None
+        found = "\0"
+    plain = found.replace("\n", "").replace("\t", "")
+    text = found if plain.isprintable() else None
     return Message(priority=priority, hex=data.hex(), text=text)
 
 

@@ -1,4 +1,4 @@
-"""``pbonet sem``, ``queue``, ``mailbox`` and ``file``, on this machine without agents."""
+"""``pbonet sem``, ``queue``, ``mailbox``, ``file`` on one machine, without agents."""
 
 from __future__ import annotations
 
@@ -60,7 +60,10 @@ def test_a_semaphore_is_made_taken_given_listed_and_removed(call, ask):
         2,
     )
     status, out, _ = call("sem", "ls", "local")
-    assert (status, out.splitlines()[0].split()[:3]) == (0, ["name", "value", "maximum"])
+    assert (status, out.splitlines()[0].split()[:3]) == (
+        0,
+        ["name", "value", "maximum"],
+    )
     ask("sem", "rm", "parts")
     assert ask("sem", "ls")["resources"] == []
     assert fault(call, "sem", "rm", "parts")["code"] == "XM_MISSING"
