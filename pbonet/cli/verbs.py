@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 GROUPS: Final = {
     "Write and check files (no agent needed)": (
-        *("library", "new", "check", "graph", "simulate", "adopt", "allocate"),
+        *("library", "new", "check", "graph", "simulate", "adopt"),
+        *("allocate", "tune"),
     ),
     "Run a subsystem": ("run", "prompt", "start", "switch", "stop"),
     "Change its tasks": (
@@ -43,7 +44,7 @@ _OWN: Final = {
 }
 """Verbs with a file of their own."""
 _FOLDERS: Final = {
-    "planning": ("allocate",),
+    "planning": ("allocate", "tune"),
     "xm": ("sem", "queue", "mailbox", "file"),
 }
 """Folders with the files of verbs."""

@@ -13,7 +13,7 @@ from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
-from .conditions import parse, replaced
+from .conditions import Parsed, cost_of, parse, replaced
 from .lines import Line, Word, fault, quote
 from .model import Condition, JobFile, JobTask, Place, RecordLine, Restart
 from .reader import Reader, load
@@ -23,7 +23,7 @@ from .write import number, same_again, text_line
 if TYPE_CHECKING:
     from pathlib import Path
 
-GRAMMAR = Grammar("JOB DESC SBS PRE* POST* TASK+ RECORD* [OFF]")
+GRAMMAR = Grammar("JOB DESC SBS PRE* POST* [COST] TASK+ RECORD* [OFF]")
 MODES = ("off", "outputs", "all")
 """How a task can be recorded."""
 LAST = "last"
@@ -82,6 +82,7 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
         sbs=words.path(block["SBS"], "the name of a .sbs file"),
         pre=tuple(_condition(reader, line) for line in block.all("PRE")),
         post=tuple(_condition(reader, line) for line in block.all("POST")),
+        cost=_cost(reader, block.get("COST")),
         tasks=tuple(tasks.values()),
         off_order=off_order,
         record=record,
@@ -90,6 +91,13 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
 
 def _condition(reader: Reader, line: Line) -> Condition:
     """Return a condition; constants that it names are replaced by their values."""
+    said = _said(line)
+    found = parse(said.text, said.place)
+    return Condition(parse(_known(reader, found), said.place).text, said.place)
+
+
+def _said(line: Line) -> Condition:
+    """Return what stands behind the keyword, without a comment."""
     words = line.words
     if not words:
         raise fault(
@@ -101,11 +109,25 @@ def _condition(reader: Reader, line: Line) -> Condition:
         )
     first, last = words[0].place, words[-1]
     end = last.place.column + len(last.text) - first.column
-    found = parse(line.rest[:end], first)
-    text = replaced(
+    return Condition(line.rest[:end], first)
+
+
+def _known(reader: Reader, found: Parsed) -> str:
+    """Return a text whose constants are replaced by their values."""
+    return replaced(
         found, lambda name, place: reader.constants.replace(Word(name, place))
     )
-    return Condition(parse(text, first).text, first)
+
+
+def _cost(reader: Reader, line: Line | None) -> Condition | None:
+    """Return the error of a job; constants are replaced by their values."""
+    if line is None:
+        return None
+    said = _said(line)
+    mean, found = cost_of(said)
+    cost = Condition(f"{mean}({_known(reader, found)})", said.place)
+    cost_of(cost)
+    return cost
 
 
 def _task(reader: Reader, line: Line) -> JobTask:
@@ -330,6 +352,7 @@ def job_text(record: JobFile) -> str:
     ]
     lines += [text_line("PRE", condition.text) for condition in record.pre]
     lines += [text_line("POST", condition.text) for condition in record.post]
+    lines += [text_line("COST", record.cost.text)] if record.cost else []
     for task in record.tasks:
         freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
         standby = f"FALLBACK {task.fallback}" if task.fallback else ""

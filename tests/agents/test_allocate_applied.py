@@ -58,3 +58,18 @@ def test_a_task_takes_over_on_another_rtpu(job, nodes, call):
     assert "TASK second_2 arm0" in " ".join(job.read_text().split())
     assert (job.parent / "second_2.rmod").exists()
     assert call("stop", "cell", "--domain", nodes.domain)[0] == 0
+
+
+def test_a_rate_is_set_where_it_runs(job, nodes, call):
+    where = ("--domain", nodes.domain, "--library", MISBEHAVING)
+    status, _, err = call("start", job, *where)
+    assert status == 0, err
+    words = ("--task", "first", "--factor", 0.5, "--seconds", 1)
+    cost = ("--cost", "mean(Y0[0])")  # it counts its cycles
+    status, out, err = call("tune", job, *where, *words, *cost, "--apply", "--json")
+    assert status == 0, out + err
+    assert json.loads(out)["set"] == {"first": 50.0}
+    _, out, _ = call("freq", job, "first", *where, "--json")
+    assert "50.0" in out
+    assert "FREQ 50" in job.read_text()
+    assert call("stop", "cell", "--domain", nodes.domain)[0] == 0

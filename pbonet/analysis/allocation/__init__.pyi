@@ -5,6 +5,7 @@ from .assignment import (
     Problem as Problem,
     allowed as allowed,
     declared as declared,
+    keeps_deadlines as keeps_deadlines,
     share as share,
 )
 from .best_assignment import (
@@ -14,3 +15,10 @@ from .best_assignment import (
 )
 from .data_flow import Chain as Chain, Cost as Cost, Flow as Flow
 from .no_assignment import FIXED as FIXED
+from .rate_choice import (
+    Fit as Fit,
+    best_periods as best_periods,
+    fitted as fitted,
+    harmonic as harmonic,
+    rounded_down as rounded_down,
+)

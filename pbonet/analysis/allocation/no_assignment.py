@@ -12,6 +12,7 @@ from pbonet.errors import VerificationError
 from .assignment import EXACT, FOLLOWS, Item, Problem, keeps_deadlines
 from .data_flow import Flow
 from .linear_program import Program
+from .rate_choice import rounded_down
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -214,8 +215,5 @@ def _names(names: object) -> str:
 
 
 def _digits(hz: float) -> str:
-    """Return a frequency rounded down to three digits."""
-    from math import floor, log10
-
-    step = 10.0 ** (floor(log10(hz)) - 2) if hz > 0 else 1.0
-    return f"{floor(hz / step) * step:g}"
+    """Return a frequency as text, rounded down to three digits."""
+    return f"{rounded_down(hz):g}"

@@ -1,7 +1,9 @@
 from .condition_fit import Fit as Fit, fit as fit
 from .conditions import (
     Outcome as Outcome,
+    amounts as amounts,
     check_conditions as check_conditions,
+    check_cost as check_cost,
     evaluate as evaluate,
     named as named,
 )

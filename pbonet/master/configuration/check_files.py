@@ -240,6 +240,8 @@ def planned_tasks(
     _take(
         found, legality.check_conditions([*job.pre, *job.post], files.table.variables)
     )
+    if job.cost:
+        _take(found, legality.check_cost(job.cost, files.table.variables))
     tasks: list[legality.Task] = []
     lines = [line for task in job.tasks for line in _lines(task)]
     for wanted, original in lines:

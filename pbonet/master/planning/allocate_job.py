@@ -119,7 +119,7 @@ def allocate(
         NodeError: An agent was to be asked, and is not there.
         PbonetError: `scipy` is not installed.
     """
-    _must_have_solver()
+    must_have_solver("allocate")
     files = Files(path, Library(place.libraries))
     if files.job is None:
         raise ConfigError(
@@ -149,8 +149,11 @@ def allocate(
     return _described(problem, found, files.job.file, known, told=told), warnings
 
 
-def _must_have_solver() -> None:
+def must_have_solver(verb: str) -> None:
     """Check that the solver is installed.
+
+    Args:
+        verb: The verb that needs it.
 
     Raises:
         PbonetError: It is not.
@@ -159,7 +162,7 @@ def _must_have_solver() -> None:
         import scipy.optimize  # noqa: F401 - only whether it is there
     except ImportError as error:
         raise PbonetError(
-            "allocate needs a package that does not import",
+            f"{verb} needs a package that does not import",
             got=str(error),
             remedy="pip install 'pbonet[plan]'",
         ) from None
