@@ -25,12 +25,16 @@ if TYPE_CHECKING:
 ROOT: Final = Path(__file__).resolve().parents[1]
 MOST_FILES: Final = 31
 SOURCES: Final = {".py", ".pyx", ".pxd", ".pxi", ".h", ".pyi"}
-LIBRARY: Final = "pbonet.modules"
-"""One room with folders in it, one for each class of modules."""
-OPEN: Final = {"pbonet.cli", LIBRARY}
-"""Rooms whose files are used one by one: verbs, and modules that RMODs name."""
+OPEN: Final = ("pbonet.cli", "pbonet.modules")
+"""Rooms whose files are used one by one: verbs, and modules that RMODs name. They have
+folders in them, one for each kind of verbs, or class of modules."""
 _LIST = re.compile(r"^from ([\w.]+) import (?:\(([^)]*)\)|(.*))", re.MULTILINE)
 _NAME = re.compile(r"(\w+) as \w+")
+
+
+def _opened(name: str) -> str:
+    """Return the open room in which a file or folder stands; empty: in none."""
+    return next((room for room in OPEN if name.startswith(f"{room}.")), "")
 
 
 class Use(NamedTuple):
@@ -58,7 +62,7 @@ class House:
         self.rooms = {
             name
             for name, path in self.files.items()
-            if path.name == "__init__.py" and not name.startswith(f"{LIBRARY}.")
+            if path.name == "__init__.py" and not _opened(name)
         }
         self.faces = {room: self._face(room) for room in self.rooms}
 
@@ -78,8 +82,8 @@ class House:
         """Return the room of a file; of a file at the top, the file itself."""
         if module in self.rooms:
             return module
-        if module.startswith(f"{LIBRARY}."):
-            return LIBRARY
+        if opened := _opened(module):
+            return opened
         room = module.rpartition(".")[0]
         return module if room == "pbonet" else room
 
@@ -122,7 +126,8 @@ class House:
             here = self.room_of(module)
             for use in self.uses(module):
                 there = self.room_of(use.module)
-                if there in {here, use.module} | OPEN and use.module not in self.rooms:
+                inside = {here, use.module, *OPEN}
+                if there in inside and use.module not in self.rooms:
                     continue
                 whole = f"{use.module}.{use.name}"
                 deep = use.module not in self.rooms

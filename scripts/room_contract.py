@@ -37,14 +37,15 @@ def is_package(module: str) -> bool:
     return Path(*module.split(".")).is_dir()
 
 
-LIBRARY = "pbonet.modules"
-"""One room with folders in it, one for each class of modules."""
+WITH_FOLDERS = ("pbonet.modules", "pbonet.cli")
+"""Rooms with folders in them: one for each class of modules, or kind of verbs."""
 
 
 def room_of(module: str) -> str:
     """Return the room in which a module stands."""
-    if module.startswith(f"{LIBRARY}."):
-        return LIBRARY
+    for room in WITH_FOLDERS:
+        if module.startswith(f"{room}."):
+            return room
     return module if is_package(module) else module.rpartition(".")[0]
 
 

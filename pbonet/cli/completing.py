@@ -139,6 +139,10 @@ def _found(kind: str, folder: Path) -> Iterator[Offer]:
     elif kind == "rmod":
         for paths in (_LIBRARY.glob("*/*.rmod"), folder.glob("*.rmod")):
             yield from ((path.stem, str(path)) for path in paths)
+    elif kind in _RESOURCES:
+        from pbonet.xm.ipc import overview
+
+        yield from ((name, "") for name in overview.names_here(_RESOURCES[kind]))
     elif kind == "field":
         from pbonet.master.subsystem import status_fields
 
@@ -151,6 +155,8 @@ def _found(kind: str, folder: Path) -> Iterator[Offer]:
             yield from ((name, str(path)) for name in line.findall(text))
 
 
+_RESOURCES: Final = {"semaphore": "sem", "queue": "queue", "mailbox": "mailbox"}
+"""Kinds of resources by the words that stand for their names."""
 _KEYWORDS: Final = {
     "task": ("TASK", "job"),
     "rtpu": ("RTPU", "sbs"),

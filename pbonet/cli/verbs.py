@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 GROUPS: Final = {
     "Write and check files (no agent needed)": (
         *("library", "new", "check", "graph", "simulate", "adopt"),
+        *("allocate", "tune"),
     ),
     "Run a subsystem": ("run", "prompt", "start", "switch", "stop"),
     "Change its tasks": (
@@ -29,6 +30,7 @@ GROUPS: Final = {
         *("status", "profile", "freq", "get", "set", "display", "write"),
         *("events", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
+    "Express mail": ("sem", "queue", "mailbox", "file"),
     "Recordings": ("log", "replay"),
     "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
 }
@@ -41,6 +43,11 @@ _OWN: Final = {
     *("agent", "devices", "doctor", "keys", "completion"),
 }
 """Verbs with a file of their own."""
+_FOLDERS: Final = {
+    "planning": ("allocate", "tune"),
+    "xm": ("sem", "queue", "mailbox", "file"),
+}
+"""Folders with the files of verbs."""
 
 
 class Family(NamedTuple):
@@ -62,11 +69,12 @@ def load(name: str) -> Verb | Family:
     """
     if name not in NAMES:
         raise _unknown(f"there is no verb {name}", name, NAMES)
-    if name not in _OWN:
+    folder = next((f"{f}." for f, names in _FOLDERS.items() if name in names), "")
+    if not folder and name not in _OWN:
         from . import table
 
         return _with_debug(table.verb(name))
-    module = import_module(f"pbonet.cli.{name}")
+    module = import_module(f"pbonet.cli.{folder}{name}")
     functions = getattr(module, "COMMANDS", None)
     if functions is None:
         return _with_debug(verb_of(module.command, name))

@@ -8,7 +8,12 @@ from .any_file import read_any as read_any
 from .bundle import Section as Section, bundled as bundled, combines as combines
 from .class_rmod import own_rmod as own_rmod
 from .combining import info_of as info_of
-from .conditions import Parsed as Parsed, parse as parse
+from .conditions import (
+    MEANS as MEANS,
+    Parsed as Parsed,
+    cost_of as cost_of,
+    parse as parse,
+)
 from .device import DRIVERS as DRIVERS, Entry as Entry
 from .job import (
     LAST as LAST,

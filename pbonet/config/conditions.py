@@ -23,6 +23,8 @@ from .model import Place
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from .model import Condition
+
 LONGEST = 500
 """Characters of a condition."""
 DEEPEST = 50
@@ -34,7 +36,14 @@ FUNCTIONS = {
     "norm": "norm(X)",
 }
 """The functions, and how they are called."""
+MEANS = {
+    "rms": "rms(X), the root of the mean square",
+    "mean": "mean(X), the mean of the amounts",
+    "peak": "peak(X), the largest amount",
+}
+"""What a COST line may be over time, and how it is written."""
 
+_MEAN = re.compile(r"(?P<name>\w+) *\( *(?P<inner>.*\S) *\)")
 _TOKEN = re.compile(
     r"(?P<number>(?:0[xX][0-9a-fA-F]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?))"
     r"(?P<unit> *\[[^\[\]]*\])?"
@@ -128,6 +137,28 @@ def parse(text: str, place: Place | None = None) -> Parsed:
     for node in ast.walk(tree):
         _check(found, node)
     return found
+
+
+def cost_of(condition: Condition) -> tuple[str, Parsed]:
+    """Return the mean of a COST line, and the expression that it is of.
+
+    Raises:
+        ConfigError: It is no mean over time, or the expression is malformed.
+    """
+    text, place = condition.text, condition.place
+    match = _MEAN.fullmatch(text)
+    if match is None or match["name"] not in MEANS:
+        raise fault(
+            "COST is malformed",
+            place or Place("<text>", 1, 1),
+            expected=" or ".join(MEANS.values()),
+            got=quote(text),
+            remedy=did_you_mean(match["name"] if match else "", MEANS)
+            or "write what is to be small as in COST rms(Q_REF - Q_MEZ)",
+        )
+    begin = match.start("inner")
+    inner = place and Place(place.file, place.line, place.column + begin)
+    return match["name"], parse(match["inner"], inner)
 
 
 def replaced(condition: Parsed, value: Callable[[str, Place], str]) -> str:

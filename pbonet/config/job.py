@@ -13,7 +13,7 @@ from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
-from .conditions import parse, replaced
+from .conditions import Parsed, cost_of, parse, replaced
 from .lines import Line, Word, fault, quote
 from .model import Condition, JobFile, JobTask, Place, RecordLine, Restart
 from .reader import Reader, load
@@ -23,7 +23,7 @@ from .write import number, same_again, text_line
 if TYPE_CHECKING:
     from pathlib import Path
 
-GRAMMAR = Grammar("JOB DESC SBS PRE* POST* TASK+ RECORD* [OFF]")
+GRAMMAR = Grammar("JOB DESC SBS PRE* POST* [COST] TASK+ RECORD* [OFF]")
 MODES = ("off", "outputs", "all")
 """How a task can be recorded."""
 LAST = "last"
@@ -33,10 +33,10 @@ _PAIR = 2
 RESTARTS: Final[tuple[Restart, ...]] = ("never", "off", "on")
 """Treatment of a task whose RTPU process or machine was lost."""
 _TASK = (
-    "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod [TAKEOVER seconds]] "
+    "TASK rmod [rtpu [FIXED]] [FREQ hz] [FALLBACK rmod [TAKEOVER seconds]] "
     "[RESTART never|off|on]"
 )
-_OPTIONS = {"FREQ", "FALLBACK", "RESTART"}
+_OPTIONS = {"FIXED", "FREQ", "FALLBACK", "RESTART"}
 SHORTEST_TAKEOVER, LONGEST_TAKEOVER = 0.5, 30.0
 
 
@@ -82,6 +82,7 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
         sbs=words.path(block["SBS"], "the name of a .sbs file"),
         pre=tuple(_condition(reader, line) for line in block.all("PRE")),
         post=tuple(_condition(reader, line) for line in block.all("POST")),
+        cost=_cost(reader, block.get("COST")),
         tasks=tuple(tasks.values()),
         off_order=off_order,
         record=record,
@@ -90,6 +91,13 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
 
 def _condition(reader: Reader, line: Line) -> Condition:
     """Return a condition; constants that it names are replaced by their values."""
+    said = _said(line)
+    found = parse(said.text, said.place)
+    return Condition(parse(_known(reader, found), said.place).text, said.place)
+
+
+def _said(line: Line) -> Condition:
+    """Return what stands behind the keyword, without a comment."""
     words = line.words
     if not words:
         raise fault(
@@ -101,11 +109,25 @@ def _condition(reader: Reader, line: Line) -> Condition:
         )
     first, last = words[0].place, words[-1]
     end = last.place.column + len(last.text) - first.column
-    found = parse(line.rest[:end], first)
-    text = replaced(
+    return Condition(line.rest[:end], first)
+
+
+def _known(reader: Reader, found: Parsed) -> str:
+    """Return a text whose constants are replaced by their values."""
+    return replaced(
         found, lambda name, place: reader.constants.replace(Word(name, place))
     )
-    return Condition(parse(text, first).text, first)
+
+
+def _cost(reader: Reader, line: Line | None) -> Condition | None:
+    """Return the error of a job; constants are replaced by their values."""
+    if line is None:
+        return None
+    said = _said(line)
+    mean, found = cost_of(said)
+    cost = Condition(f"{mean}({_known(reader, found)})", said.place)
+    cost_of(cost)
+    return cost
 
 
 def _task(reader: Reader, line: Line) -> JobTask:
@@ -122,9 +144,11 @@ def _task(reader: Reader, line: Line) -> JobTask:
     rmod = _rmod(rest.pop(0))
     rtpu = freq = fallback = None
     takeover = 0.0
+    fixed = False
     restart: Restart = "off"
     if rest and rest[0].text not in _OPTIONS:
         rtpu = _rtpu(rest.pop(0))
+        fixed = _is_fixed(rest)
     if (word := _taken(rest, "FREQ")) is not None:
         freq = frequency(reader, word._replace(keyword="FREQ"))
     if (word := _taken(rest, "FALLBACK")) is not None:
@@ -139,18 +163,27 @@ def _task(reader: Reader, line: Line) -> JobTask:
             rest[0].place,
             expected=_TASK,
             got=f"{quote(rest[0].text)} here",
-            remedy="write the RTPU first, then FREQ and Hz, then FALLBACK and an RMOD, "
-            "then TAKEOVER and seconds, then RESTART",
+            remedy="write the RTPU first and FIXED behind it, then FREQ and Hz, then "
+            "FALLBACK and an RMOD, then TAKEOVER and seconds, then RESTART",
         )
     return JobTask(
         rmod=rmod,
         rtpu=rtpu,
+        fixed=fixed,
         freq=freq,
         fallback=fallback,
         takeover=takeover,
         restart=restart,
         place=line.place,
     )
+
+
+def _is_fixed(rest: list[Word]) -> bool:
+    """Take FIXED from the words behind the RTPU; return whether it was there."""
+    if not rest or rest[0].text != "FIXED":
+        return False
+    del rest[0]
+    return True
 
 
 def _restart(word: Word) -> Restart:
@@ -319,12 +352,14 @@ def job_text(record: JobFile) -> str:
     ]
     lines += [text_line("PRE", condition.text) for condition in record.pre]
     lines += [text_line("POST", condition.text) for condition in record.post]
+    lines += [text_line("COST", record.cost.text)] if record.cost else []
     for task in record.tasks:
         freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
         standby = f"FALLBACK {task.fallback}" if task.fallback else ""
         after = f"TAKEOVER {number(task.takeover)}" if task.takeover else ""
         again = "" if task.restart == "off" else f"RESTART {task.restart}"
-        parts = (task.rmod, task.rtpu or "", freq, standby, after, again)
+        place = f"{task.rtpu} FIXED" if task.rtpu and task.fixed else task.rtpu or ""
+        parts = (task.rmod, place, freq, standby, after, again)
         lines.append(text_line("TASK", " ".join(part for part in parts if part)))
     lines += [
         text_line("RECORD", " ".join((one.mode, *one.names))) for one in record.record

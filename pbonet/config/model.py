@@ -233,6 +233,8 @@ class JobTask(Struct, frozen=True, kw_only=True):
 
     rmod: str
     rtpu: str | None = None
+    fixed: bool = False
+    """It stays on that RTPU when tasks are allocated (``pbonet allocate``)."""
     freq: float | None = None
     fallback: str | None = None
     """The RMOD that stands by to take its place when it fails."""
@@ -282,6 +284,8 @@ class JobFile(Struct, frozen=True, kw_only=True):
     """The subsystem's ``.sbs`` file, relative to the job's folder."""
     pre: tuple[Condition, ...] = ()
     post: tuple[Condition, ...] = ()
+    cost: Condition | None = None
+    """COST line: the error that ``pbonet tune`` makes small."""
     tasks: tuple[JobTask, ...]
     off_order: tuple[str, ...] = ()
     """OFF line: the order in which tasks are turned off; empty means the reverse."""

@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from far_rig import LEASE_MS, UNSEEN, Cell, RefusedError, Site, traffic
+from far_rig import LEASE_MS, UNSEEN, VERB, Cell, RefusedError, Site, traffic
 from nodekit import Master, rmod
 
 pytestmark = pytest.mark.timeout(300)
@@ -345,3 +345,28 @@ def test_a_task_signals_another_machine_without_waiting(hands, porter):
     assert "vision0:done: there is no such queue" in text
     for name in ("parts", "turn"):
         here.do(f"{name}.destroy()")
+
+
+def test_verbs_use_resources_of_another_machine(hands):
+    here, _, verbs = hands
+    verbs.do(VERB)
+    here.do("box = xm.Mailbox('bell')")
+    assert verbs.do("verb('sem', 'new', 'vision0:go', '--initial', '0')")[0] == 0
+    assert verbs.do("verb('queue', 'new', 'vision0:work')")[0] == 0
+    assert verbs.do("verb('sem', 'put', 'vision0:go')")[1]["value"] == 1
+    assert verbs.do("verb('queue', 'put', 'vision0:work', 'a part')")[0] == 0
+    assert verbs.do("verb('mailbox', 'put', 'vision0:bell', '9')")[0] == 0
+    assert here.do("box.take()") == "9"
+    listed = {
+        kind: verbs.do(f"verb({kind!r}, 'ls')")[1]["resources"]
+        for kind in ("sem", "queue", "mailbox")
+    }
+    values = {(one["name"], one["value"]) for many in listed.values() for one in many}
+    assert values == {("vision0:go", 1), ("vision0:work", 1), ("vision0:bell", 0)}
+    status, data = verbs.do("verb('queue', 'get', 'vision0:work')")
+    assert (status, data["messages"][0]["text"]) == (0, "a part")
+    assert verbs.do("verb('sem', 'get', 'vision0:go')")[0] == 0
+    assert verbs.do("verb('sem', 'get', 'vision0:go')")[0] == 1
+    for kind, name in (("sem", "go"), ("queue", "work"), ("mailbox", "bell")):
+        assert verbs.do(f"verb({kind!r}, 'rm', 'vision0:{name}')")[0] == 0
+    assert verbs.do("verb('queue', 'ls', 'vision0')")[1]["resources"] == []

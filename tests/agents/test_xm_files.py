@@ -1,7 +1,7 @@
 """Files of another machine by fsspec, as numpy and MCAP readers use them."""
 
 import pytest
-from far_rig import LEASE_MS, UNSEEN, Cell, RefusedError, Site
+from far_rig import LEASE_MS, UNSEEN, VERB, Cell, RefusedError, Site
 from nodekit import Master, rmod
 
 pytestmark = pytest.mark.timeout(300)
@@ -112,6 +112,43 @@ def test_a_cut_cable_amid_a_file(cell, hand):
     assert (cell.a.files / "kept").read_text() == "old", "what stood there stands"
     hand.wait("fs.cat_file('vision0/kept')", "b'old'")
     (cell.a.files / "kept").unlink()
+
+
+def test_verbs_copy_list_and_remove(cell, hand, tmp_path):
+    hand.do(VERB)
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    (folder / "floor").write_bytes(bytes(range(256)) * 5000)
+    (folder / "roof").write_text("roof")
+
+    def verb(*words):
+        return hand.do(f"verb(*{[str(word) for word in words]!r})")
+
+    assert verb("file", "put", folder / "floor", "vision0/a/b/floor")[0] == 0
+    status, data = verb("file", "put", folder / "roof", "vision0/a/b/")
+    assert (status, data["file"]) == (0, "vision0/a/b/roof")
+    assert verb("file", "put", folder, "vision0/all")[0] == 1
+    assert verb("file", "put", folder, "vision0/all", "-r")[0] == 0
+    assert (cell.a.files / "all" / "roof").read_text() == "roof"
+    found = verb("file", "ls", "vision0/a/b")[1]["entries"]
+    assert [(one["name"], one["size"]) for one in found] == [
+        ("vision0/a/b/floor", 1_280_000),
+        ("vision0/a/b/roof", 4),
+    ]
+    assert "vision0" in [one["name"] for one in verb("file", "ls")[1]["entries"]]
+    (tmp_path / "here").mkdir()
+    assert verb("file", "get", "vision0/a/b/floor", tmp_path / "here")[0] == 0
+    assert (tmp_path / "here" / "floor").read_bytes() == bytes(range(256)) * 5000
+    assert verb("file", "get", "vision0/all", tmp_path / "copy", "-r")[0] == 0
+    assert (tmp_path / "copy" / "roof").read_text() == "roof"
+    status, data = verb("file", "get", "vision0/none", tmp_path / "none")
+    assert (status, data["error"]["code"]) == (1, "XM_MISSING")
+    assert verb("file", "get", "vision0/a", tmp_path / "x")[0] == 1
+    assert not [*tmp_path.glob(".*")]
+    assert verb("file", "rm", "vision0/a")[0] == 1, "it is not empty"
+    for name in ("a", "all"):
+        assert verb("file", "rm", f"vision0/{name}", "--recursive")[0] == 0
+    assert not [*cell.a.files.iterdir()]
 
 
 def test_a_killed_writer_leaves_nothing(cell, hand):

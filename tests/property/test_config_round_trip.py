@@ -188,7 +188,7 @@ def sbss(draw: st.DrawFn) -> SbsFile:
     )
 
 
-OPTIONS = {"FREQ", "FALLBACK", "RESTART"}
+OPTIONS = {"FIXED", "FREQ", "FALLBACK", "RESTART"}
 
 
 @st.composite
@@ -207,7 +207,8 @@ def jobs(draw: st.DrawFn) -> JobFile:
         tasks=tuple(
             JobTask(
                 rmod=rmod,
-                rtpu=draw(rtpu),
+                rtpu=(home := draw(rtpu)),
+                fixed=home is not None and draw(st.booleans()),
                 freq=draw(st.none() | hertz),
                 fallback=(safe := draw(st.none() | st.just(f"{rmod}_safe"))),
                 takeover=draw(st.just(0.0) | st.floats(0.5, 30.0)) if safe else 0.0,

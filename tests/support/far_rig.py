@@ -74,6 +74,22 @@ for line in sys.stdin:
 """
 
 
+VERB = """
+import contextlib, io, json
+from pbonet.cli import main
+
+
+def verb(*words):
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        try:
+            main([*words, "--json"])
+        except SystemExit as end:
+            return [end.code or 0, json.loads(out.getvalue())]
+"""
+"""Has a program run verbs of the command line: status and data."""
+
+
 class RefusedError(Exception):
     """What a program's line raised."""
 

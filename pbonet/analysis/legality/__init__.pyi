@@ -1,7 +1,9 @@
 from .condition_fit import Fit as Fit, fit as fit
 from .conditions import (
     Outcome as Outcome,
+    amounts as amounts,
     check_conditions as check_conditions,
+    check_cost as check_cost,
     evaluate as evaluate,
     named as named,
 )
@@ -12,7 +14,11 @@ from .demands import (
     least as least,
     worst as worst,
 )
-from .devices_on_rtpus import named_things as named_things, only_home as only_home
+from .devices_on_rtpus import (
+    Named as Named,
+    named_things as named_things,
+    only_home as only_home,
+)
 from .joins import CONNECTORS as CONNECTORS, intermediate as intermediate
 from .order import (
     change_order as change_order,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from pbonet.config import Parsed, parse
+from pbonet.config import Parsed, cost_of, parse
 from pbonet.errors import did_you_mean
 
 from .records import Code, Problem
@@ -113,6 +113,30 @@ def check_conditions(
         except _PartError as error:
             problems.append(error.problem)
     return problems
+
+
+def check_cost(cost: Condition, variables: Sequence[Variable]) -> list[Problem]:
+    """Return the problem of a COST line: an unknown variable, a size, a unit."""
+    try:
+        amounts(cost, variables, {one.name: np.zeros(one.nelem) for one in variables})
+    except _PartError as error:
+        return [error.problem]
+    return []
+
+
+def amounts(
+    cost: Condition, variables: Sequence[Variable], values: Mapping[str, Floats]
+) -> Floats:
+    """Return the numbers at one instant over which a COST line takes its mean.
+
+    Args:
+        cost: The line; `check_cost` has found nothing in it.
+        variables: What the ``.svar`` file defines.
+        values: Those of the variables that it names, all of one instant.
+    """
+    table = {variable.name: variable for variable in variables}
+    _, parsed = cost_of(cost)
+    return _Walk(parsed, table, values).numbers(parsed.tree)
 
 
 def evaluate(
@@ -289,6 +313,10 @@ class _Walk:
                 remedy=f"write max(abs({text})), norm({text}), or an element of it",
             )
         return float(found.values[0])
+
+    def numbers(self, node: ast.expr) -> Floats:
+        """Return the value of an expression that is no condition."""
+        return self._number(node).values
 
     # -- numbers ----------------------------------------------------------------------
 

@@ -35,7 +35,7 @@ from .saved_profiles import here, unused, with_times
 from .subsystem_files import Files
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pbonet.errors import WireError
     from pbonet.pbo import ModuleInfo
@@ -198,13 +198,24 @@ def planned(
     return judged(files, tasks), found
 
 
-def judged(files: Files, tasks: Sequence[legality.Task]) -> legality.Verdict | None:
-    """Return the verdict on the start of a job; None if its `tasks` are not all."""
+def judged(
+    files: Files,
+    tasks: Sequence[legality.Task],
+    machines: Mapping[str, str] | None = None,
+) -> legality.Verdict | None:
+    """Return the verdict on the start of a job; None if its `tasks` are not all.
+
+    Args:
+        files: Its files.
+        tasks: Its tasks that can be read.
+        machines: The machine of each RTPU, where it is known.
+    """
     if len(tasks) < sum(len(_lines(line)) for line in files.read_job().tasks):
         return None  # else one fault would be reported as many
     empty = legality.Configuration(
         svar=files.table,
         rtpus=files.sbs.rtpus,
+        machines=machines or {},
         keeper=files.sbs.keeper,
         alone=files.sbs.alone,
         strict=files.sbs.strict,
@@ -229,6 +240,8 @@ def planned_tasks(
     _take(
         found, legality.check_conditions([*job.pre, *job.post], files.table.variables)
     )
+    if job.cost:
+        _take(found, legality.check_cost(job.cost, files.table.variables))
     tasks: list[legality.Task] = []
     lines = [line for task in job.tasks for line in _lines(task)]
     for wanted, original in lines:

@@ -142,7 +142,8 @@ def set_field(files: DraftFiles, *, task: str, field: str, value: Any) -> None: 
     if in_rmod:
         change_rmod(files, structs.replace(record_of(files, task), **{field: wanted}))
     else:
-        _replace_line(files, line, **{field: wanted})
+        free = {"fixed": False} if field == "rtpu" and wanted is None else {}
+        _replace_line(files, line, **{field: wanted}, **free)
 
 
 def set_parameter(

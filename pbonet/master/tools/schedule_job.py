@@ -23,9 +23,13 @@ from pbonet.master.subsystem import Subsystem
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Callable, Generator, Iterable, Mapping
 
+    from pbonet.config import JobFile
     from pbonet.master.sim import VirtualRtpus
+    from pbonet.svar import Table
+
+    Watch = Callable[[int, str, Table], None]
 
 _LOADS = frozenset({
     legality.Code.OVERLOAD,
@@ -46,6 +50,8 @@ def simulate(
     seed: int = 0,
     assume: float | None = None,
     code: bool = False,
+    rates: Mapping[str, float] | None = None,
+    watch: Watch | None = None,
 ) -> tuple[legality.JobOutcome, list[str]]:
     """Run a job in virtual time; return its schedule and what is to be said.
 
@@ -58,6 +64,9 @@ def simulate(
         seed: Of random ones.
         assume: Share of its period that a cycle of unknown MAXC takes.
         code: Run the modules too.
+        rates: Hz of tasks, in place of those that the job has.
+        watch: Called with `code` after each cycle, with the time in nanoseconds since
+            the start, the task, and the table.
 
     Raises:
         ConfigError: A file is missing or wrong.
@@ -67,6 +76,7 @@ def simulate(
     """
     folders = list(folders)
     files = Files(path, Library(folders))
+    files.job = _at_rates(files.read_job(), rates or {})
     verdict, parts = planned(files, host or here())
     errors = [PbonetError.from_wire(error) for error in parts.errors]
     if len(errors) > 1:
@@ -77,7 +87,9 @@ def simulate(
     verdict.check()
     told = [*parts.warnings, *map(legality.as_text, verdict.warnings)]
     told += [_no_work(task) for task in verdict.after.running if _is_idle(task)]
-    modules = _running(path, folders, told) if code else nullcontext()
+    modules = (
+        _running(path, folders, told, rates or {}, watch) if code else nullcontext()
+    )
     with no_devices(REASON), modules as run:
         outcome = legality.simulate_job(
             verdict.after,
@@ -112,9 +124,22 @@ def without_loads(verdict: legality.Verdict) -> legality.Verdict:
     return structs.replace(verdict, problems=problems)
 
 
+def _at_rates(job: JobFile, rates: Mapping[str, float]) -> JobFile:
+    """Return a job with other frequencies of tasks."""
+    tasks = tuple(
+        structs.replace(task, freq=rates.get(task.rmod, task.freq))
+        for task in job.tasks
+    )
+    return structs.replace(job, tasks=tasks)
+
+
 @contextmanager
 def _running(
-    path: str | Path, folders: list[str | Path], told: list[str]
+    path: str | Path,
+    folders: list[str | Path],
+    told: list[str],
+    rates: Mapping[str, float],
+    watch: Watch | None,
 ) -> Generator[ScheduledModules]:
     """Have a job be ON in virtual time, and give what runs its modules.
 
@@ -124,12 +149,14 @@ def _running(
         path: The ``.job`` file.
         folders: Of module libraries.
         told: Takes what is to be said of the run.
+        rates: Hz of tasks, in place of those that the job has.
+        watch: See `simulate`.
     """
     subsystem = Subsystem(path, libraries=folders, virtual=True, warned=lambda _: None)
     simulation = subsystem.simulation
     assert simulation is not None  # noqa: S101 - it is virtual
     simulation.world.simulated = list(TaskType)
-    job = subsystem.files.read_job()
+    job = _at_rates(subsystem.files.read_job(), rates)
     told += [
         f"the fallback {task.fallback} of {task.rmod} is not simulated"
         for task in job.tasks
@@ -142,7 +169,7 @@ def _running(
         subsystem.task_set.accepted = _LOADS
         subsystem.start()
         try:
-            yield ScheduledModules(simulation)
+            yield ScheduledModules(simulation, watch)
         finally:
             subsystem.stop()
     finally:
@@ -159,8 +186,9 @@ class ScheduledModules:
     nothing here and is not called.
     """
 
-    def __init__(self, rtpus: VirtualRtpus) -> None:
-        self._rtpus = rtpus
+    def __init__(self, rtpus: VirtualRtpus, watch: Watch | None = None) -> None:
+        self._rtpus, self._watch = rtpus, watch
+        (self._table,) = rtpus.world.tables.values()
         self._hosts = {
             host.spec.task: host
             for rtpu in rtpus.rtpus.values()
@@ -189,6 +217,8 @@ class ScheduledModules:
         """Publish the outputs of the cycle that ends."""
         self._rtpus.set_time(BEGIN_NS + now_ns)
         self._hosts[task].local.publish()
+        if self._watch is not None:
+            self._watch(now_ns, task, self._table)
 
 
 def write_svg(outcome: legality.JobOutcome, path: Path, show_ns: int = 0) -> list[Path]:

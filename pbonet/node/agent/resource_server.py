@@ -30,7 +30,7 @@ from pbonet.errors import (
     XmFullError,
     XmLapsedError,
 )
-from pbonet.xm.ipc import mailboxes, names
+from pbonet.xm.ipc import mailboxes, names, overview
 from pbonet.xm.net import (
     FileWrite,
     codec,
@@ -125,6 +125,7 @@ class ResourceServer:
             r.Give: self._give,
             r.Look: self._state_of,
             r.Settle: self._settle,
+            r.Overview: self._list,
             r.Interrupt: self._interrupt,
             **fileserver.operations,
         }
@@ -278,7 +279,7 @@ class ResourceServer:
                     remedy="close those that are no longer needed",
                 )
         thing = _open(kind, name, request.create)
-        settings = {key: int(getattr(thing, key)) for key in _SETTINGS[request.kind]}
+        settings = overview.settings_of(thing)
         with self._change:
             there = client in self._clients and not self._over
             if there:
@@ -405,20 +406,12 @@ class ResourceServer:
     def _state_of(self, request: r.Look) -> r.Seen:
         held = self._begin(request)
         try:
-            thing = held.thing
-            if isinstance(thing, xm.Semaphore):
-                return r.Seen(
-                    waiting=thing.waiting, value=thing.value, holder=thing.holder
-                )
-            return r.Seen(
-                waiting=thing.waiting,
-                value=len(thing),
-                free=thing.free,
-                dropped=thing.dropped,
-                sent=thing.sent,
-            )
+            return overview.state_of(held.thing)
         finally:
             self._end(request, held)
+
+    def _list(self, request: r.Overview) -> list[r.Resource]:
+        return overview.resources(self._domain, self._rtpu, request.kind)
 
     def _interrupt(self, request: r.Interrupt) -> None:
         box = self._name(mailboxes.PREFIX + request.name)
@@ -434,12 +427,6 @@ class ResourceServer:
                 held.gone = True
         finally:
             self._end(request, held)
-
-
-_SETTINGS = {
-    "sem": ("maximum", "binary"),
-    "queue": ("policy", "messages", "blocks", "block"),
-}
 
 
 def _open(kind: Any, name: names.Name, create: dict[str, Any] | None) -> Any:  # noqa: ANN401

@@ -2,6 +2,8 @@ from . import (
     folder_watch as folder_watch,
     mailboxes as mailboxes,
     names as names,
+    overview as overview,
+    remote_channel as remote_channel,
     shm_object_files as shm_object_files,
 )
 from ._ipc import (

@@ -99,6 +99,13 @@ class Look(XmRequest, tag="xm_look"):
     handle: int
 
 
+class Overview(XmRequest, tag="xm_overview"):
+    """List the resources of an RTPU. Result: list of `Resource`."""
+
+    kind: str
+    """``sem``, ``queue`` or ``mailbox``."""
+
+
 class Interrupt(XmRequest, tag="xm_interrupt"):
     """Send a mailbox interrupt. Result: None."""
 
@@ -135,4 +142,28 @@ class Seen(Struct, kw_only=True):
     sent: int = 0
 
 
-AnyXmRequest = Attach | Detach | Take | Settle | Await | Give | Put | Look | Interrupt
+class Resource(Struct, kw_only=True):
+    """A resource of an RTPU and its state."""
+
+    name: str
+    """Name without the RTPU."""
+    kind: str
+    """``sem``, ``queue`` or ``mailbox``."""
+    settings: dict[str, int] = {}
+    seen: Seen | None = None
+    """None: it cannot be used, and `error` has the reason."""
+    error: str = ""
+
+
+AnyXmRequest = (
+    Attach
+    | Detach
+    | Take
+    | Settle
+    | Await
+    | Give
+    | Put
+    | Look
+    | Overview
+    | Interrupt
+)

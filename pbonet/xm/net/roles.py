@@ -16,7 +16,7 @@ from .resource_messages import XmRequest
 LEAVES = ("sbs", "mail", "status")
 _LOOKING = {
     *("hello", "links", "devices", "get", "profile", "display", "modules", "events"),
-    *("xm_stat", "xm_list", "xm_read"),
+    *("xm_stat", "xm_list", "xm_read", "xm_overview"),
 }
 """The ``op`` of requests that change nothing."""
 
@@ -55,8 +55,8 @@ def check(request: m.Request, key: str) -> None:
             "this key accepts only requests that change nothing",
             where=key,
             expected="hello, links, devices, status without reset, profile, "
-            "display, modules, events, get, reading files, and freq, sigmask and job "
-            "without changes",
+            "display, modules, events, get, reading files, lists of resources, and "
+            "freq, sigmask and job without changes",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys; "
             "requests of tasks to the one that ends in mail",

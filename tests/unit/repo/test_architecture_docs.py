@@ -23,7 +23,7 @@ def test_every_room_is_listed():
         face.parent.relative_to(ROOT).as_posix()
         for face in (ROOT / "pbonet").rglob("__init__.py")
         if len(list(face.parent.glob("*.py"))) > 1
-        and face.parents[1] != ROOT / "pbonet" / "modules"
+        and face.parents[1].name not in {"cli", "modules"}
     ]
     listed = set(re.findall(r"`(pbonet/[\w/]+)`", table))
     assert set(rooms) - {"pbonet", "pbonet/svar/pure"} <= listed

@@ -23,7 +23,12 @@ def test_every_operation_and_argument_is_on_the_page(kind):
 
 @pytest.mark.parametrize(
     ("operation", "record"),
-    [("xm_take", r.Took), ("xm_look", r.Seen), ("xm_stat", f.FileSeen)],
+    [
+        ("xm_take", r.Took),
+        ("xm_look", r.Seen),
+        ("xm_overview", r.Resource),
+        ("xm_stat", f.FileSeen),
+    ],
 )
 def test_every_result_is_on_the_page(operation, record):
     words = set(re.findall(r"`(\w+)`", ROWS[operation].split("|")[1]))

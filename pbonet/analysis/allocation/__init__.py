@@ -1,0 +1,8 @@
+"""Which RTPU runs which task: the best assignment under the schedulability test.
+
+No clock, no file, no network; `scipy` (``pip install 'pbonet[plan]'``) solves it.
+"""
+
+from pbonet.lazy import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

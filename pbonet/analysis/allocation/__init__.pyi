@@ -1,0 +1,24 @@
+from .assignment import (
+    FOLLOWS as FOLLOWS,
+    LATENCY as LATENCY,
+    Item as Item,
+    Problem as Problem,
+    allowed as allowed,
+    declared as declared,
+    keeps_deadlines as keeps_deadlines,
+    share as share,
+)
+from .best_assignment import (
+    SECONDS as SECONDS,
+    Assignment as Assignment,
+    assign as assign,
+)
+from .data_flow import Chain as Chain, Cost as Cost, Flow as Flow
+from .no_assignment import FIXED as FIXED
+from .rate_choice import (
+    Fit as Fit,
+    best_periods as best_periods,
+    fitted as fitted,
+    harmonic as harmonic,
+    rounded_down as rounded_down,
+)

@@ -1,0 +1,1 @@
+"""Verbs that plan a job: where its tasks run, and how often."""

@@ -1,0 +1,1 @@
+"""Verbs of express mail: semaphores, queues, mailboxes and files of all machines."""

@@ -1,0 +1,52 @@
+"""Writes rates into a job, and sets them in the running subsystem."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PbonetError
+from pbonet.master.console import oneshot
+from pbonet.master.editing import JobEditor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from pbonet.master.configuration import Place
+
+    from .tune_job import Tuning
+
+
+def draft(
+    job: str | Path, rates: Mapping[str, float], libraries: Iterable[str | Path] = ()
+) -> JobEditor:
+    """Return an editor of a job with other rates of tasks; nothing is saved."""
+    editor = JobEditor(job, libraries)
+    for task, hz in rates.items():
+        editor.set_field(task, "freq", hz)
+    return editor
+
+
+def set_rates(job: str | Path, found: Tuning, place: Place) -> list[tuple[str, float]]:
+    """Set the rates of running tasks; return those that were set.
+
+    Tasks that become slower go first, so that no RTPU has too much in between. If one
+    is refused, those that were set get their former rate again.
+
+    Raises:
+        PbonetError: One is refused.
+    """
+    before = found.present.rates
+    order = sorted(found.rates.items(), key=lambda pair: pair[1] / before[pair[0]])
+    done: list[tuple[str, float]] = []
+    try:
+        for task, hz in order:
+            oneshot.run(job, "freq", {"task": task, "hz": hz}, place)
+            done.append((task, hz))
+    except BaseException as error:
+        for task, _ in reversed(done):
+            oneshot.run(job, "freq", {"task": task, "hz": before[task]}, place)
+        if isinstance(error, PbonetError) and done:
+            error.add_note("the tasks have their former rates again")
+        raise
+    return done

@@ -1,0 +1,158 @@
+"""Runs of a job in virtual time with given rates: their errors, as a process.
+
+The process reads a `Wish` from each line of its standard input and answers with a
+`Seen`. Several of them use all cores; what one leaves that is ended is in the folder of
+its shared memory, which its parent removes.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from pbonet.analysis import legality
+from pbonet.config import Condition, cost_of
+from pbonet.errors import PbonetError, WireError
+from pbonet.master.tools import schedule_job
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pbonet.config import Variable
+    from pbonet.svar import Table
+
+INSTANTS = 4000
+"""Instants at which the error is taken, evenly spread over the run."""
+
+
+class Wish(Struct, frozen=True, kw_only=True):
+    """A run that is wanted."""
+
+    job: str
+    rates: dict[str, float]
+    """Hz of tasks, in place of those that the job has."""
+    cost: str
+    seconds: float
+    settle: float
+    """Seconds before the error counts."""
+    libraries: list[str] = []
+    host: str = ""
+    assume: float | None = None
+
+
+class Seen(Struct, frozen=True, kw_only=True):
+    """The result of a run."""
+
+    error: float = 0.0
+    missing: list[str] = []
+    """Tasks that missed deadlines."""
+    fault: WireError | None = None
+    """Why there is no result."""
+
+
+def measured(wish: Wish) -> Seen:
+    """Run a job and return its error.
+
+    Raises:
+        PbonetError: It cannot be simulated.
+    """
+    cost = Condition(wish.cost)
+    mean, parsed = cost_of(cost)
+    watch = _Watch(parsed.variables)
+    outcome, _ = schedule_job.simulate(
+        wish.job,
+        wish.settle + wish.seconds,
+        wish.libraries,
+        host=wish.host,
+        assume=wish.assume,
+        code=True,
+        rates=wish.rates,
+        watch=watch,
+    )
+    begin, end = wish.settle * 1e9, (wish.settle + wish.seconds) * 1e9
+    at = np.linspace(begin, end, INSTANTS, endpoint=False)
+    columns = {name: watch.values_at(name, at) for name in parsed.variables}
+    table = watch.variables
+    found = np.array([
+        legality.amounts(cost, table, {n: rows[i] for n, rows in columns.items()})
+        for i in range(INSTANTS)
+    ])
+    return Seen(error=MEANS[mean](found), missing=sorted(outcome.missing))
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    return float(np.mean(np.abs(values)))
+
+
+def _peak(values: NDArray[np.float64]) -> float:
+    return float(np.max(np.abs(values)))
+
+
+MEANS = {"rms": _rms, "mean": _mean, "peak": _peak}
+"""The means of a COST line."""
+
+
+class _Watch:
+    """Keeps the values of variables whenever they change.
+
+    Args:
+        names: The variables.
+    """
+
+    def __init__(self, names: list[str]) -> None:
+        self._times: dict[str, list[int]] = {name: [] for name in names}
+        self._values: dict[str, list[NDArray[np.float64]]] = {n: [] for n in names}
+        self.variables: list[Variable] = []
+
+    def __call__(self, now_ns: int, task: str, table: Table) -> None:
+        """Take the values after a cycle."""
+        del task
+        if not self.variables:
+            self.variables = [table.variable(name) for name in self._times]
+        for name, kept in self._values.items():
+            value = np.array(table.read(name), np.float64).reshape(-1)
+            if not kept or not np.array_equal(value, kept[-1]):
+                self._times[name].append(now_ns)
+                kept.append(value)
+
+    def values_at(self, name: str, at_ns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the value at each instant; the first one before that."""
+        if not self._values[name]:
+            raise _nothing_ran(name)
+        newest = np.searchsorted(self._times[name], at_ns, side="right") - 1
+        return np.array(self._values[name])[np.maximum(newest, 0)]
+
+
+def _nothing_ran(name: str) -> PbonetError:
+    return PbonetError(
+        "no cycle ended in the run, so there is no error",
+        where=name,
+        remedy="run it for longer: --seconds",
+    )
+
+
+def main() -> None:
+    """Do the runs that standard input describes."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what modules print is no answer
+    for line in sys.stdin.buffer:
+        wish = msgspec.json.decode(line, type=Wish)
+        try:
+            seen = measured(wish)
+        except PbonetError as error:
+            seen = Seen(fault=error.to_wire())
+        answers.write(msgspec.json.encode(seen) + b"\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""``pbonet tune``: errors of a job in virtual time, and the rates that are proposed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from chain_job import chain_job
+
+from pbonet.analysis.schedule import dataflow
+from pbonet.config import read_job
+from pbonet.errors import PbonetError, VerificationError
+from pbonet.master.configuration import Place, check_file
+from pbonet.master.console import oneshot
+from pbonet.master.planning import apply_rates, tune
+from pbonet.master.planning.parallel_runs import parallel_runs
+from pbonet.master.planning.virtual_run import Wish, measured
+
+pytest.importorskip("scipy")
+MS = 1_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("a_first", [True, False])
+def test_figure_6_5_by_a_job(tmp_path, a_first):
+    """The job's error is that of the schedule alone, whose curves the page has.
+
+    The ideal output of the job is a staircase of a millisecond.
+    """
+    job = chain_job(tmp_path, a_first=a_first)
+    for period in (20, 70, 100):
+        wish = Wish(
+            job=str(job),
+            rates={"b": 1000 / period},
+            cost="mean(Y - S)",
+            seconds=2.5,
+            settle=0.7,
+        )
+        seen = measured(wish)
+        (wanted,) = dataflow.errors([period * MS], a_first=a_first, seconds=2.5)
+        assert not seen.missing
+        assert seen.error == pytest.approx(wanted, rel=0.04)
+
+
+@pytest.mark.slow
+def test_rates_are_proposed_drawn_and_written(tmp_path, call):
+    pytest.importorskip("matplotlib")
+    job, plot = chain_job(tmp_path), tmp_path / "tune.svg"
+    words = ["tune", job, "--keep", "sense", "--factor", 0.7, "--factor", 2]
+    words += ["--seconds", 1.3, "--settle", 0.3, "--limit", 0.3, "--svg", plot, "--write"]
+    status, out, err = call(*words, "--json")
+    assert status == 0, err
+    data = json.loads(out)
+    runs = data["runs"]
+    assert {one["why"] for one in runs} == {"present", "grid", "fit", "harmonic"}
+    assert runs[0]["loads"]["arm"] == pytest.approx(0.2)
+    assert not any(one["allowed"] for one in runs if one["loads"]["arm"] > 0.301)
+    allowed = [one["error"] for one in runs if one["allowed"]]
+    assert data["best"]["error"] == min(allowed) < data["present"]["error"]
+    assert data["best"]["loads"]["arm"] <= 0.301
+    assert plot.read_text().startswith("<?xml")
+    rates = {one.rmod: one.freq for one in read_job(job).tasks if one.freq}
+    assert rates == data["rates"] != {}
+    assert "# samples" in job.read_text()
+    assert check_file(job).legal
+
+
+@pytest.mark.slow
+def test_what_an_interrupt_ends_leaves_nothing(tmp_path):
+    def stop(_done, _every):
+        raise KeyboardInterrupt
+
+    wish = Wish(
+        job=str(chain_job(tmp_path)),
+        rates={},
+        cost="mean(Y - S)",
+        seconds=0.2,
+        settle=0.0,
+    )
+    with pytest.raises(KeyboardInterrupt), parallel_runs(stop) as runs:
+        folder, processes = runs._folder, runs._processes
+        runs.results([wish] * 9)
+    assert not folder.exists()
+    assert processes
+    assert all(one.poll() is not None for one in processes)
+
+
+def test_what_cannot_be_tuned_is_refused(tmp_path, call):
+    job = chain_job(tmp_path)
+    text = job.read_text()
+    with pytest.raises(PbonetError, match="did you mean sense"):
+        tune(job, Place(), keep=["sens"])
+    with pytest.raises(VerificationError, match="no task is left"):
+        tune(job, Place(), keep=["sense", "a", "b"])
+    with pytest.raises(PbonetError, match="Z, which the table does not have"):
+        tune(job, Place(), cost="mean(Y - Z)")
+    with pytest.raises(PbonetError, match=r"COST is malformed .* rms\(X\)"):
+        tune(job, Place(), cost="sum(Y)")
+    job.write_text(text.replace("COST mean(Y - S)\n", ""))
+    with pytest.raises(PbonetError, match="does not say which error is to be small"):
+        tune(job, Place())
+    job.write_text(text.replace("(Y - S)", "(Y - Q)"))
+    found = check_file(job)
+    assert "names Q, which the table does not have" in found.errors[0]["what"]
+    assert found.errors[0]["where"].endswith("chain.job:4:15")
+    assert call("tune", job, "--write", "--apply")[0] == 2
+    assert call("tune", job, "--dry-run")[0] == 2
+
+
+def test_slower_tasks_are_set_first_and_a_refusal_is_taken_back(monkeypatch):
+    class Present:
+        rates = {"fast": 100.0, "slow": 100.0, "last": 100.0}
+
+    class Found:
+        rates = {"fast": 200.0, "slow": 10.0, "last": 300.0}
+        present = Present()
+
+    asked = []
+
+    def run(_job, command, args, _place):
+        asked.append((command, args["task"], args["hz"]))
+        if args["hz"] == refused:
+            raise PbonetError("no")
+
+    monkeypatch.setattr(oneshot, "run", run)
+    refused = None
+    done = apply_rates.set_rates("x.job", Found(), Place())
+    assert done == [("slow", 10.0), ("fast", 200.0), ("last", 300.0)]
+    asked.clear()
+    refused = 300.0
+    with pytest.raises(PbonetError, match="no") as caught:
+        apply_rates.set_rates("x.job", Found(), Place())
+    assert caught.value.__notes__ == ["the tasks have their former rates again"]
+    assert asked[3:] == [("freq", "fast", 100.0), ("freq", "slow", 100.0)]
