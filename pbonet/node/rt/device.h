@@ -13,7 +13,7 @@
 #ifndef PBONET_DEVICE_H
 #define PBONET_DEVICE_H
 
-#include "watch.h"
+#include "wait.h"
 
 /* An event has come: a new cycle, with reserves of its own. */
 static inline void rt_attend(struct rt_table *t, int i, struct rt_state *s, int64_t event)
@@ -42,6 +42,7 @@ static inline void rt_attended(struct rt_table *t, int i, struct rt_state *s, in
     s->late = s->spent = s->handling = s->owed = s->overrun = 0;
     atomic_store(&t->slots[i].grant.owed, 0);
     rt_set_rank(t, i, s, s->crit);
+    rt_waits(s, now);
 }
 
 /* Read whether a cycle has begun or ended. */
@@ -69,7 +70,7 @@ static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, in
                                rt_cpu_fn cpu)
 {
     if (!s->overrun)
-        rt_overruns(s, cpu(&t->slots[i]));
+        rt_overruns(s, cpu(&t->slots[i], 0));
     s->dl_ns += ((now - s->dl_ns) / s->period + 1) * s->period;
     s->late = 1;
     rt_fail(t, i, s, RT_DEADLINE, now, 1);

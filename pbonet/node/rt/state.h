@@ -55,7 +55,7 @@ static inline void rt_disarm(struct rt_state *s)
     s->overrun = 0;
     s->level = 0;
     s->rank = s->crit;
-    s->next_ns = s->check_ns = 0;
+    s->next_ns = s->check_ns = s->wait_ns = 0;
 }
 
 /* End the cycle, and with it what was watched about it. */

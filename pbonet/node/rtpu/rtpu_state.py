@@ -573,6 +573,8 @@ class Rtpu:
                 for task in self.tasks.values()
             ]
             self._timing_failures.report_new(self.core.status(), tasks)
+            if any(slot.in_sync and slot.mode is Mode.ON for _, slot in tasks):
+                self.core.kick()  # in its turns it reads what waits have used
             self._waiting_cycles.check(tasks)
             self._scheduling.check(tasks)
             self._end_crowds()

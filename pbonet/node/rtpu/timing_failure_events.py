@@ -60,14 +60,16 @@ class TimingFailureEvents:
         self._check_core(core)
 
     def _report_hung(self, task: Task, slot: SlotStatus) -> None:
-        """Report a cycle that does not return."""
+        """Report a cycle, or a `sync`, that does not return."""
+        what = "`sync`" if slot.in_sync else "a cycle"
+        until = "an event comes" if slot.in_sync else "it does"
+        remedy = "let it block" if slot.in_sync else "see what it waits for"
         self._events.add(
             Severity.ERROR,
             "HANGS",
-            f"a cycle of module {task.facts.rmod.module} has taken "
-            f"{slot.cpu_now_ns / 1e9:.2f} s of CPU time and does not return; until it "
-            "does, all other tasks go first; see what it waits for, or kill "
-            f"{task.name}",
+            f"{what} of module {task.facts.rmod.module} has taken "
+            f"{slot.cpu_now_ns / 1e9:.2f} s of CPU time and does not return; until "
+            f"{until}, all other tasks go first; {remedy}, or kill {task.name}",
             subsystem=task.facts.subsystem,
             task=task.name,
             cycle=slot.cycles - slot.on_cycles,

@@ -1,0 +1,18 @@
+"""Computes in `sync`, where it should wait."""
+
+from typing import Annotated as A
+
+from pbonet import OutVar, PortBasedObject, Vector
+
+
+class HangsInSync(PortBasedObject):
+    """Never comes back from its third `sync`."""
+
+    y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+    def sync(self) -> None:
+        while self.y[0] == 2.0:
+            pass
+
+    def cycle(self, dt: float) -> None:
+        self.y[0] += 1.0
