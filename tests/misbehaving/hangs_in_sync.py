@@ -10,8 +10,12 @@ class HangsInSync(PortBasedObject):
 
     y: A[Vector, OutVar("Y", "2", "none", "cycles")]
 
+    def init(self) -> None:
+        self._waits = 0
+
     def sync(self) -> None:
-        while self.y[0] == 2.0:
+        self._waits += 1
+        while self._waits == 3:
             pass
 
     def cycle(self, dt: float) -> None:

@@ -43,6 +43,7 @@ enum {
 #define RT_MARGIN_NS INT64_C(20000)      /* minimum time ahead of a timer */
 #define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
 #define RT_WAIT_SPAN 10     /* a wait hangs that uses `hang` within so many times that */
+#define RT_FLOOD 10          /* so many times as often as declared is a flood of events */
 #define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
 #define RT_STALL_NS INT64_C(20000000)
 #define RT_HANG_NS INT64_C(100000000)    /* default of `hang_ns` */
@@ -127,6 +128,7 @@ struct rt_grant {
     _Atomic int32_t level;              /* likewise */
     _Atomic uint32_t life;              /* the life that the dispatcher serves */
     _Atomic uint32_t fell;              /* a standby of this task is engaged at once */
+    _Atomic uint32_t flooded;           /* events come without end, so `hung` is set, too */
     _Atomic uint32_t hung;              /* a cycle or `sync` does not return: others go first */
 };
 
@@ -157,6 +159,9 @@ struct rt_state {
     int64_t wait_mark;                  /* CPU clock then; -1: not read yet */
     uint32_t wait_events;               /* `post.events` at that time */
     uint8_t wait_main;                  /* the clock is that of the main thread alone */
+    uint8_t flooded;                    /* a device's events come far too often */
+    uint32_t early;                     /* how many came early ... */
+    int64_t early_from_ns;              /* ... since then */
     int64_t left;                       /* of a server's capacity */
     int64_t event_ns;
     uint64_t failures[RT_FAILURES], overruns, held_off;

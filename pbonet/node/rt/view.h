@@ -12,7 +12,7 @@ struct rt_section_view {
 
 struct rt_view {
     int life, dead, pid, kind, crit, priority, mode, level;
-    int rank, drop, handler, tells, hangs, hung, in_sync, comes, called, fell, n_sections;
+    int rank, drop, handler, tells, hangs, hung, flooded, in_sync, comes, called, fell, n_sections;
     int restarted;                      /* the extremes may lack cycles since `on` */
     int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
@@ -82,6 +82,7 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     v->held_off = rt_get(&g->held_off);
     v->hangs = atomic_load(&slot->post.locked) == RT_HANDLER_HANGS;
     v->in_sync = v->kind != RT_PERIODIC && !(atomic_load(&slot->post.events) & 1);
+    v->flooded = atomic_load(&slot->grant.flooded) != 0;
     v->hung = atomic_load(&slot->grant.hung) != 0;
     for (int k = 0; k < RT_FAILURES; k++)
         v->failures[k] = rt_get(&g->failures[k]);

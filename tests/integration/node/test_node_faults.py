@@ -550,18 +550,25 @@ def test_an_event_that_does_not_end_blocks_nobody(arm, kind):
 
 
 @pytest.mark.parametrize(
-    ("scheduler", "kind"),
-    [("MUF", "synchronous"), ("EDF", "synchronous"), ("RM", "sporadic")],
+    ("scheduler", "module", "kind"),
+    [
+        ("MUF", "hangs_in_sync", "synchronous"),
+        ("EDF", "hangs_in_sync", "synchronous"),
+        ("RM", "hangs_in_sync", "sporadic"),
+        ("MUF", "never_waits", "synchronous"),
+    ],
 )
-def test_a_sync_that_does_not_end_blocks_nobody(nodes, scheduler, kind):
+def test_a_sync_that_computes_or_does_not_wait_blocks_nobody(
+    nodes, scheduler, module, kind
+):
     """It has a higher rate than the other task, so it comes first until it hangs."""
     nodes.agent("arm0")
     arm = nodes.master("arm0", "arm", scheduler=scheduler)
     arm.spawn("good", "counts", out="Y7", freq=40.0)
-    text = rmod("hangs_in_sync", freq=100.0).replace("periodic", kind)
+    text = rmod(module, freq=100.0).replace("periodic", kind)
     if kind == "sporadic":
         text = text.replace("FREQ 100\n", "FREQ 100\nCAPACITY 0.002\n")
-    tid = arm.spawn("bad", "hangs_in_sync", text=text).tid
+    tid = arm.spawn("bad", module, text=text).tid
     arm.on("good")
     arm.on("bad")
     assert arm.wait_event("HANGS", "bad").text.startswith("`sync` of module")
