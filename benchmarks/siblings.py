@@ -94,7 +94,7 @@ def beside(
             subsystem.control(module, "on")
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        subsystem.wait(0.2)
+        subsystem.wait(0.02)  # events without end fill the trace in 0.1 s
         watched.look()
     if module:
         with contextlib.suppress(PbonetError):  # it is dead, or its end failed
@@ -124,10 +124,11 @@ def main() -> None:
                     counts = beside(subsystem, folder, module, asked.seconds)
                     found[module or "nothing"] = counts
     print(rtbench.machine())
-    print(f"{'beside':20} {'releases':>9} {'lost':>5} {'excused':>8}")
+    print(f"{'beside':20} {'releases':>9} {'lost':>5} {'excused':>8} {'untraced':>9}")
     for module, counts in found.items():
         numbers = counts["releases"], counts[swap.LOST], counts[swap.EXCUSED]
-        print(f"{module:20} {numbers[0]:9} {numbers[1]:5} {numbers[2]:8}")
+        print(f"{module:20} {numbers[0]:9} {numbers[1]:5} {numbers[2]:8} "
+              f"{counts['records lost']:9}")  # fmt: skip
     if asked.json:
         asked.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
     if any(counts[swap.LOST] for counts in found.values()):
