@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
-from pbonet import shm
 from pbonet.errors import PbonetError, Severity, XmError
 from pbonet.node.wire import rtpu_messages
 from pbonet.tbuf import CARER, READER, WRITER, Buffer, places
-from pbonet.xm.ipc import folder_watch, names
+from pbonet.xm.ipc import names
 from pbonet.xm.net import direct, key_expressions
 
 from .link_ends import Receiver, Sender
@@ -99,7 +98,7 @@ class Links:
         self._later: dict[str, float] = {}
         self._there: dict[str, RemoteUsers] = {}
         self._guard = threading.Lock()
-        self._folder = folder_watch.Waiting(str(shm.folder()))
+        self._folder = places.waiting()
         self._over = self._closed = False
         self._subscriber = session.liveliness().declare_subscriber(
             key_expressions.all_links(domain),
