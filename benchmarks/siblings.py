@@ -30,11 +30,12 @@ from pbonet.master.subsystem.embedded_agents import Embedded
 MODULES = Path(__file__).parents[1] / "tests" / "misbehaving"
 RATE = 500.0
 BAD = (
-    "hangs_in_cycle", "hangs_in_c", "overruns", "blocks_signals", "waits_in_cycle",
-    "leaves_threads",
-    "leaves_children", "forks_without_end", "eats_memory", "takes_over", "keeps_views",
-    "prints_a_lot", "warns_always", "raises_in_cycle", "segfaults", "dies_by_sigkill",
+    "hangs_in_cycle", "hangs_in_c", "hangs_in_sync", "never_waits", "overruns",
+    "blocks_signals", "waits_in_cycle", "leaves_threads", "leaves_children",
+    "forks_without_end", "eats_memory", "takes_over", "keeps_views", "prints_a_lot",
+    "warns_always", "raises_in_cycle", "segfaults", "dies_by_sigkill",
 )  # fmt: skip
+SYNCHRONOUS = {"hangs_in_sync", "never_waits"}
 HEALTHY = "healthy"
 RTPU = "bench0"
 RMOD = """\
@@ -45,7 +46,7 @@ INCONST   {inconst}
 OUTCONST  none
 INVAR     {invar}
 OUTVAR    {outvar}
-TASKTYPE  periodic
+TASKTYPE  {kind}
 FREQ      {rate:g}
 {more}
 EOF
@@ -65,7 +66,7 @@ def write_files(folder: Path) -> Path:
         "b.sbs": f"SUBSYSTEM b\nSVARFILE b.svar\nRTPU {RTPU}\nEOF\n",
         f"{HEALTHY}.rmod": RMOD.format(
             module="sine", alias="SVARALIAS Y=P\nSVARALIAS Y^=V", inconst="NDOF",
-            invar="none", outvar="Y Y^", rate=RATE,
+            invar="none", outvar="Y Y^", rate=RATE, kind="periodic",
             more="LOCAL\nAMPLITUDE 1\nFREQ 1",
         ),
     }  # fmt: skip
@@ -75,6 +76,7 @@ def write_files(folder: Path) -> Path:
         files[f"{module}.rmod"] = RMOD.format(
             module=module, alias="", inconst="none", invar="Z" if reads else "none",
             outvar="Y", rate=100.0, more=more.get(module, ""),
+            kind="synchronous" if module in SYNCHRONOUS else "periodic",
         )  # fmt: skip
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -92,7 +94,7 @@ def beside(
             subsystem.control(module, "on")
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        subsystem.wait(0.2)
+        subsystem.wait(0.02)  # events without end fill the trace in 0.1 s
         watched.look()
     if module:
         with contextlib.suppress(PbonetError):  # it is dead, or its end failed
@@ -122,10 +124,11 @@ def main() -> None:
                     counts = beside(subsystem, folder, module, asked.seconds)
                     found[module or "nothing"] = counts
     print(rtbench.machine())
-    print(f"{'beside':20} {'releases':>9} {'lost':>5} {'excused':>8}")
+    print(f"{'beside':20} {'releases':>9} {'lost':>5} {'excused':>8} {'untraced':>9}")
     for module, counts in found.items():
         numbers = counts["releases"], counts[swap.LOST], counts[swap.EXCUSED]
-        print(f"{module:20} {numbers[0]:9} {numbers[1]:5} {numbers[2]:8}")
+        print(f"{module:20} {numbers[0]:9} {numbers[1]:5} {numbers[2]:8} "
+              f"{counts['records lost']:9}")  # fmt: skip
     if asked.json:
         asked.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
     if any(counts[swap.LOST] for counts in found.values()):

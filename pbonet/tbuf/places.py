@@ -208,6 +208,11 @@ class StandingLinks:
         return self._found
 
 
+def waiting() -> folder_watch.Waiting:
+    """Return what waits until a link is made or removed on this machine."""
+    return folder_watch.Waiting(str(shm.folder()))
+
+
 def sweep(domain: str) -> list[str]:
     """Remove the unused links of a domain; return their names."""
     swept: list[str] = []

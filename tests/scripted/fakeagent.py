@@ -127,6 +127,7 @@ class FakeAgent:
         self.late: list[dict[str, list[float]]] = []
         """What has not come here yet: older values, for one look each."""
         self.executed: dict[str, bytes] = {}
+        self.executing: dict[str, threading.Lock] = {}
         self.requests: list[m.Request] = []
         self.standing: list[m.Standing] = []
         self.codec = codec.Codec()
@@ -184,16 +185,18 @@ class FakeAgent:
             return
 
     def answer(self, data: bytes) -> bytes:
+        """Return the answer; a request that is sent again meanwhile is done once."""
         request = self.codec.request(data)
-        if request.id not in self.executed:
-            self.requests.append(request)
-            try:
-                result = self.do(request)
-                answer = m.Answer(id=request.id, ok=True, result=result)
-            except PbonetError as error:
-                answer = codec.failure(error, request.id)
-            self.executed[request.id] = self.codec.pack(answer)
-        return self.executed[request.id]
+        with self.executing.setdefault(request.id, threading.Lock()):
+            if request.id not in self.executed:
+                self.requests.append(request)
+                try:
+                    result = self.do(request)
+                    answer = m.Answer(id=request.id, ok=True, result=result)
+                except PbonetError as error:
+                    answer = codec.failure(error, request.id)
+                self.executed[request.id] = self.codec.pack(answer)
+            return self.executed[request.id]
 
     def do(self, request: m.Request) -> object:
         op = type(request).__struct_config__.tag

@@ -111,6 +111,17 @@ def test_agent_that_gives_no_sign_of_life_is_found_out(client, agents, timeout):
     )
 
 
+def test_what_is_sent_again_while_it_is_carried_out_is_done_once(
+    client, agents, monkeypatch
+):
+    """As by an agent; else a test would see a signal twice on a machine that stalls."""
+    monkeypatch.setattr(rpc, "ASK_TIME", 0.1)
+    agents["arm0"].slow["claim"] = 0.5
+    client.call("arm0", m.Claim(subsystem="arm"), m.Claimed)
+    ids = [one.id for one in agents["arm0"].requests if isinstance(one, m.Claim)]
+    assert len(ids) == 1
+
+
 def test_silent_agent_is_not_asked_again_at_once_but_for_a_stop(
     client, agents, monkeypatch
 ):

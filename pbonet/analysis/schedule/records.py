@@ -163,7 +163,11 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     hangs: bool
     """The task ended itself because its failure handler did not return."""
     hung: bool
-    """Its cycle does not return; until it does, all other tasks go first."""
+    """Its cycle or `sync` does not return; until it does, all other tasks go first."""
+    flooded: bool
+    """Events come far more often than declared; `hung` is set, too."""
+    in_sync: bool
+    """It is timed by events, and is in `sync`."""
     sections: tuple[Section, ...]
 
 

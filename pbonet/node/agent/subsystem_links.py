@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 LOOK = 0.1
-"""Seconds between checks of the links of this machine."""
+"""Seconds between checks of the links that are served."""
+SELDOM = 10.0
+"""The same without links: a new one wakes the agent, unless the folder was replaced."""
 YIELD = 1.0
 """Seconds until a link that another agent serves is tried again."""
 
@@ -96,8 +98,8 @@ class Links:
         self._later: dict[str, float] = {}
         self._there: dict[str, RemoteUsers] = {}
         self._guard = threading.Lock()
-        self._news = threading.Event()
-        self._over = False
+        self._folder = places.waiting()
+        self._over = self._closed = False
         self._subscriber = session.liveliness().declare_subscriber(
             key_expressions.all_links(domain),
             direct(self._on_token),
@@ -111,10 +113,13 @@ class Links:
     def stop(self) -> None:
         """Stop serving links; unused files are removed."""
         self._over = True
-        self._news.set()
+        self._folder.wake()
         self._thread.join()
         with contextlib.suppress(zenoh.ZError):
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        with self._guard:
+            self._closed = True
+            self._folder.close()
         for text in list(self._cares):
             self._drop(text)
         places.sweep(self._domain)
@@ -138,7 +143,8 @@ class Links:
                 (there.sources.add if came else there.sources.discard)(pair)
             if not there.sinks and not there.sources:
                 del self._there[text]
-        self._news.set()
+            if not self._closed:
+                self._folder.wake()
 
     def _elsewhere(self, text: str) -> RemoteUsers:
         with self._guard:
@@ -149,15 +155,23 @@ class Links:
 
     def _work(self) -> None:
         while not self._over:
-            self._news.clear()
+            pause = LOOK
             try:
                 self._scan()
+                pause = self._pause()
             except OSError:  # for example if the shared memory folder is removed
                 log.exception("%s: links cannot be served", self._name)
-            self._news.wait(LOOK)
+            self._folder.wait(pause)
+
+    def _pause(self) -> float:
+        """Return the seconds until the next check, if nothing happens before."""
+        busy = self._cares or self._later or not self._folder.hears
+        return LOOK if busy else SELDOM
 
     def _scan(self) -> None:
         standing = self._standing.names()
+        for text in self._later.keys() - set(standing):
+            del self._later[text]
         for text in standing:
             if text not in self._cares:
                 self._adopt(text)

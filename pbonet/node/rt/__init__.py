@@ -44,4 +44,3 @@ from ._rt import (
     set_timer_slack as set_timer_slack,
     thread_cpu_ns as thread_cpu_ns,
 )
-from .cpu_idle_states import IdleStateLock as IdleStateLock

@@ -165,6 +165,8 @@ class CoreTable:
         """Report to the dispatcher that the task's process is gone."""
     def relevel(self) -> None:
         """Ask the dispatcher to set the levels of all tasks again."""
+    def kick(self) -> None:
+        """Have the dispatcher take a turn now."""
     def reap(self) -> None:
         """Free the slots of other RTPUs that ended together with their tasks."""
     def find(self, rtpu: str, task: str) -> int | None:

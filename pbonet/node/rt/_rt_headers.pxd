@@ -180,7 +180,7 @@ cdef extern from "view.h" nogil:
         uint64_t count, total_ns, min_ns, max_ns
     struct rt_view:
         int life, dead, pid, kind, crit, priority, mode, level
-        int rank, drop, handler, tells, hangs, hung, comes, called, fell, n_sections
+        int rank, drop, handler, tells, hangs, hung, flooded, in_sync, comes, called, fell, n_sections
         int restarted
         int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns
         uint64_t dispatcher_missed, errors, overruns, held_off

@@ -102,6 +102,9 @@ cdef class CoreTable:
     def relevel(self) -> None:
         rt_relevel(self.open())
 
+    def kick(self) -> None:
+        rt_kick(self.open())
+
     def reap(self) -> None:
         rt_reap_others(self.t, self.map.member)
 
@@ -240,7 +243,7 @@ cdef class CoreTable:
             overruns=v.overruns, held_off=v.held_off, aborted=v.aborted,
             skipped=v.skipped, handlers=v.handlers, stale_failures=v.stale_failures,
             delivery_last_ns=v.delivery_last_ns, delivery_max_ns=v.delivery_max_ns,
-            hangs=bool(v.hangs), hung=bool(v.hung), sections=tuple([
+            hangs=bool(v.hangs), hung=bool(v.hung), flooded=bool(v.flooded), in_sync=bool(v.in_sync), sections=tuple([
                 Section(v.sections[k].name.decode(errors="replace"), v.sections[k].count,
                         v.sections[k].total_ns, v.sections[k].min_ns,
                         v.sections[k].max_ns) for k in range(v.n_sections)]))

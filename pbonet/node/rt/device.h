@@ -4,7 +4,9 @@
  * early: the deadline is then computed as if the event had come on time, so that in no
  * interval does the task demand more than a periodic one of its period. An event more than
  * half a period early was not accounted for in the analysis: its cycle gets the criticality
- * of a task that has used up its reserve.
+ * of a task that has used up its reserve. If RT_FLOOD times as many come as were declared,
+ * the device is not the one that was declared, or `sync` returns without an event: then the
+ * task has no level, as one that hangs, until fewer come.
  *
  * While the task waits it keeps its last deadline, which has passed when the next event is
  * expected, so it goes first among its equals when it wakes up. A task whose device has
@@ -13,7 +15,23 @@
 #ifndef PBONET_DEVICE_H
 #define PBONET_DEVICE_H
 
-#include "watch.h"
+#include "wait.h"
+
+/* Count an early event. A task is judged by the last ten periods, or `hang` if that is
+ * longer. */
+static inline void rt_count_early(struct rt_state *s, int64_t event)
+{
+    int64_t window = s->period * 10 > s->hang ? s->period * 10 : s->hang;
+    int64_t most = window / s->period * RT_FLOOD, took = event - s->early_from_ns;
+    if (s->early && took < window) {
+        s->early++;
+        s->flooded |= s->early >= most;
+        return;
+    }
+    s->flooded = s->flooded && s->early >= most && took < 2 * window;
+    s->early = 1;
+    s->early_from_ns = event;
+}
 
 /* An event has come: a new cycle, with reserves of its own. */
 static inline void rt_attend(struct rt_table *t, int i, struct rt_state *s, int64_t event)
@@ -24,10 +42,14 @@ static inline void rt_attend(struct rt_table *t, int i, struct rt_state *s, int6
     atomic_store(&t->slots[i].grant.owed, 0);
     s->mark = -1;               /* its CPU clock at this point is not known yet */
     s->spent = expected - event > s->period / 2;
-    if (s->spent)
+    if (s->spent) {
         s->overruns++;
-    else
+        rt_count_early(s, event);
+    } else {
         s->rel_ns = event > expected ? event : expected;
+        if (event - s->early_from_ns > 20 * s->period + 2 * s->hang)
+            s->flooded = 0;
+    }
     s->dl_ns = s->period + (s->spent ? expected : s->rel_ns);
     if (s->deadline)
         s->next_ns = event + s->deadline;
@@ -42,6 +64,7 @@ static inline void rt_attended(struct rt_table *t, int i, struct rt_state *s, in
     s->late = s->spent = s->handling = s->owed = s->overrun = 0;
     atomic_store(&t->slots[i].grant.owed, 0);
     rt_set_rank(t, i, s, s->crit);
+    rt_waits(s, now);
 }
 
 /* Read whether a cycle has begun or ended. */
@@ -61,6 +84,10 @@ static inline void rt_latch_device(struct rt_table *t, int i, struct rt_state *s
     s->active = heard & 1;
     if (!s->active)
         rt_attended(t, i, s, now);
+    if (s->flooded) {
+        s->overrun = RT_HUNG;
+        rt_emit(t, RT_BEGUN, i, RT_HUNG, 0, 0);
+    }
     s->fresh = 1;
 }
 
@@ -69,7 +96,7 @@ static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, in
                                rt_cpu_fn cpu)
 {
     if (!s->overrun)
-        rt_overruns(s, cpu(&t->slots[i]));
+        rt_overruns(s, cpu(&t->slots[i], 0));
     s->dl_ns += ((now - s->dl_ns) / s->period + 1) * s->period;
     s->late = 1;
     rt_fail(t, i, s, RT_DEADLINE, now, 1);

@@ -115,6 +115,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     s->dl_ns = RT_NEVER;
     s->left = s->maxc;
     s->mark = -1;
+    rt_waits(s, now);
     if (s->kind == RT_SYNCHRONOUS) {
         s->rel_ns = now - s->period;    /* an event may come at once */
         s->next_ns = s->deadline ? now + s->deadline : 0;
@@ -156,7 +157,8 @@ static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s,
 }
 
 /* Read whether a server has begun or ended an event. */
-static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
+static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s,
+                                  int64_t now)
 {
     struct rt_post *post = &t->slots[i].post;
     /* SYNC POINT: pairs with rt_begin_event, which stores the time first. */
@@ -169,6 +171,8 @@ static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
     s->event_ns = event;
     s->overrun = 0;
     s->fresh = 1;
+    if (!active)
+        rt_waits(s, now);
     if (s->kind == RT_SPORADIC)
         s->dl_ns = event + s->period;
 }
@@ -200,7 +204,7 @@ static inline void rt_latch_overrun(struct rt_table *t, int i, struct rt_state *
 {
     if (s->overrun == RT_HUNG)
         return;
-    int64_t used = cpu(&t->slots[i]) - s->overrun_mark;
+    int64_t used = cpu(&t->slots[i], 0) - s->overrun_mark;
     uint8_t overrun = used >= s->hang ? RT_HUNG : used >= s->period ? RT_LAST : RT_OVER;
     if (overrun <= s->overrun)
         return;
@@ -259,11 +263,13 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     if (s->begun || s->owed || s->kind == RT_SYNCHRONOUS)
         rt_latch_watch(t, i, s, now);
     if (s->armed && rt_is_server(s))
-        rt_latch_event(t, i, s);
+        rt_latch_event(t, i, s, now);
     else if (s->armed && s->kind == RT_SYNCHRONOUS)
         rt_latch_device(t, i, s, now);
     if (s->overrun)
         rt_latch_overrun(t, i, s, cpu);
+    if (s->armed && s->wait_ns && s->wait_ns <= now)
+        rt_latch_wait(t, i, s, now, cpu);
     if (word != s->word && s->gen)
         rt_latch_mode(t, i, s, word, now);
 }
@@ -285,7 +291,7 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;
     if (s->begun) {
         if (s->rel_ns + s->period <= now && !s->overrun)
-            rt_overruns(s, cpu(&t->slots[i]));
+            rt_overruns(s, cpu(&t->slots[i], 0));
     } else {
         s->rel_ns = release;
         if (s->granted) {       /* granted, but not begun: it runs as the new one */

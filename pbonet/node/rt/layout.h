@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 12,
+    RT_VERSION = 13,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -42,6 +42,8 @@ enum {
 #define RT_LEAD_NS INT64_C(100000)
 #define RT_MARGIN_NS INT64_C(20000)      /* minimum time ahead of a timer */
 #define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
+#define RT_WAIT_SPAN 10     /* a wait hangs that uses `hang` within so many times that */
+#define RT_FLOOD 10          /* so many times as often as declared is a flood of events */
 #define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
 #define RT_STALL_NS INT64_C(20000000)
 #define RT_HANG_NS INT64_C(100000000)    /* default of `hang_ns` */
@@ -126,7 +128,8 @@ struct rt_grant {
     _Atomic int32_t level;              /* likewise */
     _Atomic uint32_t life;              /* the life that the dispatcher serves */
     _Atomic uint32_t fell;              /* a standby of this task is engaged at once */
-    _Atomic uint32_t hung;              /* the cycle does not return: other tasks go first */
+    _Atomic uint32_t flooded;           /* events come without end, so `hung` is set, too */
+    _Atomic uint32_t hung;              /* a cycle or `sync` does not return: others go first */
 };
 
 struct rt_piece {
@@ -152,6 +155,13 @@ struct rt_state {
     int64_t locked_ns;                  /* when a critical section is forced to end */
     int64_t handler_mark;
     int64_t overrun_mark;               /* CPU clock when the cycle had used up its period */
+    int64_t wait_ns, wait_from_ns;      /* when to look at a wait again; since when; see wait.h */
+    int64_t wait_mark;                  /* CPU clock then; -1: not read yet */
+    uint32_t wait_events;               /* `post.events` at that time */
+    uint8_t wait_main;                  /* the clock is that of the main thread alone */
+    uint8_t flooded;                    /* a device's events come far too often */
+    uint32_t early;                     /* how many came early ... */
+    int64_t early_from_ns;              /* ... since then */
     int64_t left;                       /* of a server's capacity */
     int64_t event_ns;
     uint64_t failures[RT_FAILURES], overruns, held_off;

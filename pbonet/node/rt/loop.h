@@ -52,9 +52,12 @@ static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
     rt_signal(t, i, RT_FAIL_SIGNAL);
 }
 
-static inline int64_t rt_task_cpu(const struct rt_slot *slot)
+static inline int64_t rt_task_cpu(const struct rt_slot *slot, int main)
 {
-    return slot->state.pid > 0 ? rt_process_cpu(slot->state.pid) : 0;
+    pid_t pid = slot->state.pid;
+    if (pid <= 0)
+        return 0;
+    return main ? rt_cpu_of(pid, pid) : rt_process_cpu(pid);
 }
 
 /* Carry out one record. */

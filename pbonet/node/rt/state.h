@@ -20,6 +20,7 @@ static inline void rt_show(struct rt_grant *g, const struct rt_state *s)
     atomic_store_explicit(&g->level, s->level > 0 ? s->level : 0, memory_order_relaxed);
     atomic_store_explicit(&g->life, s->life, memory_order_relaxed);
     atomic_store_explicit(&g->fell, s->fell, memory_order_relaxed);
+    atomic_store_explicit(&g->flooded, s->flooded, memory_order_relaxed);
     atomic_store_explicit(&g->hung, s->overrun == RT_HUNG, memory_order_relaxed);
     atomic_store_explicit(&g->crit, s->rank, memory_order_relaxed);
     for (int k = 0; k < RT_FAILURES; k++)
@@ -52,10 +53,11 @@ static inline void rt_disarm(struct rt_state *s)
     s->armed = s->ready = s->granted = s->begun = s->parked = 0;
     s->spent = s->late = s->sure = s->skip = s->handling = s->owed = 0;
     s->fresh = s->active = s->n_pieces = s->engaged = 0;
-    s->overrun = 0;
+    s->overrun = s->flooded = 0;
+    s->early = 0;
     s->level = 0;
     s->rank = s->crit;
-    s->next_ns = s->check_ns = 0;
+    s->next_ns = s->check_ns = s->wait_ns = 0;
 }
 
 /* End the cycle, and with it what was watched about it. */

@@ -12,7 +12,7 @@ struct rt_section_view {
 
 struct rt_view {
     int life, dead, pid, kind, crit, priority, mode, level;
-    int rank, drop, handler, tells, hangs, hung, comes, called, fell, n_sections;
+    int rank, drop, handler, tells, hangs, hung, flooded, in_sync, comes, called, fell, n_sections;
     int restarted;                      /* the extremes may lack cycles since `on` */
     int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
@@ -81,6 +81,8 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     v->overruns = rt_get(&g->overruns);
     v->held_off = rt_get(&g->held_off);
     v->hangs = atomic_load(&slot->post.locked) == RT_HANDLER_HANGS;
+    v->in_sync = v->kind != RT_PERIODIC && !(atomic_load(&slot->post.events) & 1);
+    v->flooded = atomic_load(&slot->grant.flooded) != 0;
     v->hung = atomic_load(&slot->grant.hung) != 0;
     for (int k = 0; k < RT_FAILURES; k++)
         v->failures[k] = rt_get(&g->failures[k]);
@@ -244,8 +246,9 @@ static inline int64_t rt_deadline_of(const struct rt_slot *slot)
     return atomic_load(&slot->grant.dl_ns);
 }
 
-static inline int64_t rt_posted_cpu(const struct rt_slot *slot)
+static inline int64_t rt_posted_cpu(const struct rt_slot *slot, int main)
 {
+    (void)main;
     return (int64_t)rt_get(&slot->post.cpu_ns);
 }
 

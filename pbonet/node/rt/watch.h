@@ -12,8 +12,8 @@
 
 #include "state.h"
 
-/* The CPU clock of a slot's task, in nanoseconds. */
-typedef int64_t (*rt_cpu_fn)(const struct rt_slot *);
+/* The CPU clock of a slot's task, or of its main thread alone, in nanoseconds. */
+typedef int64_t (*rt_cpu_fn)(const struct rt_slot *, int main);
 
 static inline int64_t rt_sooner(int64_t a, int64_t b)
 {
@@ -295,7 +295,7 @@ static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64
 static inline int rt_read_cpu(struct rt_table *t, int i, struct rt_state *s, rt_cpu_fn cpu)
 {
     struct rt_slot *slot = &t->slots[i];
-    int64_t clock = cpu(slot);
+    int64_t clock = cpu(slot, 0);
     int locked = atomic_load(&slot->post.locked) != 0;
     if (clock > s->clock)
         s->clock = clock;

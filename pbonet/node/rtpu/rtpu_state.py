@@ -16,7 +16,12 @@ from pbonet.config import RtpuEntry, Scheduler, TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
 from pbonet.node import rt
 from pbonet.node.task import INTERRUPT, own_place, placed
-from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
+from pbonet.node.wire import (
+    cpu_idle_states,
+    lifecycle,
+    process_setup,
+    rtpu_messages,
+)
 from pbonet.pbo import Signal, State
 
 from . import (
@@ -129,7 +134,7 @@ class Rtpu:
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
-        self._awake: rt.IdleStateLock | None = None
+        self._awake: cpu_idle_states.IdleStateLock | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
         """Lets successors on other machines be called."""
@@ -171,7 +176,7 @@ class Rtpu:
         self.locks_memory = probe.lock_memory
         await self.spawner.start()
         if self.config.awake:
-            self._awake = rt.IdleStateLock()
+            self._awake = cpu_idle_states.IdleStateLock()
             self.limits += self._awake.limits
         self.core = rt.CoreTable(self.config.core, member=True)
         self._scheduling = SchedulingCheck(self.core, self.events)
@@ -572,6 +577,8 @@ class Rtpu:
                 for task in self.tasks.values()
             ]
             self._timing_failures.report_new(self.core.status(), tasks)
+            if any(slot.in_sync and slot.mode is Mode.ON for _, slot in tasks):
+                self.core.kick()  # in its turns it reads what waits have used
             self._waiting_cycles.check(tasks)
             self._scheduling.check(tasks)
             self._end_crowds()

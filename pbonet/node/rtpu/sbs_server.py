@@ -262,13 +262,21 @@ async def _serve(
         await signal_tasks.stop(rtpu, sorted(rtpu.busy()), link.end_time)
         await link.close(reason)
     finally:
-        await rtpu.close()
-        process_setup.end_marked(process_setup.mark())  # what tasks left
-        sweep(places.name, places.domain)
-        tbuf.sweep(places.domain)
-        cleanup.sweep_claims()
-        places.remove(places.ctl, places.state, places.log)
-        _remove_dead_agent(places)
+        try:
+            await rtpu.close()
+        finally:
+            clean_up(places)
+
+
+def clean_up(places: run_folder.Places) -> None:
+    """Remove all that is not needed any more; one failure does not prevent the rest."""
+    with contextlib.ExitStack() as last_first:
+        last_first.callback(_remove_dead_agent, places)
+        last_first.callback(places.remove, places.ctl, places.state, places.log)
+        last_first.callback(cleanup.sweep_claims)
+        last_first.callback(tbuf.sweep, places.domain)
+        last_first.callback(sweep, places.name, places.domain)
+        last_first.callback(process_setup.end_marked, process_setup.mark())
 
 
 def _remove_dead_agent(places: run_folder.Places) -> None:
@@ -298,4 +306,4 @@ def main(config: rtpu_messages.RtpuConfig, pid: int, control: socket.socket) -> 
     return asyncio.run(run(config, Server(pid, control)))
 
 
-__all__ = ["AgentLink", "main", "run"]
+__all__ = ["AgentLink", "clean_up", "main", "run"]

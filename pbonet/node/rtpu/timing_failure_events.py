@@ -35,7 +35,8 @@ class TimingFailureEvents:
         self._events = events
         self._failures: dict[tuple[str, str, int], tuple[int, ...]] = {}
         self._hung: set[tuple[str, str, int, int]] = set()
-        """Cycles that do not return, by subsystem, task, process and number."""
+        """Cycles that do not return, by subsystem, task, process and number; -1 for
+        events without end."""
         self._stalls = 0
         self._stalled_ns = 0
         self._errors = 0
@@ -49,7 +50,7 @@ class TimingFailureEvents:
         for task, slot in tasks:
             key = (task.facts.subsystem, task.name, slot.pid)
             if slot.hung:
-                hung.add(cycle := (*key, slot.cycles))
+                hung.add(cycle := (*key, -1 if slot.flooded else slot.cycles))
                 if cycle not in self._hung:
                     self._report_hung(task, slot)
             seen[key] = (*slot.failures, slot.held_off)
@@ -60,14 +61,32 @@ class TimingFailureEvents:
         self._check_core(core)
 
     def _report_hung(self, task: Task, slot: SlotStatus) -> None:
-        """Report a cycle that does not return."""
+        """Report a cycle, or a `sync`, that does not return, or events without end."""
+        if slot.flooded:
+            self._report_flood(task, slot)
+            return
+        what = "`sync`" if slot.in_sync else "a cycle"
+        until = "an event comes" if slot.in_sync else "it does"
+        remedy = "let it block" if slot.in_sync else "see what it waits for"
         self._events.add(
             Severity.ERROR,
             "HANGS",
-            f"a cycle of module {task.facts.rmod.module} has taken "
-            f"{slot.cpu_now_ns / 1e9:.2f} s of CPU time and does not return; until it "
-            "does, all other tasks go first; see what it waits for, or kill "
-            f"{task.name}",
+            f"{what} of module {task.facts.rmod.module} has taken "
+            f"{slot.cpu_now_ns / 1e9:.2f} s of CPU time and does not return; until "
+            f"{until}, all other tasks go first; {remedy}, or kill {task.name}",
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=slot.cycles - slot.on_cycles,
+        )
+
+    def _report_flood(self, task: Task, slot: SlotStatus) -> None:
+        """Report events without end."""
+        self._events.add(
+            Severity.ERROR,
+            "HANGS",
+            f"`sync` of module {task.facts.rmod.module} returns more than ten times as "
+            f"often as declared ({1e9 / slot.period_ns:g} Hz); until it does not, all "
+            f"other tasks go first; let it wait for an event, or kill {task.name}",
             subsystem=task.facts.subsystem,
             task=task.name,
             cycle=slot.cycles - slot.on_cycles,

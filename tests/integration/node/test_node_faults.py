@@ -549,6 +549,40 @@ def test_an_event_that_does_not_end_blocks_nobody(arm, kind):
     arm.wait_cycles("good", 5)
 
 
+@pytest.mark.parametrize(
+    ("scheduler", "module", "kind"),
+    [
+        ("MUF", "hangs_in_sync", "synchronous"),
+        ("EDF", "hangs_in_sync", "synchronous"),
+        ("RM", "hangs_in_sync", "sporadic"),
+        ("MUF", "never_waits", "synchronous"),
+    ],
+)
+def test_a_sync_that_computes_or_does_not_wait_blocks_nobody(
+    nodes, scheduler, module, kind
+):
+    """It has a higher rate than the other task, so it comes first until it hangs."""
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", scheduler=scheduler)
+    arm.spawn("good", "counts", out="Y7", freq=40.0)
+    text = rmod(module, freq=100.0).replace("periodic", kind)
+    if kind == "sporadic":
+        text = text.replace("FREQ 100\n", "FREQ 100\nCAPACITY 0.002\n")
+    tid = arm.spawn("bad", module, text=text).tid
+    arm.on("good")
+    arm.on("bad")
+    assert arm.wait_event("HANGS", "bad").text.startswith("`sync` of module")
+    if arm.rtpu_status().backend == "fifo":
+        assert os.sched_getscheduler(tid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+    arm.wait_cycles("good", 20)
+    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
+    arm.off("good")
+    arm.on("good")
+    assert arm.off("bad").state == "OFF"
+    arm.kill("bad")
+    assert not arm.events("FORCED", "bad")
+
+
 @pytest.mark.parametrize("backend", ["auto", "park"])
 def test_a_cycle_that_waits_is_told_from_one_that_others_delay(nodes, backend):
     nodes.agent("arm0", backend=backend)

@@ -116,6 +116,46 @@ def test_a_handler_has_its_priority_for_a_bounded_time_in_the_wait_too(device) -
     assert kinds(found, Event.CRIT) == [(Event.CRIT, 5)]
 
 
+def flood(one, cycles: int, apart: int = 20 * US) -> None:
+    """Let events come, each as soon as the cycle of the last one has ended."""
+    for _ in range(cycles):
+        begin(one, one.now + apart)
+        end(one, one.now + apart)
+
+
+def test_events_without_end_cost_the_level_until_fewer_come(device) -> None:
+    one = device()
+    flood(one, 90)
+    assert one.status().level > 0
+    flood(one, 30)
+    assert one.status().flooded
+    assert one.status().hung
+    assert one.status().level == 0
+    for _ in range(50):
+        begin(one, one.now + 10 * MS)
+        end(one, one.now + MS)
+    assert not one.status().flooded
+    assert not one.status().hung
+    assert one.status().level > 0
+
+
+def test_a_flood_is_over_when_the_device_was_silent(device) -> None:
+    one = device()
+    flood(one, 120)
+    one.until(one.now + 900 * MS)
+    begin(one, one.now + MS)
+    assert not one.status().flooded
+    assert one.status().level > 0
+
+
+def test_events_that_come_in_pairs_are_no_flood(device) -> None:
+    one = device()
+    for _ in range(300):
+        flood(one, 2, apart=MS // 10)
+        one.at(one.now + 16 * MS)
+    assert not one.status().flooded
+
+
 class TestUrgency:
     """Beside a periodic task of 7 ms that is as critical."""
 

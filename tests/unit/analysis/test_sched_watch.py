@@ -103,6 +103,70 @@ def test_a_device_s_cycle_hangs_in_the_same_way(core) -> None:
     assert not one.status().hung
 
 
+WAITING = [
+    {"kind": Kind.SYNCHRONOUS, "deadline_ns": 20 * MS},
+    {"kind": Kind.SYNCHRONOUS},
+    {"kind": Kind.DEFERRABLE, "maxc_ns": 2 * MS},
+    {"kind": Kind.SPORADIC, "maxc_ns": 2 * MS},
+]
+
+
+def wait(one, times: int, cpu_ns: int) -> None:
+    """Let the task wait for 100 ms, and use CPU time meanwhile, several times."""
+    for _ in range(times):
+        now = one.now + 100 * MS
+        one.until(now - 1)
+        one.at(now, cpu_ns=cpu_ns)
+
+
+@pytest.mark.parametrize("settings", WAITING)
+def test_a_wait_that_computes_loses_its_level_until_an_event_comes(core, settings):
+    one = core(**settings)
+    wait(one, 4, 100 * MS)
+    assert one.status().hung
+    assert one.status().in_sync
+    assert one.status().level == 0
+    one.at(one.now + MS, event=one.now + MS)
+    assert not one.status().hung
+    assert one.status().level > 0
+
+
+@pytest.mark.parametrize("settings", WAITING)
+def test_a_wait_that_computes_goes_after_less_critical_tasks(core, settings) -> None:
+    one = core(**settings)
+    table = one.table
+    below = table.alloc("r", "below")
+    table.configure(below, pid=2, period_ns=20 * MS, crit=1)
+    table.post(below, mode=Mode.ON)
+    wait(one, 1, 100 * MS)
+    assert table.snapshot(below).level < one.status().level
+    wait(one, 3, 100 * MS)
+    assert table.snapshot(below).level > one.status().level
+
+
+@pytest.mark.parametrize("settings", [*WAITING, {"kind": Kind.BACKGROUND}])
+def test_a_wait_that_uses_little_time_keeps_its_level(core, settings) -> None:
+    """It looks for its event again and again: 4 % of the core, for six seconds."""
+    one = core(**settings)
+    wait(one, 60, 4 * MS)
+    assert not one.status().hung
+
+
+def test_a_background_task_may_compute_while_it_waits(core) -> None:
+    one = core(kind=Kind.BACKGROUND)
+    wait(one, 20, 100 * MS)
+    assert not one.status().hung
+
+
+@pytest.mark.parametrize("settings", WAITING)
+def test_what_short_events_use_is_not_the_wait_s(core, settings) -> None:
+    one = core(**settings)
+    for _ in range(100):
+        one.at(one.now + 7 * MS, event=one.now + 7 * MS)
+        one.at(one.now + 3 * MS, event=one.now, cpu_ns=3 * MS)
+    assert not one.status().hung
+
+
 def test_the_time_after_which_a_cycle_hangs_can_be_set(core) -> None:
     one = core(hang_ns=15 * MS)
     one.until(10 * MS)

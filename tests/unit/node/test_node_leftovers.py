@@ -10,7 +10,7 @@ import threading
 import pytest
 
 from pbonet.config.model import Variable
-from pbonet.node.rtpu import cleanup
+from pbonet.node.rtpu import cleanup, sbs_server
 from pbonet.node.wire import process_setup
 from pbonet.svar import Table
 from pbonet.xm.net import run_folder
@@ -64,3 +64,23 @@ def test_a_table_is_removed_though_a_task_takes_its_time_to_die(
         "table d.arm was removed",
     ]
     assert list(shared_memory.glob("*.svar")) == []
+
+
+@pytest.mark.parametrize("step", ["sweep_claims", "tbuf.sweep"])
+def test_the_files_go_though_another_step_of_the_end_fails(
+    run_dir, shared_memory, monkeypatch, step
+):
+    assert run_dir.is_dir()
+    assert shared_memory.is_dir()
+    places = run_folder.Places("d", "arm0")
+    for path in (places.ctl, places.state, places.log, *places.agents_files):
+        path.touch()
+
+    def fails(*_):
+        raise OSError("something else removes it at this moment")
+
+    where = sbs_server.cleanup if step == "sweep_claims" else sbs_server.tbuf
+    monkeypatch.setattr(where, step.rpartition(".")[2], fails)
+    with pytest.raises(OSError, match="at this moment"):
+        sbs_server.clean_up(places)
+    assert list(places.folder.iterdir()) == []

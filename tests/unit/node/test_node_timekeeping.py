@@ -40,6 +40,8 @@ def test_a_cycle_that_does_not_end_is_told_with_its_time(
     slot = Plain(
         pid=7,
         hung=False,
+        flooded=False,
+        in_sync=False,
         failures=(4, 0, 0),
         held_off=0,
         cycles=12,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pbonet.node.rt import cpu_idle_states
+from pbonet.node.wire import cpu_idle_states
 
 
 def held(path):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 
 import pytest
 
-from pbonet.xm.ipc.folder_watch import TICK_NS, Changes
+from pbonet.xm.ipc.folder_watch import TICK_NS, Changes, Waiting
 
 
 class Clock:
@@ -54,3 +55,50 @@ def test_what_comes_in_the_same_tick_behind_a_listing(tmp_path, clock):
     os.utime(tmp_path, ns=(0, stamp))  # as if the kernel's clock had not moved on
     clock.now += TICK_NS + 1
     assert looks(changes) == [True, False, False]
+
+
+@pytest.fixture
+def waiting(tmp_path):
+    waiting = Waiting(str(tmp_path))
+    yield waiting
+    waiting.close()
+
+
+class TestWaiting:
+    """Each wait would last for ever if what ends it went unseen."""
+
+    def test_a_file_that_is_made_or_removed_ends_the_wait(self, waiting, tmp_path):
+        assert waiting.hears
+        (tmp_path / "one").touch()
+        waiting.wait(None)
+        (tmp_path / "one").rename(tmp_path / "two")
+        waiting.wait(None)
+        (tmp_path / "two").unlink()
+        waiting.wait(None)
+
+    def test_a_hard_link_ends_the_wait(self, waiting, tmp_path):
+        (tmp_path / "one").touch()
+        waiting.wait(None)
+        (tmp_path / "two").hardlink_to(tmp_path / "one")
+        waiting.wait(None)
+
+    def test_another_thread_ends_the_wait(self, waiting):
+        thread = threading.Thread(target=waiting.wait, args=[None])
+        thread.start()
+        waiting.wake()
+        thread.join()
+
+    def test_nothing_is_left_of_what_ended_it(self, waiting, tmp_path):
+        (tmp_path / "one").touch()
+        waiting.wake()
+        waiting.wait(None)
+        before = time.monotonic()
+        waiting.wait(0.02)
+        assert time.monotonic() - before >= 0.02
+
+    def test_without_the_kernel_s_help_it_says_so(self, tmp_path):
+        waiting = Waiting(str(tmp_path / "missing"))
+        assert not waiting.hears
+        waiting.wake()
+        waiting.wait(None)
+        waiting.close()
