@@ -47,7 +47,17 @@ def test_rates_are_proposed_drawn_and_written(tmp_path, call):
     pytest.importorskip("matplotlib")
     job, plot = chain_job(tmp_path), tmp_path / "tune.svg"
     words = ["tune", job, "--keep", "sense", "--factor", 0.7, "--factor", 2]
-    words += ["--seconds", 1.3, "--settle", 0.3, "--limit", 0.3, "--svg", plot, "--write"]
+    words += [
+        "--seconds",
+        1.3,
+        "--settle",
+        0.3,
+        "--limit",
+        0.3,
+        "--svg",
+        plot,
+        "--write",
+    ]
     status, out, err = call(*words, "--json")
     assert status == 0, err
     data = json.loads(out)
