@@ -27,7 +27,7 @@ GROUPS: Final = {
     ),
     "Watch and tune it": (
         *("status", "profile", "freq", "get", "set", "display", "write"),
-        *("events", "sigwait", "sigmask", "web", "view", "ros2"),
+        *("events", "explain", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
     "Recordings": ("log", "replay"),
     "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
@@ -36,11 +36,12 @@ GROUPS: Final = {
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
 _OWN: Final = {
     *("new", "check", "graph", "simulate", "adopt", "run", "prompt", "stop"),
-    *("profile", "display", "library", "events", "web", "view", "ros2", "log"),
-    *("replay",),
-    *("agent", "devices", "doctor", "keys", "completion"),
+    *("profile", "display", "library", "web", "view", "ros2", "log"),
+    *("replay", "agent", "keys", "completion"),
 }
 """Verbs with a file of their own."""
+_OPERATING: Final = {"devices", "doctor", "events", "explain"}
+"""Verbs with a file in the folder ``operating``."""
 
 
 class Family(NamedTuple):
@@ -62,11 +63,12 @@ def load(name: str) -> Verb | Family:
     """
     if name not in NAMES:
         raise _unknown(f"there is no verb {name}", name, NAMES)
-    if name not in _OWN:
+    if name not in _OWN | _OPERATING:
         from . import table
 
         return _with_debug(table.verb(name))
-    module = import_module(f"pbonet.cli.{name}")
+    folder = "operating." if name in _OPERATING else ""
+    module = import_module(f"pbonet.cli.{folder}{name}")
     functions = getattr(module, "COMMANDS", None)
     if functions is None:
         return _with_debug(verb_of(module.command, name))

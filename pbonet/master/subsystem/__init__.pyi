@@ -15,6 +15,7 @@ from .sequencer import (
     Sequencer as Sequencer,
     SequenceState as SequenceState,
 )
+from .start_refusals import start_refusals as start_refusals
 from .status_fields import (
     Window as Window,
     delay_quantile as delay_quantile,

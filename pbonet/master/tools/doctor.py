@@ -283,7 +283,7 @@ def _processors_and_links(
     for rtpu, status in sorted(found.items()):
         for link in status.tbufs if rtpu in machines.values() else ():
             text = f"{rtpu}: link {render.link_line(msgspec.to_builtins(link))}"
-            yield Finding(*_judged(link, text))
+            yield Finding(*link_verdict(link, text))
         for one in status.spps:
             line = render.processor_line(msgspec.to_builtins(one))
             runs = bool(one.back_end) and not one.error
@@ -294,7 +294,7 @@ def _processors_and_links(
             )
 
 
-def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
+def link_verdict(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
     """Return the verdict on a link."""
     if not link.writer:
         return Level.WARN, text, f"start the writer of {link.name}, or its agent"
@@ -397,18 +397,23 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
     for limit in info.limits:
         yield Finding(Level.WARN, f"{info.name}: {limit}")
     if info.keys_left is not None:
-        yield _term(
-            f"{info.name}: its keys",
-            info.keys_left,
-            "make others with `pbonet keys agent`, put them where the old ones are, "
-            f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
-        )
+        yield keys_of(info, info.keys_left)
     if info.version != pbonet.__version__:
         yield Finding(
             Level.WARN,
             f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",
             REMEDY,
         )
+
+
+def keys_of(info: m.AgentInfo, left: float) -> Finding:
+    """Judge how long the keys of an agent are good for."""
+    return _term(
+        f"{info.name}: its keys",
+        left,
+        "make others with `pbonet keys agent`, put them where the old ones are, "
+        f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
+    )
 
 
 def _term(whose: str, left: float, remedy: str) -> Finding:

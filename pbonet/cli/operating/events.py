@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-from . import options
-from .parser import Option
-from .table import arguments, show
+from pbonet.cli import options
+from pbonet.cli.parser import Option
+from pbonet.cli.table import arguments, show
 
 
 def command(
