@@ -1,4 +1,4 @@
-from .answer import answer as answer
+from .answers import answer as answer
 from .ask_facts import Extent as Extent, ask as ask
 from .causes import (
     Cause as Cause,
@@ -6,7 +6,7 @@ from .causes import (
     Source as Source,
     text as text,
 )
-from .explain import explain as explain
+from .explanations import explain as explain
 from .facts import Facts as Facts, Gap as Gap
 from .known_causes import (
     FLAG_CAUSES as FLAG_CAUSES,

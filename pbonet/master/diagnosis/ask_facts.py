@@ -11,7 +11,7 @@ from enum import Flag, auto
 from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, SeveralError
 from pbonet.master import configuration
 from pbonet.master.subsystem import find_missing, start_refusals
 from pbonet.xm.net import messages as m
@@ -19,8 +19,9 @@ from pbonet.xm.net import messages as m
 from .facts import Facts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
+    from pbonet.errors import NodeError
     from pbonet.master.subsystem import Subsystem
 
     from .question import Question
@@ -85,7 +86,7 @@ def ask(
         facts.graph = subsystem.graph()
 
     tried("the tasks' modules", read_graph)
-    tried("the job", lambda: _read_job(subsystem, facts, failed))
+    _read_job(subsystem, facts, failed)
     facts.agents, _ = clients.each(lambda _: m.Hello(), m.AgentInfo, rtpus=there)
     facts.tables = m.mismatched(facts.agents.values())
     facts.held = m.held(facts.agents.values())
@@ -105,13 +106,37 @@ def ask(
     return facts
 
 
+def unreached(subsystem: Subsystem, error: NodeError) -> Facts:
+    """Return the facts of a subsystem of which no RTPU answers.
+
+    Args:
+        subsystem: It could not be opened.
+        error: Why not.
+    """
+    names = [one.name for one in subsystem.sbs.rtpus]
+    errors = error.errors if isinstance(error, SeveralError) else (error,)
+    by_place = {one.where: one for one in errors}
+    failed = {name: by_place.get(name, errors[0]) for name in names}
+    facts = Facts(
+        subsystem=subsystem.name,
+        graph=configuration.graph_of(subsystem.files, ()),
+        silent={name: one.to_wire() for name, one in failed.items()},
+        keeper=subsystem.sbs.keeper,
+    )
+    _read_job(subsystem, facts, failed)
+    return facts
+
+
 def _read_job(
-    subsystem: Subsystem, facts: Facts, failed: dict[str, PbonetError]
+    subsystem: Subsystem, facts: Facts, failed: Mapping[str, PbonetError]
 ) -> None:
     """Read what the job plans, from its files alone."""
     facts.missing = find_missing(subsystem.files, facts.rtpus.values(), failed)
     if subsystem.files.job is not None:
-        facts.planned = configuration.job_graph(subsystem.files, code=False)
+        try:
+            facts.planned = configuration.job_graph(subsystem.files, code=False)
+        except PbonetError as error:
+            facts.unknown.append(f"the job: {error}")
 
 
 def _mine(subsystem: str, events: dict[str, list[m.Event]]) -> list[m.Event]:

@@ -33,7 +33,7 @@ def _cause(subject: str, sentence: str, remedy: str) -> FlagCause:
     parts = re.split(r"(<name>|…)", sentence)
     groups = {"<name>": r"(?P<name>[^\s,;]+)", "…": ".*"}
     text = "".join(groups.get(part, re.escape(part)) for part in parts)
-    shown = sentence.replace("<name>", "…")
+    shown = re.sub(r"…( ?…)+", "…", sentence.replace("<name>", "…"))
     return FlagCause(subject, shown, re.compile(text), remedy)
 
 

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from .explain import explain
+from pbonet.errors import NodeError
+
+from .explanations import explain
 from .question import asked_by
 
 if TYPE_CHECKING:
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Place
 
     from .causes import Explanation
+    from .facts import Facts
+    from .question import Question
 
 
 def answer(path: str | Path, words: Sequence[str], place: Place) -> Explanation:
@@ -37,9 +41,14 @@ def answer(path: str | Path, words: Sequence[str], place: Place) -> Explanation:
         from .log_facts import read_log
 
         return explain(read_log(path), asked)
+    return explain(_read_running(path, asked, place), asked)
+
+
+def _read_running(path: Path, asked: Question, place: Place) -> Facts:
+    """Return the facts of a subsystem, also if none of its RTPUs answers."""
     from pbonet.master.subsystem import Subsystem
 
-    from .ask_facts import Extent, ask
+    from .ask_facts import Extent, ask, unreached
 
     place = structs.replace(place, take_over=False, confirm=None)
     subsystem = Subsystem(
@@ -50,7 +59,10 @@ def answer(path: str | Path, words: Sequence[str], place: Place) -> Explanation:
         partly=True,
         warned=lambda _: None,  # what does not answer is a fact
     )
+    try:
+        subsystem.open()
+    except NodeError as error:
+        return unreached(subsystem, error)
     with subsystem:
         job = asked.name if asked.kind == "start" else ""
-        facts = ask(subsystem, Extent.of(asked), job)
-    return explain(facts, asked)
+        return ask(subsystem, Extent.of(asked), job)
