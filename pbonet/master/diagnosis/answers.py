@@ -60,9 +60,11 @@ def _read_running(path: Path, asked: Question, place: Place) -> Facts:
         warned=lambda _: None,  # what does not answer is a fact
     )
     try:
-        subsystem.open()
+        subsystem.open(once=True)
     except NodeError as error:
         return unreached(subsystem, error)
-    with subsystem:
+    try:
         job = asked.name if asked.kind == "start" else ""
         return ask(subsystem, Extent.of(asked), job)
+    finally:
+        subsystem.detach()

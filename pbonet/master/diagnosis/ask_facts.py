@@ -1,7 +1,8 @@
 """Reads from the agents of a subsystem what `explain` needs, each thing once.
 
-Each agent gets at most five requests, and all agents get one at the same time. What
-cannot be read is noted, and the rest is judged.
+All agents get a request at the same time, and each a fixed number of them, besides one
+for the module of each task that is not known yet. What cannot be read is noted, and the
+rest is judged.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from enum import Flag, auto
 from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
-from pbonet.errors import PbonetError, SeveralError
+from pbonet.errors import NodeError, PbonetError, SeveralError
 from pbonet.master import configuration
 from pbonet.master.subsystem import find_missing, start_refusals
 from pbonet.xm.net import messages as m
@@ -21,7 +22,6 @@ from .facts import Facts
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pbonet.errors import NodeError
     from pbonet.master.subsystem import Subsystem
 
     from .question import Question
@@ -67,12 +67,11 @@ def ask(
             unknown.append(f"{what}: {error}")
 
     begin = time.monotonic()
-    statuses, errors = clients.each(lambda _: m.Status(), m.RtpuStatus)
-    silent = [name for name in clients.names if name not in statuses]
-    failed = dict(zip(silent, errors, strict=True))
-    for task in (task for rtpu in statuses.values() for task in rtpu.tasks):
-        task_set.note(task)
-    there = list(statuses)
+    try:
+        statuses = {one.rtpu: one for one in task_set.refresh(strict=False)}
+    except NodeError as error:  # none answers
+        return unreached(subsystem, error)
+    failed, there = task_set.silent, list(statuses)
     facts = Facts(
         subsystem=subsystem.name,
         graph=configuration.graph_of(subsystem.files, ()),

@@ -64,7 +64,7 @@ def _error(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
     """Yield why a task is in ERROR."""
     facts = chain.facts
     newest = facts.news(_FAILS, task=status.task)
-    because = [cause_of(one, facts) for one in newest if status.error in one.text]
+    because = [cause_of(one, facts) for one in newest]
     if old := _TOO_OLD.search(status.error):
         because.append(chain.behind("variable", old[1], Source.TABLE))
     yield Cause(

@@ -25,7 +25,7 @@ _GONE: Final = "NOT-CREATED"
 _BREAK: Final = 1000
 """A longer gap, in periods, is time in which the task was OFF."""
 _FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED")
-_NO_LONGER: Final = re.compile(r"(?:\[\d+ changes\] )?(no longer: )?(.*)", re.DOTALL)
+_CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(.*)", re.DOTALL)
 
 
 def read_log(path: str | Path) -> Facts:
@@ -132,19 +132,31 @@ def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:
 def _raised(events: list[Event]) -> dict[str, list[str]]:
     """Return the causes of the flag in the run, by the RTPU that has reported them.
 
-    Causes that were raised when everything was turned off at the end are left out; of
-    those that came and went, the time of the last one is in its event.
+    Causes that come when everything is turned off at the end are left out; when those
+    that were withdrawn came and went is in their events.
     """
-    end = next(
-        (one.wall for one in reversed(events) if one.code == "STOPPED"), float("inf")
-    )
+    end = _end_of(events)
     found: dict[str, dict[str, None]] = {}
     for event in events:
         if event.code == "ILLEGAL" and event.wall < end:
-            parts = _NO_LONGER.fullmatch(event.text)
-            text = parts[2] if parts is not None else event.text
+            parts = _CHANGES.fullmatch(event.text)
+            text = parts[1] if parts is not None else event.text
             found.setdefault(event.rtpu, {})[text] = None
     return {rtpu: list(causes) for rtpu, causes in found.items()}
+
+
+def _end_of(events: list[Event]) -> float:
+    """Return when the tasks began to be turned off for good; infinity: never."""
+    begun = float("inf")
+    for event in reversed(events):
+        signal = event.text.partition(":")[0]
+        if event.code == "STOPPED":
+            begun = event.wall
+        elif event.code == "STATE" and begun < float("inf"):
+            if signal not in {"off", "kill", "stop"}:
+                break
+            begun = event.wall
+    return begun
 
 
 def _gaps(log: Log, task: str) -> list[Gap]:

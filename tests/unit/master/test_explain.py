@@ -278,7 +278,7 @@ def test_every_place_that_raises_the_flag_is_known():
 
 
 RAISED = 21
-"""Calls that raise the flag; each one's sentence is in the catalogue or its caller's."""
+"""Calls that raise the flag, each with a sentence of the catalogue."""
 
 
 def test_the_page_of_symptoms_has_the_same_remedies():
