@@ -26,7 +26,7 @@ GROUPS: Final = {
         *("reinit", "reconfig", "swap"),
     ),
     "Watch and tune it": (
-        *("status", "profile", "freq", "get", "set", "display", "write"),
+        *("status", "top", "profile", "freq", "get", "set", "display", "write"),
         *("events", "explain", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
     "Recordings": ("log", "replay"),
@@ -40,7 +40,7 @@ _OWN: Final = {
     *("replay", "agent", "keys", "completion"),
 }
 """Verbs with a file of their own."""
-_OPERATING: Final = {"devices", "doctor", "events", "explain"}
+_OPERATING: Final = {"devices", "doctor", "events", "explain", "top"}
 """Verbs with a file in the folder ``operating``."""
 
 

@@ -1,5 +1,5 @@
 from .answers import answer as answer
-from .ask_facts import Extent as Extent, ask as ask
+from .ask_facts import Extent as Extent, ask as ask, unreached as unreached
 from .causes import (
     Cause as Cause,
     Explanation as Explanation,

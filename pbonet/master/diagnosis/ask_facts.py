@@ -105,7 +105,7 @@ def ask(
     return facts
 
 
-def unreached(subsystem: Subsystem, error: NodeError) -> Facts:
+def unreached(subsystem: Subsystem, error: PbonetError) -> Facts:
     """Return the facts of a subsystem of which no RTPU answers.
 
     Args:

@@ -1,0 +1,1 @@
+from . import live_table as live_table
