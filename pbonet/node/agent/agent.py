@@ -571,10 +571,12 @@ class Agent:
             now_ns=time.monotonic_ns(),
         )
 
-    def ways(self) -> LinkReport:
-        """Return the paths to the other agents, measured now."""
+    def ways(self, *, measure: bool = True) -> LinkReport:
+        """Return the paths to the other agents, measured now or a second ago."""
         ways = self._ways
-        report = LinkReport(rtpu=self.name) if ways is None else ways.report()
+        report = LinkReport(rtpu=self.name)
+        if ways is not None:
+            report = ways.report(measure=measure)
         if self._mirrors is not None:
             report.tables = self._mirrors.report()
         return report

@@ -67,7 +67,11 @@ class Hello(Request, tag="hello"):
 
 
 class Links(Request, tag="links"):
-    """Measure the latency from an agent to all others. Result: `LinkReport`."""
+    """Ask for the latency from an agent to all others. Result: `LinkReport`."""
+
+    measure: bool = True
+    """Measure it now; False: report the last round trips, which are made each second,
+    and send none."""
 
 
 class Devices(Request, tag="devices"):
