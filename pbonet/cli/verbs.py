@@ -30,7 +30,9 @@ GROUPS: Final = {
         *("events", "explain", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
     "Recordings": ("log", "replay"),
-    "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
+    "Machines and this program": (
+        *("agent", "fleet", "devices", "doctor", "keys", "completion"),
+    ),
 }
 """The verbs as the help shows them."""
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
@@ -40,7 +42,7 @@ _OWN: Final = {
     *("replay", "agent", "keys", "completion"),
 }
 """Verbs with a file of their own."""
-_OPERATING: Final = {"devices", "doctor", "events", "explain", "top"}
+_OPERATING: Final = {"devices", "doctor", "events", "explain", "fleet", "top"}
 """Verbs with a file in the folder ``operating``."""
 
 

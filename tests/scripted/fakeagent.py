@@ -124,6 +124,8 @@ class FakeAgent:
         self.lost: list[m.Lost] = []
         self.told: list[m.Event] = []
         """Its events."""
+        self.ahead = 0.0
+        """Seconds by which its clock is ahead."""
         self.deaf: set[str] = set()
         """Agents to which it has no path."""
         self.slow: dict[str, float] = {}
@@ -491,6 +493,14 @@ class FakeAgent:
 
     def do_events(self, request: m.Events) -> list[m.Event]:
         return [one for one in self.told if one.n >= request.since]
+
+    def do_machine(self, _: m.Machine) -> m.MachineInfo:
+        return m.MachineInfo(
+            wall=time.time() + self.ahead,
+            runs="/runs",
+            disk_free=5 << 30,
+            disk_size=9 << 30,
+        )
 
     def do_links(self, _: m.Links) -> m.LinkReport:
         """Report a path to every other agent of the domain that is in sight."""

@@ -137,3 +137,52 @@ def test_a_pair_without_a_path_is_measured_again_and_named(world, agents, sent):
     assert failed[0].startswith("FAIL r2 - r5: they do not see each other")
     assert any("27 pairs of 8 agents see each other" in one for one in found)
     assert sent()["links"] == len(names) + 1, "the first of the pair measures anew"
+
+
+# -- fleet -----------------------------------------------------------------------------
+
+
+def test_fleet_asks_each_agent_the_same_few_things(world, agents, many, sent, call):
+    for one in agents.values():
+        one.claims = {"s": (1, "")}
+    sent()
+    status, out, err = call("fleet", "--json", "--domain", world.domain)
+    assert (status, err) == (0, "")
+    count = len(many)
+    assert sent() == {"hello": count, "machine": count, "status": count}
+    data = json.loads(out)
+    (machine,) = data["machines"]
+    assert (machine["host"], len(machine["rtpus"])) == ("fakehost", count)
+    assert machine["disk_free"] == 5 << 30
+    (subsystem,) = data["subsystems"]
+    assert (subsystem["name"], len(subsystem["rtpus"])) == ("s", count)
+
+
+def test_fleet_names_what_is_away_and_what_is_amiss(world, agents, call, tmp_path):
+    agents("r0", "r1")
+    agents["r0"].lost = [m.Lost(rtpu="r9", host="lab9", near=True, ago=7.0)]
+    agents["r0"].ahead = 90.0
+    agents["r0"].claims = {"s": (1, "")}
+    agents["r0"].flags = ["pid is in ERROR (r0/pid)"]
+    agents["r1"].silent = True
+    path = system(tmp_path, ["r0", "r5"])
+    status, out, _ = call("fleet", path, "--domain", world.domain)
+    assert status == 1
+    lines = out.splitlines()
+    assert lines[1].split()[:4] == ["fakehost", "r0", "0", "1"]
+    assert "5.0 GiB" in lines[1]
+    assert any(line.split() == ["s", "r0", "none", "UP"] for line in lines)
+    assert "ILLEGAL> s: pid is in ERROR (r0/pid)" in lines
+    away = [line for line in lines if line.startswith("AWAY>")]
+    assert len(away) == 3
+    assert away[0].startswith(f"AWAY> {AWAY}")
+    assert away[1].startswith("AWAY> r5: no agent of this name can be reached; start")
+    assert "has not seen r9 of lab9 for 7 s" in away[2]
+    assert any("its clock is +90.0 s off" in line for line in lines)
+
+
+def test_fleet_of_a_domain_without_agents(world, agents, call):
+    agents("r0")
+    status, _, err = call("fleet", "--domain", f"{world.domain}x")
+    assert status == 1
+    assert "no agent of domain" in err

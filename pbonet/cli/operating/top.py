@@ -23,7 +23,7 @@ def command(
     place: options.Watching,
     json_: options.Json = False,
 ) -> None:
-    """Show tasks, RTPUs and variables live: rates, CPU, misses, ages, flags.
+    """Show tasks, RTPUs and variables live: CPU, misses, ages, flags.
 
     Tab shows the next table, the arrows select a row, Enter explains it, s sorts by
     the next column, r reverses, / filters, q ends. Elsewhere than on a terminal a table

@@ -30,7 +30,7 @@ class Cause(Struct, frozen=True, kw_only=True):
     source: Source
     because: tuple[Cause, ...] = ()
     remedy: str = ""
-    """What to do; empty where a cause behind it says so."""
+    """The remedy; empty where a cause behind it says so."""
 
 
 class Explanation(Struct, frozen=True, kw_only=True):
@@ -39,12 +39,12 @@ class Explanation(Struct, frozen=True, kw_only=True):
     kind: str
     """``flag``, ``task``, ``variable``, ``rtpu``, ``start`` or ``miss``."""
     name: str
-    """What it is about; empty for the flag and the present job."""
+    """The subject; empty for the flag and the present job."""
     what: str
     """How it is now."""
     causes: tuple[Cause, ...] = ()
     unknown: tuple[str, ...] = ()
-    """What could not be read, so that causes there are not seen."""
+    """Parts that could not be read, so that causes there are not seen."""
 
     @property
     def found(self) -> bool:

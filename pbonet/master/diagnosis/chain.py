@@ -33,7 +33,7 @@ class Chain:
         self._parts = parts
         self._met: set[tuple[str, str]] = set()
 
-    def told(self, kind: str, name: str) -> Told:
+    def explained(self, kind: str, name: str) -> Told:
         """Return how a task, variable or RTPU is, and why; once for each."""
         if (kind, name) in self._met:
             return f"{name} (explained above)", []
@@ -49,7 +49,7 @@ class Chain:
             source: Where it was read.
             remedy: What to do where nothing behind it has a remedy.
         """
-        what, causes = self.told(kind, name)
+        what, causes = self.explained(kind, name)
         known = any(map(_has_remedy, causes))
         return Cause(
             what=what,

@@ -40,7 +40,7 @@ def _cause(chain: Chain, text: str, rtpus: list[str]) -> Cause:
     because: list[Cause] = []
     remedy = OWN_TEXT
     if kind is None:
-        because = _told(chain, raiser)
+        because = _events_of(chain, raiser)
     else:
         because = _behind(chain, kind.subject, subject, raiser)
         remedy = kind.remedy
@@ -68,7 +68,7 @@ def _behind(chain: Chain, kind: str, subject: str, raiser: str) -> list[Cause]:
     return [chain.behind("rtpu", rtpu, Source.AGENTS)] if rtpu in facts.silent else []
 
 
-def _told(chain: Chain, raiser: str) -> list[Cause]:
+def _events_of(chain: Chain, raiser: str) -> list[Cause]:
     """Return the last event of a module that has raised the flag itself."""
     task = raiser.rpartition("/")[2]
     told = chain.facts.news(("WARNING", "SIGNAL", "METHOD"), task=task)

@@ -38,7 +38,7 @@ def missed(chain: Chain, task: str, cycle: int = 0) -> tuple[str, list[Cause]]:
     if facts.gaps.get(task):
         return _in_log(chain, task, cycle)
     if status is None:
-        what, causes = chain.told("task", task)
+        what, causes = chain.explained("task", task)
         return what, causes
     released = status.cycle + status.miss + status.failed
     what = f"{task} has missed {status.miss} of {released} cycles since it is ON"

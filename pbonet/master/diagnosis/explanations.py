@@ -52,7 +52,7 @@ def explain(facts: Facts, asked: Question) -> Explanation:
         case "miss":
             what, causes = explain_miss.missed(chain, name, asked.cycle)
         case _:
-            what, causes = chain.told(asked.kind, name)
+            what, causes = chain.explained(asked.kind, name)
     return Explanation(
         kind=asked.kind,
         name=name,

@@ -1,4 +1,4 @@
-"""What is known of a subsystem at one time, and read without asking again."""
+"""Facts about a subsystem at one time, and read without asking again."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Facts(Struct, kw_only=True):
     gaps: dict[str, list[Gap]] = {}
     from_log: bool = False
     unknown: list[str] = []
-    """What could not be read."""
+    """Parts that could not be read."""
 
     def task(self, name: str) -> TaskStatus | None:
         """Return the status of a task; None: it is on no RTPU that answers."""

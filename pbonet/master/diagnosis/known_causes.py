@@ -20,7 +20,7 @@ class FlagCause(NamedTuple):
     """A kind of cause for which the illegal-configuration flag is up."""
 
     subject: str
-    """What it leads to: ``task``, ``variable``, ``rtpu``, ``host``, or empty."""
+    """The kind of thing that it leads to: ``task``, ``variable``, ``rtpu``, ``host``, or empty."""
     sentence: str
     """With ``…`` for names and numbers, as the documentation quotes it."""
     pattern: re.Pattern[str]
@@ -108,7 +108,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "restarted": "see its events: why the process ended; turn the tasks on",
     "unclaimed": "start the job",
 }
-"""What to do about what is read from counters, states and events."""
+"""Remedies for what is read from counters, states and events."""
 
 
 def flag_cause(sentence: str) -> tuple[FlagCause | None, str]:

@@ -1,4 +1,4 @@
-"""What a user wants explained, from words."""
+"""Questions of a user, read from words."""
 
 from __future__ import annotations
 

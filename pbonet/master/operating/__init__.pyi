@@ -1,1 +1,1 @@
-from . import live_table as live_table
+from . import fleet as fleet, live_table as live_table

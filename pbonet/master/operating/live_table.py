@@ -84,7 +84,7 @@ def watch(
             warned=lambda _: None,  # what does not answer has a row
         )
 
-    make()  # faults of files are told before anything is shown
+    make()  # faults of files are reported before anything is shown
     screen = sys.stdout.isatty() and sys.stdin.isatty() and not as_data
     reader = SubsystemReader(make, every or (_SCREEN if screen else _LINES))
     view = TableView(sort, wanted)

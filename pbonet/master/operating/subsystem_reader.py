@@ -86,7 +86,7 @@ class SubsystemReader:
         before = self.reading.agents if self.reading is not None else {}
         names = [one.name for one in subsystem.sbs.rtpus]
         silent = dict.fromkeys(names, str(error))
-        self._tell(Reading(silent=silent, agents=before, complaints=[str(error)]))
+        self._publish(Reading(silent=silent, agents=before, complaints=[str(error)]))
         if (row := self._asked) is not None:
             self._asked = None
             facts = diagnosis.unreached(subsystem, error)
@@ -99,7 +99,7 @@ class SubsystemReader:
                 self._asked = None
                 self._answer(diagnosis.ask(subsystem, diagnosis.Extent.SCHEDULE), row)
             if time.monotonic() >= due:
-                self._tell(self._reading(subsystem))
+                self._publish(self._reading(subsystem))
                 due = max(due + self._every, time.monotonic())
             self._due.wait(max(due - time.monotonic(), 0.0))
             self._due.clear()
@@ -112,7 +112,7 @@ class SubsystemReader:
             self.explained = str(error)
         self.news.set()
 
-    def _tell(self, reading: Reading) -> None:
+    def _publish(self, reading: Reading) -> None:
         self.reading = reading
         self.count += 1
         self.news.set()

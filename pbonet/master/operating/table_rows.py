@@ -17,7 +17,7 @@ Cell = str | int | float | None
 
 
 class Reading(Struct, kw_only=True):
-    """What was read of a subsystem at one time, each thing once."""
+    """A reading of a subsystem at one time, each thing once."""
 
     rtpus: list[RtpuStatus] = []
     silent: dict[str, str] = {}

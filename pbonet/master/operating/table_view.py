@@ -1,4 +1,4 @@
-"""What the live table shows, and what each key changes; it draws nothing."""
+"""The state of the live table, and the effect of each key; it draws nothing."""
 
 from __future__ import annotations
 

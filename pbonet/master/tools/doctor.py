@@ -47,7 +47,7 @@ _EXTRAS: Final = {
 _WAYS_TIME: Final = 10.0
 """Seconds in which an agent reports, or measures, the ways to all others."""
 _AGAIN: Final = 3
-"""Agents that measure anew, at most."""
+"""Agents that measure again, at most."""
 _FEW: Final = 6
 """Agents of which each pair has a line."""
 _QUIET: Final = 1.0
@@ -255,8 +255,8 @@ def agents(
             )
         greeted, errors = client.call_all({n: m.Hello() for n in names}, m.AgentInfo)
         silent = [name for name in names if name not in greeted]
-        for name, error in zip(silent, errors, strict=True):
-            yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
+        for name, unheard in zip(silent, errors, strict=True):
+            yield Finding(Level.FAIL, f"{name}: {unheard.what}", unheard.remedy)
         infos += greeted.values()
         for info in infos:
             yield from _timed(client, info)
@@ -325,7 +325,7 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
     """Prove every pair of agents by the last round trip between the two.
 
     Agents make these each second, so each is asked once and sends nothing. Where one is
-    amiss, agents measure anew, a few at most: each of these asks all others.
+    amiss, agents measure again, a few at most: each of these asks all others.
     """
     asked: dict[str, m.Request] = {name: m.Links(measure=False) for name in names}
     reports, errors = client.call_all(asked, m.LinkReport, timeout=_WAYS_TIME)

@@ -135,6 +135,7 @@ class Agent:
             notes=self._desired.notes,
             devices=config.device,
             processors=self._executives.status,
+            runs=self._rtpu_config.runs,
         )
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None

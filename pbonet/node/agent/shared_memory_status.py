@@ -35,6 +35,7 @@ from pbonet.tbuf import places
 from pbonet.xm.net import codec, messages as m
 
 from . import variable_values
+from .machine_state import machine_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -53,8 +54,8 @@ waking a thread takes."""
 NEWS_TIME = 2.0
 """Seconds in which the RTPU process reports a task that it has created or ended."""
 
-Handled = m.Status | m.Profile | m.Display | m.Write | m.Devices
-HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices)
+Handled = m.Status | m.Profile | m.Display | m.Write | m.Devices | m.Machine
+HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices, m.Machine)
 """Requests that the agent carries out itself."""
 
 
@@ -78,6 +79,7 @@ class SharedMemoryStatus:
             RTPU process before, as `TaskStatus.restarted`.
         devices: I/O devices of the machine.
         processors: Returns the special purpose processors of the machine.
+        runs: The folder of the logs.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class SharedMemoryStatus:
         *,
         devices: Mapping[str, Entry] | None = None,
         processors: Callable[[], list[m.SppStatus]] = list,
+        runs: str = "runs",
     ) -> None:
         self._processors = processors
         self._recorder, self._notes = recorder, notes
@@ -112,6 +115,7 @@ class SharedMemoryStatus:
             m.Display: self._display,
             m.Write: self._write,
             m.Devices: lambda _: drivers.listed(devices or {}),
+            m.Machine: lambda _: machine_info(runs),
         }
 
     # -- reports of the RTPU process ---------------------------------------------------

@@ -423,13 +423,13 @@ class Server:
     def _report_ways(self, query: zenoh.Query, request: m.Links) -> None:
         """Have the paths to the other agents reported by another thread."""
         if not request.measure:
-            self._looks.submit(self._tell_ways, query, request)
+            self._looks.submit(self._report_known_ways, query, request)
             return
         with self._guard:
             self._measured.append((query, request))
         self._ways.submit(self._measure)
 
-    def _tell_ways(self, query: zenoh.Query, request: m.Links) -> None:
+    def _report_known_ways(self, query: zenoh.Query, request: m.Links) -> None:
         """Answer with the paths to the other agents as they were measured last."""
         report = self._node.ways(measure=False)
         answer = m.Answer(v=request.v, id=request.id, ok=True, result=report)

@@ -23,6 +23,7 @@ from .agents import (
     DeviceInfo as DeviceInfo,  # noqa: PLC0414 - taken from here
     LinkReport as LinkReport,  # noqa: PLC0414 - taken from here
     Lost as Lost,  # noqa: PLC0414 - taken from here
+    MachineInfo as MachineInfo,  # noqa: PLC0414 - taken from here
     PortUser as PortUser,  # noqa: PLC0414 - taken from here
     TableNews as TableNews,  # noqa: PLC0414 - taken from here
     Way as Way,  # noqa: PLC0414 - taken from here
@@ -76,6 +77,10 @@ class Links(Request, tag="links"):
 
 class Devices(Request, tag="devices"):
     """Ask for the I/O devices of an agent. Result: list of `DeviceInfo`."""
+
+
+class Machine(Request, tag="machine"):
+    """Ask for the clock and the disk of an agent's machine. Result: `MachineInfo`."""
 
 
 class Claim(Request, tag="claim"):
@@ -444,6 +449,7 @@ AnyRequest = (
     Hello
     | Links
     | Devices
+    | Machine
     | Claim
     | Release
     | CloseTable
