@@ -20,7 +20,7 @@ class FlagCause(NamedTuple):
     """A kind of cause for which the illegal-configuration flag is up."""
 
     subject: str
-    """The kind of thing that it leads to: ``task``, ``variable``, ``rtpu``, ``host``, or empty."""
+    """The kind of its subject: ``task``, ``variable``, ``rtpu``, ``host``, or empty."""
     sentence: str
     """With ``…`` for names and numbers, as the documentation quotes it."""
     pattern: re.Pattern[str]

@@ -59,6 +59,15 @@ HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices, m.Machine)
 """Requests that the agent carries out itself."""
 
 
+class Age(NamedTuple):
+    """The age of a variable."""
+
+    variable: str
+    seconds: float | None
+    """None: it was never written."""
+    stale: bool
+
+
 class Seen(NamedTuple):
     """A task, and its entries in the core table at one time."""
 
@@ -266,6 +275,27 @@ class SharedMemoryStatus:
         if given.ok and status.ok:
             given.result |= {"status": status.result, "agent": agent}
         return packs.pack(given)
+
+    def status(self, subsystem: str) -> m.RtpuStatus:
+        """Return the status of a subsystem's tasks, for the metrics.
+
+        Raises:
+            NodeError: The RTPU process is being started again.
+        """
+        request = m.Status(subsystem=subsystem)
+        return self._status(request, self._read_slots(), self._links.names())
+
+    def ages(self, subsystem: str) -> list[Age]:
+        """Return the ages of a subsystem's variables; none without its table."""
+        found = self._tables.get(subsystem)
+        if found is None:
+            return []
+        table = found[0]
+        infos = [(name, table.info(name)) for name in table.names()]
+        return [
+            Age(name, None if i.age_ns is None else i.age_ns * 1e-9, i.stale)
+            for name, i in infos
+        ]
 
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
         while True:
