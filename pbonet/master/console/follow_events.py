@@ -21,7 +21,7 @@ from . import render
 from .run_end import Interrupts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -127,12 +127,17 @@ class Follower:
         return events
 
 
+def _kept_here(_: m.Event) -> None:
+    """Send an event nowhere else."""
+
+
 def follow(
     path: str | Path,
     given: Mapping[str, Any],
     place: Place,
     *,
     as_data: bool,
+    also: Callable[[m.Event], None] = _kept_here,
 ) -> None:
     """Print the last events and then each new one, until interrupted.
 
@@ -141,6 +146,7 @@ def follow(
         given: Arguments of `events`.
         place: Where the subsystem is.
         as_data: Print JSON, one object a line.
+        also: Called with each event that is printed.
 
     Raises:
         PbonetError: An argument is wrong, or no agent can be reached.
@@ -164,13 +170,13 @@ def follow(
         if follower.doubt:
             render.print_error(render.warning(follower.doubt))
         count = _LAST if last is None else last
-        _show(events[max(0, len(events) - count) :], as_data=as_data)
+        _show(events[max(0, len(events) - count) :], also, as_data=as_data)
         told: dict[str, str] = {}
         while not interrupts.wished.is_set():
             _must_be_read()
             news.wait(LOOK_TIME)
             news.clear()
-            _show(follower.take(), as_data=as_data)
+            _show(follower.take(), also, as_data=as_data)
             told = _complain(told, follower)
     raise KeyboardInterrupt
 
@@ -199,8 +205,11 @@ def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
     return now
 
 
-def _show(events: Iterable[m.Event], *, as_data: bool) -> None:
+def _show(
+    events: Iterable[m.Event], also: Callable[[m.Event], None], *, as_data: bool
+) -> None:
     for event in events:
+        also(event)
         text = render.event(event)
         data = msgspec.json.encode(event).decode() if as_data else text
         sys.stdout.write(f"{data}\n")
