@@ -29,7 +29,7 @@ def variable(chain: Chain, name: str) -> tuple[str, list[Cause]]:
     facts = chain.facts
     value = facts.values.get(name)
     if value is None:
-        causes = []
+        causes: list[Cause] = []
         if facts.keeper in facts.silent:
             causes.append(chain.behind("rtpu", facts.keeper, Source.AGENTS))
         return f"the value of {name} could not be read", causes

@@ -66,7 +66,12 @@ def asked_by(words: Sequence[str]) -> Question:
             return Question(kind="miss", name=task, cycle=int(cycle))
         case [name] if name != "miss":
             return Question(kind="", name=name)
-    raise StateError(
+        case _:
+            raise _no_question(words)
+
+
+def _no_question(words: Sequence[str]) -> StateError:
+    return StateError(
         "this is nothing that can be explained",
         expected=_USES,
         got=" ".join(words),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -164,7 +165,7 @@ def _ask_all(
     silent = [name for name in names if name not in infos]
     told = {name: _Told(info) for name, info in infos.items()}
     with ThreadPoolExecutor(max(len(told), 1)) as pool:
-        list(pool.map(lambda name: _time(client, name, told[name]), told))
+        list(pool.map(partial(_time, client), told, told.values()))
     return told, dict(zip(silent, failed, strict=True))
 
 
