@@ -37,7 +37,9 @@ def variable(chain: Chain, name: str) -> tuple[str, list[Cause]]:
     writer = (value.writer or "").rpartition("/")[2]
     constant = any(one.name == name and one.constant for one in facts.graph.variables)
     old = facts.is_old(name) or value.age is None
-    if not old and (writer or constant):
+    status = facts.task(writer)
+    goes_on = status is not None and status.state == State.ON
+    if not old and (goes_on or constant):
         return what, []
     if not writer:
         return what, list(_unwritten(chain, value, old=old))

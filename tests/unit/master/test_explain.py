@@ -707,3 +707,17 @@ def test_what_could_not_be_read_is_said():
     assert "not read: the table: damaged" in told(
         facts(unknown=["the table: damaged"]), "flag"
     )
+
+
+def test_a_variable_that_is_fresh_but_will_not_stay_so():
+    known = facts(status("sensor"), status("plan", "arm1", state="OFF"), status("pid"))
+    text = told(known, "REF")
+    assert text.startswith("REF is 0.005 s old, and may be 0.1 s: not stale")
+    assert "task plan on arm1 is OFF" in text
+
+
+def test_a_constant_needs_no_task_that_is_on():
+    known = facts(status("sensor", state="OFF"))
+    one = known.graph.variables[0]
+    known.graph.variables[0] = structs.replace(one, constant=True)
+    assert not diagnosis.explain(known, asked_by(["Q"])).found
