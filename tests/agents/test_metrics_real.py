@@ -1,10 +1,13 @@
-"""The metrics of a real agent with a task that runs."""
+"""A real agent with a task that runs: its metrics, and what `fleet` shows of it."""
 
 from __future__ import annotations
 
 import urllib.request
 
 from watching import wait_for
+
+from pbonet.master.operating import fleet
+from pbonet.xm.net import messages as m
 
 
 def test_a_scrape_shows_the_task_and_takes_no_cycle_of_it(nodes):
@@ -29,4 +32,11 @@ def test_a_scrape_shows_the_task_and_takes_no_cycle_of_it(nodes):
     assert scraped("pbonet_task_state")[state] == 1.0
     ages = scraped("pbonet_variable_age_seconds")
     assert any('variable="Y0"' in name for name in ages)
+    told = nodes.client().call("arm0", m.Machine(), m.MachineInfo)
+    free = 'pbonet_runs_free_bytes{rtpu="arm0"}'
+    assert told.disk_size > scraped("pbonet_runs_free_bytes")[free] > 0
+    found = fleet.ask(nodes.domain, ())
+    assert [one.rtpus[0].name for one in found.machines] == ["arm0"]
+    assert abs(found.machines[0].clock) <= found.machines[0].within + 1.0
+    assert [(one.name, one.tasks) for one in found.subsystems] == [("arm", {"ON": 1})]
     assert scraped("pbonet_rtpu_up") == {'pbonet_rtpu_up{rtpu="arm0"}': 1.0}

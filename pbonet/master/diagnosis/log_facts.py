@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-import msgspec
 import numpy as np
 
 from pbonet.errors import PbonetError
 from pbonet.log import Log, timelines
 from pbonet.master.configuration import Graph
 from pbonet.master.tools import recorded_graph
-from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue
+from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue, convert
 
 from .facts import Facts, Gap
 
@@ -39,9 +38,9 @@ def read_log(path: str | Path) -> Facts:
     """
     log = Log(path)
     unknown = [str(one) for one in log.damage]
-    events = [msgspec.convert(one, Event) for one in log.events()]
+    events = [convert(one, Event) for one in log.events()]
     try:
-        graph = msgspec.convert(recorded_graph(log), Graph)
+        graph = convert(recorded_graph(log), Graph)
     except PbonetError as error:
         unknown.append(str(error))
         graph = Graph(
