@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import urllib.request
 
+import pytest
 from watching import wait_for
 
+from pbonet.errors import NodeError
 from pbonet.master.operating import fleet
+from pbonet.node.agent import Agent, agent_main
 from pbonet.xm.net import messages as m
 
 
@@ -40,3 +43,12 @@ def test_a_scrape_shows_the_task_and_takes_no_cycle_of_it(nodes):
     assert abs(found.machines[0].clock) <= found.machines[0].within + 1.0
     assert [(one.name, one.tasks) for one in found.subsystems] == [("arm", {"ON": 1})]
     assert scraped("pbonet_rtpu_up") == {'pbonet_rtpu_up{rtpu="arm0"}': 1.0}
+
+
+def test_an_agent_prints_the_port_that_it_took(nodes, capfd):
+    agent = nodes.agent("arm0", metrics="127.0.0.1:0")
+    agent_main.announce(agent.info(), agent.metrics_port)
+    assert f"arm0: metrics on port {agent.metrics_port}\n" in capfd.readouterr().out
+    other = nodes.config("arm1", metrics=f"127.0.0.1:{agent.metrics_port}")
+    with pytest.raises(NodeError, match="the metrics cannot be served"):
+        Agent(other).start()
