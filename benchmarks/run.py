@@ -59,6 +59,7 @@ RUNS = {
     "spp": "spp",
     "mppi": "mppi",
     "web": "web",
+    "metrics": "metrics",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -83,6 +84,7 @@ QUICK = {
     "spp": "--calls 100",
     "mppi": "--updates 3 --rollouts 64",
     "web": "--quick",
+    "metrics": "--quick",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

@@ -26,6 +26,9 @@ IMPORTED_AS = {
     "pyserial": "serial",
     "python-can": "can",
     "foxglove-sdk": "foxglove",
+    "prometheus-client": "prometheus_client",
+    "opentelemetry-sdk": "opentelemetry.sdk",
+    "opentelemetry-exporter-otlp-proto-http": "opentelemetry.exporter.otlp.proto.http",
 }
 """Names in import statements, where they are not the package's own."""
 CLOSE = 1e-9

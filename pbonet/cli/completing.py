@@ -147,6 +147,10 @@ def _found(kind: str, folder: Path) -> Iterator[Offer]:
         from pbonet.master.subsystem import status_fields
 
         yield from ((field.name, field.doc) for field in status_fields.FIELDS)
+    elif kind == "what":  # that `explain` explains
+        yield from _QUESTIONS
+        for one in _KEYWORDS:
+            yield from _found(one, folder)
     elif kind in _KEYWORDS:
         keyword, ending = _KEYWORDS[kind]
         line = re.compile(rf"^[ \t]*{keyword}[ \t]+(\S+)", re.MULTILINE)
@@ -163,6 +167,11 @@ _KEYWORDS: Final = {
     "variable": ("NAME", "svar"),
 }
 """The word with which a line begins that names a thing, and the ending of its file."""
+_QUESTIONS: Final = (
+    ("flag", "why the illegal-configuration flag is up"),
+    ("start", "why a job would be refused"),
+    ("miss", "why a task has missed cycles"),
+)
 
 
 def install(shell: str) -> list[Path]:

@@ -27,23 +27,25 @@ GROUPS: Final = {
         *("reinit", "reconfig", "swap"),
     ),
     "Watch and tune it": (
-        *("status", "profile", "freq", "get", "set", "display", "write"),
-        *("events", "sigwait", "sigmask", "web", "view", "ros2"),
+        *("status", "top", "profile", "freq", "get", "set", "display", "write"),
+        *("events", "explain", "sigwait", "sigmask", "web", "view", "ros2"),
     ),
     "Express mail": ("sem", "queue", "mailbox", "file"),
     "Recordings": ("log", "replay"),
-    "Machines and this program": ("agent", "devices", "doctor", "keys", "completion"),
+    "Machines and this program": (
+        *("agent", "fleet", "devices", "doctor", "keys", "completion"),
+    ),
 }
 """The verbs as the help shows them."""
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
 _OWN: Final = {
     *("new", "check", "graph", "simulate", "adopt", "run", "prompt", "stop"),
-    *("profile", "display", "library", "events", "web", "view", "ros2", "log"),
-    *("replay",),
-    *("agent", "devices", "doctor", "keys", "completion"),
+    *("profile", "display", "library", "web", "view", "ros2", "log"),
+    *("replay", "agent", "keys", "completion"),
 }
 """Verbs with a file of their own."""
 _FOLDERS: Final = {
+    "operating": ("devices", "doctor", "events", "explain", "fleet", "top"),
     "planning": ("allocate", "tune"),
     "xm": ("sem", "queue", "mailbox", "file"),
 }

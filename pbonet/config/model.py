@@ -444,6 +444,8 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The same by time."""
     runs_mb: float = 0.0
     """Most space for all logs in that folder; the oldest are removed. 0: no limit."""
+    metrics: str | None = None
+    """``HOST:PORT`` of the metrics for Prometheus; none are served if left out."""
     events: dict[str, str] = {}
     """Queues of the RTPU, and the keys whose messages go into them."""
     device: dict[str, Entry] = {}

@@ -122,6 +122,12 @@ class FakeAgent:
         self.machine = "fake"
         self.fail: dict[tuple[str, str], PbonetError] = {}
         self.lost: list[m.Lost] = []
+        self.told: list[m.Event] = []
+        """Its events."""
+        self.ahead = 0.0
+        """Seconds by which its clock is ahead."""
+        self.deaf: set[str] = set()
+        """Agents to which it has no path."""
         self.slow: dict[str, float] = {}
         self.held: dict[str, threading.Event] = {}
         self.late: list[dict[str, list[float]]] = []
@@ -488,5 +494,19 @@ class FakeAgent:
     def do_record(self, _: m.Record) -> m.Recorded:
         return m.Recorded(path="", machine="fake")
 
-    def do_events(self, _: m.Events) -> list[m.Event]:
-        return []
+    def do_events(self, request: m.Events) -> list[m.Event]:
+        return [one for one in self.told if one.n >= request.since]
+
+    def do_machine(self, _: m.Machine) -> m.MachineInfo:
+        return m.MachineInfo(
+            wall=time.time() + self.ahead,
+            runs="/runs",
+            disk_free=5 << 30,
+            disk_size=9 << 30,
+        )
+
+    def do_links(self, _: m.Links) -> m.LinkReport:
+        """Report a path to every other agent of the domain that is in sight."""
+        names = [name for name in self.neighbours() if name != self.name]
+        ways = [m.Way(rtpu=n, trip=0.001, hops=1) for n in names if n not in self.deaf]
+        return m.LinkReport(rtpu=self.name, ways=ways)

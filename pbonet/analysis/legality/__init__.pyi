@@ -19,6 +19,7 @@ from .devices_on_rtpus import (
     named_things as named_things,
     only_home as only_home,
 )
+from .freshness import max_age as max_age, passes as passes
 from .joins import CONNECTORS as CONNECTORS, intermediate as intermediate
 from .order import (
     change_order as change_order,

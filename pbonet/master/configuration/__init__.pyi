@@ -25,6 +25,7 @@ from .failures import (
     failed_at_end as failed_at_end,
     forced as forced,
     must_be_stopped as must_be_stopped,
+    next_steps as next_steps,
     stuck as stuck,
 )
 from .recording_plan import RecordingPlan as RecordingPlan
@@ -44,6 +45,7 @@ from .subsystem_graph import (
     GraphVariable as GraphVariable,
     Link as Link,
     Wire as Wire,
+    fault as fault,
     graph_of as graph_of,
     job_graph as job_graph,
     planned_graph as planned_graph,

@@ -153,5 +153,15 @@ def already(task: Member) -> StateError:
         f"there is a task {task.name} already",
         where=f"{task.rtpu}/{task.name}",
         got=f"state {task.state}",
-        remedy=_ANEW[task.state].format(task.name),
+        remedy=next_steps(task.state, task.name),
     )
+
+
+def next_steps(state: str, task: str) -> str:
+    """Return what may be done with a task in a state; empty for one that is not there.
+
+    Args:
+        state: Its state.
+        task: Its name.
+    """
+    return _ANEW[State(state)].format(task) if state in _ANEW else ""

@@ -240,7 +240,7 @@ def graph_of(
         variables=_variables(table, made),
         wires=_wires(made),
         links=[link for task in tasks for link in _links(task)],
-        faults=[*faults, *map(_fault, problems)],
+        faults=[*faults, *map(fault, problems)],
     )
 
 
@@ -501,7 +501,8 @@ def _links(task: legality.Task) -> Iterable[Link]:
             )
 
 
-def _fault(problem: legality.Problem) -> GraphFault:
+def fault(problem: legality.Problem) -> GraphFault:
+    """Return the fault that a problem is."""
     return GraphFault(
         text=legality.as_text(problem),
         severity=problem.severity.value,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pbonet.errors import PbonetError, UnknownTaskError
+from pbonet.errors import UnknownTaskError
 from pbonet.master.subsystem import EventFilter, Subsystem, since
 from pbonet.xm.net import messages as m
 
@@ -21,7 +21,7 @@ from . import render
 from .run_end import Interrupts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -54,8 +54,9 @@ class Follower:
     def take(self) -> list[m.Event]:
         """Return what has happened since the last call, the oldest first."""
         found: list[m.Event] = []
-        for rtpu in self._subsystem.clients.names:
-            found += self._of(rtpu)
+        left = list(self._subsystem.clients.names)
+        while left:
+            left = self._round(left, found)
         if self.doubt is None:
             self.doubt = self._wanted.doubt(found) or self._no_task(found)
         mine = {"", self._subsystem.name}
@@ -76,42 +77,58 @@ class Follower:
         """Return the RTPUs that do not answer now, and why."""
         return dict(self._silent)
 
-    def _of(self, rtpu: str) -> list[m.Event]:
-        found: list[m.Event] = []
-        while True:
-            since = self._next.get(rtpu, 0)
-            try:
-                events = self._ask(rtpu, since)
-            except PbonetError as error:
-                self._silent[rtpu] = str(error)
-                return found
-            self._silent.pop(rtpu, None)
-            if not events:
-                return found
-            if since > 1 and events[0].n > since:
-                self.left_out += events[0].n - since
-            found += events
-            self._next[rtpu] = events[-1].n + 1
-            self._time[rtpu] = events[-1].time
-
-    def _ask(self, rtpu: str, since: int) -> list[m.Event]:
-        """Return events from number `since` on, of a restarted RTPU from its first.
+    def _round(self, rtpus: list[str], found: list[m.Event]) -> list[str]:
+        """Ask RTPUs at once, and return those that may have more events.
 
         The event before the first one is requested too: an RTPU that has another one
         under its number, or none, is another process.
+
+        Args:
+            rtpus: Which.
+            found: Takes the events.
         """
-        clients = self._subsystem.clients
-        request = m.Events(since=max(since - 1, 0))
-        events = clients.call(rtpu, request, list[m.Event])
-        if since <= 1:
-            return events
-        if events and events[0].n == since - 1:
-            if events[0].time == self._time[rtpu]:
-                return events[1:]
-        elif events:
-            return events  # what lay between is forgotten
-        self._next[rtpu] = 0
-        return clients.call(rtpu, m.Events(), list[m.Event])
+        results, errors = self._subsystem.clients.each(
+            lambda rtpu: m.Events(since=max(self._next.get(rtpu, 0) - 1, 0)),
+            list[m.Event],
+            rtpus=rtpus,
+        )
+        silent = [rtpu for rtpu in rtpus if rtpu not in results]
+        self._silent |= dict(zip(silent, map(str, errors), strict=True))
+        left: list[str] = []
+        for rtpu, events in results.items():
+            self._silent.pop(rtpu, None)
+            new = self._new(rtpu, events)
+            if new is None:
+                self._next[rtpu] = 0
+                left.append(rtpu)
+            elif new:
+                found += new
+                left.append(rtpu)
+        return left
+
+    def _new(self, rtpu: str, events: list[m.Event]) -> list[m.Event] | None:
+        """Return the new ones of an RTPU's events; None: it is another process.
+
+        Events that it has forgotten before they could be asked for are counted.
+        """
+        since = self._next.get(rtpu, 0)
+        if since > 1:
+            if not events:
+                return None
+            if events[0].n == since - 1:
+                if events[0].time != self._time[rtpu]:
+                    return None
+                events = events[1:]
+        if events:
+            if since > 1 and events[0].n > since:
+                self.left_out += events[0].n - since
+            self._next[rtpu] = events[-1].n + 1
+            self._time[rtpu] = events[-1].time
+        return events
+
+
+def _kept_here(_: m.Event) -> None:
+    """Send an event nowhere else."""
 
 
 def follow(
@@ -120,6 +137,7 @@ def follow(
     place: Place,
     *,
     as_data: bool,
+    also: Callable[[m.Event], None] = _kept_here,
 ) -> None:
     """Print the last events and then each new one, until interrupted.
 
@@ -128,6 +146,7 @@ def follow(
         given: Arguments of `events`.
         place: Where the subsystem is.
         as_data: Print JSON, one object a line.
+        also: Called with each event that is printed.
 
     Raises:
         PbonetError: An argument is wrong, or no agent can be reached.
@@ -139,6 +158,7 @@ def follow(
         **place.arguments,
         kind="events",
         watch=True,
+        partly=True,
     )
     # A KeyboardInterrupt may be swallowed where Python ignores what a callback raises.
     interrupts = Interrupts(once=True)
@@ -150,13 +170,13 @@ def follow(
         if follower.doubt:
             render.print_error(render.warning(follower.doubt))
         count = _LAST if last is None else last
-        _show(events[max(0, len(events) - count) :], as_data=as_data)
+        _show(events[max(0, len(events) - count) :], also, as_data=as_data)
         told: dict[str, str] = {}
         while not interrupts.wished.is_set():
             _must_be_read()
             news.wait(LOOK_TIME)
             news.clear()
-            _show(follower.take(), as_data=as_data)
+            _show(follower.take(), also, as_data=as_data)
             told = _complain(told, follower)
     raise KeyboardInterrupt
 
@@ -185,8 +205,11 @@ def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
     return now
 
 
-def _show(events: Iterable[m.Event], *, as_data: bool) -> None:
+def _show(
+    events: Iterable[m.Event], also: Callable[[m.Event], None], *, as_data: bool
+) -> None:
     for event in events:
+        also(event)
         text = render.event(event)
         data = msgspec.json.encode(event).decode() if as_data else text
         sys.stdout.write(f"{data}\n")

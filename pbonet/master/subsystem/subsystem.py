@@ -1377,6 +1377,8 @@ class Subsystem:
     ) -> list[m.Event]:
         """Return events of the RTPUs that concern the subsystem, oldest first.
 
+        RTPUs that do not answer cause warnings.
+
         Args:
             last: At most this many, the newest; None: all that the RTPUs have kept.
             since: Number of the first event wanted of each RTPU, or an age, such as
@@ -1389,7 +1391,8 @@ class Subsystem:
             StateError: The severity does not exist, or `since` is neither a number nor
                 an age.
             UnknownTaskError: The task does not exist and has no events.
-            SeveralError: RTPUs did not report their events.
+            SeveralError: No RTPU reports its events; if there is only one RTPU, its own
+                error is raised.
         """
         given = {"task": task, "code": code, "severity": severity, "since": since}
         from . import event_filter
@@ -1399,7 +1402,9 @@ class Subsystem:
         results, errors = self.clients.each(
             lambda _: request(since=first), list[m.Event]
         )
-        rpc.raise_all(f"{len(errors)} RTPUs do not report their events", errors)
+        if not results:
+            rpc.raise_all(f"{len(errors)} RTPUs do not report their events", errors)
+        self.task_set.warn(map(str, errors))
         found = [event for events in results.values() for event in events]
         if doubt := wanted.doubt(found):
             self._warn(doubt)

@@ -32,7 +32,7 @@ from pbonet.xm.net import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pbonet.analysis.schedule import Probe
 
@@ -45,7 +45,11 @@ _EXTRAS: Final = {
     "serial": "serial devices: pip install 'pbonet[devices]'",
 }
 _WAYS_TIME: Final = 10.0
-"""Seconds in which an agent measures the ways to all others."""
+"""Seconds in which an agent reports, or measures, the ways to all others."""
+_AGAIN: Final = 3
+"""Agents that measure again, at most."""
+_FEW: Final = 6
+"""Agents of which each pair has a line."""
 _QUIET: Final = 1.0
 """A link whose last record is older, in seconds, is reported."""
 _SLOW: Final = 0.05
@@ -249,16 +253,13 @@ def agents(
                 f"the program at {where} has no agent of domain {domain}",
                 "name the domain of its agents with --domain",
             )
-        for name in names:
-            try:
-                infos.append(client.call(name, m.Hello(), m.AgentInfo))
-                begin = time.perf_counter()
-                client.call(name, m.Hello(), m.AgentInfo)
-                passed = time.perf_counter() - begin
-            except PbonetError as error:
-                yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
-            else:
-                yield from _agent(infos[-1], passed)
+        greeted, errors = client.call_all({n: m.Hello() for n in names}, m.AgentInfo)
+        silent = [name for name in names if name not in greeted]
+        for name, unheard in zip(silent, errors, strict=True):
+            yield Finding(Level.FAIL, f"{name}: {unheard.what}", unheard.remedy)
+        infos += greeted.values()
+        for info in infos:
+            yield from _timed(client, info)
         yield from _processors_and_links(client, infos)
         yield from _pairs(client, [info.name for info in infos])
         yield from losses(infos)
@@ -268,6 +269,17 @@ def agents(
             yield Finding(Level.FAIL, text, m.HELD_REMEDY)
     finally:
         client.close()
+
+
+def _timed(client: rpc.Client, info: m.AgentInfo) -> Iterator[Finding]:
+    """Ask an agent that has answered once more, alone, and time it."""
+    begin = time.perf_counter()
+    try:
+        client.call(info.name, m.Hello(), m.AgentInfo)
+    except PbonetError as error:
+        yield Finding(Level.FAIL, f"{info.name}: {error.what}", error.remedy)
+        return
+    yield from _agent(info, time.perf_counter() - begin)
 
 
 def _processors_and_links(
@@ -283,7 +295,7 @@ def _processors_and_links(
     for rtpu, status in sorted(found.items()):
         for link in status.tbufs if rtpu in machines.values() else ():
             text = f"{rtpu}: link {render.link_line(msgspec.to_builtins(link))}"
-            yield Finding(*_judged(link, text))
+            yield Finding(*link_verdict(link, text))
         for one in status.spps:
             line = render.processor_line(msgspec.to_builtins(one))
             runs = bool(one.back_end) and not one.error
@@ -294,7 +306,7 @@ def _processors_and_links(
             )
 
 
-def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
+def link_verdict(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
     """Return the verdict on a link."""
     if not link.writer:
         return Level.WARN, text, f"start the writer of {link.name}, or its agent"
@@ -310,18 +322,22 @@ def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
 
 
 def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
-    """Prove every pair of agents by a round trip between the two."""
-    asked: dict[str, m.Request] = {name: m.Links() for name in names}
+    """Prove every pair of agents by the last round trip between the two.
+
+    Agents make these each second, so each is asked once and sends nothing. Where one is
+    amiss, agents measure again, a few at most: each of these asks all others.
+    """
+    asked: dict[str, m.Request] = {name: m.Links(measure=False) for name in names}
     reports, errors = client.call_all(asked, m.LinkReport, timeout=_WAYS_TIME)
     for error in errors:
         yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
-    ways = {
-        (report.rtpu, way.rtpu): way
-        for report in reports.values()
-        for way in report.ways
-    }
-    for one, other in itertools.combinations(sorted(reports), 2):
-        yield _pair(one, other, ways.get((one, other)) or ways.get((other, one)))
+    doubtful = [one for (one, _), way in _ways(reports) if way is None or way.error]
+    again = [*dict.fromkeys(doubtful)][:_AGAIN]
+    measured, _ = client.call_all(
+        {name: m.Links() for name in again}, m.LinkReport, timeout=_WAYS_TIME
+    )
+    reports |= measured
+    yield from _each_pair(_ways(reports), len(reports))
     for name, report in sorted(reports.items()):
         for news in report.tables:
             yield Finding(
@@ -346,6 +362,34 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
                 "let one of the two name the other with --connect, not both, and "
                 "start it again",
             )
+
+
+_Pairs = list[tuple[tuple[str, str], m.Way | None]]
+
+
+def _ways(reports: Mapping[str, m.LinkReport]) -> _Pairs:
+    """Return the path between each two agents, as one of the two reports it."""
+    ways = {
+        (report.rtpu, way.rtpu): way
+        for report in reports.values()
+        for way in report.ways
+    }
+    pairs = itertools.combinations(sorted(reports), 2)
+    return [((a, b), ways.get((a, b)) or ways.get((b, a))) for a, b in pairs]
+
+
+def _each_pair(pairs: _Pairs, count: int) -> Iterator[Finding]:
+    """Tell each pair of few agents; of many, those that fail and one line for all."""
+    sound = [way for _, way in pairs if way is not None and not way.error]
+    if count > _FEW and sound:
+        trips = [way.trip for way in sound]
+        apart = max(abs(way.offset) for way in sound)
+        text = f"{len(sound)} pairs of {count} agents see each other: round trips "
+        text += f"{render.seconds(min(trips))} to {render.seconds(max(trips))}, clocks "
+        yield Finding(Level.PASS, f"{text}at most {apart:.6f} s apart")
+    for (one, other), way in pairs:
+        if count <= _FEW or way is None or way.error:
+            yield _pair(one, other, way)
 
 
 def _pair(one: str, other: str, way: m.Way | None) -> Finding:
@@ -397,18 +441,23 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
     for limit in info.limits:
         yield Finding(Level.WARN, f"{info.name}: {limit}")
     if info.keys_left is not None:
-        yield _term(
-            f"{info.name}: its keys",
-            info.keys_left,
-            "make others with `pbonet keys agent`, put them where the old ones are, "
-            f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
-        )
+        yield keys_of(info, info.keys_left)
     if info.version != pbonet.__version__:
         yield Finding(
             Level.WARN,
             f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",
             REMEDY,
         )
+
+
+def keys_of(info: m.AgentInfo, left: float) -> Finding:
+    """Judge how long the keys of an agent are good for."""
+    return _term(
+        f"{info.name}: its keys",
+        left,
+        "make others with `pbonet keys agent`, put them where the old ones are, "
+        f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
+    )
 
 
 def _term(whose: str, left: float, remedy: str) -> Finding:

@@ -26,6 +26,7 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
+from pbonet.node.metrics import MetricsServer, check_address
 from pbonet.node.mirror import TableCarrier
 from pbonet.node.restart import DesiredState, Takeovers, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
@@ -50,10 +51,11 @@ from .duplicate_agents import DuplicateAgents
 from .heartbeat import Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
+from .machine_state import machine_info
 from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
 from .rtpu_link import RtpuLink
-from .shared_memory_status import SharedMemoryStatus, restarting
+from .shared_memory_status import Age, SharedMemoryStatus, restarting
 from .shutdown_event import Ending
 from .start_rtpu import choose_core, used_cores
 from .stop_orders import Order, StopOrders
@@ -98,6 +100,8 @@ class Agent:
         lasts: Whether the next agent of that name is to know what this one had.
     """
 
+    _metrics: MetricsServer | None = None
+
     def __init__(
         self, config: AgentConfig, *, backend: str = "auto", lasts: bool = True
     ) -> None:
@@ -110,8 +114,7 @@ class Agent:
         self.places = run_folder.Places(config.domain, config.name)
         self._machine = run_folder.machine()
         self._key_folder = keys_in = Path(config.keys) if config.keys else None
-        for one in config.listen:
-            session.check_endpoint(one, insecure=config.insecure, key_folder=keys_in)
+        _check_addresses(config, keys_in)
         core = choose_core(self.places) if config.core is None else config.core
         self._rtpu_config = rtpu_messages.RtpuConfig(
             domain=config.domain,
@@ -135,6 +138,7 @@ class Agent:
             notes=self._desired.notes,
             devices=config.device,
             processors=self._executives.status,
+            runs=self._rtpu_config.runs,
         )
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
@@ -197,6 +201,11 @@ class Agent:
             raise
         self._started = True
         return self
+
+    @property
+    def metrics_port(self) -> int | None:
+        """The port on which metrics are served; None: they are not."""
+        return self._metrics.port if self._metrics is not None else None
 
     def _open(self) -> None:
         dialled = dialling.Dialled(
@@ -288,6 +297,10 @@ class Agent:
         unlinked = partial(self._ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
+        if self.config.metrics is not None:
+            self._metrics = MetricsServer(
+                self.name, self.config.metrics, self._key_folder, self
+            )
         self._begin_again(damage)
         self._token = self._session.liveliness().declare_token(
             key_expressions.rtpu(self.config.domain, self.name, "alive")
@@ -436,6 +449,7 @@ class Agent:
             self._again = None
         self._desired.close(keep=keep)
         network = (
+            self._metrics,
             self._mail,
             self._links,
             self._subscriptions,
@@ -450,7 +464,7 @@ class Agent:
         ways, beats = self._ways, self._heartbeat
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
-        self._stops = self._takeovers = None
+        self._stops = self._takeovers = self._metrics = None
         self._heartbeat = None
         if self._restarter is not None:
             self._restarter.join()
@@ -571,10 +585,24 @@ class Agent:
             now_ns=time.monotonic_ns(),
         )
 
-    def ways(self) -> LinkReport:
-        """Return the paths to the other agents, measured now."""
+    def status(self, subsystem: str) -> messages.RtpuStatus:
+        """Return the status of a subsystem's tasks on the RTPU, for the metrics."""
+        return self._overview.status(subsystem)
+
+    def ages(self, subsystem: str) -> list[Age]:
+        """Return the ages of a subsystem's variables, for the metrics."""
+        return self._overview.ages(subsystem)
+
+    def machine(self) -> messages.MachineInfo:
+        """Return the clock of the machine, and the disk on which runs are recorded."""
+        return machine_info(self._rtpu_config.runs)
+
+    def ways(self, *, measure: bool = True) -> LinkReport:
+        """Return the paths to the other agents, measured now or a second ago."""
         ways = self._ways
-        report = LinkReport(rtpu=self.name) if ways is None else ways.report()
+        report = LinkReport(rtpu=self.name)
+        if ways is not None:
+            report = ways.report(measure=measure)
         if self._mirrors is not None:
             report.tables = self._mirrors.report()
         return report
@@ -730,3 +758,16 @@ class Agent:
         self.reason, self._given_up = reason, loss
         log.error("%s: %s", self.name, reason)
         self._over.set()
+
+
+def _check_addresses(config: AgentConfig, keys: Path | None) -> None:
+    """Refuse addresses that cannot be, or that reach beyond this machine without keys.
+
+    Raises:
+        NodeError: One of an agent's endpoints is refused.
+        ConfigError: That of the metrics is.
+    """
+    for one in config.listen:
+        session.check_endpoint(one, insecure=config.insecure, key_folder=keys)
+    if config.metrics is not None:
+        check_address(config.metrics, keys)

@@ -103,10 +103,17 @@ def _has_terminal() -> bool:
     return True
 
 
-def announce(info: AgentInfo) -> None:
-    """Print that the RTPU accepts commands, and which guarantees are reduced."""
+def announce(info: AgentInfo, metrics_port: int | None = None) -> None:
+    """Print that the RTPU accepts commands, and which guarantees are reduced.
+
+    Args:
+        info: The agent.
+        metrics_port: The port on which it serves metrics, if it does.
+    """
     lines = [f"{info.name}: ready on core {info.core}, scheduling by {info.backend}"]
     lines += [f"{info.name}: {limit}" for limit in info.limits]
+    if metrics_port is not None:
+        lines.append(f"{info.name}: metrics on port {metrics_port}")
     with contextlib.suppress(OSError):  # standard output is closed
         sys.stdout.write("\n".join([*lines, ""]))
         sys.stdout.flush()
@@ -144,7 +151,7 @@ def main(
     agent.start()
     for text in absent(config.libraries):
         log.warning("%s: %s", agent.name, text)
-    announce(agent.info())
+    announce(agent.info(), agent.metrics_port)
     systemd_notify.notify("READY=1")
     if life.wait():
         log.warning("%s: restarts", agent.name)

@@ -257,17 +257,15 @@ class PeerLatencies:
         machine = self._machines.get(name)
         return (machine and self.clocks.clock(machine, time.monotonic_ns())) or None
 
-    def report(self) -> m.LinkReport:
-        """Measure now, and return what is known."""
+    def report(self, *, measure: bool = True) -> m.LinkReport:
+        """Return what is known of the paths to the others.
+
+        Args:
+            measure: Measure now; else it is from the last second, and nothing is sent.
+        """
         me = self._me()
-        for _ in range(TRIES):
-            self._measure(me.name)
-        for _ in range(AGAIN):
-            with self._guard:
-                left = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
-            if not left or self._over.wait(PAUSE):
-                break
-            self._measure(me.name, left)
+        if measure:
+            self._measure_now(me.name)
         counts = dialling.links(self._session)
         with self._guard:
             peers = sorted(self._peers.items())
@@ -280,6 +278,17 @@ class PeerLatencies:
         return m.LinkReport(
             rtpu=me.name, ways=ways, double=sorted(double), unseen=unseen
         )
+
+    def _measure_now(self, me: str) -> None:
+        """Make round trips to all, and more to those that cannot be asked yet."""
+        for _ in range(TRIES):
+            self._measure(me)
+        for _ in range(AGAIN):
+            with self._guard:
+                left = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
+            if not left or self._over.wait(PAUSE):
+                break
+            self._measure(me, left)
 
     def _watch(self) -> None:
         due = time.monotonic() + PERIOD

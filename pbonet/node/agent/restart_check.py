@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import NodeError
+from pbonet.node.metrics import check_address
 from pbonet.xm.net import access_control, credentials, session
 
 from . import link_watchdog
@@ -55,6 +56,8 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
     keys = Path(new.keys) if new.keys else None
     for endpoint in new.listen:
         session.check_endpoint(endpoint, insecure=new.insecure, key_folder=keys)
+    if new.metrics is not None:
+        check_address(new.metrics, keys)
     for endpoint in new.connect:
         session.check_dialled(endpoint, key_folder=keys)
     if keys is not None:

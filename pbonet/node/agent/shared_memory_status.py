@@ -35,6 +35,7 @@ from pbonet.tbuf import places
 from pbonet.xm.net import codec, messages as m
 
 from . import variable_values
+from .machine_state import machine_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -53,9 +54,18 @@ waking a thread takes."""
 NEWS_TIME = 2.0
 """Seconds in which the RTPU process reports a task that it has created or ended."""
 
-Handled = m.Status | m.Profile | m.Display | m.Write | m.Devices
-HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices)
+Handled = m.Status | m.Profile | m.Display | m.Write | m.Devices | m.Machine
+HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices, m.Machine)
 """Requests that the agent carries out itself."""
+
+
+class Age(NamedTuple):
+    """The age of a variable."""
+
+    variable: str
+    seconds: float | None
+    """None: it was never written."""
+    stale: bool
 
 
 class Seen(NamedTuple):
@@ -78,6 +88,7 @@ class SharedMemoryStatus:
             RTPU process before, as `TaskStatus.restarted`.
         devices: I/O devices of the machine.
         processors: Returns the special purpose processors of the machine.
+        runs: The folder of the logs.
     """
 
     def __init__(
@@ -90,6 +101,7 @@ class SharedMemoryStatus:
         *,
         devices: Mapping[str, Entry] | None = None,
         processors: Callable[[], list[m.SppStatus]] = list,
+        runs: str = "runs",
     ) -> None:
         self._processors = processors
         self._recorder, self._notes = recorder, notes
@@ -112,6 +124,7 @@ class SharedMemoryStatus:
             m.Display: self._display,
             m.Write: self._write,
             m.Devices: lambda _: drivers.listed(devices or {}),
+            m.Machine: lambda _: machine_info(runs),
         }
 
     # -- reports of the RTPU process ---------------------------------------------------
@@ -262,6 +275,27 @@ class SharedMemoryStatus:
         if given.ok and status.ok:
             given.result |= {"status": status.result, "agent": agent}
         return packs.pack(given)
+
+    def status(self, subsystem: str) -> m.RtpuStatus:
+        """Return the status of a subsystem's tasks, for the metrics.
+
+        Raises:
+            NodeError: The RTPU process is being started again.
+        """
+        request = m.Status(subsystem=subsystem)
+        return self._status(request, self._read_slots(), self._links.names())
+
+    def ages(self, subsystem: str) -> list[Age]:
+        """Return the ages of a subsystem's variables; none without its table."""
+        found = self._tables.get(subsystem)
+        if found is None:
+            return []
+        table = found[0]
+        infos = [(name, table.info(name)) for name in table.names()]
+        return [
+            Age(name, None if i.age_ns is None else i.age_ns * 1e-9, i.stale)
+            for name, i in infos
+        ]
 
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
         while True:

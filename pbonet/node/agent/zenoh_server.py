@@ -98,7 +98,7 @@ class Node(Protocol):
         """Return this agent's identity."""
         ...
 
-    def ways(self) -> LinkReport:
+    def ways(self, *, measure: bool = True) -> LinkReport:
         """Return the paths to the other agents, measured now."""
         ...
 
@@ -346,9 +346,7 @@ class Server:
                 self._introduce(query, request)
                 return
             if isinstance(request, m.Links):
-                with self._guard:
-                    self._measured.append((query, request))
-                self._ways.submit(self._measure)
+                self._report_ways(query, request)
                 return
             if isinstance(request, HANDLED):
                 self._handle(query, request)
@@ -421,6 +419,21 @@ class Server:
         if not (short and self._book.noted(*said)):
             # zenoh's thread has no time for this
             self._arrived.put(partial(self._book.commanded, *said))
+
+    def _report_ways(self, query: zenoh.Query, request: m.Links) -> None:
+        """Have the paths to the other agents reported by another thread."""
+        if not request.measure:
+            self._looks.submit(self._report_known_ways, query, request)
+            return
+        with self._guard:
+            self._measured.append((query, request))
+        self._ways.submit(self._measure)
+
+    def _report_known_ways(self, query: zenoh.Query, request: m.Links) -> None:
+        """Answer with the paths to the other agents as they were measured last."""
+        report = self._node.ways(measure=False)
+        answer = m.Answer(v=request.v, id=request.id, ok=True, result=report)
+        self._reply(query, self._codec.pack(answer))
 
     def _measure(self) -> None:
         """Answer with the paths to the other agents, which takes their round trips."""

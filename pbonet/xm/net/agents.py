@@ -87,6 +87,19 @@ class AgentInfo(Struct, kw_only=True):
         return self.versions.get(layer, alone)
 
 
+class MachineInfo(Struct, kw_only=True):
+    """The clock of an agent's machine, and the disk on which its runs are recorded."""
+
+    wall: float
+    """Wall-clock time when it answered, seconds since 1970."""
+    runs: str
+    """The folder of the logs."""
+    disk_free: int | None = None
+    """Bytes that are free there; None: the folder and those above it are not there."""
+    disk_size: int | None = None
+    """Bytes of that file system."""
+
+
 def mismatched(infos: Iterable[AgentInfo]) -> list[str]:
     """Say what these agents, and this program, cannot tell each other, and why."""
     programs = {"this program": {"commands": LAYERS["commands"]}}

@@ -23,6 +23,7 @@ from .agents import (
     DeviceInfo as DeviceInfo,  # noqa: PLC0414 - taken from here
     LinkReport as LinkReport,  # noqa: PLC0414 - taken from here
     Lost as Lost,  # noqa: PLC0414 - taken from here
+    MachineInfo as MachineInfo,  # noqa: PLC0414 - taken from here
     PortUser as PortUser,  # noqa: PLC0414 - taken from here
     TableNews as TableNews,  # noqa: PLC0414 - taken from here
     Way as Way,  # noqa: PLC0414 - taken from here
@@ -67,11 +68,19 @@ class Hello(Request, tag="hello"):
 
 
 class Links(Request, tag="links"):
-    """Measure the latency from an agent to all others. Result: `LinkReport`."""
+    """Ask for the latency from an agent to all others. Result: `LinkReport`."""
+
+    measure: bool = True
+    """Measure it now; False: report the last round trips, which are made each second,
+    and send none."""
 
 
 class Devices(Request, tag="devices"):
     """Ask for the I/O devices of an agent. Result: list of `DeviceInfo`."""
+
+
+class Machine(Request, tag="machine"):
+    """Ask for the clock and the disk of an agent's machine. Result: `MachineInfo`."""
 
 
 class Claim(Request, tag="claim"):
@@ -440,6 +449,7 @@ AnyRequest = (
     Hello
     | Links
     | Devices
+    | Machine
     | Claim
     | Release
     | CloseTable

@@ -15,8 +15,8 @@ from .resource_messages import XmRequest
 
 LEAVES = ("sbs", "mail", "status")
 _LOOKING = {
-    *("hello", "links", "devices", "get", "profile", "display", "modules", "events"),
-    *("xm_stat", "xm_list", "xm_read", "xm_overview"),
+    *("hello", "links", "devices", "machine", "get", "profile", "display"),
+    *("modules", "events", "xm_stat", "xm_list", "xm_read", "xm_overview"),
 }
 """The ``op`` of requests that change nothing."""
 
@@ -54,7 +54,7 @@ def check(request: m.Request, key: str) -> None:
         raise AccessError(
             "this key accepts only requests that change nothing",
             where=key,
-            expected="hello, links, devices, status without reset, profile, "
+            expected="hello, links, devices, machine, status without reset, profile, "
             "display, modules, events, get, reading files, lists of resources, and "
             "freq, sigmask and job without changes",
             got=type(request).__name__.lower(),

@@ -84,7 +84,7 @@ TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks forever beyond 256."""
 
 
-def _is_address(text: str) -> bool:
+def is_address(text: str) -> bool:
     """Return whether a text is a host and a port."""
     match = _HOST_PORT.fullmatch(text)
     return match is not None and int(match[2]) <= _LAST_PORT
@@ -101,7 +101,7 @@ def check_endpoint(
     """
     protocol, _, address = endpoint.partition("/")
     local = protocol == "unixsock-stream" and address
-    if not local and not (protocol in PROTOCOLS and _is_address(address)):
+    if not local and not (protocol in PROTOCOLS and is_address(address)):
         raise NodeError(
             "this is not an endpoint",
             expected="PROTOCOL/HOST:PORT with one of " + " ".join(PROTOCOLS),
@@ -127,7 +127,7 @@ def check_endpoint(
             got=protocol,
             remedy="use this endpoint, or no keys",
         )
-    if not insecure and key_folder is None and not _is_loopback(address):
+    if not insecure and key_folder is None and not is_loopback(address):
         raise NodeError(
             "listening beyond this machine is not protected",
             where=endpoint,
@@ -158,7 +158,8 @@ def check_dialled(endpoint: str, *, key_folder: Path | None = None) -> str:
     return endpoint
 
 
-def _is_loopback(address: str) -> bool:
+def is_loopback(address: str) -> bool:
+    """Return whether ``HOST:PORT`` is of this machine alone."""
     host = address.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True

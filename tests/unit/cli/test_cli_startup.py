@@ -25,6 +25,8 @@ CASES = {
     "wrong usage": (["status"], HEAVY | NODE),
     "check": (["check", str(PUMA / "puma.job")], NEVER | NODE | {"zenoh"}),
     "status": (["status", str(PUMA / "puma.sbs")], NEVER | NODE | UNUSED),
+    "explain": (["explain", str(PUMA / "puma.job")], NEVER | NODE),
+    "fleet": (["fleet"], NEVER | NODE),
     "set": (["set", str(PUMA / "puma.sbs"), "a", "b", "1"], NEVER | NODE | {"numpy"}),
 }
 MOST = {"version": 4, "completion": 45, "check": 112, "status": 88}

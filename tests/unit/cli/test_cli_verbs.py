@@ -54,7 +54,7 @@ def test_every_verb_that_was_asked_for_is_there():
 
 
 def test_every_file_of_a_verb_is_in_the_help():
-    files = {path.stem for path in Path(cli.__file__).parent.glob("*.py")}
+    files = {path.stem for path in Path(cli.__file__).parent.rglob("*.py")}
     assert files - PARTS <= set(verbs.NAMES)
 
 
@@ -113,7 +113,7 @@ def test_verbs_that_change_can_take_over():
 
 def test_verbs_hold_no_logic():
     """A verb's file defines one function, and imports pbonet's parts inside it."""
-    for path in Path(cli.__file__).parent.glob("*.py"):
+    for path in Path(cli.__file__).parent.rglob("*.py"):
         if path.stem in PARTS:
             continue
         tree = ast.parse(path.read_text())

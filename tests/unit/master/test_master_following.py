@@ -30,10 +30,11 @@ class Rtpu:
         self.now += 1
         return self.now
 
-    def call(self, rtpu, request, _):
+    def each(self, make, _, *, rtpus):
+        (rtpu,) = rtpus
         if self.silent:
-            raise NoAnswerError("no answer", where=rtpu)
-        return self.log.since(request.since, limit=50)
+            return {}, [NoAnswerError("no answer", where=rtpu)]
+        return {rtpu: self.log.since(make(rtpu).since, limit=50)}, []
 
     def tell(self, *texts, severity=Severity.INFO, code="X", **more):
         for text in texts:

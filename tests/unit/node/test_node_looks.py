@@ -182,6 +182,33 @@ def test_one_measurement_of_the_ways_is_for_all_who_wait_for_one():
         one.stop()
 
 
+def test_a_report_of_the_last_round_trips_waits_for_no_measurement():
+    go, kinds = threading.Event(), []
+
+    def ways(*, measure=True):
+        kinds.append(measure)
+        assert not measure or go.wait(10.0)
+        return m.LinkReport(rtpu="arm0")
+
+    one = zenoh_server.Server(
+        *(None, "d", "arm0"),
+        node=SimpleNamespace(ways=ways),
+        mail=None,
+        overview=None,
+        book=None,
+    )
+    slow, quick = (Query(m.Links(measure=each), "status") for each in (True, False))
+    try:
+        one._take(slow)
+        wait_for(lambda: kinds, "the measurement")
+        one._take(quick)
+        wait_for(lambda: quick.answers, "the report of the last round trips")
+        assert (kinds, slow.answers) == ([True, False], [])
+    finally:
+        go.set()
+        one.stop()
+
+
 def test_a_write_overtakes_no_write_that_waits():
     """The first one could not be carried out at once; the master has sent on."""
     done = []

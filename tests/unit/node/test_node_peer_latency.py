@@ -72,3 +72,10 @@ def test_an_agent_that_was_out_of_sight_may_have_another_version(world):
     world.there = [agent(versions=VERSIONS)]
     world.measure()
     assert world.ways.table_version() == 2
+
+
+def test_a_report_of_the_last_round_trips_sends_none(world):
+    world.measure()
+    world.there = []  # an answer would be missed
+    report = world.ways.report(measure=False)
+    assert [(way.rtpu, way.error) for way in report.ways] == [("arm1", "")]

@@ -19,6 +19,9 @@ IMPORTED_AS = {
     "pyserial": {"serial"},
     "python-can": {"can"},
     "foxglove-sdk": {"foxglove"},
+    "prometheus-client": {"prometheus_client"},
+    "opentelemetry-sdk": {"opentelemetry"},
+    "opentelemetry-exporter-otlp-proto-http": {"opentelemetry"},
     "warp-lang": {"warp"},
 }
 """Names in import statements, where they are not the package's own."""

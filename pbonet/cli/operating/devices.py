@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import options
+from pbonet.cli import options
 
 
 def command(*, agents: options.Agents, json_: options.Json = False) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-from . import options
-from .parser import Option
+from pbonet.cli import options
+from pbonet.cli.parser import Option
 
 
 def command(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-from . import options
-from .parser import Option
-from .table import arguments, show
+from pbonet.cli import options
+from pbonet.cli.parser import Option
+from pbonet.cli.table import arguments, show
 
 
 def command(
@@ -15,6 +15,7 @@ def command(
     given: A[dict[str, object], arguments("events")],
     follow: A[bool, Option("Then show each new event, until Ctrl-C.")] = False,
     count: A[bool, Option("Show how many of each kind every task reported.")] = False,
+    otlp: A[str, Option("Also send each to a collector of OpenTelemetry.", "URL")] = "",
     place: options.Watching,
     json_: options.Json = False,
 ) -> None:
@@ -25,12 +26,21 @@ def command(
         pbonet events arm.sbs --since 5m --severity warning
         Show the last ten events and each new one:
         pbonet events arm.sbs 10 --follow
+        Send every warning to a collector of OpenTelemetry:
+        pbonet events arm.sbs --follow --severity warning --otlp http://127.0.0.1:4318
     """
     from pbonet.errors import StateError
     from pbonet.master.console import follow_events, oneshot
 
     if follow and count:
         raise StateError("--follow and --count exclude each other", remedy="choose one")
+    if otlp and not follow:
+        raise StateError("--otlp needs --follow", remedy="add it")
+    if otlp:
+        from pbonet.master.operating import OtelLogs
+
+        with OtelLogs(otlp) as logs:
+            follow_events.follow(file, given, place, as_data=json_, also=logs.add)
     if follow:
         follow_events.follow(file, given, place, as_data=json_)
         return

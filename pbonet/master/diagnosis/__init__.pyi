@@ -1,0 +1,17 @@
+from .answers import answer as answer
+from .ask_facts import Extent as Extent, ask as ask, unreached as unreached
+from .causes import (
+    Cause as Cause,
+    Explanation as Explanation,
+    Source as Source,
+    text as text,
+)
+from .explanations import explain as explain
+from .facts import Facts as Facts, Gap as Gap
+from .known_causes import (
+    FLAG_CAUSES as FLAG_CAUSES,
+    OWN_TEXT as OWN_TEXT,
+    REMEDIES as REMEDIES,
+)
+from .log_facts import read_log as read_log
+from .question import Question as Question, asked_by as asked_by

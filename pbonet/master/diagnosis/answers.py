@@ -1,0 +1,70 @@
+"""The answer to a question about a subsystem or a recorded run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import structs
+
+from pbonet.errors import NodeError
+
+from .explanations import explain
+from .question import asked_by
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.master.configuration import Place
+
+    from .causes import Explanation
+    from .facts import Facts
+    from .question import Question
+
+
+def answer(path: str | Path, words: Sequence[str], place: Place) -> Explanation:
+    """Return what explains something.
+
+    Args:
+        path: The subsystem's ``.sbs`` file, a ``.job`` file that names it, or a log or
+            the folder of a run.
+        words: What is asked; none: about the flag.
+        place: Where the subsystem is.
+
+    Raises:
+        StateError: The words ask nothing that can be explained.
+        PbonetError: A file is wrong, or no agent can be reached.
+    """
+    asked = asked_by(words)
+    path = Path(path)
+    if path.suffix == ".mcap" or path.is_dir():
+        from .log_facts import read_log
+
+        return explain(read_log(path), asked)
+    return explain(_read_running(path, asked, place), asked)
+
+
+def _read_running(path: Path, asked: Question, place: Place) -> Facts:
+    """Return the facts of a subsystem, also if none of its RTPUs answers."""
+    from pbonet.master.subsystem import Subsystem
+
+    from .ask_facts import Extent, ask, unreached
+
+    place = structs.replace(place, take_over=False, confirm=None)
+    subsystem = Subsystem(
+        path,
+        **place.arguments,
+        kind="explain",
+        watch=True,
+        partly=True,
+        warned=lambda _: None,  # what does not answer is a fact
+    )
+    try:
+        subsystem.open(once=True)
+    except NodeError as error:
+        return unreached(subsystem, error)
+    try:
+        job = asked.name if asked.kind == "start" else ""
+        return ask(subsystem, Extent.of(asked), job)
+    finally:
+        subsystem.detach()

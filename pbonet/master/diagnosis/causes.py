@@ -1,0 +1,74 @@
+"""A chain of causes, as a record and as text."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+class Source(StrEnum):
+    """Where a fact of a chain was read."""
+
+    STATUS = "status"
+    EVENTS = "events"
+    TABLE = "table"
+    FILES = "files"
+    SCHEDULE = "schedule"
+    AGENTS = "agents"
+    LOG = "log"
+
+
+class Cause(Struct, frozen=True, kw_only=True):
+    """A cause, with those behind it."""
+
+    what: str
+    source: Source
+    because: tuple[Cause, ...] = ()
+    remedy: str = ""
+    """The remedy; empty where a cause behind it says so."""
+
+
+class Explanation(Struct, frozen=True, kw_only=True):
+    """The answer to a question."""
+
+    kind: str
+    """``flag``, ``task``, ``variable``, ``rtpu``, ``start`` or ``miss``."""
+    name: str
+    """The subject; empty for the flag and the present job."""
+    what: str
+    """How it is now."""
+    causes: tuple[Cause, ...] = ()
+    unknown: tuple[str, ...] = ()
+    """Parts that could not be read, so that causes there are not seen."""
+
+    @property
+    def found(self) -> bool:
+        """Whether a cause was found."""
+        return bool(self.causes)
+
+
+def text(explanation: Explanation) -> str:
+    """Return an explanation as lines; a cause stands below what it explains."""
+    lines = [explanation.what]
+    for cause in explanation.causes:
+        lines += _lines(cause, 1)
+    if not explanation.found:
+        lines.append("no cause was found")
+    lines += [f"not read: {one}" for one in explanation.unknown]
+    return "\n".join(lines)
+
+
+def _lines(cause: Cause, depth: int) -> Iterator[str]:
+    indent = "  " * depth
+    first, *rest = cause.what.splitlines() or [""]
+    yield f"{indent}because {first} [{cause.source}]"
+    yield from (f"{indent}  {line}" for line in rest)
+    for behind in cause.because:
+        yield from _lines(behind, depth + 1)
+    if cause.remedy:
+        yield f"{indent}  do: {cause.remedy}"

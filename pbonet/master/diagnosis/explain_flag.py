@@ -1,0 +1,75 @@
+"""Why the illegal-configuration flag is up (Stewart 1994, section 3.10)."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from .causes import Cause, Source
+from .known_causes import OWN_TEXT, flag_cause
+from .told_events import cause_of
+
+if TYPE_CHECKING:
+    from .chain import Chain
+
+_RAISED = re.compile(r"(.*) \((\S+)\)", re.DOTALL)
+
+
+def flag(chain: Chain) -> tuple[str, list[Cause]]:
+    """Return whether the flag is up, and each of its causes with those behind it."""
+    facts = chain.facts
+    raised: dict[str, list[str]] = {}
+    for name, status in facts.rtpus.items():
+        for cause in status.illegal:
+            raised.setdefault(cause, []).append(name)
+    if not raised:
+        what = f"the flag of {facts.subsystem} is down"
+        silent = [chain.behind("rtpu", one, Source.AGENTS) for one in facts.silent]
+        return what, silent
+    what = f"the flag of {facts.subsystem} is up for {len(raised)} causes"
+    if len(raised) == 1:
+        what = f"the flag of {facts.subsystem} is up"
+    return what, [_cause(chain, one, at) for one, at in raised.items()]
+
+
+def _cause(chain: Chain, text: str, rtpus: list[str]) -> Cause:
+    """Return one cause of the flag, with what it leads to."""
+    found = _RAISED.fullmatch(text)
+    sentence, raiser = (found[1], found[2]) if found else (text, "")
+    kind, subject = flag_cause(sentence)
+    because: list[Cause] = []
+    remedy = OWN_TEXT
+    if kind is None:
+        because = _events_of(chain, raiser)
+    else:
+        because = _behind(chain, kind.subject, subject, raiser)
+        remedy = kind.remedy
+    return Cause(
+        what=f"{text}, on {', '.join(rtpus)}",
+        source=Source.STATUS,
+        because=tuple(because),
+        remedy=remedy,
+    )
+
+
+def _behind(chain: Chain, kind: str, subject: str, raiser: str) -> list[Cause]:
+    facts = chain.facts
+    if kind == "host":
+        hosts = {name: one.host for name, one in facts.agents.items()}
+        named = [name for name, host in hosts.items() if host == subject]
+        return [
+            chain.behind("rtpu", one, Source.AGENTS)
+            for one in [*named, *(set(facts.silent) - set(named))]
+        ]
+    if kind:
+        source = Source.TABLE if kind == "variable" else Source.STATUS
+        return [chain.behind(kind, subject, source)]
+    rtpu, _, _ = raiser.partition("/")
+    return [chain.behind("rtpu", rtpu, Source.AGENTS)] if rtpu in facts.silent else []
+
+
+def _events_of(chain: Chain, raiser: str) -> list[Cause]:
+    """Return the last event of a module that has raised the flag itself."""
+    task = raiser.rpartition("/")[2]
+    told = chain.facts.news(("WARNING", "SIGNAL", "METHOD"), task=task)
+    return [cause_of(one, chain.facts) for one in told] if task else []

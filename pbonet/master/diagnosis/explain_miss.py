@@ -1,0 +1,207 @@
+"""Why a task has missed cycles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.analysis import legality
+
+from . import explain_rtpu
+from .causes import Cause, Source
+from .known_causes import REMEDIES
+from .told_events import cause_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.xm.net import TaskStatus
+
+    from .chain import Chain
+    from .facts import Gap
+
+_NEAR = 1.0
+"""Seconds within which an event belongs to a missed release."""
+_DELAY = 0.5
+"""Share of a period from which on a late start counts as a cause."""
+
+
+def missed(chain: Chain, task: str, cycle: int = 0) -> tuple[str, list[Cause]]:
+    """Return how many cycles a task has missed, and why.
+
+    Args:
+        chain: The facts.
+        task: The task.
+        cycle: The cycle after the missed releases, in a log; 0: all.
+    """
+    facts = chain.facts
+    status = facts.task(task)
+    if facts.gaps.get(task):
+        return _in_log(chain, task, cycle)
+    if status is None:
+        what, causes = chain.explained("task", task)
+        return what, causes
+    released = status.cycle + status.miss + status.failed
+    what = f"{task} has missed {status.miss} of {released} cycles since it is ON"
+    if not status.miss and not any(status.failures.values()):
+        return what, []
+    return what, list(_causes(chain, status))
+
+
+def _causes(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    yield from _itself(chain, status)
+    yield from _others(chain, status)
+    yield from explain_rtpu.stalls(chain, status.rtpu)
+    yield from _analysis(chain, status)
+    yield from _machine(chain, status)
+
+
+def _itself(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield what the task does that takes too long."""
+    facts = chain.facts
+    period = 1.0 / status.ref_f if status.ref_f else 0.0
+    for event in facts.news(("HANGS",), task=status.task):
+        yield cause_of(event, facts, REMEDIES["no cycle"])
+    if status.waits:
+        yield Cause(what=status.waits, source=Source.STATUS, remedy=REMEDIES["waits"])
+    longest = max(status.max_c, status.now_c)
+    if period and longest > period:
+        yield Cause(
+            what=f"its longest cycle takes {longest * 1e3:.3g} ms of CPU time, and its "
+            f"period is {period * 1e3:.3g} ms",
+            source=Source.SCHEDULE,
+            remedy=REMEDIES["too long"],
+        )
+    elif period and status.first_c > period:
+        yield Cause(
+            what=f"its first cycle took {status.first_c * 1e3:.3g} ms",
+            source=Source.STATUS,
+            remedy=REMEDIES["first cycle"],
+        )
+    kinds = [f"{count} {kind}" for kind, count in status.failures.items() if count]
+    if kinds:
+        told = facts.news(("TIMING_FAILURE",), task=status.task)
+        yield Cause(
+            what=f"timing failures: {', '.join(kinds)}",
+            source=Source.STATUS,
+            because=tuple(cause_of(one, facts) for one in told),
+            remedy="" if longest > period else REMEDIES["overloaded"],
+        )
+
+
+def _others(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield the tasks of the same RTPU that had the core instead."""
+    period = 1.0 / status.ref_f if status.ref_f else 0.0
+    for other in chain.facts.on_rtpu(status.rtpu):
+        if other.task == status.task or other.state != "ON":
+            continue
+        longest = max(other.max_c, other.now_c)
+        first = other.crit <= status.crit
+        if period and first and longest + status.max_c > period:
+            yield Cause(
+                what=f"{other.task} goes first (criticality {other.crit} before "
+                f"{status.crit}), and takes up to {longest * 1e3:.3g} ms",
+                source=Source.SCHEDULE,
+                remedy=REMEDIES["preempted"],
+            )
+
+
+def _analysis(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield what the analysis of the RTPU says about the task."""
+    for report in chain.facts.reports:
+        if report.rtpu != status.rtpu:
+            continue
+        if status.task in report.unknown:
+            yield Cause(
+                what=f"no MAXC of {status.task} is known, so nothing bounds it",
+                source=Source.SCHEDULE,
+                remedy=REMEDIES["unbounded"],
+            )
+        refused = report.outlook in {
+            legality.Outlook.OVERLOADED,
+            legality.Outlook.PARTLY,
+        }
+        if refused and status.task not in report.guaranteed:
+            yield Cause(
+                what=f"RTPU {report.rtpu} is {report.outlook}: utilization "
+                f"{report.utilization:.1%}, and {status.task} is not guaranteed",
+                source=Source.SCHEDULE,
+                remedy=REMEDIES["overloaded"],
+            )
+
+
+def _machine(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield what the machine does to the task."""
+    info = chain.facts.agents.get(status.rtpu)
+    if info is not None and info.backend != "fifo":
+        yield Cause(
+            what=f"RTPU {status.rtpu} has no SCHED_FIFO, so timing is soft",
+            source=Source.AGENTS,
+            remedy=REMEDIES["soft timing"],
+        )
+    if status.faults > status.cycle and status.cycle:
+        yield Cause(
+            what=f"{status.faults} page faults since it is ON",
+            source=Source.STATUS,
+            remedy=REMEDIES["faults"],
+        )
+    if status.ref_f and status.jitter_max > _DELAY / status.ref_f:
+        yield Cause(
+            what=f"a cycle began {status.jitter_max * 1e3:.3g} ms after its release",
+            source=Source.STATUS,
+            remedy=REMEDIES["late start"],
+        )
+
+
+def _in_log(chain: Chain, task: str, cycle: int) -> tuple[str, list[Cause]]:
+    """Return the missed cycles of a recorded task, and why."""
+    gaps = chain.facts.gaps[task]
+    if cycle:
+        gaps = [one for one in gaps if one.cycle - one.missed <= cycle <= one.cycle]
+    total = sum(one.missed for one in gaps)
+    what = f"{task} has missed {total} cycles in {len(gaps)} places"
+    if cycle:
+        what = f"{task} has missed {total} releases before cycle {cycle}"
+    worst = sorted(gaps, key=lambda one: -one.missed)[:_SHOWN]
+    return what, [_gap(chain, task, one) for one in worst]
+
+
+_SHOWN = 5
+
+
+def _gap(chain: Chain, task: str, gap: Gap) -> Cause:
+    """Return the releases missed before one cycle, and what was done meanwhile."""
+    facts = chain.facts
+    status = facts.task(task)
+    period = 1.0 / status.ref_f if status is not None and status.ref_f else 0.0
+    because: list[Cause] = []
+    if period and gap.longest > period:
+        because.append(
+            Cause(
+                what=f"the cycle before took {gap.longest * 1e3:.3g} ms of CPU time, "
+                f"and its period is {period * 1e3:.3g} ms",
+                source=Source.LOG,
+                remedy=REMEDIES["too long"],
+            )
+        )
+    busy = [one for one in gap.others if period and one[1] > period * _DELAY]
+    because += [
+        Cause(
+            what=f"{other} took {seconds * 1e3:.3g} ms of the core meanwhile",
+            source=Source.LOG,
+            remedy=REMEDIES["preempted"],
+        )
+        for other, seconds in busy
+    ]
+    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "STATE", "METHOD")
+    home = facts.home(task)
+    because += [
+        cause_of(event, facts)
+        for event in facts.news(codes, rtpu=home, last=len(facts.events))
+        if abs(event.wall - gap.at) <= _NEAR and event.task in {"", task}
+    ][:_SHOWN]
+    return Cause(
+        what=f"{gap.missed} releases before cycle {gap.cycle}",
+        source=Source.LOG,
+        because=tuple(because),
+        remedy="" if because else REMEDIES["late start"],
+    )

@@ -1,0 +1,73 @@
+"""Why a job would not start, or did not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.xm.net import messages as m
+
+from .causes import Cause, Source
+from .known_causes import REMEDIES
+from .told_events import cause_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .chain import Chain
+
+_FAILED = ("SPAWN_FAILED", "NOT_SPAWNED", "SIGNAL_FAILED")
+
+
+def start(chain: Chain, job: str) -> tuple[str, list[Cause]]:
+    """Return whether a job would be refused now, and why."""
+    facts = chain.facts
+    planned = facts.planned.job if facts.planned is not None else ""
+    name = job or planned or facts.subsystem
+    causes = [*_refused(chain), *_reach(chain), *_others(chain), *_failed(chain)]
+    if facts.from_log:
+        return f"the start of {name} in this run", causes
+    verdict = "would be refused" if causes else "would not be refused"
+    return f"the start of {name} {verdict} now", causes
+
+
+def _refused(chain: Chain) -> Iterator[Cause]:
+    """Yield the faults for which verification refuses."""
+    for fault in chain.facts.start:
+        remedy = fault.remedy
+        what = fault.text.removesuffix(f"; {remedy}") if remedy else fault.text
+        yield Cause(what=what, source=Source.FILES, remedy=remedy)
+
+
+def _reach(chain: Chain) -> Iterator[Cause]:
+    """Yield the RTPUs that a start needs and that do not answer."""
+    for name in chain.facts.silent:
+        yield chain.behind("rtpu", name, Source.AGENTS)
+    for text in chain.facts.held:
+        yield Cause(what=text, source=Source.AGENTS, remedy=m.HELD_REMEDY)
+
+
+def _others(chain: Chain) -> Iterator[Cause]:
+    """Yield who else has the subsystem or its RTPUs."""
+    facts = chain.facts
+    if facts.masters:
+        yield Cause(
+            what=f"the master {', '.join(facts.masters)} has the subsystem",
+            source=Source.AGENTS,
+            remedy=REMEDIES["another master"],
+        )
+    for name, info in facts.agents.items():
+        others = sorted(info.claims.keys() - {facts.subsystem})
+        if others and info.on.keys() & set(others):
+            yield Cause(
+                what=f"{', '.join(others)} uses RTPU {name}",
+                source=Source.AGENTS,
+                remedy="use a free RTPU, or `USAGE shared` in both `.sbs` files",
+            )
+
+
+def _failed(chain: Chain) -> Iterator[Cause]:
+    """Yield what failed at the last start, if nothing was spawned since."""
+    facts = chain.facts
+    for event in facts.news((*_FAILED, "SPAWNED")):
+        if event.code != "SPAWNED":
+            yield cause_of(event, facts)

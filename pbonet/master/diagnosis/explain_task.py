@@ -1,0 +1,161 @@
+"""Why a task is in its state, or does not do its work though it is ON."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from pbonet.master.configuration import next_steps
+from pbonet.pbo import State
+
+from .causes import Cause, Source
+from .known_causes import REMEDIES
+from .told_events import cause_of, sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.xm.net import Event, TaskStatus
+
+    from .chain import Chain
+
+_ENDS = ("TASK_DIED", "FORCED", "TABLE_DAMAGED")
+_FAILS = ("METHOD", "SIGNAL_FAILED")
+_MOVES = ("STATE", "SPAWNED", "ENGAGED", "RESTARTED", "SIGNAL_FAILED", "STOPPED")
+_TOO_OLD = re.compile(r"the input (\S+) is too old")
+
+
+def task(chain: Chain, name: str) -> tuple[str, list[Cause]]:
+    """Return the state of a task, and why it is in it."""
+    status = chain.facts.task(name)
+    if status is None:
+        return _absent(chain, name)
+    what = f"task {name} on {status.rtpu} is {status.state}"
+    told = {State.ERROR: _error, State.NOT_CREATED: _ended, State.OFF: _off}
+    find = told.get(State(status.state), _on)
+    return what, list(find(chain, status))
+
+
+def _absent(chain: Chain, name: str) -> tuple[str, list[Cause]]:
+    """Explain a task that no RTPU which answers has."""
+    facts = chain.facts
+    home = facts.home(name)
+    where = f" on {home}" if home else ""
+    if home in facts.silent:
+        cause = chain.behind("rtpu", home, Source.AGENTS)
+        return f"the state of task {name}{where} is not known", [cause]
+    found: list[Cause] = []
+    if lost := facts.news(("NOT_SPAWNED", "SPAWN_FAILED"), task=name):
+        found.append(cause_of(lost[0], facts, REMEDIES["not spawned"]))
+    elif missing := next((one for one in facts.missing if one.task == name), None):
+        found.append(
+            Cause(
+                what=missing.reason,
+                source=Source.STATUS,
+                remedy=REMEDIES["not spawned"],
+            )
+        )
+    found += [cause_of(one, facts) for one in facts.news(_ENDS, task=name)]
+    found += [cause_of(one, facts) for one in facts.news(("STOPPED",), rtpu=home)]
+    return f"task {name}{where} is {State.NOT_CREATED}", found
+
+
+def _error(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield why a task is in ERROR."""
+    facts = chain.facts
+    newest = facts.news(_FAILS, task=status.task)
+    because = [cause_of(one, facts) for one in newest]
+    if old := _TOO_OLD.search(status.error):
+        because.append(chain.behind("variable", old[1], Source.TABLE))
+    yield Cause(
+        what=status.error or (sentence(newest[0]) if newest else "no error is known"),
+        source=Source.STATUS,
+        because=tuple(because),
+        remedy=next_steps(State.ERROR, status.task),
+    )
+
+
+def _ended(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield why a task whose status is kept has no process."""
+    facts = chain.facts
+    ends = [cause_of(one, facts) for one in facts.news(_ENDS, task=status.task)]
+    again = facts.news(("NOT_SPAWNED",), task=status.task)
+    ends += [cause_of(one, facts) for one in again]
+    yield Cause(
+        what=status.error or "its process has ended",
+        source=Source.STATUS,
+        because=tuple(ends),
+        remedy=REMEDIES["died"],
+    )
+    if status.restarted:
+        yield Cause(what=status.restarted, source=Source.STATUS)
+
+
+def _off(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield why a task is OFF."""
+    facts = chain.facts
+    if status.restarted:
+        ends = facts.news(("RTPU_DIED", "AGENT_GONE"), rtpu=status.rtpu)
+        yield Cause(
+            what=status.restarted,
+            source=Source.STATUS,
+            because=tuple(cause_of(one, facts) for one in ends),
+            remedy=REMEDIES["turned off"],
+        )
+        return
+    if status.stands_by:
+        yield Cause(
+            what=f"it stands by for {status.fallback_of}",
+            source=Source.STATUS,
+            remedy=REMEDIES["stands by"],
+        )
+        return
+    newest = facts.news(_MOVES, task=status.task)
+    if not newest:
+        what = "it was turned off before the events that the RTPU has kept"
+        never = "it was not turned on since it was spawned"
+        yield Cause(
+            what=what if status.on_ns else never,
+            source=Source.STATUS,
+            remedy=REMEDIES["turned off" if status.on_ns else "never on"],
+        )
+        return
+    yield _moved(chain, status, newest[0])
+
+
+def _moved(chain: Chain, status: TaskStatus, event: Event) -> Cause:
+    """Return the last change of a task's state as the cause that it is OFF."""
+    facts = chain.facts
+    if event.code == "SPAWNED":
+        return cause_of(event, facts, REMEDIES["never on"])
+    if event.code == "SIGNAL_FAILED":
+        return cause_of(event, facts, next_steps(State.OFF, status.task))
+    signal = event.text.partition(":")[0]
+    ordered = signal in {"off", "clear", "stop"}
+    key = "turned off" if ordered else "off by itself"
+    told = facts.news(("SIGNAL", "TIMING_FAILURE", "METHOD"), task=status.task)
+    near = [one for one in told if abs(one.wall - event.wall) <= 1.0]
+    cause = cause_of(event, facts, REMEDIES[key])
+    return Cause(
+        what=cause.what,
+        source=cause.source,
+        because=tuple(cause_of(one, facts) for one in near),
+        remedy=cause.remedy,
+    )
+
+
+def _on(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield why a task that is ON does not do its work."""
+    facts = chain.facts
+    for name in facts.inputs(status.task):
+        value = facts.values.get(name)
+        if value is not None and facts.is_old(name):
+            yield chain.behind("variable", name, Source.TABLE)
+    for event in facts.news(("HANGS",), task=status.task):
+        yield cause_of(event, facts)
+    if status.waits:
+        yield Cause(what=status.waits, source=Source.STATUS, remedy=REMEDIES["waits"])
+    if status.miss:
+        yield chain.behind("miss", status.task, Source.STATUS)
+    if status.warning:
+        yield Cause(what=f"it warns: {status.warning}", source=Source.STATUS)

@@ -1,0 +1,220 @@
+"""Reads from the log of a run what `explain` needs."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from pbonet.errors import PbonetError
+from pbonet.log import Log, timelines
+from pbonet.master.configuration import Graph
+from pbonet.master.tools import recorded_graph
+from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue, convert
+
+from .facts import Facts, Gap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_GONE: Final = "NOT-CREATED"
+_BREAK: Final = 1000
+"""A longer gap, in periods, is time in which the task was OFF."""
+_FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED")
+_CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(.*)", re.DOTALL)
+
+
+def read_log(path: str | Path) -> Facts:
+    """Return the facts of a recorded run, as they were before its tasks were ended.
+
+    Args:
+        path: The log, or the folder of a run.
+
+    Raises:
+        LogError: There is none, or it is damaged from the beginning.
+    """
+    log = Log(path)
+    unknown = [str(one) for one in log.damage]
+    events = [convert(one, Event) for one in log.events()]
+    try:
+        graph = convert(recorded_graph(log)[0], Graph)
+    except PbonetError as error:
+        unknown.append(str(error))
+        graph = Graph(
+            name=log.about.get("subsystem", ""),
+            job="",
+            rtpus=[],
+            tasks=[],
+            variables=[],
+            wires=[],
+            links=[],
+            faults=[],
+        )
+    facts = Facts(
+        subsystem=graph.name,
+        graph=graph,
+        events=events,
+        from_log=True,
+        unknown=unknown,
+    )
+    facts.rtpus = _rtpus(log, facts)
+    facts.gaps = {task: _gaps(log, task) for task in log.tasks}
+    facts.values = _values(log)
+    return facts
+
+
+def _rtpus(log: Log, facts: Facts) -> dict[str, RtpuStatus]:
+    """Return the status of each RTPU, with its tasks as they were at the end."""
+    states = {name: _last(line) for name, line in timelines(log).items()}
+    missed, failed = log.missed(), log.failed()
+    tasks: dict[str, list[TaskStatus]] = {}
+    for name in log.tasks:
+        about = log.task_about(name)
+        status = _task(log, name, states.get(name, _GONE), facts)
+        status.miss, status.failed = missed.get(name, 0), failed.get(name, 0)
+        tasks.setdefault(about.rtpu, []).append(status)
+    names = dict.fromkeys([*(one.name for one in facts.graph.rtpus), *tasks])
+    raised = _raised(facts.events)
+    return {
+        name: RtpuStatus(
+            rtpu=name,
+            backend="",
+            scheduler="",
+            tasks=tasks.get(name, []),
+            illegal=raised.get(name, []),
+        )
+        for name in names
+        if name in tasks or name in raised
+    }
+
+
+def _last(line: list[Any]) -> str:
+    """Return the last state of a task before it was ended in order."""
+    states = [stretch.state for stretch in line]
+    before = states[:-1] if len(states) > 1 and states[-1] == _GONE else states
+    return before[-1] if before else _GONE
+
+
+def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:
+    about, arrays = log.task_about(name), log.arrays(name)
+    failures = facts.news(_FAILED, task=name)
+    error = failures[0].text if failures and state in {"ERROR", _GONE} else ""
+    cpu = arrays["cpu_ns"]
+    return TaskStatus(
+        rmod=name,
+        task=name,
+        rtpu=about.rtpu,
+        tid=0,
+        S="P",
+        crit=0,
+        state=state,
+        cycle=len(cpu),
+        miss=0,
+        ref_f=about.freq or 0.0,
+        mez_f=0.0,
+        mez_t=0.0,
+        ptime=0.0,
+        tot_c=float(cpu.sum()) * 1e-9,
+        tick=0.0,
+        min_c=float(cpu.min(initial=0)) * 1e-9,
+        max_c=float(cpu.max(initial=0)) * 1e-9,
+        last_c=0.0,
+        warn=0,
+        error=error,
+        on_ns=1 if len(cpu) else 0,
+    )
+
+
+def _raised(events: list[Event]) -> dict[str, list[str]]:
+    """Return the causes of the flag in the run, by the RTPU that has reported them.
+
+    Causes that come when everything is turned off at the end are left out; when those
+    that were withdrawn came and went is in their events.
+    """
+    end = _end_of(events)
+    found: dict[str, dict[str, None]] = {}
+    for event in events:
+        if event.code == "ILLEGAL" and event.wall < end:
+            parts = _CHANGES.fullmatch(event.text)
+            text = parts[1] if parts is not None else event.text
+            found.setdefault(event.rtpu, {})[text] = None
+    return {rtpu: list(causes) for rtpu, causes in found.items()}
+
+
+def _end_of(events: list[Event]) -> float:
+    """Return when the tasks began to be turned off for good; infinity: never."""
+    begun = float("inf")
+    for event in reversed(events):
+        signal = event.text.partition(":")[0]
+        if event.code == "STOPPED":
+            begun = event.wall
+        elif event.code == "STATE" and begun < float("inf"):
+            if signal not in {"off", "kill", "stop"}:
+                break
+            begun = event.wall
+    return begun
+
+
+def _gaps(log: Log, task: str) -> list[Gap]:
+    """Return where a task has missed releases, from the times of its cycles."""
+    arrays = log.arrays(task)
+    releases: NDArray[np.int64] = arrays["release_ns"]
+    between = np.diff(releases)
+    if not len(between):
+        return []
+    period = float(np.median(between))
+    counts = np.round(between / period).astype(np.int64) - 1 if period else between * 0
+    offset = log.begin_time_ns - log.begin_ns
+    places = np.flatnonzero((counts > 0) & (counts < _BREAK))
+    return [
+        Gap(
+            cycle=int(arrays["cycle"][place + 1]),
+            missed=int(counts[place]),
+            at=float(releases[place] + offset) * 1e-9,
+            longest=float(arrays["cpu_ns"][place]) * 1e-9,
+            others=_others(log, task, int(releases[place]), int(releases[place + 1])),
+        )
+        for place in places.tolist()
+    ]
+
+
+def _others(log: Log, task: str, begin: int, end: int) -> tuple[tuple[str, float], ...]:
+    """Return the CPU time of the other tasks of an RTPU in an interval."""
+    home = log.task_about(task).rtpu
+    found: list[tuple[str, float]] = []
+    for other in log.tasks:
+        if other == task or log.task_about(other).rtpu != home:
+            continue
+        arrays = log.arrays(other)
+        inside = (arrays["end_ns"] > begin) & (arrays["start_ns"] < end)
+        spent = float(arrays["cpu_ns"][inside].sum()) * 1e-9
+        if spent:
+            found.append((other, spent))
+    return tuple(sorted(found, key=lambda one: -one[1]))
+
+
+def _values(log: Log) -> dict[str, VarValue]:
+    """Return each variable with its last writer, and its age at the end of the run."""
+    _, end = log.span_ns
+    found: dict[str, VarValue] = {}
+    for task in log.tasks:
+        releases = log.arrays(task)["release_ns"]
+        last = (
+            int(releases[-1]) + log.begin_time_ns - log.begin_ns if len(releases) else 0
+        )
+        for index, name in enumerate(log.variables(task)):
+            age = (end - last) * 1e-9 if last else None
+            before = found.get(name)
+            if before is None or before.age is None or (age or 0.0) < before.age:
+                found[name] = VarValue(
+                    name=name,
+                    index=index,
+                    values=[],
+                    units=log.unit(name),
+                    writer=f"{log.task_about(task).rtpu}/{task}" if last else None,
+                    age=age,
+                )
+    return found

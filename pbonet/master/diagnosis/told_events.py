@@ -1,0 +1,34 @@
+"""Events as causes."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from .causes import Cause, Source
+
+if TYPE_CHECKING:
+    from pbonet.xm.net import Event
+
+    from .facts import Facts
+
+
+def cause_of(event: Event, facts: Facts, remedy: str = "") -> Cause:
+    """Return an event as a cause.
+
+    Args:
+        event: The event.
+        facts: Those that it belongs to.
+        remedy: What to do about it.
+    """
+    source = Source.LOG if facts.from_log else Source.EVENTS
+    return Cause(what=sentence(event), source=source, remedy=remedy)
+
+
+def sentence(event: Event) -> str:
+    """Return when an event was, of what, and its text."""
+    clock = time.strftime("%H:%M:%S", time.localtime(event.wall))
+    where = f", cycle {event.cycle}" if event.cycle else ""
+    place = f" ({event.place})" if event.place else ""
+    whose = "/".join(filter(None, (event.rtpu, event.task)))
+    return f"{event.code} of {whose} at {clock}{where}: {event.text}{place}"

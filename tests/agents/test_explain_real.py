@@ -1,0 +1,75 @@
+"""`pbonet explain` about real tasks."""
+
+from __future__ import annotations
+
+import pytest
+from nodekit import rmod, svar
+from watching import wait_for
+
+from pbonet.master import diagnosis
+from pbonet.master.configuration import Place
+from pbonet.master.subsystem import Subsystem
+
+
+@pytest.fixture
+def arm(nodes, tmp_path):
+    """A task that fails in its tenth cycle, and a CRITICAL one that reads it."""
+    nodes.agent_processes("arm0")
+    (tmp_path / "t.sbs").write_text("SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nEOF\n")
+    (tmp_path / "t.svar").write_text(svar())
+    (tmp_path / "first.rmod").write_text(rmod("raises_in_cycle", "Y0", 50.0))
+    holds = rmod("holds", "Y1", 50.0, invar="Y0", critical=True, local={"LEVEL": 3})
+    (tmp_path / "hold.rmod").write_text(holds)
+    busy = rmod("overruns", "Y2", 50.0, local={"BUSY": 0.06, "EVERY": 2})
+    (tmp_path / "busy.rmod").write_text(busy)
+    with Subsystem(
+        tmp_path / "t.sbs",
+        domain=nodes.domain,
+        libraries=nodes.config("arm0").libraries,
+        warned=lambda _: None,
+    ) as opened:
+        yield opened
+
+
+@pytest.fixture
+def asked(nodes, arm, tmp_path):
+    """Explain to words, as text."""
+    place = Place(domain=nodes.domain, libraries=arm.files.library.folders)
+
+    def answer(*words):
+        return diagnosis.text(diagnosis.answer(tmp_path / "t.sbs", words, place))
+
+    return answer
+
+
+def test_a_task_that_failed_and_the_flag_for_it(arm, asked):
+    arm.spawn("first")
+    assert "do: turn it on" in asked("first")
+    arm.spawn("hold")
+    arm.reconfig([("first", "on"), ("hold", "on")])
+    wait_for(lambda: arm.status("first").state == "ERROR", "the task fails")
+    wait_for(lambda: any(one.illegal for one in arm.rtpu_status()), "the flag is up")
+    text = asked()
+    order = [
+        "the flag of t is up",
+        "because first is in ERROR (arm0/first), on arm0 [status]",
+        "because task first on arm0 is ERROR [status]",
+        "ZeroDivisionError: the tenth cycle does not work",
+        "METHOD of arm0/first",
+        "do: 'clear first' brings it out of ERROR, 'kill first' removes it",
+    ]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    arm.clear("first")
+    assert "because STATE of arm0/first" in asked("first")
+    assert "task first on arm0 is OFF" in asked("Y0"), "nobody writes it now"
+
+
+def test_cycles_that_are_missed(arm, asked):
+    arm.spawn("busy")
+    arm.on("busy")
+    wait_for(lambda: arm.status("busy").miss > 2, "cycles are missed")
+    text = asked("miss", "busy")
+    assert "its longest cycle takes" in text
+    assert "and its period is 20 ms [schedule]" in text
+    assert "do: lower the rate, use a faster core, or shorten `cycle`" in text
