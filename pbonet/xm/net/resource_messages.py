@@ -156,14 +156,5 @@ class Resource(Struct, kw_only=True):
 
 
 AnyXmRequest = (
-    Attach
-    | Detach
-    | Take
-    | Settle
-    | Await
-    | Give
-    | Put
-    | Look
-    | Overview
-    | Interrupt
+    Attach | Detach | Take | Settle | Await | Give | Put | Look | Overview | Interrupt
 )
