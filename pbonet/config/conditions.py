@@ -41,7 +41,7 @@ MEANS = {
     "mean": "mean(X), the mean of the amounts",
     "peak": "peak(X), the largest amount",
 }
-"""What a COST line may be over time, and how it is written."""
+"""The means over time that a COST line may have, and how they are written."""
 
 _MEAN = re.compile(r"(?P<name>\w+) *\( *(?P<inner>.*\S) *\)")
 _TOKEN = re.compile(

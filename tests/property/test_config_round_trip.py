@@ -191,6 +191,10 @@ def sbss(draw: st.DrawFn) -> SbsFile:
 OPTIONS = {"FIXED", "FREQ", "FALLBACK", "RESTART"}
 
 
+def _cost(mean: str) -> Condition:
+    return Condition(f"{mean}(Q_REF - 2 [deg] * Q_MEZ[0:2])")
+
+
 @st.composite
 def jobs(draw: st.DrawFn) -> JobFile:
     chosen = draw(st.lists(labels, min_size=1, max_size=4, unique=True))
@@ -204,6 +208,7 @@ def jobs(draw: st.DrawFn) -> JobFile:
         sbs=draw(text.filter(bool)),
         pre=draw(conditions),
         post=draw(conditions),
+        cost=draw(st.none() | st.sampled_from(["rms", "peak"]).map(_cost)),
         tasks=tuple(
             JobTask(
                 rmod=rmod,

@@ -9,7 +9,8 @@ integers: the others follow from them.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct
@@ -235,19 +236,18 @@ class Program:
         Args:
             seconds: The most that it may take.
         """
-        from scipy.optimize import Bounds, LinearConstraint, milp
-        from scipy.sparse import csr_array
-
+        optimize: Any = import_module("scipy.optimize")
+        sparse: Any = import_module("scipy.sparse")
         rows, columns, values = _entries(self._rows)
         shape = len(self._rows), len(self.cost)
-        matrix = csr_array((values, (rows, columns)), shape=shape)
+        matrix = sparse.csr_array((values, (rows, columns)), shape=shape)
         low = [row[1] for row in self._rows]
         high = [row[2] for row in self._rows]
-        found = milp(
+        found = optimize.milp(
             np.array(self.cost),
             integrality=np.array(self._whole),
-            bounds=Bounds(np.array(self._low), np.array(self._high)),
-            constraints=LinearConstraint(matrix, low, high),
+            bounds=optimize.Bounds(np.array(self._low), np.array(self._high)),
+            constraints=optimize.LinearConstraint(matrix, low, high),
             options={"time_limit": max(seconds, 0.05), "mip_rel_gap": 1e-6},
         )
         bound = getattr(found, "mip_dual_bound", None)

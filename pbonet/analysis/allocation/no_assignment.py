@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
     from .linear_program import Solution
 
-LOOK = 2.0
+ASK = 5.0
+"""Seconds in which it is found out how much is missing."""
+TRY = 1.0
 """Seconds in which one way out is tried."""
 MOST = 6
 """Tasks, and ways out of one kind, that are named at most."""
@@ -59,9 +61,11 @@ def explained(
         problem: The problem.
         forbidden: RTPUs, each with tasks that the schedulability test refused there.
     """
-    found = _excess(problem)
-    if found.places is None:
+    found = _excess(problem, ASK)
+    if found.impossible:
         return _no_place_apart(problem)
+    if found.places is None:
+        return _test_refuses(problem, forbidden)
     over = {rtpu: more for rtpu, more in found.excess.items() if more > EXACT}
     if not over:
         return _test_refuses(problem, forbidden)
@@ -98,13 +102,13 @@ def _about(item: Item, rtpu: str) -> str:
     return f"{item.name} {item.share(rtpu):.1%}{pin}"
 
 
-def _excess(problem: Problem) -> Solution:
+def _excess(problem: Problem, seconds: float) -> Solution:
     """Return the assignment with the least load above the limits."""
-    return Program(problem, Flow(problem), elastic=True).solve(LOOK)
+    return Program(problem, Flow(problem), elastic=True).solve(seconds)
 
 
 def _fits(problem: Problem) -> bool:
-    found = _excess(problem)
+    found = _excess(problem, TRY)
     return found.places is not None and sum(found.excess.values()) <= EXACT
 
 

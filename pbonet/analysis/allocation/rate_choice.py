@@ -8,13 +8,16 @@ task waits for a part of its period (Stewart 1994, section 6.2.4). Under a limit
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
 
 STEPS = 100
 """Halvings of the range in which the common factor is sought."""
@@ -36,13 +39,12 @@ class Fit(Struct, frozen=True, kw_only=True):
 
 def fitted(periods: Sequence[Mapping[str, float]], errors: Sequence[float]) -> Fit:
     """Return the fit of errors that were seen at these periods."""
-    from scipy.optimize import nnls
-
+    optimize: Any = import_module("scipy.optimize")
     names = list(periods[0])
     rows = np.array([[1.0, *(one[n] for n in names)] for one in periods])
     scale = rows.max(axis=0)
-    found, _ = nnls(rows / scale, np.array(errors))
-    found = found / scale
+    scaled, _ = optimize.nnls(rows / scale, np.array(errors))
+    found: NDArray[np.float64] = scaled / scale
     seen = np.array(errors)
     spread = float(((seen - seen.mean()) ** 2).sum())
     left = float(((seen - rows @ found) ** 2).sum())

@@ -60,7 +60,7 @@ def command(
     place: options.ChangeTransaction,
     json_: options.Json = False,
 ) -> None:
-    """Choose the rates of a job's tasks by the error that it has with them.
+    """Choose the rates of a job's tasks by the error that they lead to.
 
     The job runs in virtual time with its modules, over a grid of rates: those of each
     task alone, and of all at once. Cycles take MAXC, so the error has the delays of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -159,7 +160,7 @@ def must_have_solver(verb: str) -> None:
         PbonetError: It is not.
     """
     try:
-        import scipy.optimize  # noqa: F401 - only whether it is there
+        import_module("scipy.optimize")
     except ImportError as error:
         raise PbonetError(
             f"{verb} needs a package that does not import",

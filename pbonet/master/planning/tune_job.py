@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Rates of the grid, as factors of the present ones."""
 SAME = 1e-9
+ROUNDED = 1 + 1e-6
+"""Periods are whole nanoseconds."""
 
 
 class RunAt(Struct, frozen=True, kw_only=True):
@@ -302,6 +304,7 @@ class _Search:
             others = sum(allocation.share(t) for t in here if t.name not in self._hz)
             if mine and self._problem.limit > others:
                 scale = max(scale, mine / (self._problem.limit - others))
+        scale *= ROUNDED if scale > 1 else 1.0
         return {name: period * scale for name, period in periods.items()}
 
     def _nothing_allowed(self) -> VerificationError:

@@ -129,7 +129,8 @@ class _Watch:
         if not self._values[name]:
             raise _nothing_ran(name)
         newest = np.searchsorted(self._times[name], at_ns, side="right") - 1
-        return np.array(self._values[name])[np.maximum(newest, 0)]
+        values: NDArray[np.float64] = np.array(self._values[name])
+        return values.take(np.maximum(newest, 0), axis=0)
 
 
 def _nothing_ran(name: str) -> PbonetError:

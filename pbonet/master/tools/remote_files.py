@@ -8,6 +8,7 @@ import sys
 import tempfile
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -134,7 +135,7 @@ def _files(reach: Reach) -> Generator[Any]:
         ConfigFileError: A file of this machine cannot be read or written.
     """
     try:
-        import fsspec
+        fsspec: Any = import_module("fsspec")
     except ImportError as error:
         raise PbonetError(
             "files of other machines need a package that does not import",

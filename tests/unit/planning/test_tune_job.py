@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 from chain_job import chain_job
@@ -87,9 +88,10 @@ def test_what_an_interrupt_ends_leaves_nothing(tmp_path):
         seconds=0.2,
         settle=0.0,
     )
-    with pytest.raises(KeyboardInterrupt), parallel_runs(stop) as runs:
+    with parallel_runs(stop) as runs:
         folder, processes = runs._folder, runs._processes
-        runs.results([wish] * 9)
+        with pytest.raises(KeyboardInterrupt):
+            runs.results([wish] * 9)
     assert not folder.exists()
     assert processes
     assert all(one.poll() is not None for one in processes)
@@ -118,13 +120,9 @@ def test_what_cannot_be_tuned_is_refused(tmp_path, call):
 
 
 def test_slower_tasks_are_set_first_and_a_refusal_is_taken_back(monkeypatch):
-    class Present:
-        rates = {"fast": 100.0, "slow": 100.0, "last": 100.0}
-
-    class Found:
-        rates = {"fast": 200.0, "slow": 10.0, "last": 300.0}
-        present = Present()
-
+    before = SimpleNamespace(rates=dict.fromkeys(["fast", "slow", "last"], 100.0))
+    rates = {"fast": 200.0, "slow": 10.0, "last": 300.0}
+    found = SimpleNamespace(rates=rates, present=before)
     asked = []
 
     def run(_job, command, args, _place):
@@ -134,11 +132,11 @@ def test_slower_tasks_are_set_first_and_a_refusal_is_taken_back(monkeypatch):
 
     monkeypatch.setattr(oneshot, "run", run)
     refused = None
-    done = apply_rates.set_rates("x.job", Found(), Place())
+    done = apply_rates.set_rates("x.job", found, Place())
     assert done == [("slow", 10.0), ("fast", 200.0), ("last", 300.0)]
     asked.clear()
     refused = 300.0
     with pytest.raises(PbonetError, match="no") as caught:
-        apply_rates.set_rates("x.job", Found(), Place())
+        apply_rates.set_rates("x.job", found, Place())
     assert caught.value.__notes__ == ["the tasks have their former rates again"]
     assert asked[3:] == [("freq", "fast", 100.0), ("freq", "slow", 100.0)]
