@@ -68,8 +68,10 @@ def killed(subsystem: Subsystem, task: str) -> None:
     (pid,) = (pid for pid, _ in ours if title(pid) == task)
     os.kill(pid, signal.SIGKILL)
     wait_for(
-        lambda: (task, "NOT-CREATED")
-        in {(one.task, one.state) for one in subsystem.status_all()},
+        lambda: (
+            (task, "NOT-CREATED")
+            in {(one.task, one.state) for one in subsystem.status_all()}
+        ),
         "the end of the task",
     )
 
