@@ -7,7 +7,7 @@ takes longer than all of that, so it is left to those that need a message's valu
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -34,7 +34,7 @@ class Frame(NamedTuple):
     data: bytes
 
 
-_new: Any = tuple.__new__
+_new: Callable[..., Frame] = cast("Any", tuple).__new__
 """Makes a frame of a tuple, without the call of a function of Python."""
 
 
@@ -76,8 +76,7 @@ class FrameFinder:
             data[crc_at] | data[crc_at + 1] << 8
         ):
             return None
-        frame: Frame = _new(Frame, (kind, data[5], data[6], data))
-        return frame
+        return _new(Frame, (kind, data[5], data[6], data))
 
     def _search(self, data: bytes) -> list[Frame]:
         at, end, found, noise = 0, len(data), list[Frame](), False

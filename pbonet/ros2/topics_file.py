@@ -42,7 +42,7 @@ class Topic(Struct, kw_only=True, forbid_unknown_fields=True):
     reliable: bool = True
     depth: int = 10
     transient_local: bool = False
-    """Who comes later gets the last messages; a subscriber asks for the last one."""
+    """Whether subscribers that come later get the last messages."""
     max_hz: float = 1000.0
     """How often a second a message is handled at most; the newest one then."""
 

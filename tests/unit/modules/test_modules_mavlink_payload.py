@@ -454,12 +454,20 @@ def test_a_command_sets_six_actuators(tmp_path: Path) -> None:
         Bench.of(rmod, {**SIZES, "nact": 7})
 
 
-def test_in_a_simulation_nothing_is_opened() -> None:
+def test_in_a_simulation_nothing_is_opened(tmp_path: Path) -> None:
+    text = (MODULES / "robot_interfaces" / "mav_payload.rmod").read_text()
+    rmod = tmp_path / "payload.rmod"
+    address = "mav_vehicle.ADDRESS udpin:127.0.0.1:14550"
+    rmod.write_text(f"{text.replace('EOF', 'LOCAL')}{address}\nEOF\n")
+    hil = {"address": "tcpin:127.0.0.1:4560"}
     with no_devices("this is a simulation"):
-        base = Bench(MavHil, {"nact": 4}, params={"address": "tcpin:127.0.0.1:4560"})
-        base.on()
-        base.step(STEP, 10)
-    assert base.state is State.ON
-    assert not np.any(base.outputs.act)
-    assert any("this is a simulation" in text for text in texts(base))
-    base.kill()
+        for base, moves in (
+            (Bench(MavHil, {"nact": 4}, params=hil), "ACT_CMD"),
+            (Bench.of(rmod, SIZES), "RC_MEZ"),
+        ):
+            base.on()
+            base.step(STEP, 10)
+            assert base.state is State.ON
+            assert any("this is a simulation" in text for text in texts(base))
+            assert not np.any(base[moves])
+            base.kill()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 
@@ -158,3 +159,21 @@ def test_rings_do_not_keep_it_from_looking(mirror, task):
         watch.ring()
         rings += 1
         assert rings < 1_000_000
+
+
+@pytest.mark.parametrize(("pause_ns", "slack_ns"), [(20_000, 1), (1_000_000, None)])
+def test_short_sleeps_end_without_slack(pause_ns, slack_ns) -> None:
+    """Linux would end each of them up to 50 us late; longer ones stay as they are."""
+    get_timer_slack, found = 30, []
+
+    def sleeps() -> None:
+        prctl = ctypes.CDLL(None).prctl
+        before = prctl(get_timer_slack, 0, 0, 0, 0)
+        Watch().sleep(now_ns() + 50_000, pause_ns)
+        found.extend((before, prctl(get_timer_slack, 0, 0, 0, 0)))
+
+    thread = threading.Thread(target=sleeps)
+    thread.start()
+    thread.join()
+    before, after = found
+    assert after == (before if slack_ns is None else slack_ns)
