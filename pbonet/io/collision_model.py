@@ -68,7 +68,7 @@ class CollisionModel:
             for one in self._shapes.geometryObjects
         ]
         self._add_pairs({frozenset(self._known(pair)) for pair in ignored})
-        self._pairs = [
+        self._pairs: list[tuple[str, str]] = [
             (self._links[one.first], self._links[one.second])
             for one in self._shapes.collisionPairs
         ]

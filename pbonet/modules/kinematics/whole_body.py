@@ -195,7 +195,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         turned, moved = missing[:, :3].ravel(), missing[:, 3].tolist()
         turn = k.length * sqrt(0.5 * float(turned @ turned))
         away = max(turn, *map(abs, moved)) / dt
-        gaps = (self._places - self._feet).tolist()
+        gaps: list[list[float]] = (self._places - self._feet).tolist()
         feet = [max(map(abs, gap)) / dt for gap in gaps]
         far = max(away, *feet)
         if far < 0.5 * k.short:

@@ -8,6 +8,10 @@
 #ifndef PBONET_INTERRUPTS_H
 #define PBONET_INTERRUPTS_H
 
+#ifndef _GNU_SOURCE
+#define _GNU_SOURCE
+#endif
+
 #include <errno.h>
 #include <signal.h>
 #include <stdatomic.h>

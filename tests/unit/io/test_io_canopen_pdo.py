@@ -222,3 +222,13 @@ def test_what_was_read_replays_without_a_node(drive):
     player.feed(tape.take())
     with recording(player), no_devices("this is a replay"):
         assert run() == found
+
+
+def test_a_bus_that_is_off_is_lost_and_its_ports_are_free(drive):
+    with inputs(wait=Wait.NONE) as seen:
+        with pytest.raises(DeviceError, match="a port of the device is taken"):
+            inputs()
+        drive.send(can.Message(arbitration_id=0x40, is_error_frame=True))
+        with pytest.raises(DeviceError, match=r"the device is gone.*bus-off"):
+            wait_for(seen.read, "an error")
+    inputs().close()
