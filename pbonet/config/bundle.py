@@ -6,6 +6,7 @@ line ``PART name file``, in which the file is where it came from, for messages.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import takewhile
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -55,6 +56,7 @@ def bundled(text: str, find: Callable[[str], Section]) -> str:
     return "".join([_ended(main), *(_part(*item) for item in sections.items())])
 
 
+@lru_cache(maxsize=2048)
 def combines(text: str) -> tuple[str, ...]:
     """Return what the COMBINE line of an RMOD names; nothing where it has none."""
     for line in text.split("\n"):

@@ -212,6 +212,11 @@ class Configuration(Struct, frozen=True, kw_only=True, dict=True):
     copy_speed: float = COPY_SPEED
 
     @cached_property
+    def task_names(self) -> frozenset[str]:
+        """The names of all its tasks."""
+        return frozenset(task.name for task in self.tasks)
+
+    @cached_property
     def running(self) -> tuple[Task, ...]:
         """The tasks that are ON."""
         return tuple(task for task in self.tasks if task.name in self.on)

@@ -243,7 +243,7 @@ def _step(
     now: Configuration, given: Task | None, name: str, sent: str
 ) -> Configuration | None:
     """Return the configuration after one signal, None if it knows no such task."""
-    known = any(task.name == name for task in now.tasks)
+    known = name in now.task_names
     if given is not None and (sent == "spawn" or (sent == "freq" and known)):
         tasks = tuple(given if task.name == name else task for task in now.tasks)
         return structs.replace(now, tasks=tasks if known else (*tasks, given))

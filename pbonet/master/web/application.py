@@ -118,7 +118,7 @@ class Page:
 
     @property
     def left(self) -> list[str]:
-        """What is still being carried out after the end, in words."""
+        """Sentences about what is still being carried out after the end."""
         return self._orders.left if self._orders is not None else []
 
     def send_to_all(self, message: Data) -> None:

@@ -62,7 +62,7 @@ class JobEdits:
             "save": self._save,
         }
         self._simulations: list[DraftSimulation] = []
-        """Those that run or wait."""
+        """The ones that run or wait."""
 
     def do(self, name: str, args: Mapping[str, Any]) -> Data:
         """Carry out one edit, or answer a question about the job.

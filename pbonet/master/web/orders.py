@@ -257,7 +257,7 @@ class Orders:
 
     @property
     def left(self) -> list[str]:
-        """What is still being carried out, in words."""
+        """Sentences about what is still being carried out."""
         names = list(self._doing.values())
         own = self._changing is not None
         where = "from here: it is cut off" if own else "elsewhere: it goes on there"
@@ -331,7 +331,7 @@ class Orders:
 
         def edit() -> Done:
             data = self._edits.do(request.edit, request.args)
-            data.pop("state", None)  # all browsers are told it, this one too
+            data.pop("state", None)  # it was sent to all browsers
             return Done(data=data)
 
         return _Work(request.edit, edit, self._files)

@@ -97,7 +97,7 @@ class PresentJob:
             ageless = [structs.replace(one, age=0.0) for one in statuses.values()]
             missing = {one.task: one.reason for one in find_missing(files, ageless)}
             whole = with_planned(files, graph, planned)
-            # Without any task the plan has faults that nobody else would tell.
+            # Without any task only the plan's own faults are shown.
             graph = whole if graph.tasks else planned
         data: Data = msgspec.to_builtins(graph)
         return data | {"job": self.name, "missing": missing}

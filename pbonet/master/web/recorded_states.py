@@ -22,7 +22,7 @@ _SECOND: Final = 1.0
 
 
 class _Counts(NamedTuple):
-    """What an RTPU counted of a task, about once a second."""
+    """Counts of a task by its RTPU, about once a second."""
 
     times: NDArray[np.float64]
     missed: NDArray[np.int64]

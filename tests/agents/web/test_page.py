@@ -229,8 +229,10 @@ def test_a_job_is_changed_in_assemble_and_applied_to_the_running_system(page, jo
     apply = page.get_by_label("apply to the running system")
     apply.get_by_role("button", name="show what would be done").click()
     steps = apply.locator(".steps")
-    assert "qrdiff2, created on arm1" in steps.locator(".step-comes").inner_text()
+    page.locator(".apply .plan, .apply .refusal").first.wait_for()
     keep_picture(page, "apply")
+    assert apply.locator(".refusal").all_inner_texts() == []
+    assert "qrdiff2, created on arm1" in steps.locator(".step-comes").inner_text()
     apply.get_by_role("button", name="do it").click()
     apply.locator(".outcome.done").wait_for()
     assert "qrdiff2" in job.read_text()
