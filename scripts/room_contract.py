@@ -49,10 +49,6 @@ def room_of(module: str) -> str:
     return module if is_package(module) else module.rpartition(".")[0]
 
 
-OPEN = {"pbonet.cli"}
-"""Rooms whose files are used one by one, by the folders in them."""
-
-
 class RoomContract(Contract):
     """One room: what it uses, and how it is used."""
 
@@ -74,7 +70,7 @@ class RoomContract(Contract):
                 if inside and self._home(used) not in allowed:
                     wrong.append(f"{module} uses {used}: {room} may not")
                 past = room_of(used) == room and not is_package(used)
-                if past and not inside and used not in offered and room not in OPEN:
+                if past and not inside and used not in offered:
                     wrong.append(f"{module} imports {used} past the face of {room}")
         return ContractCheck(kept=not wrong, metadata={"wrong": wrong})
 

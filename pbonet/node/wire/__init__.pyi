@@ -1,4 +1,5 @@
 from . import (
+    cpu_idle_states as cpu_idle_states,
     event_log as event_log,
     lifecycle as lifecycle,
     process_setup as process_setup,
