@@ -220,8 +220,7 @@ def test_a_job_is_changed_in_assemble_and_applied_to_the_running_system(page, jo
     page.keyboard.press("Delete")
     page.locator("button.flag.illegal").wait_for()
     page.get_by_role("searchbox").fill("qrdiff2")
-    module = page.get_by_label("module qrdiff2", exact=True)
-    module.drag_to(page.locator(".frame header", has_text="arm1"))
+    page.get_by_label("module qrdiff2", exact=True).press("Enter")
     page.locator("button.flag.legal").wait_for()
     page.locator("#assemble-Save").click()
     page.get_by_role("button", name="save one file").click()
@@ -232,7 +231,7 @@ def test_a_job_is_changed_in_assemble_and_applied_to_the_running_system(page, jo
     page.locator(".apply .plan, .apply .refusal").first.wait_for()
     keep_picture(page, "apply")
     assert apply.locator(".refusal").all_inner_texts() == []
-    assert "qrdiff2, created on arm1" in steps.locator(".step-comes").inner_text()
+    assert "qrdiff2, created on arm" in steps.locator(".step-comes").inner_text()
     apply.get_by_role("button", name="do it").click()
     apply.locator(".outcome.done").wait_for()
     assert "qrdiff2" in job.read_text()
