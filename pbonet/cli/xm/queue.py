@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated as A, Literal
 
 from pbonet.cli import options
-from pbonet.cli.parser import Argument, Option, UsageError
+from pbonet.cli.parser import Argument, Option
 
 from . import words
 
@@ -101,34 +101,11 @@ def put(
     """
     from pbonet.master.tools import express_mail
 
-    data = _given(text, file, hex_)
+    data = words.message(text, file, hex_)
     words.settle(reach)
     done = express_mail.send(name, data, priority=priority, wait=wait, full=full)
     about = {"name": name, "bytes": len(data), "sent": done}
     options.show("" if done else "dropped", about, as_data=json_)
-
-
-def _given(text: str | None, file: Path | None, digits: str | None) -> bytes:
-    """Return the message that one of three arguments gives.
-
-    Raises:
-        UsageError: None of them does, or several do.
-        ConfigFileError: The file cannot be read.
-    """
-    if sum(one is not None for one in (text, file, digits)) != 1:
-        raise UsageError("give the message once: TEXT, --file or --hex")
-    if text is not None:
-        return text.encode()
-    if digits is not None:
-        try:
-            return bytes.fromhex(digits)
-        except ValueError:
-            raise UsageError(
-                f"--hex must be pairs of hexadecimal digits (got {digits!r})"
-            ) from None
-    from pbonet.master.tools import remote_files
-
-    return remote_files.read_bytes(str(file))
 
 
 def get(

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated as A
 
 from pbonet.cli import options
-from pbonet.cli.parser import Argument, Option
+from pbonet.cli.parser import Argument, Option, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from pbonet.master.tools import express_mail
 
@@ -24,6 +25,29 @@ def settle(reach: options.Reach) -> None:
     from pbonet.master.tools import express_mail
 
     express_mail.settle_in(reach.domain, reach.connect)
+
+
+def message(text: str | None, file: Path | None, digits: str | None) -> bytes:
+    """Return the message that one of three arguments gives.
+
+    Raises:
+        UsageError: None of them does, or several do.
+        ConfigFileError: The file cannot be read.
+    """
+    if sum(one is not None for one in (text, file, digits)) != 1:
+        raise UsageError("give the message once: TEXT, --file or --hex")
+    if text is not None:
+        return text.encode()
+    if digits is not None:
+        try:
+            return bytes.fromhex(digits)
+        except ValueError:
+            raise UsageError(
+                f"--hex must be pairs of hexadecimal digits (got {digits!r})"
+            ) from None
+    from pbonet.master.tools import remote_files
+
+    return remote_files.read_bytes(str(file))
 
 
 def show_list(

@@ -90,13 +90,18 @@ class Place(NamedTuple):
 
 
 def places_of_programs(domain: str, rtpu: str) -> list[Place]:
-    """Return where executives of programs are, or were."""
+    """Return where executives of programs are, or were.
+
+    Some have memory and no lock yet, others a lock and no memory any more.
+    """
     files = (run_folder.folder() / domain).glob(f"{rtpu}.*.spp")
-    found = [
-        Place(domain, rtpu, path.name.removeprefix(f"{rtpu}.").removesuffix(".spp"))
-        for path in files
-    ]
-    return [place for place in found if place.pid]
+    found = {path.name.removeprefix(f"{rtpu}.").removesuffix(".spp") for path in files}
+    prefix = str(Place(domain, rtpu, "").resource())
+    for one in names.standing("shm", domain):
+        if one.startswith(prefix):
+            found.add(".".join(one.removeprefix(prefix).split(".")[:2]))
+    places = [Place(domain, rtpu, name) for name in sorted(found)]
+    return [place for place in places if place.pid]
 
 
 class ExecutiveState(Struct, kw_only=True):

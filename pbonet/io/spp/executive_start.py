@@ -124,7 +124,7 @@ def ensure(config: ExecutiveConfig) -> None:
     """
     if not _started:
         atexit.register(end_all)
-        _remove_left(config.place)
+    _remove_left(config.place)
     found = _started.get(config.place)
     if found is None or found.process.poll() is not None:
         _started[config.place] = Started(config)

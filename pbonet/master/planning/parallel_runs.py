@@ -77,12 +77,13 @@ class Runs:
         """Return a process that runs nothing; a new one if none is idle."""
         with self._guard:
             if self._over:
-                raise PbonetError("the run was given up")
+                raise PbonetError("the run was given up", remedy="start it again")
             if self._idle:
                 return self._idle.pop()
+            apart = {"PBONET_SHM_DIR": str(self._folder)}
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pbonet.master.planning.virtual_run"],
-                env={**os.environ, "PBONET_SHM_DIR": str(self._folder)},
+                env={**os.environ, **apart},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,

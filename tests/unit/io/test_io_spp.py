@@ -364,6 +364,7 @@ def test_an_executive_ends_with_its_program_also_when_both_are_stopped():
         parent.kill()
     wait_for(lambda: not Path(f"/proc/{pid}/exe").exists(), "the executive's end")
     left = Place("default", names.NOWHERE, f"fpa.{parent.pid}")
+    wait_for(lambda: not left.is_running(), "its lock to be free")
     assert left.clients()
     with processors.using({"fpa": SppEntry(driver="numpy")}):
         Spp("fpa", str(KERNELS)).finish()  # the next program that has one
