@@ -112,9 +112,10 @@ def _tasks_by_host(
     for host in dict.fromkeys(hosts):
         found[host], parts = planned_tasks(files, host)
         errors = [PbonetError.from_wire(error) for error in parts.errors]
+        if len(errors) > 1:
+            raise SeveralError("the job cannot be allocated", errors)
         if errors:
-            what = "the job cannot be allocated"
-            raise errors[0] if len(errors) == 1 else SeveralError(what, errors)
+            raise errors[0]
         warnings += [text for text in parts.warnings if text not in warnings]
     return found, warnings
 

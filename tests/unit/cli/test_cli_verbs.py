@@ -112,14 +112,17 @@ def test_verbs_that_change_can_take_over():
 
 
 def test_verbs_hold_no_logic():
-    """A verb's file defines one function, and imports pbonet's parts inside it."""
+    """A verb's file defines one function, and imports pbonet's parts inside it.
+
+    Two more may prepare what it prints or asks.
+    """
     for path in Path(cli.__file__).parent.rglob("*.py"):
         if path.stem in PARTS:
             continue
         tree = ast.parse(path.read_text())
         functions = [n for n in tree.body if isinstance(n, ast.FunctionDef)]
         plain = [one for one in functions if one.name.startswith("_")]
-        assert len(plain) <= 1, path.name
+        assert len(plain) <= 2, path.name
         assert not any(isinstance(n, ast.While | ast.Try) for n in ast.walk(tree))
 
 

@@ -13,6 +13,7 @@ KINDS = {
     if isinstance(kind, type) and issubclass(kind, errors.PbonetError)
 }
 WITHOUT = {
+    "cannot be allocated": "its parts say what to do",
     "cannot be assembled": "its parts say what to do",
     "cannot be simulated": "its parts say what to do",
     "error.error.what": "in the module's own words",
