@@ -12,7 +12,8 @@ import pytest
 
 from pbonet.errors import PbonetError, RealTimeError, SvarFullError
 from pbonet.node.agent.agent import Agent
-from pbonet.node.rt import _rt, cpu_idle_states
+from pbonet.node.rt import _rt
+from pbonet.node.wire import cpu_idle_states
 from pbonet.xm.net import messages as m
 
 PR_CAPBSET_DROP = 24
