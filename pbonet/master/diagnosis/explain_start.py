@@ -23,11 +23,14 @@ def start(chain: Chain, job: str) -> tuple[str, list[Cause]]:
     facts = chain.facts
     planned = facts.planned.job if facts.planned is not None else ""
     name = job or planned or facts.subsystem
-    causes = [*_refused(chain), *_reach(chain), *_others(chain), *_failed(chain)]
+    refused = [*_refused(chain), *_reach(chain), *_others(chain)]
+    failed = [*_failed(chain)]
     if facts.from_log:
-        return f"the start of {name} in this run", causes
-    verdict = "would be refused" if causes else "would not be refused"
-    return f"the start of {name} {verdict} now", causes
+        return f"the start of {name} in this run", failed
+    what = f"the start of {name} would {'be' if refused else 'not be'} refused now"
+    if failed and not refused:
+        what += ", and something failed at the last one"
+    return what, [*refused, *failed]
 
 
 def _refused(chain: Chain) -> Iterator[Cause]:
