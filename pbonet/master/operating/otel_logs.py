@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
-
 from urllib.parse import urlsplit
 
 from pbonet.errors import NodeError, Severity, StateError
