@@ -60,9 +60,11 @@ def _others(chain: Chain) -> Iterator[Cause]:
         )
     for name, info in facts.agents.items():
         others = sorted(info.claims.keys() - {facts.subsystem})
-        if others and info.on.keys() & set(others):
+        if name in facts.shared:
+            facts.unknown += [f"whether {one} shares RTPU {name}" for one in others]
+        elif others:
             yield Cause(
-                what=f"{', '.join(others)} uses RTPU {name}",
+                what=f"{', '.join(others)} uses RTPU {name}, which is to be exclusive",
                 source=Source.AGENTS,
                 remedy="use a free RTPU, or `USAGE shared` in both `.sbs` files",
             )

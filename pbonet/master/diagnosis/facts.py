@@ -57,6 +57,8 @@ class Facts(Struct, kw_only=True):
     """The oldest first."""
     missing: list[Missing] = []
     reports: list[RtpuReport] = []
+    shared: list[str] = []
+    """RTPUs that the subsystem lets others use too."""
     masters: list[str] = []
     """Masters of the subsystem that live."""
     start: list[GraphFault] = []

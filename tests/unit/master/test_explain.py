@@ -618,6 +618,13 @@ def test_a_start_that_would_not_be_refused():
     )
 
 
+def test_a_subsystem_that_may_share_an_rtpu_refuses_nothing():
+    used = {"arm0": agent("arm0", claims={"arm": 1, "leg": 3}, on={"leg": ["walk"]})}
+    text = told(facts(agents=used, shared=["arm0"]), "start")
+    assert text.startswith("the start of arm would not be refused now")
+    assert "not read: whether leg shares RTPU arm0" in text
+
+
 def test_what_failed_at_the_last_start_refuses_no_other():
     known = facts(events=[event("SPAWN_FAILED", "no module", "plan")])
     text = told(known, "start")
