@@ -41,7 +41,8 @@ def read_log(path: str | Path) -> Facts:
         LogError: There is none, or it is damaged from the beginning.
     """
     log = Log(path)
-    unknown = [str(one) for one in log.damage]
+    unknown = [str(one) for one in log.check()]
+    unknown += [] if log.complete else ["the end of the log: it was not finished"]
     events = [convert(one, Event) for one in log.events()]
     try:
         graph = convert(recorded_graph(log)[0], Graph)
@@ -191,6 +192,8 @@ def _gaps(log: Log, task: str) -> list[Gap]:
         return []
     period = float(np.median(between))
     counts = np.round(between / period).astype(np.int64) - 1 if period else between * 0
+    # Cycles that were done and are not in the log are not missed.
+    counts -= np.maximum(np.diff(arrays["cycle"].astype(np.int64)) - 1, 0)
     offset = log.begin_time_ns - log.begin_ns
     places = np.flatnonzero((counts > 0) & (counts < _BREAK))
     return [

@@ -10,6 +10,7 @@ from msgspec import structs
 
 from pbonet.errors import LogError
 from pbonet.log import Attached, LogWriter
+from pbonet.log.part import Part
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
 from pbonet.master.diagnosis import REMEDIES
@@ -78,16 +79,21 @@ def log(tmp_path):
     return recorded(tmp_path, FAILS)
 
 
-def recorded(folder, events):
+def recorded(folder, events, without=()):
     """Record cycle 10 of the task pid that takes too long, and three that are missed.
 
     Return a function that answers questions about it.
+
+    Args:
+        folder: Where.
+        events: The events of the run.
+        without: Cycles that are not in the log.
     """
     path = folder / "run.mcap"
     files = [Attached("a.sbs", SBS), Attached("a.svar", SVAR)]
     writer = LogWriter(path, run(), files)
     number = writer.add_task(structs.replace(about("pid", PLAIN), rmod=RMOD))
-    for n in range(1, 31):
+    for n in sorted({*range(1, 31)} - {*without}):
         missed = 3 if n > 10 else 0
         cpu = 35_000_000 if n == 10 else 1_000_000
         writer.add(number, cycle(n, (n + missed) * PERIOD, cpu))
@@ -149,6 +155,31 @@ def test_what_was_turned_off_long_before_the_end_was_off(tmp_path):
     ask = recorded(tmp_path, [*SOUND[:4], *late])
     assert ask("pid").what == "task pid on arm0 is OFF"
     assert ask("arm0").what == "RTPU arm0 was used in this run, with 1 task"
+
+
+def test_cycles_that_are_not_in_the_log_are_not_missed(tmp_path):
+    text = diagnosis.text(
+        recorded(tmp_path, SOUND, without=range(20, 25))("miss", "pid")
+    )
+    assert text.startswith("pid has missed 3 cycles in 1 places\n")
+
+
+def test_a_log_that_ends_early_is_said_to(tmp_path):
+    ask = recorded(tmp_path, SOUND)
+    path = tmp_path / "run.mcap"
+    assert not ask().unknown
+    path.write_bytes(path.read_bytes()[:-200])
+    assert "not read: the end of the log" in diagnosis.text(ask())
+
+
+def test_what_is_damaged_in_a_log_is_named(tmp_path):
+    ask = recorded(tmp_path, SOUND)
+    path = tmp_path / "run.mcap"
+    data = bytearray(path.read_bytes())
+    chunk = Part(path)._chunks[0]
+    data[chunk.at + chunk.size - 9] ^= 0xFF
+    path.write_bytes(data)
+    assert f"not read: {path}: damaged chunk" in diagnosis.text(ask())
 
 
 def test_what_is_no_log_is_refused(tmp_path):
