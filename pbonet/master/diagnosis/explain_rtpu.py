@@ -83,8 +83,11 @@ def _process(chain: Chain, name: str) -> Iterator[Cause]:
     status = facts.rtpus[name]
     if not (status.scheduler or status.tasks or facts.from_log):
         yield Cause(
-            what="no master has used it since its process was started",
+            what="no master uses it",
             source=Source.STATUS,
+            because=tuple(
+                cause_of(one, facts) for one in facts.news(("STOPPED",), rtpu=name)
+            ),
             remedy=REMEDIES["unclaimed"],
         )
     for event in facts.news(("TABLE_DAMAGED", "TABLE_BEHIND"), rtpu=name):

@@ -42,7 +42,11 @@ def read_log(path: str | Path) -> Facts:
     """
     log = Log(path)
     unknown = [str(one) for one in log.check()]
-    unknown += [] if log.complete else ["the end of the log: it was not finished"]
+    unknown += (
+        []
+        if log.complete
+        else ["the end of the log: it was not finished, or is still written"]
+    )
     events = [convert(one, Event) for one in log.events()]
     try:
         graph = convert(recorded_graph(log)[0], Graph)

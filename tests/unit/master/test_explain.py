@@ -572,10 +572,13 @@ def test_what_an_rtpu_that_answers_suffers_from():
     assert REMEDIES["stalled"] in text
 
 
-def test_an_rtpu_that_no_master_has_used():
-    known = facts()
+def test_an_rtpu_that_no_master_uses():
+    known = facts(events=[event("STOPPED", "3 tasks ended", rtpu="arm1")])
     known.rtpus["arm1"] = RtpuStatus(rtpu="arm1", backend="", scheduler="", tasks=[])
-    assert f"do: {REMEDIES['unclaimed']}" in told(known, "arm1")
+    text = told(known, "arm1")
+    assert "because no master uses it" in text
+    assert "STOPPED of arm1" in text, "it was used before"
+    assert f"do: {REMEDIES['unclaimed']}" in text
 
 
 # -- starts ----------------------------------------------------------------------------
