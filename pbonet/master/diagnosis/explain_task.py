@@ -140,6 +140,7 @@ def _moved(chain: Chain, status: TaskStatus, event: Event) -> Cause:
     key = "turned off" if ordered else "off by itself"
     told = facts.news(("SIGNAL", "TIMING_FAILURE", "METHOD"), task=status.task)
     near = [one for one in told if abs(one.wall - event.wall) <= 1.0]
+    near = [] if ordered else near  # what happened then is not why it was ordered
     cause = cause_of(event, facts, REMEDIES[key])
     return Cause(
         what=cause.what,

@@ -380,6 +380,14 @@ def test_each_reason_for_which_a_task_is_off(task, events, what, key):
     assert f"do: {REMEDIES[key]}" in text
 
 
+def test_what_happened_when_a_task_was_turned_off_is_no_cause():
+    late = event("TIMING_FAILURE", "2 deadline", "plan", "arm1")
+    ordered = event("STATE", "off: OFF", "plan", "arm1")
+    assert "TIMING" not in told(facts(off(on_ns=1), events=[late, ordered]), "plan")
+    itself = event("STATE", "error: OFF", "plan", "arm1")
+    assert "TIMING" in told(facts(off(on_ns=1), events=[late, itself]), "plan")
+
+
 def test_a_signal_that_failed_says_what_may_be_done():
     known = facts(off(), events=[event("SIGNAL_FAILED", "on: OFF: no", "plan")])
     assert "do: 'on plan' turns it on, 'kill plan' removes it" in told(known, "plan")
