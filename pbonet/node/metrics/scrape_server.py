@@ -21,7 +21,9 @@ log = logging.getLogger("pbonet.node")
 PATIENCE: Final = 5.0
 """Seconds for which a client may say nothing, or take nothing."""
 AT_ONCE: Final = 16
-"""Connections at one time; more are closed at once."""
+"""Connections that are answered at one time."""
+WAITS: Final = 1.0
+"""Seconds for which one more waits until one of them has ended; then it is closed."""
 
 
 class ScrapeHandler(WSGIRequestHandler):
@@ -43,6 +45,7 @@ class ScrapeServer(socketserver.ThreadingMixIn, WSGIServer):
     """
 
     daemon_threads = True
+    request_queue_size = 64
 
     def __init__(self, host: str, port: int, context: ssl.SSLContext | None) -> None:
         if ":" in host:
@@ -64,7 +67,7 @@ class ScrapeServer(socketserver.ThreadingMixIn, WSGIServer):
 
     def process_request(self, request: Request, client_address: object) -> None:
         """Answer in a thread, or close the connection if there are too many."""
-        if self._free.acquire(blocking=False):
+        if self._free.acquire(timeout=WAITS):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
