@@ -304,11 +304,13 @@ def test_a_client_waits_until_another_is_answered(figures, monkeypatch):
     monkeypatch.setattr(scrape_server, "WAITS", 30.0)
     one = MetricsServer("arm0", "127.0.0.1:0", None, figures)
     try:
-        with socket.create_connection(("127.0.0.1", one.port), timeout=30) as first:
-            with socket.create_connection(("127.0.0.1", one.port), timeout=30) as more:
-                more.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
-                first.close()
-                assert more.recv(8) == b"HTTP/1.0"
+        with (
+            socket.create_connection(("127.0.0.1", one.port), timeout=30) as first,
+            socket.create_connection(("127.0.0.1", one.port), timeout=30) as more,
+        ):
+            more.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            first.close()
+            assert more.recv(8) == b"HTTP/1.0"
     finally:
         one.stop()
 
