@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pbonet.errors import PbonetError
 from pbonet.xm.net import messages as m
 
 from .causes import Cause, Source
@@ -34,8 +35,14 @@ def start(chain: Chain, job: str) -> tuple[str, list[Cause]]:
 
 
 def _refused(chain: Chain) -> Iterator[Cause]:
-    """Yield the faults for which verification refuses."""
+    """Yield the faults for which verification refuses; RTPUs that are away follow."""
+    away = {str(PbonetError.from_wire(one)) for one in chain.facts.silent.values()}
     for fault in chain.facts.start:
+        first, *places = fault.text.splitlines()
+        if {
+            one.removeprefix("|-- ").removeprefix("`-- ") for one in places or [first]
+        } <= away:
+            continue
         remedy = fault.remedy
         what = fault.text.removesuffix(f"; {remedy}") if remedy else fault.text
         yield Cause(what=what, source=Source.FILES, remedy=remedy)

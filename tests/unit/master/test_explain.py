@@ -11,7 +11,13 @@ from msgspec import structs
 
 from pbonet.analysis import legality
 from pbonet.config import Scheduler
-from pbonet.errors import NoAnswerError, Severity, StateError, UnreachableError
+from pbonet.errors import (
+    NoAnswerError,
+    SeveralError,
+    Severity,
+    StateError,
+    UnreachableError,
+)
 from pbonet.master import configuration, diagnosis
 from pbonet.master.diagnosis import FLAG_CAUSES, REMEDIES, Facts, Gap, asked_by
 from pbonet.master.subsystem import Missing
@@ -634,6 +640,19 @@ def test_a_subsystem_that_may_share_an_rtpu_refuses_nothing():
     text = told(facts(agents=used, shared=["arm0"]), "start")
     assert text.startswith("the start of arm would not be refused now")
     assert "not read: whether leg shares RTPU arm0" in text
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_an_rtpu_that_is_away_is_told_once(several):
+    error = UnreachableError("no agent", where="arm1", remedy="start it")
+    whole = SeveralError("the job cannot be assembled", [error, error])
+    fault = configuration.GraphFault(
+        text=str(whole if several else error), severity="refuse", remedy=""
+    )
+    known = facts(start=[fault], silent={"arm1": error.to_wire()})
+    text = told(known, "start")
+    assert text.startswith("the start of arm would be refused now")
+    assert text.count("no agent") == 1
 
 
 def test_what_failed_at_the_last_start_refuses_no_other():
