@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from pbonet.errors import NodeError
+from pbonet.errors import NoAnswerError, SeveralError, UnreachableError
 
 from .explanations import explain
 from .question import asked_by
@@ -61,7 +61,7 @@ def _read_running(path: Path, asked: Question, place: Place) -> Facts:
     )
     try:
         subsystem.open(once=True)
-    except NodeError as error:
+    except (UnreachableError, NoAnswerError, SeveralError) as error:
         return unreached(subsystem, error)
     try:
         job = asked.name if asked.kind == "start" else ""

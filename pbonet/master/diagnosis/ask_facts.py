@@ -175,4 +175,6 @@ def _read_schedule(subsystem: Subsystem, facts: Facts) -> None:
 def _read_start(subsystem: Subsystem, facts: Facts, job: str) -> None:
     """Read why a job would be refused: files, configuration, conditions, masters."""
     facts.masters = subsystem.clients.masters()
+    rtpus = subsystem.sbs.rtpus
+    facts.shared = [one.name for one in rtpus if one.usage == "shared"]
     facts.start = start_refusals(subsystem.task_set, job or None)

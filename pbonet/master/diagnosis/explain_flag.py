@@ -6,10 +6,12 @@ import re
 from typing import TYPE_CHECKING
 
 from .causes import Cause, Source
-from .known_causes import OWN_TEXT, flag_cause
-from .told_events import cause_of
+from .known_causes import OWN_TEXT, REMEDIES, flag_cause
+from .told_events import cause_of, clock
 
 if TYPE_CHECKING:
+    from pbonet.xm.net import Event
+
     from .chain import Chain
 
 _RAISED = re.compile(r"(.*) \((\S+)\)", re.DOTALL)
@@ -23,17 +25,31 @@ def flag(chain: Chain) -> tuple[str, list[Cause]]:
         for cause in status.illegal:
             raised.setdefault(cause, []).append(name)
     if not raised:
-        what = f"the flag of {facts.subsystem} is down"
         silent = [chain.behind("rtpu", one, Source.AGENTS) for one in facts.silent]
-        return what, silent
-    what = f"the flag of {facts.subsystem} is up for {len(raised)} causes"
-    if len(raised) == 1:
-        what = f"the flag of {facts.subsystem} is up"
+        return _no_cause(chain), silent
+    what = f"the flag of {facts.subsystem} {'was' if facts.from_log else 'is'} up"
+    if len(raised) > 1:
+        what += f" for {len(raised)} causes"
     return what, [_cause(chain, one, at) for one, at in raised.items()]
+
+
+def _no_cause(chain: Chain) -> str:
+    """Return what is known of a flag that no RTPU which answers has raised."""
+    facts = chain.facts
+    flag_of = f"the flag of {facts.subsystem}"
+    if facts.from_log:
+        return f"{flag_of} was not up in this run"
+    if not facts.rtpus:
+        return f"whether {flag_of} is up is not known"
+    if facts.silent:
+        return f"{flag_of} is down on {', '.join(facts.rtpus)}"
+    return f"{flag_of} is down"
 
 
 def _cause(chain: Chain, text: str, rtpus: list[str]) -> Cause:
     """Return one cause of the flag, with what it leads to."""
+    if span := chain.facts.withdrawn.get(text):
+        return _past(text, rtpus, span)
     found = _RAISED.fullmatch(text)
     sentence, raiser = (found[1], found[2]) if found else (text, "")
     kind, subject = flag_cause(sentence)
@@ -46,9 +62,22 @@ def _cause(chain: Chain, text: str, rtpus: list[str]) -> Cause:
         remedy = kind.remedy
     return Cause(
         what=f"{text}, on {', '.join(rtpus)}",
-        source=Source.STATUS,
+        source=Source.LOG if chain.facts.from_log else Source.STATUS,
         because=tuple(because),
         remedy=remedy,
+    )
+
+
+def _past(text: str, rtpus: list[str], span: tuple[Event, Event]) -> Cause:
+    """Return a cause of a recorded run that was withdrawn before its end.
+
+    What is known of the end does not explain it.
+    """
+    first, last = map(clock, span)
+    return Cause(
+        what=f"{text}, on {', '.join(rtpus)}, between {first} and {last}, not later",
+        source=Source.LOG,
+        remedy=REMEDIES["withdrawn"],
     )
 
 

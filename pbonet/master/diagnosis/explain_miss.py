@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pbonet.analysis import legality
+from pbonet.config import Scheduler
 
 from . import explain_rtpu
 from .causes import Cause, Source
@@ -50,7 +51,7 @@ def missed(chain: Chain, task: str, cycle: int = 0) -> tuple[str, list[Cause]]:
 def _causes(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
     yield from _itself(chain, status)
     yield from _others(chain, status)
-    yield from explain_rtpu.stalls(chain, status.rtpu)
+    yield from explain_rtpu.stalls(chain, status)
     yield from _analysis(chain, status)
     yield from _machine(chain, status)
 
@@ -59,7 +60,7 @@ def _itself(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
     """Yield what the task does that takes too long."""
     facts = chain.facts
     period = 1.0 / status.ref_f if status.ref_f else 0.0
-    for event in facts.news(("HANGS",), task=status.task):
+    for event in facts.since_on(("HANGS",), status):
         yield cause_of(event, facts, REMEDIES["no cycle"])
     if status.waits:
         yield Cause(what=status.waits, source=Source.STATUS, remedy=REMEDIES["waits"])
@@ -79,7 +80,7 @@ def _itself(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
         )
     kinds = [f"{count} {kind}" for kind, count in status.failures.items() if count]
     if kinds:
-        told = facts.news(("TIMING_FAILURE",), task=status.task)
+        told = facts.since_on(("TIMING_FAILURE",), status)
         yield Cause(
             what=f"timing failures: {', '.join(kinds)}",
             source=Source.STATUS,
@@ -95,14 +96,30 @@ def _others(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
         if other.task == status.task or other.state != "ON":
             continue
         longest = max(other.max_c, other.now_c)
-        first = other.crit <= status.crit
+        scheduler = chain.facts.rtpus[status.rtpu].scheduler
+        first = _goes_first(scheduler, other, status)
         if period and first and longest + status.max_c > period:
+            muf = scheduler == Scheduler.MUF
             yield Cause(
-                what=f"{other.task} goes first (criticality {other.crit} before "
-                f"{status.crit}), and takes up to {longest * 1e3:.3g} ms",
+                what=f"{other.task} {first}, and takes up to {longest * 1e3:.3g} ms",
                 source=Source.SCHEDULE,
-                remedy=REMEDIES["preempted"],
+                remedy=REMEDIES["preempted" if muf else "overloaded"],
             )
+
+
+def _goes_first(scheduler: str, other: TaskStatus, status: TaskStatus) -> str:
+    """Return why another task may have the core first; empty: it may not."""
+    if scheduler == Scheduler.RM:
+        return "goes first (its rate is higher)" * (other.ref_f > status.ref_f)
+    if scheduler == Scheduler.EDF:
+        return "goes first when its deadline is earlier"
+    if other.crit < status.crit:
+        return f"goes first (criticality {other.crit} before {status.crit})"
+    same = other.crit == status.crit
+    return (
+        f"goes first when its deadline is earlier (both criticality {other.crit})"
+        * same
+    )
 
 
 def _analysis(chain: Chain, status: TaskStatus) -> Iterator[Cause]:

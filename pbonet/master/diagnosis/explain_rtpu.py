@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.errors import WireError
+    from pbonet.xm.net import TaskStatus
 
     from .chain import Chain
 
@@ -30,6 +31,9 @@ def rtpu(chain: Chain, name: str) -> tuple[str, list[Cause]]:
         return f"RTPU {name} does not answer", _silent(chain, name, error)
     if name not in facts.rtpus:
         return f"nothing is known of RTPU {name}", []
+    if facts.from_log:
+        had = f"RTPU {name} was used in this run, {_tasks(chain, name)}"
+        return had, [*_process(chain, name), *_core(chain, name)]
     causes = [*_machine(chain, name), *_process(chain, name), *_core(chain, name)]
     return f"RTPU {name} answers, {_tasks(chain, name)}", causes
 
@@ -79,8 +83,11 @@ def _process(chain: Chain, name: str) -> Iterator[Cause]:
     status = facts.rtpus[name]
     if not (status.scheduler or status.tasks or facts.from_log):
         yield Cause(
-            what="no master has used it since its process was started",
+            what="no master uses it",
             source=Source.STATUS,
+            because=tuple(
+                cause_of(one, facts) for one in facts.news(("STOPPED",), rtpu=name)
+            ),
             remedy=REMEDIES["unclaimed"],
         )
     for event in facts.news(("TABLE_DAMAGED", "TABLE_BEHIND"), rtpu=name):
@@ -104,6 +111,9 @@ def _core(chain: Chain, name: str) -> Iterator[Cause]:
         yield cause_of(event, facts)
 
 
-def stalls(chain: Chain, name: str) -> list[Cause]:
-    """Return the stalls of a core as causes."""
-    return [*_core(chain, name)] if name in chain.facts.rtpus else []
+def stalls(chain: Chain, status: TaskStatus) -> list[Cause]:
+    """Return the stalls of a core as causes, if there was one since a task is ON."""
+    newest = chain.facts.news(("CORE_STALLED",), rtpu=status.rtpu)
+    if newest and newest[0].time < status.on_ns and not chain.facts.from_log:
+        return []
+    return [*_core(chain, status.rtpu)]

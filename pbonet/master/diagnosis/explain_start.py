@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pbonet.errors import PbonetError
 from pbonet.xm.net import messages as m
 
 from .causes import Cause, Source
@@ -23,16 +24,25 @@ def start(chain: Chain, job: str) -> tuple[str, list[Cause]]:
     facts = chain.facts
     planned = facts.planned.job if facts.planned is not None else ""
     name = job or planned or facts.subsystem
-    causes = [*_refused(chain), *_reach(chain), *_others(chain), *_failed(chain)]
+    refused = [*_refused(chain), *_reach(chain), *_others(chain)]
+    failed = [*_failed(chain)]
     if facts.from_log:
-        return f"the start of {name} in this run", causes
-    verdict = "would be refused" if causes else "would not be refused"
-    return f"the start of {name} {verdict} now", causes
+        return f"the start of {name} in this run", failed
+    what = f"the start of {name} would {'be' if refused else 'not be'} refused now"
+    if failed and not refused:
+        what += ", and something failed at the last one"
+    return what, [*refused, *failed]
 
 
 def _refused(chain: Chain) -> Iterator[Cause]:
-    """Yield the faults for which verification refuses."""
+    """Yield the faults for which verification refuses; RTPUs that are away follow."""
+    away = {str(PbonetError.from_wire(one)) for one in chain.facts.silent.values()}
     for fault in chain.facts.start:
+        first, *places = fault.text.splitlines()
+        if {
+            one.removeprefix("|-- ").removeprefix("`-- ") for one in places or [first]
+        } <= away:
+            continue
         remedy = fault.remedy
         what = fault.text.removesuffix(f"; {remedy}") if remedy else fault.text
         yield Cause(what=what, source=Source.FILES, remedy=remedy)
@@ -57,9 +67,11 @@ def _others(chain: Chain) -> Iterator[Cause]:
         )
     for name, info in facts.agents.items():
         others = sorted(info.claims.keys() - {facts.subsystem})
-        if others and info.on.keys() & set(others):
+        if name in facts.shared:
+            facts.unknown += [f"whether {one} shares RTPU {name}" for one in others]
+        elif others:
             yield Cause(
-                what=f"{', '.join(others)} uses RTPU {name}",
+                what=f"{', '.join(others)} uses RTPU {name}, which is to be exclusive",
                 source=Source.AGENTS,
                 remedy="use a free RTPU, or `USAGE shared` in both `.sbs` files",
             )

@@ -45,7 +45,8 @@ def _absent(chain: Chain, name: str) -> tuple[str, list[Cause]]:
         cause = chain.behind("rtpu", home, Source.AGENTS)
         return f"the state of task {name}{where} is not known", [cause]
     found: list[Cause] = []
-    if lost := facts.news(("NOT_SPAWNED", "SPAWN_FAILED"), task=name):
+    lost = facts.news(("NOT_SPAWNED", "SPAWN_FAILED", "SPAWNED"), task=name)
+    if lost and lost[0].code != "SPAWNED":
         found.append(cause_of(lost[0], facts, REMEDIES["not spawned"]))
     elif missing := next((one for one in facts.missing if one.task == name), None):
         found.append(
@@ -55,8 +56,12 @@ def _absent(chain: Chain, name: str) -> tuple[str, list[Cause]]:
                 remedy=REMEDIES["not spawned"],
             )
         )
-    found += [cause_of(one, facts) for one in facts.news(_ENDS, task=name)]
-    found += [cause_of(one, facts) for one in facts.news(("STOPPED",), rtpu=home)]
+    ends = [
+        *facts.news(_ENDS, task=name),
+        *(facts.news(("STOPPED",), rtpu=home) if home else ()),
+    ]
+    if ends:  # an older one did not end what was spawned after it
+        found.append(cause_of(max(ends, key=lambda event: event.wall), facts))
     return f"task {name}{where} is {State.NOT_CREATED}", found
 
 
@@ -135,6 +140,7 @@ def _moved(chain: Chain, status: TaskStatus, event: Event) -> Cause:
     key = "turned off" if ordered else "off by itself"
     told = facts.news(("SIGNAL", "TIMING_FAILURE", "METHOD"), task=status.task)
     near = [one for one in told if abs(one.wall - event.wall) <= 1.0]
+    near = [] if ordered else near  # what happened then is not why it was ordered
     cause = cause_of(event, facts, REMEDIES[key])
     return Cause(
         what=cause.what,
@@ -151,7 +157,7 @@ def _on(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
         value = facts.values.get(name)
         if value is not None and facts.is_old(name):
             yield chain.behind("variable", name, Source.TABLE)
-    for event in facts.news(("HANGS",), task=status.task):
+    for event in facts.since_on(("HANGS",), status):
         yield cause_of(event, facts)
     if status.waits:
         yield Cause(what=status.waits, source=Source.STATUS, remedy=REMEDIES["waits"])

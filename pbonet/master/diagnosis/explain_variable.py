@@ -51,6 +51,8 @@ def _state(chain: Chain, value: VarValue) -> str:
     limit = facts.limits.get(value.name)
     old = facts.is_old(value.name) or value.age is None
     age = "was never written" if value.age is None else f"is {value.age:.3g} s old"
+    if facts.from_log and value.age is not None:
+        return f"{value.name} was {value.age:.3g} s old at the end of the run"
     allowed = f", and may be {limit:g} s" if limit is not None else ""
     return f"{value.name} {age}{allowed}: {'stale' if old else 'not stale'}"
 

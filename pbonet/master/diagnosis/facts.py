@@ -57,6 +57,8 @@ class Facts(Struct, kw_only=True):
     """The oldest first."""
     missing: list[Missing] = []
     reports: list[RtpuReport] = []
+    shared: list[str] = []
+    """RTPUs that the subsystem lets others use too."""
     masters: list[str] = []
     """Masters of the subsystem that live."""
     start: list[GraphFault] = []
@@ -65,6 +67,8 @@ class Facts(Struct, kw_only=True):
     """Sentences about agents that have no version in common."""
     held: list[str] = []
     """Sentences about machines of which nothing is used."""
+    withdrawn: dict[str, tuple[Event, Event]] = {}
+    """Causes of the flag that a run withdrew: its first and its last event of each."""
     gaps: dict[str, list[Gap]] = {}
     from_log: bool = False
     unknown: list[str] = []
@@ -148,6 +152,11 @@ class Facts(Struct, kw_only=True):
             and rtpu in {"", event.rtpu}
         ]
         return found[:last]
+
+    def since_on(self, codes: Iterable[str], status: TaskStatus) -> list[Event]:
+        """Return the newest event of some codes of a task since it was turned on."""
+        newest = self.news(codes, task=status.task)
+        return [one for one in newest if one.time >= status.on_ns or self.from_log]
 
     def on_rtpu(self, rtpu: str) -> list[TaskStatus]:
         """Return the tasks of an RTPU."""

@@ -107,6 +107,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "another master": "end that master, or use `--take-over`",
     "restarted": "see its events: why the process ended; turn the tasks on",
     "unclaimed": "start the job",
+    "withdrawn": "read what happened then: `pbonet log events`",
 }
 """Remedies for what is read from counters, states and events."""
 

@@ -21,10 +21,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _GONE: Final = "NOT-CREATED"
+_SAME: Final = 1e-3
+"""Seconds by which times of one event may differ."""
 _BREAK: Final = 1000
 """A longer gap, in periods, is time in which the task was OFF."""
 _FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED")
-_CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(.*)", re.DOTALL)
+_ENDING: Final = 10.0
+"""Seconds within which the tasks of a run are turned off at its end."""
+_CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DOTALL)
 
 
 def read_log(path: str | Path) -> Facts:
@@ -37,7 +41,12 @@ def read_log(path: str | Path) -> Facts:
         LogError: There is none, or it is damaged from the beginning.
     """
     log = Log(path)
-    unknown = [str(one) for one in log.damage]
+    unknown = [str(one) for one in log.check()]
+    unknown += (
+        []
+        if log.complete
+        else ["the end of the log: it was not finished, or is still written"]
+    )
     events = [convert(one, Event) for one in log.events()]
     try:
         graph = convert(recorded_graph(log)[0], Graph)
@@ -53,22 +62,24 @@ def read_log(path: str | Path) -> Facts:
             links=[],
             faults=[],
         )
+    end = _end_of(events)
     facts = Facts(
         subsystem=graph.name,
         graph=graph,
-        events=events,
+        events=[one for one in events if one.wall < end],
         from_log=True,
         unknown=unknown,
     )
-    facts.rtpus = _rtpus(log, facts)
+    facts.rtpus = _rtpus(log, facts, end)
+    facts.withdrawn = _withdrawn(facts.events)
     facts.gaps = {task: _gaps(log, task) for task in log.tasks}
-    facts.values = _values(log)
+    facts.values = _values(log, end)
     return facts
 
 
-def _rtpus(log: Log, facts: Facts) -> dict[str, RtpuStatus]:
+def _rtpus(log: Log, facts: Facts, end: float) -> dict[str, RtpuStatus]:
     """Return the status of each RTPU, with its tasks as they were at the end."""
-    states = {name: _last(line) for name, line in timelines(log).items()}
+    states = {name: _last(line, end) for name, line in timelines(log).items()}
     missed, failed = log.missed(), log.failed()
     tasks: dict[str, list[TaskStatus]] = {}
     for name in log.tasks:
@@ -91,9 +102,9 @@ def _rtpus(log: Log, facts: Facts) -> dict[str, RtpuStatus]:
     }
 
 
-def _last(line: list[Any]) -> str:
+def _last(line: list[Any], end: float) -> str:
     """Return the last state of a task before it was ended in order."""
-    states = [stretch.state for stretch in line]
+    states = [one.state for one in line if one.begin_ns * 1e-9 < end - _SAME]
     before = states[:-1] if len(states) > 1 and states[-1] == _GONE else states
     return before[-1] if before else _GONE
 
@@ -129,32 +140,50 @@ def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:
 
 
 def _raised(events: list[Event]) -> dict[str, list[str]]:
-    """Return the causes of the flag in the run, by the RTPU that has reported them.
-
-    Causes that come when everything is turned off at the end are left out; when those
-    that were withdrawn came and went is in their events.
-    """
-    end = _end_of(events)
+    """Return the causes of the flag in the run, by the RTPU that has reported them."""
     found: dict[str, dict[str, None]] = {}
     for event in events:
-        if event.code == "ILLEGAL" and event.wall < end:
-            parts = _CHANGES.fullmatch(event.text)
-            text = parts[1] if parts is not None else event.text
-            found.setdefault(event.rtpu, {})[text] = None
+        if event.code == "ILLEGAL":
+            found.setdefault(event.rtpu, {})[_changed(event)] = None
     return {rtpu: list(causes) for rtpu, causes in found.items()}
+
+
+def _changed(event: Event) -> str:
+    """Return the cause that an event of the flag is about."""
+    parts = _CHANGES.fullmatch(event.text)
+    return parts[1] if parts is not None else event.text
+
+
+def _withdrawn(events: list[Event]) -> dict[str, tuple[Event, Event]]:
+    """Return the causes of the flag that were withdrawn wherever they were raised."""
+    first: dict[str, Event] = {}
+    last: dict[tuple[str, str], Event] = {}
+    for event in events:
+        if event.code in {"ILLEGAL", "LEGAL"}:
+            cause = _changed(event)
+            first.setdefault(cause, event)
+            last[cause, event.rtpu] = event
+    found: dict[str, tuple[Event, Event]] = {}
+    for cause, raised in first.items():
+        ends = [event for (text, _), event in last.items() if text == cause]
+        if all(event.code == "LEGAL" for event in ends):
+            found[cause] = raised, max(ends, key=lambda event: event.wall)
+    return found
 
 
 def _end_of(events: list[Event]) -> float:
     """Return when the tasks began to be turned off for good; infinity: never."""
     begun = float("inf")
     for event in reversed(events):
-        signal = event.text.partition(":")[0]
+        if begun < float("inf") and event.wall < begun - _ENDING:
+            break
         if event.code == "STOPPED":
             begun = event.wall
-        elif event.code == "STATE" and begun < float("inf"):
-            if signal not in {"off", "kill", "stop"}:
+        elif event.code == "STATE":
+            if event.text.partition(":")[0] not in {"off", "kill", "stop"}:
                 break
-            begun = event.wall
+            if begun < float("inf"):
+                begun = event.wall
     return begun
 
 
@@ -167,6 +196,8 @@ def _gaps(log: Log, task: str) -> list[Gap]:
         return []
     period = float(np.median(between))
     counts = np.round(between / period).astype(np.int64) - 1 if period else between * 0
+    # Cycles that were done and are not in the log are not missed.
+    counts -= np.maximum(np.diff(arrays["cycle"].astype(np.int64)) - 1, 0)
     offset = log.begin_time_ns - log.begin_ns
     places = np.flatnonzero((counts > 0) & (counts < _BREAK))
     return [
@@ -196,9 +227,15 @@ def _others(log: Log, task: str, begin: int, end: int) -> tuple[tuple[str, float
     return tuple(sorted(found, key=lambda one: -one[1]))
 
 
-def _values(log: Log) -> dict[str, VarValue]:
-    """Return each variable with its last writer, and its age at the end of the run."""
+def _values(log: Log, ended: float) -> dict[str, VarValue]:
+    """Return each variable with its last writer, and its age at the end of the run.
+
+    Args:
+        log: The log.
+        ended: When its tasks began to be turned off.
+    """
     _, end = log.span_ns
+    end = int(min(end, ended * 1e9))
     found: dict[str, VarValue] = {}
     for task in log.tasks:
         releases = log.arrays(task)["release_ns"]
@@ -206,7 +243,7 @@ def _values(log: Log) -> dict[str, VarValue]:
             int(releases[-1]) + log.begin_time_ns - log.begin_ns if len(releases) else 0
         )
         for index, name in enumerate(log.variables(task)):
-            age = (end - last) * 1e-9 if last else None
+            age = max(end - last, 0) * 1e-9 if last else None
             before = found.get(name)
             if before is None or before.age is None or (age or 0.0) < before.age:
                 found[name] = VarValue(

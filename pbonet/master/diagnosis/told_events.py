@@ -27,8 +27,12 @@ def cause_of(event: Event, facts: Facts, remedy: str = "") -> Cause:
 
 def sentence(event: Event) -> str:
     """Return when an event was, of what, and its text."""
-    clock = time.strftime("%H:%M:%S", time.localtime(event.wall))
     where = f", cycle {event.cycle}" if event.cycle else ""
     place = f" ({event.place})" if event.place else ""
     whose = "/".join(filter(None, (event.rtpu, event.task)))
-    return f"{event.code} of {whose} at {clock}{where}: {event.text}{place}"
+    return f"{event.code} of {whose} at {clock(event)}{where}: {event.text}{place}"
+
+
+def clock(event: Event) -> str:
+    """Return the time of day of an event."""
+    return time.strftime("%H:%M:%S", time.localtime(event.wall))

@@ -27,12 +27,14 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Place
 
-    from .table_rows import Row
+    from .table_rows import Column, Row
 
 _KEYS: Final = 0.1
 """Seconds after which news are looked for though no key came."""
 _SCREEN, _LINES = 0.5, 5.0
 """Seconds between two readings on a screen, and elsewhere."""
+_BETWEEN: Final = 2
+"""Blanks between two columns."""
 _STYLES: Final = {"bad": "red", "off": "cyan", "": ""}
 _FRAME: Final = 4
 """Lines of the screen that have no row: title, head, and what keys do."""
@@ -127,6 +129,8 @@ def _as_lines(
         if not reader.news.wait(_KEYS):
             continue
         reader.news.clear()
+        if reader.failure is not None:
+            raise reader.failure
         reading = reader.reading
         if reading is None:
             continue
@@ -184,16 +188,20 @@ def _on_screen(
     from rich.live import Live
 
     keys = create_input()
-    window = Window()
+    window, last = Window(), None
     every: dict[str, list[Row]] = {name: [] for name in COLUMNS}
     with keys.raw_mode(), Live(screen=True, auto_refresh=False) as live:
         while not (view.ended or interrupts.wished.is_set()):
             if reader.news.is_set():
                 reader.news.clear()
-                if reader.reading is not None:
-                    every = all_rows(reader.reading, window)
-                if view.asked is not None:
-                    view.explained = reader.explained
+                if reader.failure is not None:
+                    raise reader.failure
+                if reader.reading is not None and reader.reading is not last:
+                    last = reader.reading
+                    every = all_rows(last, window)
+                row, text = reader.explained
+                if row is not None and row is view.asked:
+                    view.explained = text
             live.update(_page(reader, view, every, live), refresh=True)
             if count is not None and reader.count >= count:
                 break
@@ -222,14 +230,23 @@ def _page(
     from rich.text import Text
 
     if view.asked is not None:
-        head = Text(f"{view.asked.kind} {view.asked.name}   (Esc goes back)", "bold")
-        return Group(head, Text(view.explained or "asking the agents ..."))
+        keys = "Esc goes back, up/down scroll"
+        head = Text(f"{view.asked.kind} {view.asked.name}   ({keys})", "bold")
+        text = Text(view.explained or "asking the agents ...")
+        shown = [*text.wrap(live.console, live.console.width)]
+        view.first = min(view.first, max(len(shown) - live.console.height + 1, 0))
+        return Group(head, *shown[view.first :])
     reading = reader.reading
     if reading is None:
         return Text("asking the agents ...")
-    notes = [Text(line, "red", no_wrap=True) for line in _notes(reading)]
+    lines = _notes(reading)
+    most = max(live.console.height // 3, 1)
+    if len(lines) > most:
+        lines[most - 1 :] = [f"... and {len(lines) - most + 1} more"]
+    notes = [Text(line, "red", no_wrap=True) for line in lines]
     room = live.console.height - _FRAME - len(notes)
-    return Group(_table(view, every, max(room, 1)), *notes, _foot(view))
+    table = _table(view, every, max(room, 1), live.console.width)
+    return Group(table, *notes, _foot(view))
 
 
 def _foot(view: TableView) -> RenderableType:
@@ -242,13 +259,17 @@ def _foot(view: TableView) -> RenderableType:
     )
 
 
-def _table(view: TableView, every: dict[str, list[Row]], room: int) -> RenderableType:
-    """Return the table: so many rows that they fit, the selected one among them."""
+def _table(
+    view: TableView, every: dict[str, list[Row]], room: int, width: int
+) -> RenderableType:
+    """Return the table: what fits of its rows, the selected one too, and of columns."""
     from rich.table import Table
 
-    columns = COLUMNS[view.view]
     rows = view.shown(every[view.view])
-    table = Table(box=None, header_style="bold", pad_edge=False, title=view.view)
+    columns = _fitting(view, rows, width)
+    left_out = len(COLUMNS[view.view]) - len(columns)
+    title = f"{view.view} ({left_out} columns do not fit)" if left_out else view.view
+    table = Table(box=None, header_style="bold", pad_edge=False, title=title)
     for column in columns:
         numeric = bool(column.field) or column.name in _COUNTS
         mark = ("^" if view.reverse else "v") * (column.name == view.sort)
@@ -260,6 +281,23 @@ def _table(view: TableView, every: dict[str, list[Row]], room: int) -> Renderabl
         style = "reverse" if number == view.place else _STYLES[row.mark]
         table.add_row(*map(text_of, columns, row.cells), style=style)
     return table
+
+
+def _fitting(view: TableView, rows: list[Row], width: int) -> list[Column]:
+    """Return the first columns that a screen has room for, one at least."""
+    columns = COLUMNS[view.view]
+    texts = [
+        [text_of(one, row.cells[n]) for row in rows] for n, one in enumerate(columns)
+    ]
+    left = width + _BETWEEN
+    fitting: list[Column] = []
+    for column, cells in zip(columns, texts, strict=True):
+        mark = column.name == view.sort
+        left -= max(map(len, [column.name + "v" * mark, *cells])) + _BETWEEN
+        if left < 0 and fitting:
+            break
+        fitting.append(column)
+    return fitting
 
 
 _COUNTS: Final = {

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
 
-from pbonet.errors import NodeError, Severity
+from pbonet.errors import NodeError, Severity, StateError
 
 if TYPE_CHECKING:
     from typing import Self
@@ -33,9 +34,11 @@ class OtelLogs:
 
     Raises:
         NodeError: The SDK is not installed.
+        StateError: That is no address of a collector.
     """
 
     def __init__(self, endpoint: str) -> None:
+        _must_be_url(endpoint)
         try:
             # OpenTelemetry documents its logs under these names.
             from opentelemetry.exporter.otlp.proto.http._log_exporter import (  # noqa: PLC2701
@@ -91,3 +94,14 @@ class OtelLogs:
     def __exit__(self, *_: object) -> None:
         """Send what is left, and end."""
         self._provider.shutdown()
+
+
+def _must_be_url(endpoint: str) -> None:
+    parts = urlsplit(endpoint)
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        raise StateError(
+            "this is no address of a collector",
+            expected="a URL, such as http://127.0.0.1:4318",
+            got=endpoint,
+            remedy="correct --otlp",
+        )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import PbonetError
@@ -39,13 +40,16 @@ class SubsystemReader:
         self._ended = threading.Event()
         self._due = threading.Event()
         """Set when something is to be done before the next reading."""
-        self._asked: Row | None = None
+        self._asked: deque[Row] = deque(maxlen=1)
         self.news = threading.Event()
         """Set when there is a new reading or explanation."""
         self.reading: Reading | None = None
         self.count = 0
         """Readings so far."""
-        self.explained = ""
+        self.explained: tuple[Row | None, str] = None, ""
+        """A row that was asked about, and its explanation."""
+        self.failure: BaseException | None = None
+        """An error of this program that has ended the reading."""
         self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
 
     def start(self) -> None:
@@ -60,12 +64,28 @@ class SubsystemReader:
             self._thread.join(5.0)
 
     def explain(self, row: Row) -> None:
-        """Explain a row; `explained` has the text after the next `news`."""
-        self.explained = ""
-        self._asked = row
+        """Explain a row; `explained` has it after one of the next `news`.
+
+        Of rows that are asked about meanwhile, only the last is explained.
+        """
+        self._asked.append(row)
         self._due.set()
 
+    def _take(self) -> Row | None:
+        """Return the row that is to be explained, once."""
+        try:
+            return self._asked.pop()
+        except IndexError:
+            return None
+
     def _run(self) -> None:
+        try:
+            self._read_again_and_again()
+        except BaseException as error:  # noqa: BLE001 - raised again where it is shown
+            self.failure = error
+            self.news.set()
+
+    def _read_again_and_again(self) -> None:
         while not self._ended.is_set():
             subsystem = self._make()
             try:
@@ -73,6 +93,7 @@ class SubsystemReader:
             except PbonetError as error:
                 self._unreached(subsystem, error)
                 self._due.wait(RETRY)
+                self._due.clear()
                 continue
             try:
                 self._read(subsystem)
@@ -87,16 +108,14 @@ class SubsystemReader:
         names = [one.name for one in subsystem.sbs.rtpus]
         silent = dict.fromkeys(names, str(error))
         self._publish(Reading(silent=silent, agents=before, complaints=[str(error)]))
-        if (row := self._asked) is not None:
-            self._asked = None
+        if (row := self._take()) is not None:
             facts = diagnosis.unreached(subsystem, error)
             self._answer(facts, row)
 
     def _read(self, subsystem: Subsystem) -> None:
         due = time.monotonic()
         while not self._ended.is_set():
-            if (row := self._asked) is not None:
-                self._asked = None
+            if (row := self._take()) is not None:
                 self._answer(diagnosis.ask(subsystem, diagnosis.Extent.SCHEDULE), row)
             if time.monotonic() >= due:
                 self._publish(self._reading(subsystem))
@@ -107,9 +126,10 @@ class SubsystemReader:
     def _answer(self, facts: diagnosis.Facts, row: Row) -> None:
         asked = diagnosis.Question(kind=row.kind, name=row.name)
         try:
-            self.explained = diagnosis.text(diagnosis.explain(facts, asked))
+            text = diagnosis.text(diagnosis.explain(facts, asked))
         except PbonetError as error:
-            self.explained = str(error)
+            text = str(error)
+        self.explained = row, text
         self.news.set()
 
     def _publish(self, reading: Reading) -> None:

@@ -45,6 +45,8 @@ class TableView:
         """The row that is to be explained."""
         self.explained = ""
         """The explanation that is shown in place of the table."""
+        self.first = 0
+        """Its first line that is shown."""
         self._sort = dict.fromkeys(VIEWS, "")
         self._sort[view] = sort
         self._selected = dict.fromkeys(VIEWS, "")
@@ -94,6 +96,8 @@ class TableView:
         elif self.explained or self.asked is not None:
             if key in _LEAVE:
                 self.explained, self.asked = "", None
+            elif key in _STEPS:
+                self.first = max(self.first + _STEPS[key], 0)
         elif self.typing:
             self._type(key)
         elif key in _STEPS:
@@ -131,7 +135,7 @@ class TableView:
             case "/":
                 self.typing, self.wanted = True, ""
             case "enter" | "e" if self._shown:
-                self.asked = self._shown[self.place]
+                self.asked, self.first = self._shown[self.place], 0
             case _:
                 return
 

@@ -68,14 +68,13 @@ def _reason(rtpu: str, status: RtpuStatus | None, error: PbonetError | None) -> 
     if status is None:
         why = f": {error.what}" if error is not None else ""
         return f"not known, because RTPU {rtpu} does not answer{why}"
-    reason = (
-        "it was not spawned, or was killed,"
-        if status.scheduler
-        else "no master has used the RTPU"
-    )
-    if not status.age:
-        return reason.removesuffix(",")
-    return f"{reason} since the RTPU process was started, {_ago(status.age)} ago"
+    if not status.scheduler:  # a claim ends with the subsystem
+        reason = "no master uses the RTPU"
+        since = f", whose process was started {_ago(status.age)} ago"
+    else:
+        reason = "it was not spawned, or was killed"
+        since = f", since the RTPU process was started, {_ago(status.age)} ago"
+    return reason + since if status.age else reason
 
 
 def _ago(seconds: float) -> str:

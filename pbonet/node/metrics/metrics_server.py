@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import threading
+from typing import TYPE_CHECKING, cast
 
 from pbonet.errors import ConfigError, NodeError
 from pbonet.xm.net import credentials, session
 
 if TYPE_CHECKING:
+    import ssl
+    from collections.abc import Callable
     from pathlib import Path
+    from wsgiref.types import WSGIApplication
+
+    from prometheus_client import CollectorRegistry
 
     from .rtpu_collector import Figures
+
+    _MakeApp = Callable[[CollectorRegistry], WSGIApplication]
 
 
 def check_address(address: str, key_folder: Path | None) -> tuple[str, int, bool]:
@@ -66,7 +74,7 @@ class MetricsServer:
     ) -> None:
         host, port, local = check_address(address, key_folder)
         try:
-            from prometheus_client import CollectorRegistry, start_http_server
+            import prometheus_client
         except ImportError:
             raise NodeError(
                 "prometheus-client is not installed, which metrics need",
@@ -74,27 +82,27 @@ class MetricsServer:
                 remedy="pip install 'pbonet[metrics]', or remove metrics in agent.toml",
             ) from None
         from .rtpu_collector import RtpuCollector
+        from .scrape_server import ScrapeServer
 
-        registry = CollectorRegistry(auto_describe=False)
+        registry = prometheus_client.CollectorRegistry(auto_describe=False)
         registry.register(RtpuCollector(rtpu, figures))
         keys = None if local else key_folder
         try:
-            self._server, self._thread = start_http_server(
-                port,
-                host,
-                registry,
-                certfile=str(keys / credentials.CERT) if keys else None,
-                keyfile=str(keys / credentials.KEY) if keys else None,
-                client_cafile=str(keys / credentials.CA) if keys else None,
-                client_auth_required=keys is not None,
-            )
+            self._server = ScrapeServer(host, port, _context(keys) if keys else None)
         except OSError as error:
             raise NodeError(
                 "the metrics cannot be served",
                 where=f"{rtpu}, {address}",
                 got=error.strerror or str(error),
-                remedy="give each agent of a machine a port of its own in agent.toml",
+                remedy="give each agent of a machine a port of its own in agent.toml, "
+                "and an address that the machine has",
             ) from None
+        make = cast("_MakeApp", prometheus_client.make_wsgi_app)  # pyright: ignore[reportUnknownMemberType]
+        self._server.set_app(make(registry))
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="metrics", daemon=True
+        )
+        self._thread.start()
         self.port: int = self._server.server_port
         """The port, also where 0 was asked for."""
 
@@ -103,3 +111,14 @@ class MetricsServer:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+
+def _context(keys: Path) -> ssl.SSLContext:
+    """Return what proves the server, and demands a proof of each client."""
+    import ssl
+
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_verify_locations(keys / credentials.CA)
+    context.load_cert_chain(keys / credentials.CERT, keys / credentials.KEY)
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context

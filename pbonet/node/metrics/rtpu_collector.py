@@ -16,7 +16,7 @@ from prometheus_client.metrics_core import (
 )
 from prometheus_client.registry import Collector
 
-from pbonet.errors import PbonetError
+from pbonet.errors import NodeError, PbonetError
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
@@ -203,7 +203,8 @@ class RtpuCollector(Collector):
     def collect(self) -> Iterable[Metric]:
         """Return the metrics as they are now.
 
-        What cannot be read now, as the RTPU process starts again, is left out.
+        What cannot be read now is left out: the RTPU process starts again, or a
+        subsystem has just ended.
         """
         made = _families()
         info = self._figures.info()
@@ -212,7 +213,10 @@ class RtpuCollector(Collector):
         for subsystem in info.claims or {"": 0}:
             try:
                 status = self._figures.status(subsystem)
-            except PbonetError:
+            except NodeError:
+                continue
+            except PbonetError:  # its table has just been closed
+                up = True
                 continue
             up = True
             self._add_rtpu(made, status)
@@ -262,7 +266,11 @@ class RtpuCollector(Collector):
                 self._add(made, "events_total", count, subsystem, task, code)
         for one in status.tasks:
             self._add_task(made, subsystem, one)
-        for age in self._figures.ages(subsystem):
+        try:
+            ages = self._figures.ages(subsystem)
+        except PbonetError:  # its table has just been closed
+            return
+        for age in ages:
             labels = subsystem, age.variable
             if age.seconds is not None:
                 self._add(made, "variable_age_seconds", age.seconds, *labels)

@@ -11,7 +11,13 @@ from msgspec import structs
 
 from pbonet.analysis import legality
 from pbonet.config import Scheduler
-from pbonet.errors import NoAnswerError, Severity, StateError, UnreachableError
+from pbonet.errors import (
+    NoAnswerError,
+    SeveralError,
+    Severity,
+    StateError,
+    UnreachableError,
+)
 from pbonet.master import configuration, diagnosis
 from pbonet.master.diagnosis import FLAG_CAUSES, REMEDIES, Facts, Gap, asked_by
 from pbonet.master.subsystem import Missing
@@ -306,6 +312,20 @@ def test_a_flag_that_is_down_has_no_cause():
     assert found.what == "the flag of arm is down"
 
 
+@pytest.mark.parametrize(
+    ("tasks", "what"),
+    [
+        ([], "whether the flag of arm is up is not known"),
+        ([status("sensor")], "the flag of arm is down on arm0"),
+    ],
+)
+def test_a_flag_of_rtpus_that_are_away_is_not_said_to_be_down(tasks, what):
+    there = {one.rtpu: rtpus(*tasks)[one.rtpu] for one in tasks}
+    known = facts(*tasks, rtpus=there)
+    known.silent = {"arm1": UnreachableError("gone", remedy="start it").to_wire()}
+    assert diagnosis.explain(known, asked_by(())).what == what
+
+
 def test_a_chain_goes_from_the_flag_to_the_error_upstream():
     failed = status("sensor", state="ERROR", error="cycle failed: no encoder; plug it")
     known = facts(
@@ -366,6 +386,14 @@ def test_each_reason_for_which_a_task_is_off(task, events, what, key):
     assert f"do: {REMEDIES[key]}" in text
 
 
+def test_what_happened_when_a_task_was_turned_off_is_no_cause():
+    late = event("TIMING_FAILURE", "2 deadline", "plan", "arm1")
+    ordered = event("STATE", "off: OFF", "plan", "arm1")
+    assert "TIMING" not in told(facts(off(on_ns=1), events=[late, ordered]), "plan")
+    itself = event("STATE", "error: OFF", "plan", "arm1")
+    assert "TIMING" in told(facts(off(on_ns=1), events=[late, itself]), "plan")
+
+
 def test_a_signal_that_failed_says_what_may_be_done():
     known = facts(off(), events=[event("SIGNAL_FAILED", "on: OFF: no", "plan")])
     assert "do: 'on plan' turns it on, 'kill plan' removes it" in told(known, "plan")
@@ -401,6 +429,19 @@ def test_a_task_that_was_never_spawned():
 def test_a_task_that_could_not_be_spawned(code):
     known = facts(status("sensor"), events=[event(code, "no module", "plan", "arm1")])
     assert f"{code} of arm1/plan" in told(known, "plan")
+
+
+def test_the_last_end_of_a_task_is_the_cause():
+    events = [
+        event("NOT_SPAWNED", "no module", "plan", "arm1", at=-9),
+        event("SPAWNED", "process 7", "plan", "arm1", at=-8),
+        event("TASK_DIED", "signal SIGSEGV", "plan", "arm1", at=-5),
+        event("STOPPED", "2 tasks ended", rtpu="arm1"),
+    ]
+    text = told(facts(status("sensor"), events=events), "plan")
+    assert "STOPPED of arm1" in text
+    assert "SIGSEGV" not in text
+    assert "NOT_SPAWNED" not in text
 
 
 def test_a_task_of_an_rtpu_that_is_away():
@@ -545,10 +586,13 @@ def test_what_an_rtpu_that_answers_suffers_from():
     assert REMEDIES["stalled"] in text
 
 
-def test_an_rtpu_that_no_master_has_used():
-    known = facts()
+def test_an_rtpu_that_no_master_uses():
+    known = facts(events=[event("STOPPED", "3 tasks ended", rtpu="arm1")])
     known.rtpus["arm1"] = RtpuStatus(rtpu="arm1", backend="", scheduler="", tasks=[])
-    assert f"do: {REMEDIES['unclaimed']}" in told(known, "arm1")
+    text = told(known, "arm1")
+    assert "because no master uses it" in text
+    assert "STOPPED of arm1" in text, "it was used before"
+    assert f"do: {REMEDIES['unclaimed']}" in text
 
 
 # -- starts ----------------------------------------------------------------------------
@@ -589,6 +633,33 @@ def test_a_start_that_would_not_be_refused():
         "the start of arm would not be refused now",
         False,
     )
+
+
+def test_a_subsystem_that_may_share_an_rtpu_refuses_nothing():
+    used = {"arm0": agent("arm0", claims={"arm": 1, "leg": 3}, on={"leg": ["walk"]})}
+    text = told(facts(agents=used, shared=["arm0"]), "start")
+    assert text.startswith("the start of arm would not be refused now")
+    assert "not read: whether leg shares RTPU arm0" in text
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_an_rtpu_that_is_away_is_told_once(several):
+    error = UnreachableError("no agent", where="arm1", remedy="start it")
+    whole = SeveralError("the job cannot be assembled", [error, error])
+    fault = configuration.GraphFault(
+        text=str(whole if several else error), severity="refuse", remedy=""
+    )
+    known = facts(start=[fault], silent={"arm1": error.to_wire()})
+    text = told(known, "start")
+    assert text.startswith("the start of arm would be refused now")
+    assert text.count("no agent") == 1
+
+
+def test_what_failed_at_the_last_start_refuses_no_other():
+    known = facts(events=[event("SPAWN_FAILED", "no module", "plan")])
+    text = told(known, "start")
+    assert text.startswith("the start of arm would not be refused now, and something")
+    assert "SPAWN_FAILED of arm0/plan" in text
 
 
 # -- missed cycles ---------------------------------------------------------------------
@@ -646,6 +717,33 @@ def test_another_task_that_goes_first():
     other = status("sensor", max_c=0.012, crit=1)
     text = told(facts(other, status("pid", miss=3)), "miss", "pid")
     assert "sensor goes first (criticality 1 before 5), and takes up to 12 ms" in text
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "other", "what"),
+    [
+        ("MUF", {"crit": 9}, ""),
+        ("MUF", {"crit": 5}, "sensor goes first when its deadline is earlier"),
+        ("RM", {"crit": 1}, ""),
+        ("RM", {"crit": 9, "ref_f": 200.0}, "sensor goes first (its rate is higher)"),
+        ("EDF", {"crit": 9}, "sensor goes first when its deadline is earlier"),
+    ],
+)
+def test_who_goes_first_is_a_matter_of_the_scheduler(scheduler, other, what):
+    known = facts(status("sensor", max_c=0.012, **other), status("pid", miss=3))
+    known.rtpus["arm0"].scheduler = scheduler
+    text = told(known, "miss", "pid")
+    assert what in text if what else "goes first" not in text
+
+
+def test_what_was_before_a_task_was_turned_on_made_it_miss_nothing():
+    events = [event("HANGS", "endless", "pid"), event("CORE_STALLED", "stood still")]
+    known = facts(status("pid", miss=3, on_ns=5), events=events)
+    known.rtpus["arm0"].stalls = 2
+    text = told(known, "miss", "pid")
+    assert "HANGS" not in text
+    assert "stood still" not in text
+    assert "HANGS" not in told(known, "pid")
 
 
 def test_a_core_that_stood_still():

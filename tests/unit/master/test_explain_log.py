@@ -10,8 +10,10 @@ from msgspec import structs
 
 from pbonet.errors import LogError
 from pbonet.log import Attached, LogWriter
+from pbonet.log.part import Part
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
+from pbonet.master.diagnosis import REMEDIES
 
 PERIOD = 10_000_000
 SBS = b"SUBSYSTEM arm\nSVARFILE a.svar\nRTPU arm0\nEOF\n"
@@ -55,25 +57,47 @@ def cycle(number, at, cpu=1_000_000, seed=1):
     )
 
 
+FAILS = (
+    event("STATE", "on: ON", PERIOD, "pid", "ON"),
+    event("ILLEGAL", "the grip is open (arm0/pid)", 20 * PERIOD),
+    event("METHOD", "pid.cycle: no grip", 34 * PERIOD, "pid", "ERROR"),
+    event("STATE", "off: OFF", 35 * PERIOD, "other", "OFF"),
+    event("ILLEGAL", "equation 2: no task writes Y for pid (master)", 36 * PERIOD),
+    event("STOPPED", "all", 37 * PERIOD),
+)
+SOUND = (
+    event("STATE", "on: ON", PERIOD, "pid", "ON"),
+    event("ILLEGAL", "the grip is open (arm0/pid)", 20 * PERIOD),
+    event("LEGAL", "no longer: the grip is open (arm0/pid)", 22 * PERIOD),
+    event("STATE", "off: OFF", 35 * PERIOD, "pid", "OFF"),
+    event("STOPPED", "all", 36 * PERIOD),
+)
+
+
 @pytest.fixture
 def log(tmp_path):
-    """Give a log: cycle 10 of the task pid takes too long, and three are missed."""
-    path = tmp_path / "run.mcap"
+    return recorded(tmp_path, FAILS)
+
+
+def recorded(folder, events, without=()):
+    """Record cycle 10 of the task pid that takes too long, and three that are missed.
+
+    Return a function that answers questions about it.
+
+    Args:
+        folder: Where.
+        events: The events of the run.
+        without: Cycles that are not in the log.
+    """
+    path = folder / "run.mcap"
     files = [Attached("a.sbs", SBS), Attached("a.svar", SVAR)]
     writer = LogWriter(path, run(), files)
     number = writer.add_task(structs.replace(about("pid", PLAIN), rmod=RMOD))
-    for n in range(1, 31):
+    for n in sorted({*range(1, 31)} - {*without}):
         missed = 3 if n > 10 else 0
         cpu = 35_000_000 if n == 10 else 1_000_000
         writer.add(number, cycle(n, (n + missed) * PERIOD, cpu))
-    for one in (
-        event("STATE", "on: ON", PERIOD, "pid", "ON"),
-        event("ILLEGAL", "the grip is open (arm0/pid)", 20 * PERIOD),
-        event("METHOD", "pid.cycle: no grip", 34 * PERIOD, "pid", "ERROR"),
-        event("STATE", "off: OFF", 35 * PERIOD, "other", "OFF"),
-        event("ILLEGAL", "equation 2: no task writes Y for pid (master)", 36 * PERIOD),
-        event("STOPPED", "all", 37 * PERIOD),
-    ):
+    for one in events:
         writer.add_event(one)
     writer.close()
 
@@ -108,7 +132,54 @@ def test_a_task_is_explained_as_it_was_before_the_end(log):
 def test_a_variable_has_its_writer(log):
     found = log("Y")
     assert found.kind == "variable"
-    assert found.what.startswith("Y is 0.")
+    assert found.what.startswith("Y was 0.")
+    assert "stale" not in found.what, "a log has no limits"
+
+
+def test_the_end_of_a_run_is_no_cause(tmp_path):
+    ask = recorded(tmp_path, SOUND)
+    assert ask("pid").what == "task pid on arm0 is ON"
+    assert not ask("Y").found, "its task was ON until then"
+
+
+def test_a_cause_that_was_withdrawn_is_not_explained_by_the_end(tmp_path):
+    text = diagnosis.text(recorded(tmp_path, SOUND)())
+    assert text.startswith("the flag of arm was up\n")
+    assert "the grip is open (arm0/pid), on arm0, between" in text
+    assert f"do: {REMEDIES['withdrawn']}" in text
+
+
+def test_what_was_turned_off_long_before_the_end_was_off(tmp_path):
+    late = [event("STATE", "off: OFF", 3000 * PERIOD, "other", "OFF")]
+    late += [event("STOPPED", "all", 3001 * PERIOD)]
+    ask = recorded(tmp_path, [*SOUND[:4], *late])
+    assert ask("pid").what == "task pid on arm0 is OFF"
+    assert ask("arm0").what == "RTPU arm0 was used in this run, with 1 task"
+
+
+def test_cycles_that_are_not_in_the_log_are_not_missed(tmp_path):
+    text = diagnosis.text(
+        recorded(tmp_path, SOUND, without=range(20, 25))("miss", "pid")
+    )
+    assert text.startswith("pid has missed 3 cycles in 1 places\n")
+
+
+def test_a_log_that_ends_early_is_said_to(tmp_path):
+    ask = recorded(tmp_path, SOUND)
+    path = tmp_path / "run.mcap"
+    assert not ask().unknown
+    path.write_bytes(path.read_bytes()[:-200])
+    assert "not read: the end of the log" in diagnosis.text(ask())
+
+
+def test_what_is_damaged_in_a_log_is_named(tmp_path):
+    ask = recorded(tmp_path, SOUND)
+    path = tmp_path / "run.mcap"
+    data = bytearray(path.read_bytes())
+    chunk = Part(path)._chunks[0]
+    data[chunk.at + chunk.size - 9] ^= 0xFF
+    path.write_bytes(data)
+    assert f"not read: {path}: damaged chunk" in diagnosis.text(ask())
 
 
 def test_what_is_no_log_is_refused(tmp_path):

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import threading
+import time
+from types import SimpleNamespace
+
 import pytest
+from rich.console import Console
 from test_explain import agent, rtpus, status, value
 
-from pbonet.errors import StateError
+from pbonet.errors import StateError, UnreachableError
+from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
+from pbonet.master.operating import live_table, subsystem_reader
 from pbonet.master.operating.live_table import watch
-from pbonet.master.operating.table_rows import COLUMNS, Reading, all_rows, text_of
+from pbonet.master.operating.subsystem_reader import SubsystemReader
+from pbonet.master.operating.table_rows import COLUMNS, Reading, Row, all_rows, text_of
 from pbonet.master.operating.table_view import VIEWS, TableView
 from pbonet.master.subsystem import Window
 
@@ -119,6 +128,113 @@ def test_the_arrows_select_and_enter_asks(shown):
     assert (view.asked.kind, view.asked.name) == ("task", "pid")
     shown(view, "escape")
     assert view.asked is None
+
+
+def test_an_explanation_is_scrolled(shown):
+    view = TableView()
+    shown(view, "enter")
+    view.explained = "because ..."
+    shown(view, "down", "pagedown", "up")
+    assert view.first == 10
+    shown(view, "escape", "down", "enter")
+    assert view.first == 0
+
+
+def test_a_narrow_screen_has_whole_columns(reading):
+    every = all_rows(reading, Window())
+    view = TableView()
+    console = Console(width=60, height=24, file=io.StringIO())
+    console.print(live_table._table(view, every, 20, console.width))
+    lines = console.file.getvalue().splitlines()
+    assert "columns do not fit" in lines[0]
+    assert lines[1].split()[:4] == ["task", "rtpu", "machine", "state"]
+    assert "\N{HORIZONTAL ELLIPSIS}" not in "".join(lines)
+
+
+class Slow:
+    """A subsystem's questions, of which the first takes until the second is asked."""
+
+    def __init__(self, monkeypatch):
+        self.begun, self.go_on = threading.Event(), threading.Event()
+        monkeypatch.setattr(diagnosis, "ask", self.ask)
+        monkeypatch.setattr(diagnosis, "explain", lambda _, asked: asked.name)
+        monkeypatch.setattr(diagnosis, "text", str)
+
+    def ask(self, *_):
+        self.begun.set()
+        assert self.go_on.wait(30)
+
+
+def answered(reader, row):
+    deadline = time.monotonic() + 30
+    while reader.explained[0] is not row:
+        assert time.monotonic() < deadline
+        reader.news.wait(0.01)
+    return reader.explained[1]
+
+
+def test_an_explanation_belongs_to_its_row(monkeypatch):
+    slow = Slow(monkeypatch)
+    made = SimpleNamespace(open=lambda **_: None, detach=lambda: None)
+    reader = SubsystemReader(lambda: made, 30.0)
+    monkeypatch.setattr(reader, "_reading", lambda _: Reading())
+    first, second = Row("task", "a", ()), Row("task", "b", ())
+    reader.explain(first)
+    reader.start()
+    try:
+        assert slow.begun.wait(30)
+        reader.explain(second)
+        assert reader.explained[0] is not second
+        slow.go_on.set()
+        assert answered(reader, second) == "b"
+    finally:
+        slow.go_on.set()
+        reader.close()
+
+
+def test_an_error_of_the_program_ends_the_table(monkeypatch, puma):
+    def broken(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(SubsystemReader, "_unreached", broken)
+    with pytest.raises(ZeroDivisionError):
+        watch(
+            puma,
+            Place(domain="nowhere"),
+            sort="",
+            wanted="",
+            every=None,
+            count=1,
+            as_data=True,
+        )
+
+
+def test_an_agent_that_is_away_is_looked_for_after_a_pause(monkeypatch):
+    opened = []
+
+    def away(**_):
+        opened.append(time.monotonic())
+        raise UnreachableError("no agent")
+
+    made = SimpleNamespace(open=away, sbs=SimpleNamespace(rtpus=[]))
+    monkeypatch.setattr(subsystem_reader, "RETRY", 30.0)
+    monkeypatch.setattr(diagnosis, "unreached", lambda *_: None)
+    monkeypatch.setattr(diagnosis, "explain", lambda _, asked: asked.name)
+    monkeypatch.setattr(diagnosis, "text", str)
+    reader = SubsystemReader(lambda: made, 30.0)
+    first, second = Row("task", "a", ()), Row("task", "b", ())
+    reader.start()
+    try:
+        reader.explain(first)
+        answered(reader, first)
+        reader.explain(second)
+        answered(reader, second)
+        deadline = time.monotonic() + 30
+        while reader._due.is_set():
+            assert time.monotonic() < deadline, "it asks again and again"
+        assert len(opened) <= 5, "once for each question, and when one came meanwhile"
+    finally:
+        reader.close()
 
 
 def test_the_selected_row_stays_when_the_order_changes(shown):

@@ -25,11 +25,10 @@ def status(rtpu, **settings):
     ("there", "reason"),
     [
         ([], "not known, because RTPU arm1 does not answer"),
-        ([{"scheduler": ""}], "no master has used the RTPU"),
+        ([{"scheduler": ""}], "no master uses the RTPU"),
         (
             [{"scheduler": "", "age": 7200.0}],
-            "no master has used the RTPU since the RTPU process was started, "
-            "2 hours ago",
+            "no master uses the RTPU, whose process was started 2 hours ago",
         ),
         ([{}], "it was not spawned, or was killed"),
         (

@@ -12,7 +12,7 @@ from opentelemetry.proto.collector.logs.v1.logs_service_pb2 import (
     ExportLogsServiceRequest,
 )
 
-from pbonet.errors import NodeError, Severity
+from pbonet.errors import NodeError, Severity, StateError
 from pbonet.master.operating import OtelLogs
 from pbonet.xm.net import Event
 
@@ -70,6 +70,12 @@ def test_an_event_is_a_log_record(collector):
     assert found["code.filepath"].string_value == "pid.py:3 in cycle"
     assert second.severity_number == 13
     assert "pbonet.task" not in {one.key for one in second.attributes}
+
+
+@pytest.mark.parametrize("address", ["localhost:4318", "127.0.0.1", "ftp://x", "http:"])
+def test_what_is_no_address_of_a_collector_is_refused(address):
+    with pytest.raises(StateError, match="no address of a collector"):
+        OtelLogs(address)
 
 
 def test_without_the_sdk_it_is_said_what_to_install(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import re
+import socket
 import ssl
 import sys
 from pathlib import Path
@@ -15,8 +16,8 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from pbonet.config import parse_agent
-from pbonet.errors import ConfigError, NodeError
-from pbonet.node.metrics import MetricsServer, check_address
+from pbonet.errors import ConfigError, NodeError, SvarError
+from pbonet.node.metrics import MetricsServer, check_address, scrape_server
 from pbonet.node.metrics.rtpu_collector import FAMILIES, PREFIX, RtpuCollector
 from pbonet.xm.net import (
     AgentInfo,
@@ -41,7 +42,7 @@ class Figures:
     """What an agent knows: two tasks, a variable that is stale, a link, a peer."""
 
     def __init__(self):
-        self.restarting = False
+        self.restarting = self.ending = False
         self.asked = []
 
     def info(self):
@@ -83,6 +84,8 @@ class Figures:
 
     def ages(self, subsystem):
         assert subsystem == "arm"
+        if self.ending:
+            raise SvarError("the table is closed")
         return [
             SimpleNamespace(variable="Q", seconds=0.02, stale=False),
             SimpleNamespace(variable="REF", seconds=None, stale=True),
@@ -155,6 +158,13 @@ def test_an_rtpu_process_that_starts_again_is_down_and_nothing_fails(figures):
     found = scraped(figures)
     assert found["pbonet_rtpu_up",] == 0
     assert not any("task" in name for name, *_ in found)
+
+
+def test_a_subsystem_that_has_just_ended_is_no_rtpu_that_is_down(figures):
+    figures.ending = True
+    found = scraped(figures)
+    assert found["pbonet_rtpu_up",] == 1
+    assert not any("age" in name for name, *_ in found if "variable" in name)
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda one: one.name)
@@ -239,18 +249,20 @@ def test_the_server_answers_until_it_is_stopped(figures):
         http.client.HTTPConnection("127.0.0.1", one.port, timeout=5).request("GET", "/")
 
 
-def test_beyond_this_machine_only_holders_of_keys_are_answered(figures, tmp_path):
+@pytest.fixture
+def secured(figures, tmp_path):
+    """Serve on all addresses; yield the port, and a function that reads with keys."""
     authority = tmp_path / "ca"
     pki.make_authority(authority)
     agent = pki.issue(authority, pki.Role.GATEWAY, "arm0", hosts=["127.0.0.1"])
     observer = pki.issue(authority, pki.Role.OBSERVER, "prometheus")
     one = MetricsServer("arm0", "0.0.0.0:0", agent, figures)
 
-    def read(keys):
+    def read(*, keys=True):
         context = ssl.create_default_context(cafile=str(agent / "ca.pem"))
         context.check_hostname = False
-        if keys is not None:
-            context.load_cert_chain(keys / "cert.pem", keys / "key.pem")
+        if keys:
+            context.load_cert_chain(observer / "cert.pem", observer / "key.pem")
         link = http.client.HTTPSConnection(
             "127.0.0.1", one.port, timeout=30, context=context
         )
@@ -260,9 +272,60 @@ def test_beyond_this_machine_only_holders_of_keys_are_answered(figures, tmp_path
         finally:
             link.close()
 
+    yield one.port, read
+    one.stop()
+
+
+def test_beyond_this_machine_only_holders_of_keys_are_answered(secured):
+    _, read = secured
+    assert b"pbonet_rtpu_up" in read()
+    with pytest.raises(OSError):  # noqa: PT011 - as the peer ends the handshake
+        read(keys=False)
+
+
+def test_a_client_that_says_nothing_stops_no_other(secured):
+    port, read = secured
+    with socket.create_connection(("127.0.0.1", port), timeout=30):
+        assert b"pbonet_rtpu_up" in read()
+
+
+def test_a_client_that_says_nothing_is_ended(figures, monkeypatch):
+    monkeypatch.setattr(scrape_server.ScrapeHandler, "timeout", 0.05)
+    one = MetricsServer("arm0", "127.0.0.1:0", None, figures)
     try:
-        assert b"pbonet_rtpu_up" in read(observer)
-        with pytest.raises(OSError):  # noqa: PT011 - as the peer ends the handshake
-            read(None)
+        with socket.create_connection(("127.0.0.1", one.port), timeout=30) as idle:
+            assert idle.recv(1) == b""
+    finally:
+        one.stop()
+
+
+def test_a_client_waits_until_another_is_answered(figures, monkeypatch):
+    monkeypatch.setattr(scrape_server, "AT_ONCE", 1)
+    monkeypatch.setattr(scrape_server, "WAITS", 30.0)
+    one = MetricsServer("arm0", "127.0.0.1:0", None, figures)
+    try:
+        with (
+            socket.create_connection(("127.0.0.1", one.port), timeout=30) as first,
+            socket.create_connection(("127.0.0.1", one.port), timeout=30) as more,
+        ):
+            more.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            first.close()
+            assert more.recv(8) == b"HTTP/1.0"
+    finally:
+        one.stop()
+
+
+def test_more_clients_than_are_answered_at_once_are_refused(figures, monkeypatch):
+    monkeypatch.setattr(scrape_server, "AT_ONCE", 1)
+    monkeypatch.setattr(scrape_server, "WAITS", 0.01)
+    one = MetricsServer("arm0", "127.0.0.1:0", None, figures)
+    try:
+        with (
+            socket.create_connection(("127.0.0.1", one.port), timeout=30) as first,
+            socket.create_connection(("127.0.0.1", one.port), timeout=30) as more,
+        ):
+            assert more.recv(1) == b""
+            first.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            assert first.recv(8) == b"HTTP/1.0"
     finally:
         one.stop()
