@@ -146,6 +146,11 @@ def test_verbs_copy_list_and_remove(cell, hand, tmp_path):
     assert verb("file", "get", "vision0/a", tmp_path / "x")[0] == 1
     assert not [*tmp_path.glob(".*")]
     assert verb("file", "rm", "vision0/a")[0] == 1, "it is not empty"
+    assert verb("file", "rm", "vision0/*", "-r")[0] == 1, "a name is no pattern"
+    assert verb("file", "put", folder / "roof", "vision0/a*")[0] == 0
+    assert verb("file", "rm", "vision0/a*", "-r")[0] == 0
+    assert verb("file", "put", folder / "roof", "vision0/")[0] == 0
+    assert verb("file", "rm", "vision0/roof")[0] == 0
     for name in ("a", "all"):
         assert verb("file", "rm", f"vision0/{name}", "--recursive")[0] == 0
     assert not [*cell.a.files.iterdir()]
