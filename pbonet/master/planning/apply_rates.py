@@ -9,7 +9,7 @@ from pbonet.master.console import oneshot
 from pbonet.master.editing import JobEditor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -36,7 +36,7 @@ def set_rates(job: str | Path, found: Tuning, place: Place) -> list[tuple[str, f
     Raises:
         PbonetError: One is refused.
     """
-    before = found.present.rates
+    before, lost = found.present.rates, list[str]()
     order = sorted(found.rates.items(), key=lambda pair: pair[1] / before[pair[0]])
     done: list[tuple[str, float]] = []
     try:
@@ -45,8 +45,17 @@ def set_rates(job: str | Path, found: Tuning, place: Place) -> list[tuple[str, f
             done.append((task, hz))
     except BaseException as error:
         for task, _ in reversed(done):
-            oneshot.run(job, "freq", {"task": task, "hz": before[task]}, place)
+            try:
+                oneshot.run(job, "freq", {"task": task, "hz": before[task]}, place)
+            except PbonetError:
+                lost.append(task)
         if isinstance(error, PbonetError) and done:
-            error.add_note("the tasks have their former rates again")
+            error.add_note(_note(lost))
         raise
     return done
+
+
+def _note(lost: Sequence[str]) -> str:
+    if not lost:
+        return "the tasks have their former rates again"
+    return f"{' and '.join(lost)} could not be set back: 'pbonet freq' shows the rates"
