@@ -130,6 +130,17 @@ def test_standbys_that_take_over_stay_apart(puma):
         allocate(puma, HERE, assume=0.2, machines=["arm0=m", "arm1=m"])
 
 
+def test_a_standby_that_must_stay_keeps_its_original_there(puma):
+    files = Files(puma, Library(()))
+    (puma.parent / "spare.rmod").write_text(files.rmod("puma_pidg").text)
+    edit(puma, ("puma_pidg  arm0", "puma_pidg  arm0 FALLBACK spare"))
+    found, _ = allocate(puma, HERE, assume=0.2)
+    assert found.places == {"puma_pidg": "arm1", "spare": "arm1"}
+    found, _ = allocate(puma, HERE, assume=0.2, fixed=["spare"])
+    assert not {"puma_pidg", "spare"} & {*found.places}
+    assert found.pins["puma_pidg"] == "spare FIXED in --fix"
+
+
 def test_times_are_those_of_each_machine(puma):
     files = Files(puma, Library(()))
     rmod = files.rmod("grav_comp").record
@@ -222,6 +233,7 @@ def test_it_is_written_line_by_line_or_only_shown(puma, call):
         ("--write", "--apply"),
         ("--dry-run",),
         ("--running", "--machine", "arm0=m"),
+        ("--latency", 1e300),
     ],
 )
 def test_options_that_do_not_go_together(puma, call, words):

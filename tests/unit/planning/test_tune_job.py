@@ -13,7 +13,7 @@ from chain_job import chain_job
 
 from pbonet.analysis.schedule import dataflow
 from pbonet.config import read_job
-from pbonet.errors import PbonetError, VerificationError
+from pbonet.errors import ConfigFileError, PbonetError, VerificationError
 from pbonet.master.configuration import Place, check_file
 from pbonet.master.console import oneshot
 from pbonet.master.planning import apply_rates, tune, tune_job
@@ -24,9 +24,7 @@ pytest.importorskip("scipy")
 MS = 1_000_000
 
 
-@pytest.mark.parametrize(
-    ("a_first", "periods"), [(True, (20, 100)), (False, (70,))]
-)
+@pytest.mark.parametrize(("a_first", "periods"), [(True, (20, 100)), (False, (70,))])
 def test_figure_6_5_by_a_job(tmp_path, a_first, periods):
     """The job's error is that of the schedule alone, whose curves the page has.
 
@@ -175,16 +173,28 @@ def test_slower_tasks_are_set_first_and_a_refusal_is_taken_back(monkeypatch):
 
     def run(_job, command, args, _place):
         asked.append((command, args["task"], args["hz"]))
-        if args["hz"] == refused:
+        if args["hz"] == refused or (args["task"], args["hz"]) == (lost, 100.0):
             raise PbonetError("no")
 
     monkeypatch.setattr(oneshot, "run", run)
-    refused = None
-    done = apply_rates.set_rates("x.job", found, Place())
-    assert done == [("slow", 10.0), ("fast", 200.0), ("last", 300.0)]
+    refused = lost = None
+    done = apply_rates.set_rates("x.job", found, Place(), lambda: ["x.job"])
+    assert done == ([("slow", 10.0), ("fast", 200.0), ("last", 300.0)], ["x.job"])
     asked.clear()
     refused = 300.0
     with pytest.raises(PbonetError, match="no") as caught:
-        apply_rates.set_rates("x.job", found, Place())
+        apply_rates.set_rates("x.job", found, Place(), list)
     assert caught.value.__notes__ == ["the tasks have their former rates again"]
     assert asked[3:] == [("freq", "fast", 100.0), ("freq", "slow", 100.0)]
+
+    def unwritable():
+        raise ConfigFileError("the file cannot be written")
+
+    refused, lost = None, "fast"
+    asked.clear()
+    with pytest.raises(ConfigFileError) as caught:
+        apply_rates.set_rates("x.job", found, Place(), unwritable)
+    assert asked[3:] == [("freq", n, 100.0) for n in ("last", "fast", "slow")]
+    assert caught.value.__notes__ == [
+        "fast could not be set back: 'pbonet freq' shows the rates"
+    ]
