@@ -232,6 +232,8 @@ class RecordedRun(Source):
         return self._series[name]
 
 
+
+
 def _event(event: Data, number: int) -> Data:
     data = {**event, "n": number}
     data["t"] = data.pop("wall", 0.0)

@@ -45,7 +45,8 @@ def test_figure_6_5_by_a_job(tmp_path, a_first, periods):
         assert seen.error == pytest.approx(wanted, rel=0.04)
 
 
-def test_rates_are_proposed_drawn_and_written(tmp_path, here, call):
+@pytest.mark.usefixtures("here")
+def test_rates_are_proposed_drawn_and_written(tmp_path, call):
     pytest.importorskip("matplotlib")
     job, plot = chain_job(tmp_path), tmp_path / "tune.svg"
     sensor = tmp_path / "sense.rmod"
@@ -115,8 +116,9 @@ def here(monkeypatch):
     )
 
 
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("when", ["True", "dt < 0.03"])
-def test_runs_in_which_a_task_fails_do_not_count(tmp_path, here, call, when):
+def test_runs_in_which_a_task_fails_do_not_count(tmp_path, call, when):
     job = chain_job(tmp_path)
     module = tmp_path / "hands_on.py"
     raises = f"if {when}: raise ValueError('too fast')"
@@ -135,7 +137,8 @@ def test_runs_in_which_a_task_fails_do_not_count(tmp_path, here, call, when):
     assert "the present rates stay" in out
 
 
-def test_an_error_that_is_no_number_is_not_the_least(tmp_path, here, call):
+@pytest.mark.usefixtures("here")
+def test_an_error_that_is_no_number_is_not_the_least(tmp_path, call):
     words = ("--keep", "sense", "--cost", "mean(1 / (X - X))", "--seconds", 0.2)
     status, _, err = call("tune", chain_job(tmp_path), *words, "--factor", 2)
     assert (status, "no run gives an error" in err) == (1, True)
