@@ -28,6 +28,8 @@ class KnownRtpus(Struct, frozen=True, kw_only=True):
     """The machine of each."""
     hosts: dict[str, str] = {}
     """Its name, under which profiles are saved; empty: not known."""
+    cores: dict[str, int] = {}
+    """The core of each; empty: not known."""
     names: dict[str, dict[str, list[str]]] = {}
     """Names that tasks can open on each, by kind; empty: not known."""
     asked: bool = False
@@ -78,6 +80,7 @@ def ask_agents(sbs: SbsFile, place: Place) -> KnownRtpus:
     return KnownRtpus(
         machines={name: info.machine for name, info in infos.items()},
         hosts={name: info.host for name, info in infos.items()},
+        cores={name: info.core for name, info in infos.items()},
         names={
             name: {kind: list(names) for kind, names in info.names.items()}
             for name, info in infos.items()

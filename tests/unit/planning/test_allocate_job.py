@@ -13,7 +13,7 @@ from pbonet.config import Library, read_job
 from pbonet.errors import PbonetError, UnknownTaskError, VerificationError
 from pbonet.master.configuration import Files, Place, Saved, check_file
 from pbonet.master.configuration.saved_profiles import setup_of
-from pbonet.master.planning import allocate
+from pbonet.master.planning import allocate, known_rtpus
 from pbonet.master.planning.allocation_problem import problem_of
 from pbonet.master.planning.known_rtpus import KnownRtpus
 
@@ -139,6 +139,20 @@ def test_a_standby_that_must_stay_keeps_its_original_there(puma):
     found, _ = allocate(puma, HERE, assume=0.2, fixed=["spare"])
     assert not {"puma_pidg", "spare"} & {*found.places}
     assert found.pins["puma_pidg"] == "spare FIXED in --fix"
+
+
+@pytest.mark.parametrize(("cores", "warned"), [((1, 1), True), ((1, 2), False)])
+def test_rtpus_on_one_core_are_warned_of(puma, monkeypatch, cores, warned):
+    known = KnownRtpus(
+        machines={"arm0": "m", "arm1": "m"},
+        cores=dict(zip(("arm0", "arm1"), cores, strict=True)),
+        asked=True,
+    )
+    monkeypatch.setattr(known_rtpus, "ask_agents", lambda *_: known)
+    _, warnings = allocate(puma, HERE, running=True, assume=0.3)
+    assert ["arm0, arm1 share core 1" in one for one in warnings] == [True] * warned
+    if warned:
+        assert "they would use 120.0% of it" in warnings[0]
 
 
 def test_times_are_those_of_each_machine(puma):
