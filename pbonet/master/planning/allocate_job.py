@@ -158,8 +158,8 @@ def _shared(
     found: dict[tuple[str, int], list[RtpuLoad]] = {}
     for one in rtpus:
         if one.after and one.rtpu in known.cores:
-            core = known.machines[one.rtpu], known.cores[one.rtpu]
-            found.setdefault(core, []).append(one)
+            place = known.machines[one.rtpu], known.cores[one.rtpu]
+            found.setdefault(place, []).append(one)
     for (_, core), sharers in found.items():
         total = sum(one.after for one in sharers)
         if len(sharers) > 1 and total > limit:

@@ -55,7 +55,7 @@ class Seen(Struct, frozen=True, kw_only=True):
     missing: list[str] = []
     """Tasks that missed deadlines."""
     stopped: str = ""
-    """What ended a task in the run, which says nothing about rates then."""
+    """The failure that ended a task in the run, which says nothing about rates then."""
     fault: WireError | None = None
     """Why there is no result."""
 
