@@ -44,19 +44,21 @@ def as_stated(sbs: SbsFile, pairs: Iterable[str]) -> KnownRtpus:
         pairs: Texts ``RTPU=MACHINE``; other RTPUs are machines of their own.
 
     Raises:
-        ConfigError: A text is malformed, or names no RTPU of the subsystem.
+        ConfigError: A text is malformed, or names an RTPU twice or none of them.
     """
     machines = {entry.name: entry.name for entry in sbs.rtpus}
+    told: set[str] = set()
     for pair in pairs:
         rtpu, equals, machine = pair.partition("=")
-        if not equals or not machine or rtpu not in machines:
+        if not equals or not machine or rtpu not in machines or rtpu in told:
             raise ConfigError(
                 f"--machine cannot be {pair!r}",
                 where=sbs.file,
-                expected=f"RTPU=MACHINE with one of {', '.join(machines)}",
+                expected=f"RTPU=MACHINE, once for one of {', '.join(machines)}",
                 remedy=did_you_mean(rtpu, machines) or "such as arm0=host1",
             )
         machines[rtpu] = machine
+        told.add(rtpu)
     return KnownRtpus(machines=machines)
 
 

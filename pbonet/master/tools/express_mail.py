@@ -23,6 +23,7 @@ from pbonet.errors import (
     XmLayoutError,
     XmMissingError,
     XmNameError,
+    XmQueueFullError,
     did_you_mean,
 )
 from pbonet.xm.ipc import mailboxes, names, overview, remote_channel
@@ -300,12 +301,16 @@ def send(
         XmError: The queue is missing, or the message is too long.
     """
     with closing(xm.Queue.attach(name)) as queue:
-        return queue.send(
-            data,
-            priority,
-            full=xm.Full[full.replace("-", "_").upper()],
-            until_ns=_until(wait),
-        )
+        try:
+            return queue.send(
+                data,
+                priority,
+                full=xm.Full[full.replace("-", "_").upper()],
+                until_ns=_until(wait),
+            )
+        except XmQueueFullError as error:
+            error.remedy = "wait for room with --wait, or say what to drop with --full"
+            raise
 
 
 def receive(

@@ -195,8 +195,9 @@ def test_the_shell_is_offered_names_of_this_machine(ask):
 
 
 def test_a_new_one_takes_no_others_place(call, ask):
-    ask("queue", "new", "orders")
+    ask("queue", "new", "orders", "--messages", 1)
     ask("queue", "put", "orders", "fetch")
+    assert "--full" in fault(call, "queue", "put", "orders", "more")["remedy"]
     error = fault(call, "queue", "new", "orders")
     assert (error["code"], "pbonet queue rm orders" in error["remedy"]) == (
         "XM_EXISTS",

@@ -63,6 +63,8 @@ def test_rtpus_of_one_machine_exchange_for_nothing(puma):
     assert (found.traffic_before, found.traffic_after, found.moves) == (0.0, 0.0, [])
     with pytest.raises(PbonetError, match=r"--machine cannot be 'amr0=m'.*mean.*arm0"):
         allocate(puma, HERE, machines=["amr0=m"])
+    with pytest.raises(PbonetError, match=r"--machine cannot be 'arm0=n'"):
+        allocate(puma, HERE, machines=["arm0=m", "arm0=n"])
 
 
 def test_marks_in_the_job_and_of_the_command_are_respected(puma):
