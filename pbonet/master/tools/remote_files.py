@@ -8,6 +8,7 @@ import sys
 import tempfile
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from glob import escape
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -83,7 +84,7 @@ def put(file: Path, path: str, reach: Reach, *, recursive: bool = False) -> str:
         if not recursive and files.isdir(path):
             path = f"{path}/{file.name}"
         if file.is_dir():
-            files.put(f"{file}/", f"{path}/", recursive=True)
+            files.put(f"{escape(str(file))}/", f"{path}/", recursive=True)
             return path
         parent = path.rpartition("/")[0]
         if "/" in parent:
@@ -109,7 +110,7 @@ def get(path: str, file: Path, reach: Reach, *, recursive: bool = False) -> Path
         if file.is_dir() and not folder:
             file /= path.rstrip("/").rpartition("/")[2]
         if folder:
-            files.get(f"{path.rstrip('/')}/", f"{file}/", recursive=True)
+            files.get(f"{escape(path.rstrip('/'))}/", f"{file}/", recursive=True)
             return file
         with _whole(file) as target, files.open(path, "rb") as source:
             shutil.copyfileobj(source, target, 1 << 19)
