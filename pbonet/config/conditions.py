@@ -158,7 +158,16 @@ def cost_of(condition: Condition) -> tuple[str, Parsed]:
         )
     begin = match.start("inner")
     inner = place and Place(place.file, place.line, place.column + begin)
-    return match["name"], parse(match["inner"], inner)
+    parsed = parse(match["inner"], inner)
+    if not parsed.variables:
+        raise fault(
+            "COST names no variable",
+            place or Place("<text>", 1, 1),
+            expected="an error of variables of the table",
+            got=quote(text),
+            remedy="write what is to be small as in COST rms(Q_REF - Q_MEZ)",
+        )
+    return match["name"], parsed
 
 
 def replaced(condition: Parsed, value: Callable[[str, Place], str]) -> str:

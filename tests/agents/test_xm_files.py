@@ -141,11 +141,22 @@ def test_verbs_copy_list_and_remove(cell, hand, tmp_path):
     assert (tmp_path / "here" / "floor").read_bytes() == bytes(range(256)) * 5000
     assert verb("file", "get", "vision0/all", tmp_path / "copy", "-r")[0] == 0
     assert (tmp_path / "copy" / "roof").read_text() == "roof"
+    starred = folder.rename(tmp_path / "al*")
+    assert verb("file", "put", starred, "vision0/al*", "-r")[0] == 0
+    assert verb("file", "get", "vision0/al*", tmp_path / "one", "-r")[0] == 0
+    assert sorted(one.name for one in (tmp_path / "one").iterdir()) == ["floor", "roof"]
+    assert verb("file", "rm", "vision0/al*", "-r")[0] == 0
+    folder = starred.rename(folder)
     status, data = verb("file", "get", "vision0/none", tmp_path / "none")
     assert (status, data["error"]["code"]) == (1, "XM_MISSING")
     assert verb("file", "get", "vision0/a", tmp_path / "x")[0] == 1
     assert not [*tmp_path.glob(".*")]
     assert verb("file", "rm", "vision0/a")[0] == 1, "it is not empty"
+    assert verb("file", "rm", "vision0/*", "-r")[0] == 1, "a name is no pattern"
+    assert verb("file", "put", folder / "roof", "vision0/a*")[0] == 0
+    assert verb("file", "rm", "vision0/a*", "-r")[0] == 0
+    assert verb("file", "put", folder / "roof", "vision0/")[0] == 0
+    assert verb("file", "rm", "vision0/roof")[0] == 0
     for name in ("a", "all"):
         assert verb("file", "rm", f"vision0/{name}", "--recursive")[0] == 0
     assert not [*cell.a.files.iterdir()]

@@ -20,5 +20,6 @@ from .rate_choice import (
     best_periods as best_periods,
     fitted as fitted,
     harmonic as harmonic,
+    in_step_rates as in_step_rates,
     rounded_down as rounded_down,
 )

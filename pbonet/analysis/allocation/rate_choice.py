@@ -119,6 +119,30 @@ def harmonic(periods: Mapping[str, float]) -> dict[str, float]:
     }
 
 
+def in_step_rates(periods: Mapping[str, float]) -> dict[str, float]:
+    """Return rates of few digits whose releases coincide, not above those given.
+
+    A period is a whole number of nanoseconds: those of 178 and 89 Hz are no multiples
+    of each other, and their releases drift apart. So the fastest rate is lowered until
+    all are.
+
+    Args:
+        periods: Periods that are about multiples of the shortest one.
+    """
+    if not periods:
+        return {}
+    base = min(periods.values())
+    times = {name: round(period / base) for name, period in periods.items()}
+    hz = rounded_down(1 / base)
+    while any(_ns(n / hz) != n * _ns(1 / hz) for n in times.values()):
+        hz = rounded_down(hz * (1 - 1e-3))
+    return {name: hz / n for name, n in times.items()}
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * 1e9)
+
+
 def rounded_down(hz: float) -> float:
     """Return a frequency rounded down to three digits."""
     if hz <= 0:

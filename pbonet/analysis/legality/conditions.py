@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -135,8 +136,12 @@ def amounts(
         values: Those of the variables that it names, all of one instant.
     """
     table = {variable.name: variable for variable in variables}
-    _, parsed = cost_of(cost)
+    _, parsed = _cost_of(cost)
     return _Walk(parsed, table, values).numbers(parsed.tree)
+
+
+_cost_of = lru_cache(maxsize=8)(cost_of)
+"""`cost_of`, which is asked for the same line at each instant of a run."""
 
 
 def evaluate(

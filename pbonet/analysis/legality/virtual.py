@@ -76,6 +76,8 @@ class JobOutcome(Struct, frozen=True, kw_only=True):
     assumed: tuple[str, ...]
     """Tasks without MAXC, which took the assumed share of their period."""
     rtpus: dict[str, Outcome]
+    stopped: tuple[str, ...] = ()
+    """Tasks whose code ended the task, so that it ran no further."""
 
     @property
     def missing(self) -> set[str]:
@@ -222,6 +224,7 @@ def simulate_job(
         seed=seed,
         assumed=unknown,
         rtpus={name: core.outcome() for name, core in cores.items()},
+        stopped=tuple(build.stopped),
     )
 
 
@@ -247,6 +250,7 @@ class _Builder(Struct, kw_only=True):
     until_ns: int
     keep: bool
     code: ModuleCode | None
+    stopped: list[str] = []
 
     def core(self, tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float) -> Core:
         """Return one RTPU before its first instant."""
@@ -311,6 +315,7 @@ class _Builder(Struct, kw_only=True):
 
         def begun(now_ns: int, release_ns: int) -> None:
             if not code.begin(name, now_ns, release_ns):
+                self.stopped.append(name)
                 on[0].stop(name)
 
         def done(now_ns: int) -> None:

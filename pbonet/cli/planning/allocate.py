@@ -38,7 +38,12 @@ def command(
     ] = 0.5,
     latency: A[
         float,
-        Option("Time that a value needs to another machine.", "SECONDS", least=0.0),
+        Option(
+            "Time that a value needs to another machine.",
+            "SECONDS",
+            least=0.0,
+            most=60.0,
+        ),
     ] = 0.001,
     assume: A[
         float | None,

@@ -131,8 +131,12 @@ def _write(
     about: dict[str, object] = {"changes": msgspec.to_builtins(changes), "files": []}
     if dry_run:
         return [apply_allocation.changes_text(changes)], about
-    replies = apply_rates.set_rates(file, found, place) if apply else []
-    written = [str(path) for path in editor.save()]
+    replies, paths = (
+        apply_rates.set_rates(file, found, place, editor.save)
+        if apply
+        else ([], editor.save())
+    )
+    written = [str(path) for path in paths]
     lines = [f"written: {', '.join(written)}"]
     lines += [f"set: {task} {hz:g} Hz" for task, hz in replies]
     return lines, about | {"files": written, "set": dict(replies)}

@@ -83,7 +83,14 @@ def put(
     text: A[str | None, Argument("The message, as text.")] = None,
     file: A[Path | None, Option("Send what a file holds; - is standard input.")] = None,
     hex_: A[str | None, Option("Send bytes given as hexadecimal digits.")] = None,
-    priority: A[int, Option("Of the message, for queues of policy hpf.")] = 0,
+    priority: A[
+        int,
+        Option(
+            "Of the message, for queues of policy hpf.",
+            least=words.LEAST,
+            most=words.MOST,
+        ),
+    ] = 0,
     wait: A[float, Option("Wait for room.", "SECONDS", least=0.0, most=1e8)] = 0.0,
     full: A[
         Literal["refuse", "drop", "drop-oldest"], Option("If there is no room then.")

@@ -15,8 +15,15 @@ if TYPE_CHECKING:
 
 Rtpus = A[list[str] | None, Argument("Which RTPUs; all if left out.", "RTPU")]
 Wait = A[float, Option("How long it waits.", "SECONDS", least=0.0, most=1e8)]
+LEAST, MOST = -(2**31), 2**31 - 1
+"""Priorities have 32 bits."""
 Priority = A[
-    int, Option("Its place among those that wait: higher ones are served first.")
+    int,
+    Option(
+        "Its place among those that wait: higher ones are served first.",
+        least=LEAST,
+        most=MOST,
+    ),
 ]
 
 

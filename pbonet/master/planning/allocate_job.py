@@ -17,7 +17,7 @@ from . import known_rtpus
 from .allocation_problem import problem_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
     from pbonet.analysis.allocation import Assignment, Problem
     from pbonet.master.configuration import Place
@@ -147,7 +147,28 @@ def allocate(
     found = allocation.assign(problem, seconds)
     _must_be_legal(files, problem, found, known)
     told = bool([*machines]) or running
-    return _described(problem, found, files.job.file, known, told=told), warnings
+    result = _described(problem, found, files.job.file, known, told=told)
+    return result, [*warnings, *_shared(result.rtpus, known, limit)]
+
+
+def _shared(
+    rtpus: Sequence[RtpuLoad], known: KnownRtpus, limit: float
+) -> Iterator[str]:
+    """Yield a warning of each core that several RTPUs use, with too much together."""
+    found: dict[tuple[str, int], list[RtpuLoad]] = {}
+    for one in rtpus:
+        if one.after and one.rtpu in known.cores:
+            place = known.machines[one.rtpu], known.cores[one.rtpu]
+            found.setdefault(place, []).append(one)
+    for (_, core), sharers in found.items():
+        total = sum(one.after for one in sharers)
+        if len(sharers) > 1 and total > limit:
+            yield (
+                f"{', '.join(one.rtpu for one in sharers)} share core {core} of "
+                f"{sharers[0].machine}, but each counts as a core of its own; together "
+                f"they would use {total:.1%} of it, so that no deadline is guaranteed: "
+                "give each a core (pbonet agent --core), or a lower --limit"
+            )
 
 
 def must_have_solver(verb: str) -> None:

@@ -190,10 +190,14 @@ def _item(
     """
     task = tasks[at]
     pin, homes = _homes(task, job, known, fixed)
-    original = next((t for t in tasks if t.name == task.fallback_of), None)
-    if original is not None and not task.rmod.rtpu and not task.takeover:
+    original = _followed(task, tasks)
+    for other in tasks:
+        if other is original or _followed(other, tasks) is task:
+            why, there = _homes(other, job, known, fixed)
+            homes = [rtpu for rtpu in homes if rtpu in there] or [task.rtpu]
+            pin = pin or (why and f"{other.name} {why}")
+    if original is not None:
         pin = FOLLOWS + original.name
-        homes = _homes(original, job, known, fixed)[1]
     return Item(
         name=task.name,
         present=task.rtpu,
@@ -205,6 +209,15 @@ def _item(
         fallback_of=task.fallback_of,
         apart=bool(task.fallback_of and task.takeover),
     )
+
+
+def _followed(
+    task: legality.Task, tasks: Sequence[legality.Task]
+) -> legality.Task | None:
+    """Return the original on whose RTPU a standby always is; None if it has none."""
+    if task.rmod.rtpu or task.takeover:
+        return None
+    return next((one for one in tasks if one.name == task.fallback_of), None)
 
 
 def _timed(task: legality.Task, assume: float | None) -> legality.Task:

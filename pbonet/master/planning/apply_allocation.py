@@ -94,7 +94,10 @@ def switch(editor: JobEditor, place: Place, *, dry_run: bool) -> list[Reply]:
         editor.files.show(editor.files.first)
         editor.save()
         if isinstance(error, PbonetError):
-            error.add_note("the job's files are as they were before")
+            error.add_note(
+                "the job's files are as they were before; 'pbonet status' shows which "
+                "tasks run"
+            )
         raise
     return replies
 

@@ -9,7 +9,7 @@ from pbonet.master.console import oneshot
 from pbonet.master.editing import JobEditor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pbonet.master.configuration import Place
@@ -27,26 +27,45 @@ def draft(
     return editor
 
 
-def set_rates(job: str | Path, found: Tuning, place: Place) -> list[tuple[str, float]]:
-    """Set the rates of running tasks; return those that were set.
+def set_rates(
+    job: str | Path, found: Tuning, place: Place, save: Callable[[], list[Path]]
+) -> tuple[list[tuple[str, float]], list[Path]]:
+    """Set the rates of running tasks, and save them; return those, and the files.
 
     Tasks that become slower go first, so that no RTPU has too much in between. If one
-    is refused, those that were set get their former rate again.
+    is refused, or the files cannot be saved, those that were set get their former rate
+    again.
 
     Raises:
-        PbonetError: One is refused.
+        PbonetError: One is refused, or the files cannot be saved.
     """
-    before = found.present.rates
+    before, lost = found.present.rates, list[str]()
     order = sorted(found.rates.items(), key=lambda pair: pair[1] / before[pair[0]])
     done: list[tuple[str, float]] = []
     try:
         for task, hz in order:
-            oneshot.run(job, "freq", {"task": task, "hz": hz}, place)
-            done.append((task, hz))
+            done.append((
+                task,
+                hz,
+            ))  # it may be set though Ctrl-C comes before the reply
+            try:
+                oneshot.run(job, "freq", {"task": task, "hz": hz}, place)
+            except PbonetError:
+                done.pop()
+                raise
+        return done, save()
     except BaseException as error:
         for task, _ in reversed(done):
-            oneshot.run(job, "freq", {"task": task, "hz": before[task]}, place)
+            try:
+                oneshot.run(job, "freq", {"task": task, "hz": before[task]}, place)
+            except PbonetError:
+                lost.append(task)
         if isinstance(error, PbonetError) and done:
-            error.add_note("the tasks have their former rates again")
+            error.add_note(_note(lost))
         raise
-    return done
+
+
+def _note(lost: Sequence[str]) -> str:
+    if not lost:
+        return "the tasks have their former rates again"
+    return f"{' and '.join(lost)} could not be set back: 'pbonet freq' shows the rates"

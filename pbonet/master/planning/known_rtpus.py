@@ -28,6 +28,8 @@ class KnownRtpus(Struct, frozen=True, kw_only=True):
     """The machine of each."""
     hosts: dict[str, str] = {}
     """Its name, under which profiles are saved; empty: not known."""
+    cores: dict[str, int] = {}
+    """The core of each; empty: not known."""
     names: dict[str, dict[str, list[str]]] = {}
     """Names that tasks can open on each, by kind; empty: not known."""
     asked: bool = False
@@ -42,19 +44,21 @@ def as_stated(sbs: SbsFile, pairs: Iterable[str]) -> KnownRtpus:
         pairs: Texts ``RTPU=MACHINE``; other RTPUs are machines of their own.
 
     Raises:
-        ConfigError: A text is malformed, or names no RTPU of the subsystem.
+        ConfigError: A text is malformed, or names an RTPU twice or none of them.
     """
     machines = {entry.name: entry.name for entry in sbs.rtpus}
+    told: set[str] = set()
     for pair in pairs:
         rtpu, equals, machine = pair.partition("=")
-        if not equals or not machine or rtpu not in machines:
+        if not equals or not machine or rtpu not in machines or rtpu in told:
             raise ConfigError(
                 f"--machine cannot be {pair!r}",
                 where=sbs.file,
-                expected=f"RTPU=MACHINE with one of {', '.join(machines)}",
+                expected=f"RTPU=MACHINE, once for one of {', '.join(machines)}",
                 remedy=did_you_mean(rtpu, machines) or "such as arm0=host1",
             )
         machines[rtpu] = machine
+        told.add(rtpu)
     return KnownRtpus(machines=machines)
 
 
@@ -78,6 +82,7 @@ def ask_agents(sbs: SbsFile, place: Place) -> KnownRtpus:
     return KnownRtpus(
         machines={name: info.machine for name, info in infos.items()},
         hosts={name: info.host for name, info in infos.items()},
+        cores={name: info.core for name, info in infos.items()},
         names={
             name: {kind: list(names) for kind, names in info.names.items()}
             for name, info in infos.items()

@@ -7,14 +7,20 @@ proposed is the best that was run, so that it does not rest on the fit.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 
 from pbonet.analysis import allocation, legality
-from pbonet.analysis.allocation import best_periods, fitted, harmonic
-from pbonet.config import Condition, Library, TaskType, cost_of
+from pbonet.analysis.allocation import (
+    best_periods,
+    fitted,
+    harmonic,
+    in_step_rates,
+)
+from pbonet.config import Condition, Library, Place as At, TaskType, cost_of
 from pbonet.errors import ConfigError, UnknownTaskError, VerificationError, did_you_mean
 from pbonet.master.configuration import Files, here
 
@@ -45,12 +51,15 @@ class RunAt(Struct, frozen=True, kw_only=True):
     rates: dict[str, float]
     """Hz of the tasks that are tuned."""
     error: float
+    """Not a number where `fault` says why."""
     loads: dict[str, float]
     """Utilization of each RTPU."""
     allowed: bool
     """All deadlines are kept, within the limit, and none was missed."""
     why: str
     """``present``, ``grid``, ``fit`` or ``harmonic``."""
+    fault: str = ""
+    """Why the run gives no error: a task failed, or it is not a finite number."""
 
 
 class Tuning(Struct, frozen=True, kw_only=True):
@@ -136,7 +145,7 @@ def _cost(files: Files, cost: str) -> str:
         ConfigError: There is none, or it names what the table does not have.
     """
     job = files.read_job()
-    line = Condition(cost) if cost else job.cost
+    line = Condition(cost, At("--cost", 1, 1)) if cost else job.cost
     if line is None:
         raise ConfigError(
             "the job does not say which error is to be small",
@@ -200,13 +209,17 @@ class _Search:
             (self._hz, "present"),
             *((one, "grid") for one in self._grid(factors)),
         ])
+        good = [run for run in self._made if not run.fault]
+        if not good:
+            raise self._no_error()
         fit = fitted(
-            [{n: 1 / hz for n, hz in run.rates.items()} for run in self._made],
-            [run.error for run in self._made],
+            [{n: 1 / hz for n, hz in run.rates.items()} for run in good],
+            [run.error for run in good],
         )
         periods = self._best(fit, max(*factors, *(1 / f for f in factors)))
         near = self._made_to_fit(harmonic(periods))
-        self._run([(_rates(periods), "fit"), (_rates(near), "harmonic")])
+        more = [(_rates(periods), "fit"), (in_step_rates(near), "harmonic")]
+        self._run([one for one in more if self._possible(one[0])])
         allowed = [run for run in self._made if run.allowed]
         if not allowed:
             raise self._nothing_allowed()
@@ -247,13 +260,15 @@ class _Search:
                 new.append((dict(rates), why))
         wishes = [structs.replace(self._wish, rates=rates) for rates, _ in new]
         for (rates, why), seen in zip(new, self._runs.results(wishes), strict=True):
+            fault = seen.stopped or ("no finite number" * (seen.error is None))
             self._made.append(
                 RunAt(
                     rates=rates,
-                    error=seen.error,
+                    error=math.nan if fault or seen.error is None else seen.error,
                     loads=self._loads(rates),
-                    allowed=self._allowed(rates) and not seen.missing,
+                    allowed=self._allowed(rates) and not seen.missing and not fault,
                     why=why,
+                    fault=fault,
                 )
             )
 
@@ -306,6 +321,15 @@ class _Search:
                 scale = max(scale, mine / (self._problem.limit - others))
         scale *= ROUNDED if scale > 1 else 1.0
         return {name: period * scale for name, period in periods.items()}
+
+    def _no_error(self) -> VerificationError:
+        return VerificationError(
+            "no run gives an error, at any rates",
+            where=self._wish.job,
+            expected="a job that runs in virtual time, and a finite error",
+            got=self._made[0].fault,
+            remedy="correct COST or the module; 'pbonet simulate JOB --code' runs it",
+        )
 
     def _nothing_allowed(self) -> VerificationError:
         least = min(self._made, key=lambda run: max(run.loads.values()))

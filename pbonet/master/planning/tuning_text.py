@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Any
 from pbonet.errors import ConfigFileError, PbonetError
 from pbonet.master.console import render
 
+SAME = 1e-9
+"""Relative difference of errors that is none."""
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -24,20 +27,16 @@ def _lines(found: Tuning) -> Iterator[str]:
     rows = [
         (
             *(f"{one.rates[name]:g}" for name in names),
-            f"{one.error:.4g}",
+            "-" if one.fault else f"{one.error:.4g}",
             f"{max(one.loads.values()):.1%}",
             "yes" if one.allowed else "no",
-            one.why + " <- proposed" * (one is found.best),
+            one.why + " <- proposed" * (one is found.best) + _fault(one),
         )
         for one in found.runs
     ]
     head = (*(f"{name} Hz" for name in names), "error", "most U", "kept", "run")
     yield render.table(head, rows)
-    slopes = " + ".join(f"{a:.4g} T({n})" for n, a in found.fit.slopes.items())
-    yield (
-        f"fit: {found.fit.constant:.4g} + {slopes}, which explains "
-        f"{found.fit.quality:.0%} of what the periods change"
-    )
+    yield _fit(found)
     before, after = found.present, found.best
     loads = ", ".join(
         f"{rtpu} {before.loads[rtpu]:.1%} -> {load:.1%}"
@@ -50,9 +49,25 @@ def _lines(found: Tuning) -> Iterator[str]:
         yield f"the present rates stay: no run had less than {before.error:.4g}"
         return
     now = "" if before.allowed else ", which does not keep all deadlines"
+    instead = "none" if before.fault else f"{before.error:.4g}{now}"
     yield (
-        f"{found.cost}: {after.error:.4g} instead of {before.error:.4g}{now}"
+        f"{found.cost}: {after.error:.4g} instead of {instead}"
         + (f"; utilization {loads}" if loads else "")
+    )
+
+
+def _fault(one: RunAt) -> str:
+    return f": {one.fault}" if one.fault else ""
+
+
+def _fit(found: Tuning) -> str:
+    errors = [one.error for one in found.runs if not one.fault]
+    if max(errors) - min(errors) <= SAME * max(errors):
+        return f"the error is {errors[0]:.4g} at all rates: it does not depend on them"
+    slopes = " + ".join(f"{a:.4g} T({n})" for n, a in found.fit.slopes.items())
+    return (
+        f"fit: {found.fit.constant:.4g} + {slopes}, which explains "
+        f"{found.fit.quality:.0%} of what the periods change"
     )
 
 

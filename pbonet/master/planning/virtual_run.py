@@ -21,6 +21,8 @@ from pbonet.errors import PbonetError, WireError
 from pbonet.master.tools import schedule_job
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from pbonet.config import Variable
@@ -48,9 +50,12 @@ class Wish(Struct, frozen=True, kw_only=True):
 class Seen(Struct, frozen=True, kw_only=True):
     """The result of a run."""
 
-    error: float = 0.0
+    error: float | None = None
+    """None: it is not a finite number."""
     missing: list[str] = []
     """Tasks that missed deadlines."""
+    stopped: str = ""
+    """The failure that ended a task in the run, which says nothing about rates then."""
     fault: WireError | None = None
     """Why there is no result."""
 
@@ -64,7 +69,7 @@ def measured(wish: Wish) -> Seen:
     cost = Condition(wish.cost)
     mean, parsed = cost_of(cost)
     watch = _Watch(parsed.variables)
-    outcome, _ = schedule_job.simulate(
+    outcome, told = schedule_job.simulate(
         wish.job,
         wish.settle + wish.seconds,
         wish.libraries,
@@ -78,11 +83,26 @@ def measured(wish: Wish) -> Seen:
     at = np.linspace(begin, end, INSTANTS, endpoint=False)
     columns = {name: watch.values_at(name, at) for name in parsed.variables}
     table = watch.variables
+    rows = np.hstack([*columns.values()])
+    first = [0, *(np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1)]
     found = np.array([
         legality.amounts(cost, table, {n: rows[i] for n, rows in columns.items()})
-        for i in range(INSTANTS)
+        for i in first  # until the next of them all values are the same
     ])
-    return Seen(error=MEANS[mean](found), missing=sorted(outcome.missing))
+    error = MEANS[mean](np.repeat(found, np.diff([*first, INSTANTS]), axis=0))
+    return Seen(
+        error=error if np.isfinite(error) else None,
+        missing=sorted(outcome.missing),
+        stopped=_reason(outcome.stopped, told),
+    )
+
+
+def _reason(stopped: Sequence[str], told: Sequence[str]) -> str:
+    """Return what ended the first task that was ended; empty if none was."""
+    if not stopped:
+        return ""
+    about = f" s {stopped[0]}: "
+    return next((text for text in told if about in text), f"{stopped[0]} went OFF")
 
 
 def _rms(values: NDArray[np.float64]) -> float:

@@ -19,8 +19,11 @@ from pbonet.errors import (
     PbonetError,
     UnreachableError,
     XmError,
+    XmExistsError,
+    XmLayoutError,
     XmMissingError,
     XmNameError,
+    XmQueueFullError,
     did_you_mean,
 )
 from pbonet.xm.ipc import mailboxes, names, overview, remote_channel
@@ -158,9 +161,10 @@ def make_semaphore(
     """Make a semaphore, which stays when this process has ended.
 
     Raises:
-        XmExistsError: There is one that is in use.
+        XmExistsError: There is one of this name.
         XmError: It cannot be made.
     """
+    _must_be_new(xm.Semaphore.attach, name, "sem")
     _in_range(
         lambda: xm.Semaphore.create(
             name, initial=initial, maximum=maximum, binary=binary
@@ -227,10 +231,27 @@ def take(
         if not run:
             return taken, 0
         try:
-            done = subprocess.run(run, shell=True, check=False)  # noqa: S602 - the user's
-            return taken, done.returncode
+            return taken, _status(run)
         finally:
             semaphore.v()
+
+
+def _status(command: str) -> int:
+    """Run a command line; return its exit status, as a shell gives it.
+
+    Ctrl-C goes to the command too, which may take time to end; until then it is held.
+    """
+    with subprocess.Popen(command, shell=True) as process:  # noqa: S602 - the user's
+        while True:
+            try:
+                status = process.wait()
+            except KeyboardInterrupt:
+                continue
+            return status if status >= 0 else _KILLED - status
+
+
+_KILLED = 128
+"""Exit status of a command that a signal ended, less the signal."""
 
 
 # -- queues ---------------------------------------------------------------------------
@@ -242,9 +263,10 @@ def make_queue(
     """Make a queue, which stays when this process has ended.
 
     Raises:
-        XmExistsError: There is one that is in use.
+        XmExistsError: There is one of this name.
         XmError: It cannot be made.
     """
+    _must_be_new(xm.Queue.attach, name, "queue")
     _in_range(
         lambda: xm.Queue.create(
             name,
@@ -279,12 +301,16 @@ def send(
         XmError: The queue is missing, or the message is too long.
     """
     with closing(xm.Queue.attach(name)) as queue:
-        return queue.send(
-            data,
-            priority,
-            full=xm.Full[full.replace("-", "_").upper()],
-            until_ns=_until(wait),
-        )
+        try:
+            return queue.send(
+                data,
+                priority,
+                full=xm.Full[full.replace("-", "_").upper()],
+                until_ns=_until(wait),
+            )
+        except XmQueueFullError as error:
+            error.remedy = "wait for room with --wait, or say what to drop with --full"
+            raise
 
 
 def receive(
@@ -417,6 +443,26 @@ def _nothing_came(what: str, name: str, wait: float) -> XmError:
     )
 
 
+def _must_be_new(
+    attach: Callable[[str], xm.Semaphore | xm.Queue], name: str, verb: str
+) -> None:
+    """Check that there is no resource of a name: a new one would take its place.
+
+    Raises:
+        XmExistsError: There is one.
+    """
+    try:
+        attach(name).close()
+    except (XmMissingError, XmLayoutError):  # what cannot be read is replaced
+        return
+    raise XmExistsError(
+        "there is one of this name already",
+        where=name,
+        expected="a name that is free",
+        remedy=f"remove it with 'pbonet {verb} rm {name}', or take another name",
+    )
+
+
 def _in_range(make: Callable[[], None], name: str) -> None:
     """Have a size that is out of range be an error of four parts."""
     try:
@@ -425,8 +471,8 @@ def _in_range(make: Callable[[], None], name: str) -> None:
         if isinstance(error, PbonetError):
             raise
         raise XmError(
-            "it cannot be made with these settings",
+            "a number is out of range",
             where=name,
             got=str(error),
-            remedy="correct the numbers",
+            remedy="correct it",
         ) from None

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from glob import escape
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -75,13 +76,15 @@ def put(file: Path, path: str, reach: Reach, *, recursive: bool = False) -> str:
         ConfigFileError: It cannot be read here, or it is a folder without `recursive`.
         XmError: It cannot be written there.
     """
-    _must_name_a_path(path)
     _must_be_there(file, recursive=recursive)
+    if path.endswith("/"):
+        path = f"{path.rstrip('/')}/{file.resolve().name}"
+    _must_name_a_path(path)
     with _files(reach) as files:
-        if path.endswith("/") or (not recursive and files.isdir(path)):
-            path = f"{path.rstrip('/')}/{file.name}"
+        if not recursive and files.isdir(path):
+            path = f"{path}/{file.name}"
         if file.is_dir():
-            files.put(f"{file}/", f"{path}/", recursive=True)
+            files.put(f"{escape(str(file))}/", f"{path}/", recursive=True)
             return path
         parent = path.rpartition("/")[0]
         if "/" in parent:
@@ -107,7 +110,7 @@ def get(path: str, file: Path, reach: Reach, *, recursive: bool = False) -> Path
         if file.is_dir() and not folder:
             file /= path.rstrip("/").rpartition("/")[2]
         if folder:
-            files.get(f"{path.rstrip('/')}/", f"{file}/", recursive=True)
+            files.get(f"{escape(path.rstrip('/'))}/", f"{file}/", recursive=True)
             return file
         with _whole(file) as target, files.open(path, "rb") as source:
             shutil.copyfileobj(source, target, 1 << 19)
@@ -123,7 +126,7 @@ def remove(path: str, reach: Reach, *, recursive: bool = False) -> None:
     """
     _must_name_a_path(path)
     with _files(reach) as files:
-        files.rm(path.rstrip("/"), recursive=recursive)
+        files.rm_exactly(path.rstrip("/"), recursive=recursive)
 
 
 @contextmanager
@@ -235,7 +238,20 @@ def write_bytes(file: Path, data: bytes) -> None:
 
 @contextmanager
 def _whole(file: Path) -> Generator[Any]:
-    """Yield a stream whose content is in the file when the block has ended well."""
+    """Yield a stream whose content is in the file when the block has ended well.
+
+    A device, a pipe or a link stays what it is, and is written at once.
+    """
+    if file.is_symlink() or (file.exists() and not file.is_file()):
+        with file.open("wb") as stream:
+            yield stream
+        return
+    if not file.parent.is_dir():
+        raise ConfigFileError(
+            "there is no such folder",
+            where=str(file.parent),
+            remedy="make it, or name another one",
+        )
     handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
     try:
         with os.fdopen(handle, "wb") as stream:

@@ -210,6 +210,11 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         for one in self.expand_path(path):
             self._remove(one, deeper=(maxdepth or DEEPEST) if recursive else 0)
 
+    def rm_exactly(self, path: str, *, recursive: bool = False) -> None:
+        """Remove what has this name as `rm` does, without patterns such as ``*``."""
+        path = str(self._strip_protocol(path))
+        self._remove(path, deeper=DEEPEST if recursive else 0)
+
     def _remove(self, path: str, deeper: int) -> None:
         if deeper and self._is_folder(path):
             for one in self.ls(path, detail=False):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import threading
 from contextlib import closing
 
@@ -191,3 +192,62 @@ def test_the_shell_is_offered_names_of_this_machine(ask):
     }
     for kind, name in (("sem", "parts"), ("queue", "orders"), ("mailbox", "door")):
         ask(kind, "rm", name)
+
+
+def test_a_new_one_takes_no_others_place(call, ask):
+    ask("queue", "new", "orders", "--messages", 1)
+    ask("queue", "put", "orders", "fetch")
+    assert "--full" in fault(call, "queue", "put", "orders", "more")["remedy"]
+    error = fault(call, "queue", "new", "orders")
+    assert (error["code"], "pbonet queue rm orders" in error["remedy"]) == (
+        "XM_EXISTS",
+        True,
+    )
+    assert ask("queue", "get", "orders")["messages"][0]["text"] == "fetch"
+    ask("sem", "new", "grip", "--binary")
+    assert fault(call, "sem", "new", "grip")["code"] == "XM_EXISTS"
+    ask("queue", "rm", "orders")
+    ask("sem", "rm", "grip")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("queue", "put", "q", "x", "--priority", 2**31),
+        ("queue", "get", "q", "--priority", 2**31),
+        ("sem", "get", "s", "--priority", -(2**31) - 1),
+    ],
+)
+def test_priorities_have_32_bits(call, words):
+    status, _, err = call(*words)
+    assert (status, "--priority must be at" in err) == (2, True)
+
+
+def test_an_interrupt_is_for_the_command_which_holds_it_until_it_ends(
+    call, ask, monkeypatch
+):
+    ask("sem", "new", "grip", "--binary")
+    wait, values = subprocess.Popen.wait, []
+
+    def interrupted(process, timeout=None):
+        if not values:
+            values.append(ask("sem", "ls")["resources"][0]["value"])
+            raise KeyboardInterrupt
+        return wait(process, timeout)
+
+    monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
+    assert call("sem", "get", "grip", "--run", "kill -TERM $$")[0] == 128 + 15
+    assert values == [0]
+    assert ask("sem", "ls")["resources"][0]["value"] == 1
+    ask("sem", "rm", "grip")
+
+
+def test_a_device_or_a_link_stays_what_it_is(ask, tmp_path):
+    ask("queue", "new", "q")
+    ask("queue", "put", "q", "news")
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "target")
+    ask("queue", "get", "q", "--out", link)
+    assert link.is_symlink()
+    assert (tmp_path / "target").read_text() == "news"
+    ask("queue", "rm", "q")

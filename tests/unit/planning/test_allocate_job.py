@@ -13,7 +13,7 @@ from pbonet.config import Library, read_job
 from pbonet.errors import PbonetError, UnknownTaskError, VerificationError
 from pbonet.master.configuration import Files, Place, Saved, check_file
 from pbonet.master.configuration.saved_profiles import setup_of
-from pbonet.master.planning import allocate
+from pbonet.master.planning import allocate, known_rtpus
 from pbonet.master.planning.allocation_problem import problem_of
 from pbonet.master.planning.known_rtpus import KnownRtpus
 
@@ -63,6 +63,8 @@ def test_rtpus_of_one_machine_exchange_for_nothing(puma):
     assert (found.traffic_before, found.traffic_after, found.moves) == (0.0, 0.0, [])
     with pytest.raises(PbonetError, match=r"--machine cannot be 'amr0=m'.*mean.*arm0"):
         allocate(puma, HERE, machines=["amr0=m"])
+    with pytest.raises(PbonetError, match=r"--machine cannot be 'arm0=n'"):
+        allocate(puma, HERE, machines=["arm0=m", "arm0=n"])
 
 
 def test_marks_in_the_job_and_of_the_command_are_respected(puma):
@@ -128,6 +130,31 @@ def test_standbys_that_take_over_stay_apart(puma):
     assert (place["puma_pidg"], place["spare"]) == ("arm0", "arm1")
     with pytest.raises(VerificationError, match=r"no machine is left for spare"):
         allocate(puma, HERE, assume=0.2, machines=["arm0=m", "arm1=m"])
+
+
+def test_a_standby_that_must_stay_keeps_its_original_there(puma):
+    files = Files(puma, Library(()))
+    (puma.parent / "spare.rmod").write_text(files.rmod("puma_pidg").text)
+    edit(puma, ("puma_pidg  arm0", "puma_pidg  arm0 FALLBACK spare"))
+    found, _ = allocate(puma, HERE, assume=0.2)
+    assert found.places == {"puma_pidg": "arm1", "spare": "arm1"}
+    found, _ = allocate(puma, HERE, assume=0.2, fixed=["spare"])
+    assert not {"puma_pidg", "spare"} & {*found.places}
+    assert found.pins["puma_pidg"] == "spare FIXED in --fix"
+
+
+@pytest.mark.parametrize(("cores", "warned"), [((1, 1), True), ((1, 2), False)])
+def test_rtpus_on_one_core_are_warned_of(puma, monkeypatch, cores, warned):
+    known = KnownRtpus(
+        machines={"arm0": "m", "arm1": "m"},
+        cores=dict(zip(("arm0", "arm1"), cores, strict=True)),
+        asked=True,
+    )
+    monkeypatch.setattr(known_rtpus, "ask_agents", lambda *_: known)
+    _, warnings = allocate(puma, HERE, running=True, assume=0.3)
+    assert ["arm0, arm1 share core 1" in one for one in warnings] == [True] * warned
+    if warned:
+        assert "they would use 120.0% of it" in warnings[0]
 
 
 def test_times_are_those_of_each_machine(puma):
@@ -222,6 +249,7 @@ def test_it_is_written_line_by_line_or_only_shown(puma, call):
         ("--write", "--apply"),
         ("--dry-run",),
         ("--running", "--machine", "arm0=m"),
+        ("--latency", 1e300),
     ],
 )
 def test_options_that_do_not_go_together(puma, call, words):

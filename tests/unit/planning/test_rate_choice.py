@@ -9,6 +9,7 @@ from pbonet.analysis.allocation import (
     best_periods,
     fitted,
     harmonic,
+    in_step_rates,
     rounded_down,
 )
 
@@ -64,3 +65,12 @@ def test_harmonic_periods_are_powers_of_two_of_the_shortest():
 )
 def test_rates_are_rounded_down(hz, shown):
     assert rounded_down(hz) == shown
+
+
+@pytest.mark.parametrize("fastest", [178.6, 28.57, 999.9, 33.4, 7.0])
+@pytest.mark.parametrize("times", [(1, 2), (1, 2, 4, 16)])
+def test_rates_in_step_have_periods_that_are_multiples(fastest, times):
+    rates = in_step_rates({str(n): n / fastest for n in times})
+    periods = {int(name): round(1e9 / hz) for name, hz in rates.items()}
+    assert all(period == n * periods[1] for n, period in periods.items())
+    assert 0.8 * fastest < rates["1"] <= fastest

@@ -321,6 +321,15 @@ def test_links_are_removed_not_what_they_lead_to(fs, root):
     assert files(root) == ["logs/old/a", "logs/old/b", "logs/run"]
 
 
+def test_a_name_is_no_pattern_where_it_says_so(fs, root):
+    for name in ("a*", "ab"):
+        (root / name).write_text("x")
+    fs.rm_exactly("arm1/a*")
+    assert files(root) == ["ab"]
+    with pytest.raises(XmMissingError):
+        fs.rm_exactly("arm1/*", recursive=True)
+
+
 def test_made_and_touched(fs, root, tree):
     fs.touch("arm1/new/empty")
     assert (root / "new" / "empty").read_bytes() == b""
