@@ -46,7 +46,7 @@ class Terminal:
             stdout=other,
             stderr=other,
             cwd=ROOT,
-            env=os.environ | {"TERM": "xterm-256color"},
+            env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "160"},
             start_new_session=True,
         )
         os.close(other)

@@ -58,9 +58,9 @@ COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
         Column("warn"),
     ),
     "RTPUs": (
-        *(Column("rtpu"), Column("machine"), Column("core"), Column("backend")),
-        *(Column("scheduler"), Column("tasks"), Column("on"), Column("load", "avgU")),
-        *(Column("missed"), Column("stalls"), Column("flags"), Column("state")),
+        *(Column("rtpu"), Column("machine"), Column("state"), Column("core")),
+        *(Column("backend"), Column("scheduler"), Column("tasks"), Column("on")),
+        *(Column("load", "avgU"), Column("missed"), Column("stalls"), Column("flags")),
     ),
     "variables": (
         *(Column("variable"), Column("writer"), Column("age", "ptime")),
@@ -163,6 +163,7 @@ def _rtpus(reading: Reading, window: Window) -> list[Row]:
         cells = (
             rtpu.rtpu,
             _machine(reading, rtpu.rtpu),
+            "answers",
             info.core if info is not None else None,
             rtpu.backend,
             rtpu.scheduler or "-",
@@ -172,7 +173,6 @@ def _rtpus(reading: Reading, window: Window) -> list[Row]:
             sum(task.miss for task in rtpu.tasks),
             rtpu.stalls,
             raised.get(rtpu.rtpu, 0),
-            "answers",
         )
         found.append(Row("rtpu", rtpu.rtpu, cells, "bad" if rtpu.illegal else ""))
     found += [
@@ -183,9 +183,8 @@ def _rtpus(reading: Reading, window: Window) -> list[Row]:
 
 
 def _away(name: str, machine: str) -> tuple[Cell, ...]:
-    known: tuple[Cell, ...] = (name, machine)
-    between = len(COLUMNS["RTPUs"]) - len(known) - 1
-    return (*known, *([None] * between), "away")
+    known: tuple[Cell, ...] = (name, machine, "away")
+    return (*known, *([None] * (len(COLUMNS["RTPUs"]) - len(known))))
 
 
 def _variable(one: VarValue) -> Row:
