@@ -75,6 +75,10 @@ PB_VECTOR static bool pb_finite_f4(const uint8_t *data, uint64_t n) {
 PB_DEFINE_COPY_FINITE(f8, uint64_t, UINT64_C(0x7ff0000000000000), UINT64_C(0x0010000000000000))
 PB_DEFINE_COPY_FINITE(f4, uint32_t, UINT32_C(0x7f800000), UINT32_C(0x00800000))
 
+static inline bool pb_copy_finite(uint8_t *to, const uint8_t *from, uint32_t type, uint64_t n) {
+    return type == PB_F8 ? pb_copy_finite_f8(to, from, n) : pb_copy_finite_f4(to, from, n);
+}
+
 static inline bool pb_finite(const uint8_t *data, uint32_t type, uint64_t n) {
     return type == PB_F8 ? pb_finite_f8(data, n) : pb_finite_f4(data, n);
 }

@@ -256,9 +256,7 @@ static inline bool pb_commit_finite(struct pb_group *g, const struct pb_check *c
                                     const uint8_t *data, struct pb_stamp stamp) {
     const uint64_t next = pb_write_begin(&g->reg->head);
     uint8_t *slot = pb_slot(g->slots, g->stride, next);
-    if (!(c->type == PB_F8 ? pb_copy_finite_f8(slot + PB_LINE, data, c->n)
-                           : pb_copy_finite_f4(slot + PB_LINE, data, c->n)))
-        return false;
+    if (!pb_copy_finite(slot + PB_LINE, data, c->type, c->n)) return false;
     pb_copy_out(slot, &stamp, sizeof stamp);
     pb_write_end(&g->reg->head, next, pb_crowded(g->reg, next));
     g->head = pb_write_last(&g->reg->head);
