@@ -9,7 +9,7 @@ from hypothesis import event, given, settings, strategies as st
 from verify_parts import rtpu, task
 
 from pbonet.analysis.allocation import Flow, Item, Problem, allowed, assign
-from pbonet.analysis.allocation.assignment import FOLLOWS
+from pbonet.analysis.allocation.assignment_problem import FOLLOWS
 from pbonet.analysis.allocation.linear_program import MOVE
 from pbonet.config import TaskType
 from pbonet.errors import VerificationError

@@ -110,8 +110,40 @@ function RtpuField(props: {
   );
 }
 
-function Switch() {
+/** The job of a `switch` or `start`, and how long it may wait for its conditions. */
+function JobFields({
+  command,
+  value,
+  setJob,
+  setWait,
+}: {
+  command: string;
+  value: { job: string; wait: string };
+  setJob: (job: string) => void;
+  setWait: (wait: string) => void;
+}) {
   const jobs = useJobs();
+  return (
+    <>
+      <WordField
+        label="job"
+        hint={argHelp(command, "job")}
+        value={value.job}
+        words={jobs}
+        change={setJob}
+      />
+      <WordField
+        label="wait"
+        hint={argHelp(command, "wait")}
+        value={value.wait}
+        words={[]}
+        change={setWait}
+      />
+    </>
+  );
+}
+
+function Switch() {
   const [job, setJob] = useState("");
   const [wait, setWait] = useState("");
   const name = job.trim();
@@ -121,27 +153,13 @@ function Switch() {
       args={{ ...(name ? { job: name } : {}), ...(wait.trim() ? { wait: wait.trim() } : {}) }}
       ready={Boolean(name)}
     >
-      <WordField
-        label="job"
-        hint={argHelp("switch", "job")}
-        value={job}
-        words={jobs}
-        change={setJob}
-      />
-      <WordField
-        label="wait"
-        hint={argHelp("switch", "wait")}
-        value={wait}
-        words={[]}
-        change={setWait}
-      />
+      <JobFields command="switch" value={{ job, wait }} setJob={setJob} setWait={setWait} />
     </Planned>
   );
 }
 
 function Start() {
   const running = useCommand();
-  const jobs = useJobs();
   const [job, setJob] = useState("");
   const [wait, setWait] = useState("");
   const send = () =>
@@ -159,20 +177,7 @@ function Start() {
           send();
         }}
       >
-        <WordField
-          label="job"
-          hint={argHelp("start", "job")}
-          value={job}
-          words={jobs}
-          change={setJob}
-        />
-        <WordField
-          label="wait"
-          hint={argHelp("start", "wait")}
-          value={wait}
-          words={[]}
-          change={setWait}
-        />
+        <JobFields command="start" value={{ job, wait }} setJob={setJob} setWait={setWait} />
         <p className="row">
           <button type="submit" disabled={running.busy || live.link !== "live"}>
             start

@@ -358,6 +358,15 @@ export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>)
         )}
       </header>
       {data.folded && <Counts tasks={data.tasks} />}
+      <HiddenHandles />
+    </section>
+  );
+});
+
+/** The ends of wires at a card on which none can be drawn. */
+function HiddenHandles() {
+  return (
+    <>
       <Handle
         type="target"
         id="in"
@@ -372,9 +381,9 @@ export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>)
         isConnectable={false}
         className="hidden"
       />
-    </section>
+    </>
   );
-});
+}
 
 /** How many tasks of a folded RTPU are in which state. */
 function Counts({ tasks }: { tasks: string[] }) {
@@ -399,20 +408,7 @@ export const OtherCard = memo(function OtherCard({ data }: NodeProps<OtherNode>)
     <div className={`other other-${data.what}`}>
       <small>{data.what}</small>
       <b>{data.name}</b>
-      <Handle
-        type="target"
-        id="in"
-        position={Position.Left}
-        isConnectable={false}
-        className="hidden"
-      />
-      <Handle
-        type="source"
-        id="out"
-        position={Position.Right}
-        isConnectable={false}
-        className="hidden"
-      />
+      <HiddenHandles />
     </div>
   );
 });

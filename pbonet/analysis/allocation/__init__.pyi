@@ -1,4 +1,5 @@
-from .assignment import (
+from .assignment_costs import Chain as Chain, Cost as Cost, Flow as Flow
+from .assignment_problem import (
     FOLLOWS as FOLLOWS,
     LATENCY as LATENCY,
     Item as Item,
@@ -13,8 +14,7 @@ from .best_assignment import (
     Assignment as Assignment,
     assign as assign,
 )
-from .data_flow import Chain as Chain, Cost as Cost, Flow as Flow
-from .no_assignment import FIXED as FIXED
+from .infeasibility import FIXED as FIXED
 from .rate_choice import (
     Fit as Fit,
     best_periods as best_periods,

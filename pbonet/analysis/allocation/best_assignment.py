@@ -15,17 +15,17 @@ from msgspec import Struct
 
 from pbonet.errors import VerificationError
 
-from .assignment import Problem, allowed, faults, keeps_deadlines
-from .data_flow import Cost, Flow
+from .assignment_costs import Cost, Flow
+from .assignment_problem import Problem, allowed, faults, keeps_deadlines
+from .infeasibility import explained, without_room
 from .linear_program import MOVE, Program
-from .no_assignment import explained, without_room
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pbonet.config import RtpuEntry
 
-    from .assignment import Places
+    from .assignment_problem import Places
     from .linear_program import Solution
 
 SECONDS = 10.0

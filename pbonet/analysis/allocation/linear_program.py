@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec import Struct
 
-from .assignment import FOLLOWS, Places
+from .assignment_problem import FOLLOWS, Places
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from .assignment import Item, Problem
-    from .data_flow import Flow, Link
+    from .assignment_costs import Flow, Link
+    from .assignment_problem import Item, Problem
 
 MOVE = 1e-4
 """Cost of moving all tasks: of two equally good assignments the nearer one is found."""

@@ -7,7 +7,7 @@ from typing import Annotated as A
 from pbonet.cli import options
 from pbonet.cli.parser import Argument, Option
 
-from . import words
+from . import shared_arguments as shared
 
 HELP = "List mailboxes of all machines, send interrupts, take and remove them."
 
@@ -16,7 +16,7 @@ Name = A[str, Argument("RTPU:NAME, or NAME of a program's own.", "MAILBOX")]
 
 def ls(
     *,
-    rtpus: words.Rtpus = None,
+    rtpus: shared.Rtpus = None,
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
@@ -28,7 +28,7 @@ def ls(
         Show those of one RTPU as data:
         pbonet mailbox ls arm1 --json
     """
-    words.show_list(
+    shared.show_list(
         "mailbox",
         rtpus,
         reach,
@@ -61,7 +61,7 @@ def put(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     express_mail.interrupt(name, value)
     options.show("", {"name": name, "value": value}, as_data=json_)
 
@@ -90,7 +90,7 @@ def get(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     values = express_mail.handle(name, wait=wait, count=count)
     data = {"name": name, "values": values}
     options.show("\n".join(map(str, values)), data, as_data=json_)
@@ -112,7 +112,7 @@ def rm(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     express_mail.remove(name, "mailbox")
     options.show("", {"name": name}, as_data=json_)
 

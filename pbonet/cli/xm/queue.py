@@ -8,7 +8,7 @@ from typing import Annotated as A, Literal
 from pbonet.cli import options
 from pbonet.cli.parser import Argument, Option
 
-from . import words
+from . import shared_arguments as shared
 
 HELP = "List, make, fill, empty and remove message queues of all machines."
 
@@ -18,7 +18,7 @@ _POLICIES = ("FIFO", "LIFO", "HPF")
 
 def ls(
     *,
-    rtpus: words.Rtpus = None,
+    rtpus: shared.Rtpus = None,
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
@@ -30,7 +30,7 @@ def ls(
         Show those of one RTPU as data:
         pbonet queue ls arm0 --json
     """
-    words.show_list(
+    shared.show_list(
         "queue",
         rtpus,
         reach,
@@ -70,7 +70,7 @@ def new(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     express_mail.make_queue(
         name, policy=policy, messages=messages, block=block, blocks=blocks
     )
@@ -87,8 +87,8 @@ def put(
         int,
         Option(
             "Of the message, for queues of policy hpf.",
-            least=words.LEAST,
-            most=words.MOST,
+            least=shared.LEAST,
+            most=shared.MOST,
         ),
     ] = 0,
     wait: A[float, Option("Wait for room.", "SECONDS", least=0.0, most=1e8)] = 0.0,
@@ -108,8 +108,8 @@ def put(
     """
     from pbonet.master.tools import express_mail
 
-    data = words.message(text, file, hex_)
-    words.settle(reach)
+    data = shared.message(text, file, hex_)
+    shared.settle(reach)
     done = express_mail.send(name, data, priority=priority, wait=wait, full=full)
     about = {"name": name, "bytes": len(data), "sent": done}
     options.show("" if done else "dropped", about, as_data=json_)
@@ -123,7 +123,7 @@ def get(
         float,
         Option("How long it waits for the first one.", "SECONDS", least=0.0, most=1e8),
     ] = 0.0,
-    priority: words.Priority = 0,
+    priority: shared.Priority = 0,
     out: A[
         Path | None,
         Option(
@@ -149,7 +149,7 @@ def get(
 
     from pbonet.master.tools import express_mail, remote_files
 
-    words.settle(reach)
+    shared.settle(reach)
     if out is not None:
         remote_files.must_be_writable(out)  # else what is received would be lost
     found = express_mail.receive(name, wait=wait, count=count, priority=priority)
@@ -178,7 +178,7 @@ def rm(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     express_mail.remove(name, "queue")
     options.show("", {"name": name}, as_data=json_)
 

@@ -7,7 +7,7 @@ from typing import Annotated as A
 from pbonet.cli import options
 from pbonet.cli.parser import Argument, Option
 
-from . import words
+from . import shared_arguments as shared
 
 HELP = "List, make, give, take and remove semaphores of all machines."
 
@@ -16,7 +16,7 @@ Name = A[str, Argument("RTPU:NAME, or NAME of a program's own.", "SEMAPHORE")]
 
 def ls(
     *,
-    rtpus: words.Rtpus = None,
+    rtpus: shared.Rtpus = None,
     reach: options.Agents,
     json_: options.Json = False,
 ) -> None:
@@ -28,7 +28,7 @@ def ls(
         Show those of one RTPU:
         pbonet sem ls arm0
     """
-    words.show_list(
+    shared.show_list(
         "sem",
         rtpus,
         reach,
@@ -63,7 +63,7 @@ def new(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     express_mail.make_semaphore(name, initial=initial, maximum=maximum, binary=binary)
     options.show("", {"name": name}, as_data=json_)
 
@@ -84,7 +84,7 @@ def put(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     value = express_mail.give(name)
     options.show(f"{name} {value}", {"name": name, "value": value}, as_data=json_)
 
@@ -92,8 +92,8 @@ def put(
 def get(
     *,
     name: Name,
-    wait: words.Wait = 0.0,
-    priority: words.Priority = 0,
+    wait: shared.Wait = 0.0,
+    priority: shared.Priority = 0,
     run: A[
         str, Option("Hold it while this command runs, then give it back.", "COMMAND")
     ] = "",
@@ -113,7 +113,7 @@ def get(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     taken, status = express_mail.take(name, wait=wait, priority=priority, run=run)
     died = taken.name == "HOLDER_DIED"
     warning = f"{name}: the last holder died with it; check what it guards"
@@ -138,7 +138,7 @@ def rm(
     """
     from pbonet.master.tools import express_mail
 
-    words.settle(reach)
+    shared.settle(reach)
     express_mail.remove(name, "sem")
     options.show("", {"name": name}, as_data=json_)
 

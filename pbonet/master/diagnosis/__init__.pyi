@@ -1,6 +1,6 @@
 from .answers import answer as answer
 from .ask_facts import Extent as Extent, ask as ask, unreached as unreached
-from .causes import (
+from .cause_chain import (
     Cause as Cause,
     Explanation as Explanation,
     Source as Source,

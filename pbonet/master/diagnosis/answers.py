@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Place
 
-    from .causes import Explanation
+    from .cause_chain import Explanation
     from .facts import Facts
     from .question import Question
 

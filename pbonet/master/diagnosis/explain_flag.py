@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
+from .event_causes import cause_of, clock
 from .known_causes import OWN_TEXT, REMEDIES, flag_cause
-from .told_events import cause_of, clock
 
 if TYPE_CHECKING:
     from pbonet.xm.net import Event
 
-    from .chain import Chain
+    from .follow_causes import Chain
 
 _RAISED = re.compile(r"(.*) \((\S+)\)", re.DOTALL)
 

@@ -8,17 +8,17 @@ from pbonet.analysis import legality
 from pbonet.config import Scheduler
 
 from . import explain_rtpu
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
+from .event_causes import cause_of
 from .known_causes import REMEDIES
-from .told_events import cause_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.xm.net import TaskStatus
 
-    from .chain import Chain
     from .facts import Gap
+    from .follow_causes import Chain
 
 _NEAR = 1.0
 """Seconds within which an event belongs to a missed release."""

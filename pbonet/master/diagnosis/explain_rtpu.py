@@ -9,9 +9,9 @@ from pbonet.master.tools import doctor
 from pbonet.versions import REMEDY
 from pbonet.xm.net import messages as m, unreachable_reason
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
+from .event_causes import cause_of
 from .known_causes import REMEDIES
-from .told_events import cause_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pbonet.errors import WireError
     from pbonet.xm.net import TaskStatus
 
-    from .chain import Chain
+    from .follow_causes import Chain
 
 _PROCESS = ("RTPU_DIED", "AGENT_GONE", "DISPATCHER_ENDED", "FORK_SERVER_DIED")
 

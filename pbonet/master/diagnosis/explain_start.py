@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from pbonet.errors import PbonetError
 from pbonet.xm.net import messages as m
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
+from .event_causes import cause_of
 from .known_causes import REMEDIES
-from .told_events import cause_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from .chain import Chain
+    from .follow_causes import Chain
 
 _FAILED = ("SPAWN_FAILED", "NOT_SPAWNED", "SIGNAL_FAILED")
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 from pbonet.master.configuration import next_steps
 from pbonet.pbo import State
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
+from .event_causes import cause_of, sentence
 from .known_causes import REMEDIES
-from .told_events import cause_of, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.xm.net import Event, TaskStatus
 
-    from .chain import Chain
+    from .follow_causes import Chain
 
 _ENDS = ("TASK_DIED", "FORCED", "TABLE_DAMAGED")
 _FAILS = ("METHOD", "SIGNAL_FAILED")

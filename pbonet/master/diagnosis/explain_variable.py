@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 from pbonet.master.tools import doctor
 from pbonet.pbo import State
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
+from .event_causes import cause_of
 from .known_causes import REMEDIES
-from .told_events import cause_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.xm.net import TaskStatus, VarValue
 
-    from .chain import Chain
+    from .follow_causes import Chain
 
 _PERIODS = 2.0
 """A task whose cycles go on has counted one within so many periods."""

@@ -12,14 +12,14 @@ from . import (
     explain_task,
     explain_variable,
 )
-from .causes import Explanation
-from .chain import Chain
+from .cause_chain import Explanation
+from .follow_causes import Chain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from .chain import Told
     from .facts import Facts
+    from .follow_causes import Told
     from .question import Question
 
 

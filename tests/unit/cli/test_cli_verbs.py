@@ -23,7 +23,7 @@ from pbonet.master.console.commands import COMMANDS, Scope
 OWN = {"stop", "check", "profile", "library"}
 """Verbs that take other words than the command of their name."""
 PARTS = {"__init__", "__main__", "options", "table", "parser", "help", "program"}
-PARTS |= {"verbs", "completing", "words"}
+PARTS |= {"verbs", "completing", "shared_arguments"}
 """Files of the command line that are no verbs."""
 SUMMARY = 68
 """Characters of a line of help, so that it fits a terminal."""

@@ -25,7 +25,7 @@ from pbonet.config import TaskType
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .assignment import Item, Places, Problem
+    from .assignment_problem import Item, Places, Problem
 
 
 class Link(Struct, frozen=True, kw_only=True):

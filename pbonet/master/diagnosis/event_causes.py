@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
 
 if TYPE_CHECKING:
     from pbonet.xm.net import Event

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeAlias
 
-from .causes import Cause, Source
+from .cause_chain import Cause, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

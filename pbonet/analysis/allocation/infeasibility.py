@@ -9,8 +9,8 @@ from msgspec import structs
 from pbonet.config import RtpuEntry
 from pbonet.errors import VerificationError
 
-from .assignment import EXACT, FOLLOWS, Item, Problem, keeps_deadlines
-from .data_flow import Flow
+from .assignment_costs import Flow
+from .assignment_problem import EXACT, FOLLOWS, Item, Problem, keeps_deadlines
 from .linear_program import Program
 from .rate_choice import rounded_down
 
