@@ -33,7 +33,7 @@ from pbonet.node.rtpu import (
     rtpu_snapshot,
 )
 from pbonet.node.task import Host, RtpuChannel, inspect
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import CoreWait, rtpu_messages
 from pbonet.outside import using
 from pbonet.pbo import State
 from pbonet.svar import Table, var_bytes
@@ -302,6 +302,10 @@ class VirtualChild(Child):
 
     def send_signal(self, which: signal.Signals) -> None:
         """Do nothing: what hangs here has this process hang."""
+
+    def core_wait(self) -> CoreWait:
+        """Return what counts nothing: virtual time waits while others compute."""
+        return CoreWait(0)
 
     def close(self) -> None:
         """Close the channel."""

@@ -217,7 +217,7 @@ class _Sending:
         self, parts: dict[str, list[Item]]
     ) -> tuple[dict[str, m.Reconfigured], dict[str, PbonetError]]:
         """Send each RTPU its part; return the answers, and why there are none."""
-        limit = self._limit * max(map(len, parts.values()))
+        limit = (1.0 + m.MOST_EXTRA) * self._limit * max(map(len, parts.values()))
         requests = {rtpu: self._request(part, parts) for rtpu, part in parts.items()}
         if len(parts) > 1:
             answers, errors = self._clients.each(

@@ -47,8 +47,11 @@ if TYPE_CHECKING:
     Problems = Sequence[legality.Problem]
 
 CONTROL_TIME = 5.0
+"""Seconds for a signal; `MOST_EXTRA` more if the task's core is busy."""
 SPAWN_TIME = 10.0
+"""Seconds for `init`; `MOST_EXTRA` more if the task's core is busy."""
 STOP_TIME = 2.0
+"""Seconds for a stop, however busy cores are."""
 SIGNALS = {
     "on": State.ON,
     "off": State.OFF,
@@ -587,7 +590,7 @@ class SubsystemTasks:
         )
         if not len(self.model):
             self.recordings.begin(self.clients, self.files, self.warned)
-        limit = SPAWN_TIME + 1.0
+        limit = (1.0 + m.MOST_EXTRA) * SPAWN_TIME + 1.0
         status = self.clients.call(member.rtpu, request, m.TaskStatus, timeout=limit)
         self.model.spawned(member)
         self._modules.pop(member.name, None)
@@ -653,7 +656,8 @@ class SubsystemTasks:
         request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
         request.replaces = list(replaces)
         self.standbys.inform([(task, signal)], ready=False)
-        status = self.clients.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
+        limit = (1.0 + m.MOST_EXTRA) * CONTROL_TIME
+        status = self.clients.call(rtpu, request, m.TaskStatus, timeout=limit)
         self.model.ordered(task, signal)
         self.standbys.inform([(task, signal)], ready=True)
         self.note(status)

@@ -20,7 +20,7 @@ from pbonet.errors import (
 from pbonet.node import rt
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net import run_folder
+from pbonet.xm.net import MOST_EXTRA, run_folder
 
 from . import status
 from .task_handle import Facts, Task
@@ -273,10 +273,13 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
 async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
     """Wait for the end of `init`; a task that fails, dies or hangs in it is ended."""
     try:
-        done = await task.wait_for(task.spawned, "init", limit)
+        extra = MOST_EXTRA * limit
+        done = await task.wait_for(task.spawned, "init", limit, extra=extra)
     except PbonetError as error:
         if isinstance(error, NoAnswerError):
-            error.what = f"`init` did not return within {limit:g} s"
+            error.what = error.what.replace(
+                "the task did not finish 'init'", "`init` did not return"
+            )
             error.remedy = "`timeout` of the spawn gives it longer"
             error.debug = await task.where()
             task.child.send_signal(signal.SIGKILL)

@@ -16,7 +16,7 @@ import msgspec
 
 from pbonet.errors import NodeError
 from pbonet.node.task import PIPE_BYTES
-from pbonet.node.wire import process_setup, rtpu_messages
+from pbonet.node.wire import CoreWait, process_setup, rtpu_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,6 +87,10 @@ class Child:
         if not self.exited.done():
             self.send_signal(which)
             asyncio.get_running_loop().call_later(ROUSE_PERIOD, self.rouse, which)
+
+    def core_wait(self) -> CoreWait:
+        """Return what counts from now on how long it waits for its core."""
+        return CoreWait(self.pid)
 
     def watch(self, ended: Callable[[Child], None]) -> None:
         """Call `ended` when the process has ended, also if its parent has."""

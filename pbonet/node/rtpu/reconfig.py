@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from pbonet.errors import PbonetError, StateError
 from pbonet.node.wire import lifecycle
 from pbonet.pbo import State
-from pbonet.xm.net import Reconfigured
+from pbonet.xm.net import MOST_EXTRA, Reconfigured
 
 from .handover import TRIP, Exchange, plan, shortest_period
 from .signal_tasks import control, note
@@ -131,7 +131,14 @@ class _List:
             goes = signal == "off" and (
                 name in request.handover or self._has_successor(task, rest)
             )
-            await control(self._rtpu, task, signal, request.timeout, handover=goes)
+            await control(
+                self._rtpu,
+                task,
+                signal,
+                request.timeout,
+                handover=goes,
+                extra=MOST_EXTRA * request.timeout,
+            )
         except PbonetError as error:
             self._result.error = error.to_wire()
             return [item]

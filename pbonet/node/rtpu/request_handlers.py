@@ -319,6 +319,7 @@ class RequestHandlers:
             request.timeout,
             arg=request.arg,
             replaces=request.replaces,
+            extra=m.MOST_EXTRA * request.timeout,
         )
         if request.signal == "kill":
             return task.last_status, warnings

@@ -63,8 +63,11 @@ async def control(
     arg: str = "",
     handover: bool = False,
     replaces: Sequence[str] = (),
+    extra: float = 0.0,
 ) -> list[str]:
     """Send one signal and wait for the state it leads to; return warnings.
+
+    `extra` is as in `Task.wait_for`; a `kill` does not use it.
 
     Raises:
         StateError: It is not valid in the task's state; nothing was sent.
@@ -87,7 +90,7 @@ async def control(
     if event is lifecycle.Event.ON:
         task.coming.append(done)
     try:
-        await _send(rtpu, task, event, make, limit)
+        await _send(rtpu, task, event, make, limit, extra=extra)
     finally:
         done.set()
         if event is lifecycle.Event.ON:
@@ -96,7 +99,13 @@ async def control(
 
 
 async def _send(
-    rtpu: Rtpu, task: Task, event: lifecycle.Event, make: Make, limit: float
+    rtpu: Rtpu,
+    task: Task,
+    event: lifecycle.Event,
+    make: Make,
+    limit: float,
+    *,
+    extra: float,
 ) -> None:
     """Send a signal other than `kill`, and wait for the state it leads to."""
     await rtpu.successors.withdraw(task)
@@ -108,7 +117,7 @@ async def _send(
         rtpu.fallbacks.overtaken(task)
         await rtpu.fallbacks.ready(task)
     try:
-        await task.command(event.value, make, limit)
+        await task.command(event.value, make, limit, extra=extra)
     except PbonetError as error:
         note(rtpu, task, event, error)
         if event is lifecycle.Event.ON:

@@ -50,6 +50,8 @@ END_TIME = 1.0
 _SLICE = 0.1
 """Seconds of a wait that a standstill of the machine may cost."""
 _DUMP_TIME = 0.1
+_MUCH_WAITED = 0.1
+"""Of the time limit, what a wait for the core must take to be named."""
 
 
 class Facts(msgspec.Struct, kw_only=True):
@@ -175,6 +177,7 @@ class Task:
         limit: float,
         *,
         last: bool = False,
+        extra: float = 0.0,
     ) -> rtpu_messages.Done:
         """Send one message and return the answer.
 
@@ -184,6 +187,7 @@ class Task:
             limit: Seconds to wait for the answer, and before that for those who asked
                 earlier.
             last: It is carried out after the task's next cycle, at the cycle's level.
+            extra: As in `wait_for`.
 
         Raises:
             StateError: The task is still carrying out an earlier message; nothing was
@@ -195,7 +199,7 @@ class Task:
         left = await self._turn(limit)
         try:
             answer = self._ask(what, make, last=last)
-            return await self.wait_for(answer, what, left, of=limit)
+            return await self.wait_for(answer, what, left, of=limit, extra=extra)
         finally:
             self._lock.release()
 
@@ -249,6 +253,7 @@ class Task:
         left: float,
         *,
         of: float | None = None,
+        extra: float = 0.0,
     ) -> rtpu_messages.Done:
         """Return the answer to a message, or the reason why there is none.
 
@@ -257,25 +262,40 @@ class Task:
             what: What was asked, for messages.
             left: Seconds to wait.
             of: The seconds that were given, if earlier messages took some of them.
+            extra: Seconds to wait longer, at most, if the task was ready for as long
+                and did not get its core: then the machine is busy, and it does not
+                hang.
 
         Raises:
             NoAnswerError: It did not come in time.
             TaskDiedError: The task ended.
             PbonetError: What the task answered.
         """
-        try:
-            async with asyncio.timeout(left):
-                done = await asyncio.shield(answer)
-        except TimeoutError:
-            given = left if of is None else of
-            raise NoAnswerError(
-                f"the task did not finish {what!r} within {given:.3g} s",
-                where=self.name,
-                remedy="wait for it, or `kill` the task",
-            ) from None
+        loop = asyncio.get_running_loop()
+        begun, core_wait = loop.time(), self.child.core_wait()
+        waited = 0.0
+        remaining = left
+        while remaining > 0 and not answer.done():
+            await asyncio.wait({answer}, timeout=remaining)
+            waited = min(core_wait.seconds(), extra)
+            remaining = left + waited - (loop.time() - begun)
+        if not answer.done():  # it may have come while this process did not run
+            raise self._too_late(what, left if of is None else of, waited)
+        done = answer.result()
         if done.error is not None:
             raise error_of(done)
         return done
+
+    def _too_late(self, what: str, given: float, waited: float) -> NoAnswerError:
+        text = f"the task did not finish {what!r} within "
+        remedy = "wait for it, or `kill` the task"
+        if waited < _MUCH_WAITED * given:
+            return NoAnswerError(f"{text}{given:.3g} s", where=self.name, remedy=remedy)
+        text += (
+            f"{given + waited:.3g} s, of which it waited {waited:.3g} s for its core"
+        )
+        remedy += "; `pbonet top` and `top` show what else uses the core"
+        return NoAnswerError(text, where=self.name, remedy=remedy)
 
     async def idle(self) -> None:
         """Wait until the task has answered everything, or has ended."""

@@ -8,13 +8,13 @@ one, from being ready to running; so the rest is waiting. Checked twice a second
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Kind, Mode
 from pbonet.errors import Severity
+from pbonet.node.wire import core_times
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -56,11 +56,8 @@ def ready_ns(pid: int) -> int | None:
 
     None: the kernel does not count it, or the process is gone.
     """
-    try:
-        text = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="ascii")
-        return int(text.split()[1])
-    except (OSError, ValueError, IndexError):
-        return None
+    times = core_times(pid)
+    return None if times is None else times.ready
 
 
 class WaitingCycles:

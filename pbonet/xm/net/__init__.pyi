@@ -27,6 +27,7 @@ from .message_parts import Restart as Restart, VarValue as VarValue, plain as pl
 from .messages import (
     LAST_TICKET as LAST_TICKET,
     MOST_CALLERS as MOST_CALLERS,
+    MOST_EXTRA as MOST_EXTRA,
     AgentInfo as AgentInfo,
     Answer as Answer,
     AnyRequest as AnyRequest,

@@ -444,7 +444,7 @@ class TestHanging:
 
     def test_in_init(self, arm):
         error = arm.refused(NoAnswerError, arm.spawn, "bad", "hangs_in_init", limit=4.0)
-        assert "`init` did not return within 4 s" in str(error)
+        assert "`init` did not return within" in str(error)
         assert "hangs_in_init.py" in error.debug  # where it stands
         assert "bad" not in arm.status()
 

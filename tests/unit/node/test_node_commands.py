@@ -9,6 +9,7 @@ import pytest
 
 from pbonet.errors import NoAnswerError
 from pbonet.node.rtpu.task_handle import Task
+from pbonet.node.wire import CoreWait
 
 
 async def late(given):
@@ -17,7 +18,13 @@ async def late(given):
     read, write = os.pipe()
     os.set_blocking(read, False)
     near.setblocking(False)
-    child = SimpleNamespace(sock=near, out=read, pid=0, send_signal=lambda _: None)
+    child = SimpleNamespace(
+        sock=near,
+        out=read,
+        pid=0,
+        send_signal=lambda _: None,
+        core_wait=lambda: CoreWait(0),
+    )
     facts = SimpleNamespace(name="servo", rmod=SimpleNamespace(freq=1.0))
     task = Task(
         *(facts, child),

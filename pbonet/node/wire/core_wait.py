@@ -1,0 +1,56 @@
+"""Measures how long a process was ready to run and did not get its core."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from .process_setup import stat
+
+
+class CoreTimes(NamedTuple):
+    """What the kernel has counted for a process's main thread, in nanoseconds."""
+
+    ran: int
+    """Time on a core."""
+    ready: int
+    """Time from being ready to running; what it waits now is not in it yet."""
+
+
+def core_times(pid: int) -> CoreTimes | None:
+    """Return the times of a process's main thread.
+
+    None: the kernel does not count them, or the process is gone.
+    """
+    try:
+        text = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="ascii")
+        ran, ready, _ = map(int, text.split())
+    except (OSError, ValueError):
+        return None
+    return CoreTimes(ran, ready)
+
+
+class CoreWait:
+    """Counts from now on how long a process waits for its core.
+
+    Args:
+        pid: The process.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._begun = time.monotonic_ns()
+        self._first = core_times(pid)
+
+    def seconds(self) -> float:
+        """Return for how long it was ready and did not run; 0 if that is unknown."""
+        now = core_times(self._pid)
+        if self._first is None or now is None:
+            return 0.0
+        ready = now.ready - self._first.ready
+        if (process := stat(self._pid)) is not None and process.state == "R":
+            # what passes until it runs is not counted yet
+            elapsed = time.monotonic_ns() - self._begun
+            ready = max(ready, elapsed - (now.ran - self._first.ran))
+        return ready * 1e-9
