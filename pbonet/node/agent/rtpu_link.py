@@ -24,14 +24,13 @@ import pbonet
 from pbonet.errors import NodeError, ProtocolError
 from pbonet.node.rtpu import SnapshotChanges, cleanup
 from pbonet.node.wire import rtpu_messages
+from pbonet.xm.net import run_folder
 
 from . import start_rtpu
 from .stopped_processes import PERIOD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
-
-    from pbonet.xm.net import run_folder
 
 log = logging.getLogger("pbonet.node")
 
@@ -41,6 +40,8 @@ SEND_TIME = 2.0
 """Seconds after which an RTPU process that does not receive counts as lost."""
 AGAIN_TIME = 5.0
 """Seconds in which a live RTPU process must accept its agent again."""
+ENDING_TIME = 10.0
+"""Seconds in which an RTPU process that ends has ended, or one that starts accepts."""
 UNREAD = 5
 UNREAD_TIME = 60.0
 """An agent gives up after more than so many unreadable messages in so many seconds."""
@@ -48,6 +49,10 @@ _LOOK = 0.05
 _LEAST_TRIES = 2
 LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)
 """Error numbers for resources that the machine lacks, perhaps only temporarily."""
+
+
+class _NotAcceptedError(NodeError):
+    """The RTPU process has closed the connection: it has an agent, or ends."""
 
 
 class Listener(Protocol):
@@ -131,9 +136,10 @@ class RtpuLink:
         Raises:
             NodeError: It cannot be started, or is of another version or core.
         """
-        self._sock = self._connect()
-        self.taken_over = self._sock is not None
-        if self._sock is None:
+        info = self._find()
+        self.taken_over = info is not None
+        cleaned: list[str] = []
+        if info is None:
             cleaned = cleanup.clean_after(self._places)
             self._process = start_rtpu.start(self._places, self._config, given_up)
             self._sock = self._connect()
@@ -144,9 +150,7 @@ class RtpuLink:
                     remedy="start the agent again; --debug shows its output",
                     debug=start_rtpu.log_tail(self._places),
                 )
-        else:
-            cleaned = []
-        info = self._attach(self._sock)
+            info = self._attach(self._sock)
         self.info = info
         self._listener.informed(info)
         self._thread = threading.Thread(
@@ -259,6 +263,34 @@ class RtpuLink:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
         return sock
 
+    def _find(self) -> rtpu_messages.RtpuInfo | None:
+        """Attach to the RTPU process that runs; None if there is none.
+
+        One that ends, because it was without an agent for too long, accepts no agent.
+        It is waited for, and so is one that has just been started.
+
+        Raises:
+            NodeError: It has another agent, or is of another version or core.
+            OSError: It does not answer.
+        """
+        deadline = time.monotonic() + ENDING_TIME
+        while True:
+            sock = self._connect()
+            over = time.monotonic() > deadline
+            if sock is None:
+                if over or not run_folder.is_held(self._places.ctl_lock):
+                    return None
+            else:
+                try:
+                    self._sock = sock
+                    return self._attach(sock)
+                except (OSError, _NotAcceptedError):
+                    sock.close()
+                    self._sock = None
+                    if over:
+                        raise
+            time.sleep(_LOOK)
+
     def _attach(self, sock: socket.socket) -> rtpu_messages.RtpuInfo:
         """Attach as its agent.
 
@@ -272,7 +304,7 @@ class RtpuLink:
         sock.sendall(rtpu_messages.frame(hello))
         data = rtpu_messages.receive_frame(sock)
         if not data:
-            raise NodeError(
+            raise _NotAcceptedError(
                 "the RTPU process of that name has another agent",
                 where=self._config.name,
                 remedy="choose another name",

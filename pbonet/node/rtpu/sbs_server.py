@@ -85,12 +85,15 @@ class AgentLink:
         places.ctl.chmod(0o600)
         self._start_grace()
 
+    def refuse(self) -> None:
+        """Accept no agent any more: this process ends, and another one is started."""
+        if self._server is not None:
+            self._server.close()
+
     async def close(self, reason: str) -> None:
         """Notify the agent that the process ends, and close."""
         self._queues.close()
         self._silence.close()
-        if self._server is not None:
-            self._server.close()
         if self._writer is not None:
             self._send(rtpu_messages.Ending(reason))
             self._flush()
@@ -104,7 +107,8 @@ class AgentLink:
     ) -> None:
         try:
             first = self._decoder.decode(await rtpu_messages.read_frame(reader))
-            if not isinstance(first, rtpu_messages.Attach) or self._writer is not None:
+            taken = self._writer is not None or self._end.done()
+            if not isinstance(first, rtpu_messages.Attach) or taken:
                 writer.close()
                 return
             self._attach(first, writer)
@@ -258,6 +262,7 @@ async def _serve(
         await link.listen(places)
         rtpu_messages.report_ready(rtpu.config.ready_fd)
         reason = await end
+        link.refuse()
         rtpu.events.add(Severity.INFO, "ENDING", f"the RTPU process ends: {reason}")
         await signal_tasks.stop(rtpu, sorted(rtpu.busy()), link.end_time)
         await link.close(reason)

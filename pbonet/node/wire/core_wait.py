@@ -10,7 +10,7 @@ from .process_setup import stat
 
 
 class CoreTimes(NamedTuple):
-    """What the kernel has counted for a process's main thread, in nanoseconds."""
+    """Times of a process's main thread that the kernel has counted, in nanoseconds."""
 
     ran: int
     """Time on a core."""

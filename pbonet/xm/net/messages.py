@@ -44,7 +44,7 @@ VERSION = LAYERS["commands"].newest
 MOST_CALLERS = 32
 """Maximum number of tasks for which one successor can wait."""
 MOST_EXTRA = 2.0
-"""What a task gets more, of the limit of a signal or spawn, if its core is busy."""
+"""Share of the limit of a signal or spawn that is added if the task's core is busy."""
 LAST_TICKET = (1 << 31) - 1
 Restart: TypeAlias = values.Restart
 _Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]

@@ -159,6 +159,21 @@ class TestAgent:
             nodes.processes["arm0"].wait()
             nodes.forget_session()
 
+    def test_another_one_waits_for_an_rtpu_process_that_ends(self, nodes, tmp_path):
+        begun, go_on = tmp_path / "begun", tmp_path / "go on"
+        nodes.agent_process("arm0", grace=0.1)
+        arm = nodes.master("arm0", "arm")
+        arm.spawn("a", "waits_in_off", local={"BEGUN": begun, "GO_ON": go_on})
+        arm.on("a")
+        old = nodes.state("arm0").pid
+        nodes.processes["arm0"].kill()
+        nodes.processes["arm0"].wait()
+        nodes.forget_session()
+        wait_for(begun.exists, "the RTPU process ends: the task is turned off")
+        nodes.agent_process("arm0")
+        assert nodes.state("arm0").pid != old
+        assert nodes.master("arm0", "arm").status() == {}
+
 
 class TestRtpuProcess:
     """Every task turns itself off within a second; the agent restarts."""
