@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from pbonet.errors import PbonetError, _tree
-from pbonet.xm.net import messages as m, run_folder
+from pbonet.xm.net import key_expressions, messages as m, run_folder
 
 PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text()
 RECORDS = [
@@ -123,3 +123,39 @@ def test_the_program_on_the_page(nodes, tmp_path):
         assert re.fullmatch(r"state ON after \d+ cycles", lines[1])
         assert re.fullmatch(r"Y \[\d+\.0, \d+\.0\]", lines[2])
         assert lines[3] == "stopped {'off': ['t'], 'killed': [], 'failed': {}}"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"),
+    [
+        (
+            *("LEVEL", "20"),
+            {
+                "what": "parameter level is out of bounds",
+                "expected": "float, >= -10 and <= 10",
+                "got": "20",
+                "remedy": "choose a value within the bounds",
+            },
+        ),
+        (
+            *("LEVL", "2"),
+            {
+                "what": "Setting has no parameter LEVL",
+                "expected": "one of level, ready",
+                "remedy": "did you mean level?",
+            },
+        ),
+    ],
+)
+def test_the_answer_names_a_refused_parameter_in_words(arm, name, value, error):
+    """A client that is not pbonet's reads the message as it is."""
+    arm.spawn("a", "holds", invar="X", local={"LEVEL": 1})
+    request = m.Set(task="a", name=name, value=value)
+    request.id, request.client = "raw", "somebody"
+    request.subsystem, request.epoch = "arm", arm.epoch
+    key = key_expressions.rtpu(arm.nodes.domain, "arm0", "sbs")
+    payload = msgspec.msgpack.encode(request)
+    (reply,) = arm.nodes.session.get(key, payload=payload)
+    answer = msgspec.msgpack.decode(reply.ok.payload.to_bytes())
+    assert not answer["ok"]
+    assert answer["error"] == {"code": "PARAMETER", "where": "a"} | error
