@@ -22,7 +22,7 @@ def command(
     ] = None,
     prompt: A[
         bool | None,
-        Option("Open the prompt at last; the default without the two above."),
+        Option("Then open the prompt; the default without the two above."),
     ] = None,
     leave: A[bool, Option("Leave the tasks running at the end.")] = False,
     keep_going: A[bool, Option("Go on after a command that failed.")] = False,

@@ -28,7 +28,9 @@ def command(
     ] = None,
     record: A[
         str | None,
-        Option("off, outputs, all or 'last SECONDS'; as the job says.", "WHAT"),
+        Option(
+            "off, outputs, all or 'last SECONDS'; that of the job if left out.", "WHAT"
+        ),
     ] = None,
     runs: A[
         Path | None, Option("Folder of the logs; runs by default.", "FOLDER")
@@ -38,7 +40,9 @@ def command(
     ] = False,
     strict: A[
         bool,
-        Option("Exit with 3, 4 or 5 if not all was recorded, run or run to the end."),
+        Option(
+            "Exit with 3, 4 or 5 if records or cycles were lost, or it was stopped."
+        ),
     ] = False,
     place: options.ChangeTransaction,
     json_: options.Json = False,
@@ -47,7 +51,7 @@ def command(
 
     It starts an agent for each RTPU (executor) that has none, verifies the job, creates
     and turns on its tasks, shows their status, and ends them in order. 'pbonet start'
-    does the middle part alone: it needs running agents and leaves the tasks running.
+    does only the middle part: it needs running agents and leaves the tasks running.
 
     A sequence (.seq) runs to its end; Ctrl-C, and --seconds when they are over, lead to
     its safe job first. The status is 1 unless it was done.

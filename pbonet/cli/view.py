@@ -16,7 +16,7 @@ def command(
         int, Option("The port it serves; 0 takes a free one.", least=0, most=65535)
     ] = 8765,
     hz: A[
-        float, Option("How often a second values are read.", least=0.1, most=200.0)
+        float, Option("How many times a second values are read.", least=0.1, most=200.0)
     ] = 20.0,
     insecure: A[bool, Option("Serve other machines too, unprotected.")] = False,
     place: options.Watching,

@@ -22,7 +22,7 @@ def command(
         int, Option("The port it serves; 0 takes a free one.", least=0, most=65535)
     ] = 8080,
     name: A[
-        list[str] | None, Option("Another name by which browsers call it.", "NAME")
+        list[str] | None, Option("Another host name that browsers use for it.", "NAME")
     ] = None,
     tls: A[
         Path | None,
@@ -30,7 +30,7 @@ def command(
     ] = None,
     observe: A[bool, Option("Only show; nobody can steer by this page.")] = False,
     hz: A[
-        float, Option("How often a second values are read.", least=0.1, most=100.0)
+        float, Option("How many times a second values are read.", least=0.1, most=100.0)
     ] = 20.0,
     place: options.Watching,
     json_: options.Json = False,

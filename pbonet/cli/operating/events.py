@@ -15,7 +15,7 @@ def command(
     given: A[dict[str, object], arguments("events")],
     follow: A[bool, Option("Then show each new event, until Ctrl-C.")] = False,
     count: A[bool, Option("Show how many of each kind every task reported.")] = False,
-    otlp: A[str, Option("Also send each to a collector of OpenTelemetry.", "URL")] = "",
+    otlp: A[str, Option("Also send each to an OpenTelemetry collector.", "URL")] = "",
     place: options.Watching,
     json_: options.Json = False,
 ) -> None:

@@ -17,14 +17,14 @@ def command(
     agents: options.Agents,
     json_: options.Json = False,
 ) -> int:
-    """Show all machines and subsystems of a domain, and what is away.
+    """Show all machines and subsystems of a domain, and what is missing.
 
     Of a machine: its RTPUs, versions, how long its keys are valid, the disk where runs
     are recorded, its clock. Of a subsystem: its RTPUs, the states of its tasks, its
-    flag. The status is 1 if an RTPU is away.
+    flag. The status is 1 if an RTPU is missing.
 
     Examples:
-        Show what there is:
+        Show everything that runs:
         pbonet fleet
         Name the RTPUs of a subsystem that are not there, as data:
         pbonet fleet arm.sbs --json --connect tcp/10.0.0.2:7447

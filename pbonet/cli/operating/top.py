@@ -26,8 +26,8 @@ def command(
     """Show tasks, RTPUs and variables live: CPU, misses, ages, flags.
 
     Tab shows the next table, the arrows select a row, Enter explains it, s sorts by
-    the next column, r reverses, / filters, q ends. Elsewhere than on a terminal a table
-    is printed for each reading.
+    the next column, r reverses, / filters, q ends. If the output is no terminal,
+    a table is printed for each reading.
 
     Examples:
         Watch the tasks, those that miss most at the end:

@@ -20,7 +20,9 @@ def command(
     running: A[bool, Option("Ask the agents for their machines and devices.")] = False,
     machine: A[
         list[str] | None,
-        Option("Say on which machine an RTPU is; others are their own.", "RTPU=NAME"),
+        Option(
+            "The machine of an RTPU; without it, each has one of its own.", "RTPU=NAME"
+        ),
     ] = None,
     fix: A[list[str] | None, Option("A task that stays where it is.", "TASK")] = None,
     limit: A[
@@ -68,7 +70,7 @@ def command(
     place: options.ChangeTransaction,
     json_: options.Json = False,
 ) -> None:
-    """Assign the tasks of a job to RTPUs, and say what it gains.
+    """Assign the tasks of a job to RTPUs, and show the gain.
 
     Every assignment keeps all deadlines, by the test of 'pbonet check'. The cheapest
     one has the least of two costs: bytes that tasks read from other machines, and the

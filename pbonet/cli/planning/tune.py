@@ -18,18 +18,30 @@ def command(
     *,
     file: A[Path, Argument("The .job file.")],
     cost: A[
-        str, Option("The error, such as 'rms(Q_REF - Q_MEZ)'; as the job says.", "COST")
+        str,
+        Option(
+            "The error, such as 'rms(Q_REF - Q_MEZ)'; that of the job if left out.",
+            "COST",
+        ),
     ] = "",
     task: A[
         list[str] | None,
-        Option("A task whose rate is chosen; all that are not CRITICAL.", "TASK"),
+        Option(
+            "A task whose rate is chosen; all that are not CRITICAL if left out.",
+            "TASK",
+        ),
     ] = None,
     keep: A[
         list[str] | None, Option("A task whose rate stays as it is.", "TASK")
     ] = None,
     factor: A[
         list[float] | None,
-        Option("A rate of the grid, in rates of now.", "FACTOR", least=0.01, most=100),
+        Option(
+            "A rate of the grid, as a multiple of the present one.",
+            "FACTOR",
+            least=0.01,
+            most=100,
+        ),
     ] = None,
     seconds: A[float, Option("Virtual time of each run.", "SECONDS", least=0.1)] = 5.0,
     settle: A[
@@ -67,7 +79,7 @@ def command(
     the schedule. The error is fitted over the periods; the rates with the least error
     within the load are run, too, and the best run is proposed.
 
-    Modules must not depend on devices; what a simulation has not, it cannot tune.
+    Modules must not depend on devices; what is not simulated cannot be tuned.
 
     Examples:
         Choose rates for the error that the job's COST line names:

@@ -428,7 +428,7 @@ COMMANDS: Final = (
             Arg(
                 "task",
                 Kind.TASK,
-                "only these tasks, with commas",
+                "only these tasks, separated by commas",
                 Use.NAMED,
                 commas=True,
             ),
@@ -448,11 +448,18 @@ COMMANDS: Final = (
             Arg(
                 "rtpu",
                 Kind.RTPU,
-                "RTPU (executor); as the .rmod says",
+                "RTPU (executor); that of the .rmod if left out",
                 Use.MAYBE,
             ),
-            Arg("hz", Kind.NUMBER, "frequency in place of the .rmod's", Use.MAYBE),
-            Arg("keep", Kind.FLAG, "leave one that is the same as it is", Use.NAMED),
+            Arg(
+                "hz", Kind.NUMBER, "frequency; that of the .rmod if left out", Use.MAYBE
+            ),
+            Arg(
+                "keep",
+                Kind.FLAG,
+                "keep a task that is there with the same settings",
+                Use.NAMED,
+            ),
         ),
         changes=True,
         examples=(
@@ -478,7 +485,7 @@ COMMANDS: Final = (
         "Show the state and the timing of tasks.",
         (
             Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),
-            Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
+            Arg("fields", Kind.FIELD, "columns, separated by commas", Use.NAMED),
             Arg("reset", Kind.FLAG, "then restart minC, maxC, minU, maxU", Use.NAMED),
         ),
         examples=(
@@ -501,11 +508,21 @@ COMMANDS: Final = (
     ),
     Command(
         "swap",
-        "Replace tasks by others between two cycles; the old stay, OFF.",
+        "Replace tasks by others between two cycles; the old ones stay, OFF.",
         (
-            Arg("old", Kind.TASK, "the tasks to replace, with commas", commas=True),
-            Arg("new", Kind.RMOD, "tasks or .rmods, with commas", commas=True),
-            Arg("rtpu", Kind.RTPU, "of new tasks; as the old", Use.NAMED),
+            Arg(
+                "old",
+                Kind.TASK,
+                "the tasks to replace, separated by commas",
+                commas=True,
+            ),
+            Arg("new", Kind.RMOD, "tasks or .rmods, separated by commas", commas=True),
+            Arg(
+                "rtpu",
+                Kind.RTPU,
+                "the RTPU of new tasks; that of the old ones if left out",
+                Use.NAMED,
+            ),
             _DRY,
         ),
         changes=True,

@@ -159,9 +159,9 @@ struct rt_state {
     int64_t wait_mark;                  /* CPU clock then; -1: not read yet */
     uint32_t wait_events;               /* `post.events` at that time */
     uint8_t wait_main;                  /* the clock is that of the main thread alone */
-    uint8_t flooded;                    /* a device's events come far too often */
-    uint32_t early;                     /* how many came early ... */
-    int64_t early_from_ns;              /* ... since then */
+    uint8_t flooded;                    /* events of a device or server come without end */
+    uint32_t early;                     /* how many of a device came early ... */
+    int64_t early_from_ns;              /* ... since then; of servers see rt_count_spent */
     int64_t left;                       /* of a server's capacity */
     int64_t event_ns;
     uint64_t failures[RT_FAILURES], overruns, held_off;

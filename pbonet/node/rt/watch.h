@@ -101,6 +101,21 @@ static inline void rt_fail(struct rt_table *t, int i, struct rt_state *s, int ki
     }
 }
 
+/* Count periods in a row in which a server uses up its capacity. If they last for
+ * RT_WAIT_SPAN times `hang`, and are at least three, events come without end: beyond its
+ * capacity the server then has no level, until a period in which some is left. */
+static inline void rt_count_spent(struct rt_state *s, int64_t now)
+{
+    int64_t since = now - s->early_from_ns;
+    if (s->early && since < s->period / 2)
+        return;
+    if (!s->early || since > 3 * s->period)
+        s->early = s->flooded = 0;
+    s->early++;
+    s->early_from_ns = now;
+    s->flooded |= s->early >= 3 && s->early * s->period >= RT_WAIT_SPAN * s->hang;
+}
+
 /* The reserve is used up. In a critical section the drop waits for the section's end. */
 static inline void rt_exhaust(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                               int locked)
@@ -114,7 +129,9 @@ static inline void rt_exhaust(struct rt_table *t, int i, struct rt_state *s, int
     } else if (!s->handling) {
         rt_set_rank(t, i, s, rt_contained(s));
     }
-    if (!rt_is_server(s))
+    if (rt_is_server(s))
+        rt_count_spent(s, now);
+    else
         rt_fail(t, i, s, RT_MAXEXEC, now, rt_runs(s));
 }
 
@@ -250,6 +267,8 @@ static inline void rt_refill(struct rt_table *t, int i, struct rt_state *s, int6
 {
     int64_t before = s->left;
     if (s->kind == RT_DEFERRABLE) {
+        if (!s->spent)
+            s->early = s->flooded = 0;
         s->left = s->maxc + (s->left < 0 ? s->left : 0);
         s->next_ns = (now / s->period + 1) * s->period;
         s->dl_ns = s->next_ns;

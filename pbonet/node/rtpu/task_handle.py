@@ -271,14 +271,14 @@ class Task:
             TaskDiedError: The task ended.
             PbonetError: What the task answered.
         """
-        loop = asyncio.get_running_loop()
-        begun, core_wait = loop.time(), self.child.core_wait()
+        clock = asyncio.get_running_loop().time
+        begun, core_wait = clock(), self.child.core_wait()
         waited = 0.0
         remaining = left
         while remaining > 0 and not answer.done():
             await asyncio.wait({answer}, timeout=remaining)
             waited = min(core_wait.seconds(), extra)
-            remaining = left + waited - (loop.time() - begun)
+            remaining = left + waited - (clock() - begun)
         if not answer.done():  # it may have come while this process did not run
             raise self._too_late(what, left if of is None else of, waited)
         done = answer.result()

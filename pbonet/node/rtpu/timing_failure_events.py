@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pbonet.analysis.schedule import Kind
 from pbonet.errors import Severity
 from pbonet.node.rt import KINDS
 
@@ -49,7 +50,7 @@ class TimingFailureEvents:
         hung: set[tuple[str, str, int, int]] = set()
         for task, slot in tasks:
             key = (task.facts.subsystem, task.name, slot.pid)
-            if slot.hung:
+            if slot.hung or slot.flooded:
                 hung.add(cycle := (*key, -1 if slot.flooded else slot.cycles))
                 if cycle not in self._hung:
                     self._report_hung(task, slot)
@@ -80,13 +81,23 @@ class TimingFailureEvents:
         )
 
     def _report_flood(self, task: Task, slot: SlotStatus) -> None:
-        """Report events without end."""
+        """Report events without end, of a device or a server."""
+        if slot.kind is Kind.SYNCHRONOUS:
+            text = (
+                "returns more than ten times as often as declared "
+                f"({1e9 / slot.period_ns:g} Hz); until it does not, all other tasks go "
+                "first; let it wait for an event"
+            )
+        else:
+            text = (
+                "returns so often that the capacity is used up in every period; beyond "
+                "it all other tasks go first, until some is left; let it wait for an "
+                "event, declare more"
+            )
         self._events.add(
             Severity.ERROR,
             "HANGS",
-            f"`sync` of module {task.facts.rmod.module} returns more than ten times as "
-            f"often as declared ({1e9 / slot.period_ns:g} Hz); until it does not, all "
-            f"other tasks go first; let it wait for an event, or kill {task.name}",
+            f"`sync` of module {task.facts.rmod.module} {text}, or kill {task.name}",
             subsystem=task.facts.subsystem,
             task=task.name,
             cycle=slot.cycles - slot.on_cycles,

@@ -583,6 +583,33 @@ def test_a_sync_that_computes_or_does_not_wait_blocks_nobody(
     assert not arm.events("FORCED", "bad")
 
 
+@pytest.mark.parametrize(
+    ("scheduler", "kind", "crit"),
+    [("MUF", "deferrable", 2), ("EDF", "sporadic", None), ("RM", "deferrable", None)],
+)
+def test_events_without_end_get_no_more_than_a_server_s_capacity(
+    nodes, scheduler, kind, crit
+):
+    """Less critical tasks and commands to them go before what is beyond it."""
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", scheduler=scheduler)
+    arm.spawn("good", "counts", out="Y7", freq=10.0, crit=crit)
+    text = rmod("never_waits", freq=20.0).replace("periodic", kind)
+    text = text.replace("FREQ 20\n", "FREQ 20\nCAPACITY 0.004\n")
+    arm.spawn("bad", "never_waits", text=text)
+    arm.on("good")
+    arm.on("bad")
+    assert "capacity is used up in every period" in arm.wait_event("HANGS", "bad").text
+    arm.wait_cycles("good", 20)
+    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
+    arm.off("good")
+    arm.on("good")
+    assert arm.off("bad").state == "OFF"
+    arm.kill("bad")
+    assert not arm.events("FORCED", "bad")
+    assert len(arm.events("HANGS", "bad")) == 1
+
+
 @pytest.mark.parametrize("backend", ["auto", "park"])
 def test_a_cycle_that_waits_is_told_from_one_that_others_delay(nodes, backend):
     nodes.agent("arm0", backend=backend)

@@ -351,7 +351,7 @@ def test_help_covers_the_table(session):
         assert command.usage in shown
     one = render.text("help", session.execute("help spawn").data)
     assert "spawn RMOD [RTPU] [HZ]" in one
-    assert "frequency in place of the .rmod's" in one
+    assert "frequency; that of the .rmod if left out" in one
     assert "  spawn jttrace arm1 25 " in one
 
 
