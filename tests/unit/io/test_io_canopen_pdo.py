@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import can
 import pytest
-from device_rigs import Canopen, Node
+from device_rigs import DRIVE_OBJECTS as OBJECTS, GOAL, WORD, CanopenPdo
 from watching import wait_for
 
 from pbonet.errors import DeviceError
@@ -14,94 +14,15 @@ from pbonet.io import no_devices
 from pbonet.io.drivers import Mode, Wait, database, open_device
 from pbonet.outside import Player, Tape, using as recording
 
-STATUS, PLACE, SPEED, MODE = (0x6041, 0), (0x6064, 0), (0x606C, 0), (0x6061, 0)
-WORD, GOAL = (0x6040, 0), (0x607A, 0)
-SIZES = {STATUS: 2, PLACE: 4, SPEED: 4, MODE: 1, WORD: 2, GOAL: 4}
-"""Objects of a drive (CiA 402), and their bytes."""
-OBJECTS = [f"{at:04X}:{sub:02X}/{8 * size}" for (at, sub), size in SIZES.items()]
 INPUTS, OUTPUTS = (0, 3), (4, 5)
-
-
-class Drive(Node):
-    """Maps its objects into PDOs as it is told, and has them while operational."""
-
-    def __init__(self, number):
-        super().__init__(number)
-        self.objects |= {place: bytes(size) for place, size in SIZES.items()}
-        for k in range(4):
-            for kind in (0x1400, 0x1800):
-                self.objects |= {
-                    (kind + k, 1): bytes(4),
-                    (kind + k, 2): bytes(1),
-                    (kind + k, 5): bytes(2),
-                    (kind + 0x200 + k, 0): bytes(1),
-                }
-                for i in range(1, 9):
-                    self.objects[kind + 0x200 + k, i] = bytes(4)
-        self.heard = can.Bus("bus of a test", interface="virtual")
-
-    def close(self):
-        super().close()
-        self.heard.shutdown()
-
-    def number_at(self, at, sub):
-        return int.from_bytes(self.objects[at, sub], "little")
-
-    def _answer(self, data):
-        if data[1:3] in {b"\0\x16", b"\0\x1a"} and data[0] != 0x40:
-            assert self.commands[-1][0] == 0x80, "only a node that stands is mapped"
-        return super()._answer(data)
-
-    def pdos(self, kind):
-        """Return identity and objects of each PDO that exists."""
-        for k in range(4):
-            identity = self.number_at(kind + k, 1)
-            count = self.number_at(kind + 0x200 + k, 0)
-            if identity and not identity >> 31:
-                rows = [
-                    self.number_at(kind + 0x200 + k, i) for i in range(1, count + 1)
-                ]
-                yield identity, [(row >> 16, row >> 8 & 0xFF) for row in rows]
-
-    def tell(self):
-        """Send what is mapped to be sent, when it is operational."""
-        self.must_be_operational()
-        for identity, places in self.pdos(0x1800):
-            data = b"".join(self.objects[place] for place in places)
-            one = can.Message(arbitration_id=identity, data=data, is_extended_id=False)
-            self.send(one)
-
-    def must_be_operational(self):
-        wait_for(lambda: self.commands and self.commands[-1][0] == 1, "operational")
-
-    def take(self):
-        """Take over what came for it since the last call."""
-        mapped = dict(self.pdos(0x1400))
-        while (one := self.heard.recv(0)) is not None:
-            rest = bytes(one.data)
-            for place in mapped.get(one.arbitration_id, ()):
-                self.objects[place] = rest[: SIZES[place]]
-                rest = rest[SIZES[place] :]
-
-    def put(self, **numbers):
-        for name, number in numbers.items():
-            place = globals()[name.upper()]
-            self.objects[place] = number.to_bytes(SIZES[place], "little", signed=True)
 
 
 @pytest.fixture
 def drive(monkeypatch, tmp_path):
     monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
-    monkeypatch.setattr("device_rigs.Node", Drive)
-    rig = Canopen(monkeypatch, tmp_path)
-    settings = {"objects": OBJECTS, "unit": 5, "timeout": 30.0, "interface": "virtual"}
-    entry = rig.entry(**settings)
-    made = type(entry)(driver="canopen_pdo", address=entry.address, settings=settings)
-    short = type(made)(
-        driver="canopen_pdo",
-        address=made.address,
-        settings=settings | {"timeout": 0.05},
-    )
+    rig = CanopenPdo(monkeypatch, tmp_path)
+    made = rig.entry(objects=OBJECTS)
+    short = rig.entry(objects=OBJECTS, timeout=0.05)
     with database.using({"drive": made, "short": short}, "arm0/moves"):
         yield rig.node
     rig.close()
