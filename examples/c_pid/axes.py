@@ -27,3 +27,8 @@ class Axes(PortBasedObject[Mass], module_class="robot interface"):
         """Integrate speed, then position."""
         self.qd += self.tau / self.params.inertia * dt
         self.q += self.qd * dt
+
+    def stable(self, dt: float) -> None:
+        """Brake, whatever the torque is."""
+        self.qd *= max(0.0, 1.0 - 20.0 * dt)
+        self.q += self.qd * dt
