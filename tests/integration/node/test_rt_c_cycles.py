@@ -61,26 +61,6 @@ def shared(tmp_path_factory):
 
 
 @pytest.fixture
-def core(tmp_path, monkeypatch):
-    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
-    core = _rt.CoreTable(1)
-    dispatcher = _rt.Dispatcher(core, "park")
-    dispatcher.start()
-    yield core
-    dispatcher.stop()
-    core.close()
-
-
-@pytest.fixture
-def slot(core):
-    i = core.alloc("r", "t")
-    core.configure(i, period_ns=2 * MS, crit=5)
-    slot = _rt.Slot(core, i)
-    yield slot
-    slot.disarm()
-
-
-@pytest.fixture
 def svar(core):  # noqa: ARG001 - it sets the folder
     variables = [Variable(name=name, type="double", nelem=2) for name in ("IN", "OUT")]
     table = Table.create("rtcycles", variables)

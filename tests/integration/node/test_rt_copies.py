@@ -27,26 +27,6 @@ MS = 1_000_000
 
 
 @pytest.fixture
-def core(tmp_path, monkeypatch):
-    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
-    core = _rt.CoreTable(1)
-    dispatcher = _rt.Dispatcher(core, "park")
-    dispatcher.start()
-    yield core
-    dispatcher.stop()
-    core.close()
-
-
-@pytest.fixture
-def slot(core):
-    i = core.alloc("r", "t")
-    core.configure(i, period_ns=2 * MS, crit=5)
-    slot = _rt.Slot(core, i)
-    yield slot
-    slot.disarm()
-
-
-@pytest.fixture
 def svar(core):  # noqa: ARG001 - it sets the folder
     table = Table.create(
         "rtcopies",
