@@ -18,7 +18,6 @@ import json
 import os
 import random
 import signal
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -244,11 +243,9 @@ def main() -> None:
         missing = f"  ({len(values) - len(seen)} without)" * (len(seen) < len(values))
         print(f"  {key:32} {p50:8.2f} {p90:8.2f} {seen.max():8.2f}{missing}")
     lines = goals(found)
-    print("\n".join(lines))
     if args.json:
         args.json.write_text(json.dumps(found.tolist()), encoding="utf-8")
-    if any("NOT met" in line for line in lines):
-        sys.exit(3)  # see run.py
+    rtbench.judge(lines)
 
 
 if __name__ == "__main__":

@@ -29,14 +29,12 @@ import resource
 import secrets
 import socket
 import statistics
-import sys
 import time
 import timeit
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from benchmarks import posixmq
-from benchmarks.rtbench import machine
+from benchmarks import posixmq, rtbench
 from pbonet import xm
 
 if TYPE_CHECKING:
@@ -227,7 +225,7 @@ def report(
         "",
         f"    python -m benchmarks.ipc --rounds {rounds}",
         "",
-        f"{machine()}; median of {rounds} rounds, nanoseconds, from Python.",
+        f"{rtbench.machine()}; median of {rounds} rounds, nanoseconds, from Python.",
         "",
         "| case | contestant | ns | ± |",
         "|---|---|---|---|",
@@ -255,11 +253,7 @@ def main() -> None:
     parser.add_argument("--markdown", type=Path, help="also write the table there")
     options = parser.parse_args()
     lines = report(run(options.rounds), options.rounds, waiting())
-    print("\n".join(lines))
-    if options.markdown:
-        options.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    if any("NOT met" in line for line in lines):
-        sys.exit(3)  # see run.py
+    rtbench.judge(lines, options.markdown)
 
 
 if __name__ == "__main__":

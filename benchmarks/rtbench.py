@@ -194,9 +194,16 @@ def verdict(what: str, got: float, most: float) -> str:
     return f"- {what} at most {most:g}: {got:.3g}, **{met}**"
 
 
-def judge(lines: Iterable[str]) -> None:
-    """Print the verdicts; end with status 3 when a goal is missed (see run.py)."""
+def judge(lines: Iterable[str], markdown: Path | None = None) -> None:
+    """Print lines with verdicts; end with status 3 when a goal is missed (see run.py).
+
+    Args:
+        lines: What is printed.
+        markdown: A file that gets the same.
+    """
     lines = list(lines)
     print("\n".join(lines))
+    if markdown is not None:
+        markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
     if any("NOT met" in line for line in lines):
         sys.exit(3)

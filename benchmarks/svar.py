@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from benchmarks import rtbench
 from pbonet.config.model import Variable
 from pbonet.svar import Freshness, Table
 
@@ -329,11 +330,7 @@ def main() -> None:
     options = parser.parse_args()
     results = run(options.rounds)
     lines = report(results, options.rounds)
-    print("\n".join(lines))
-    if options.markdown:
-        options.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    if any("NOT met" in line for line in lines):
-        sys.exit(3)  # see run.py
+    rtbench.judge(lines, options.markdown)
 
 
 if __name__ == "__main__":
