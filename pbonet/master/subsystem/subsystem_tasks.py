@@ -6,7 +6,7 @@ that the next verification uses the real state, not the requested one.
 
 from __future__ import annotations
 
-import secrets
+import os
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
@@ -621,7 +621,7 @@ class SubsystemTasks:
             return list(items)
         gone = {task for tasks in lost.values() for task in tasks}
         self.standbys.inform([(task, "off") for task in gone], ready=False)
-        stop_id = secrets.token_hex(8)
+        stop_id = os.urandom(8).hex()
         taken, errors = self.clients.each(
             lambda _: m.Replaced(stop_id=stop_id, tasks=lost, timeout=STOP_TIME),
             m.Stopped,
@@ -778,7 +778,7 @@ class SubsystemTasks:
             The results, the errors, and the tasks that may still be ON, by RTPU.
         """
         request = m.Stop(
-            timeout=STOP_TIME, order=self.order_of_off(), stop_id=secrets.token_hex(8)
+            timeout=STOP_TIME, order=self.order_of_off(), stop_id=os.urandom(8).hex()
         )
         results, errors = self.clients.each(
             lambda _: request, m.Stopped, timeout=STOP_TIME + rpc.ANSWER_TIME
