@@ -102,7 +102,8 @@ def cycle_cost(
         ring = rt.Ring.create(f"bench.rec.{way}", 1 << 20, about)
 
     def body(end: rt.Slot) -> None:
-        end.run(lambda _dt: None, tables.local(0), ring=ring)
+        own = None if ring is None else rt.Ring.attach(ring.name)
+        end.run(lambda _dt: None, tables.local(0), ring=own)
 
     pid = rtbench.start_task(core, slot, body)
     rtbench.wait_for(lambda: core.snapshot(slot).cycles > 200, "cycles", 10.0)
@@ -145,19 +146,21 @@ def _dispatched(core_number: int) -> Generator[rt.CoreTable]:
         core.close()
 
 
-def _walk(table: Table, number: int, ring: rt.Ring, walk: NDArray[np.float64]) -> Any:  # noqa: ANN401 - what a process does
+def _walk(table: str, number: int, ring: str, walk: NDArray[np.float64]) -> Any:  # noqa: ANN401 - what a process does
     """Return what a task does that reads the one before it and walks at random."""
 
     def body(end: rt.Slot) -> None:
         names = [f"Y{(number - 1) % TASKS}"], [f"Y{number}"]
-        local = table.local(f"t{number}", os.getpid(), invar=names[0], outvar=names[1])
+        local = Table.attach(table).local(  # a fork has none of the memory
+            f"t{number}", os.getpid(), invar=names[0], outvar=names[1]
+        )
         local.claim()
         out, steps = local.array(f"Y{number}"), iter(range(1 << 62))
 
         def cycle(_dt: float) -> None:
             out[:] = walk[next(steps) % len(walk)]
 
-        end.run(cycle, local, ring=ring)
+        end.run(cycle, local, ring=rt.Ring.attach(ring))
 
     return body
 
@@ -184,7 +187,7 @@ def recorder(core_number: int, seconds: float) -> dict[str, float]:
                 for k, ring in enumerate(rings):
                     slot = core.alloc("bench/r0", f"rec/t{k}")
                     core.configure(slot, period_ns=PERIOD, crit=5)
-                    body = _walk(table, k, ring, walks[k])
+                    body = _walk(table.name, k, ring.name, walks[k])
                     running.append((slot, rtbench.start_task(core, slot, body)))
                 last = running[-1][0]
                 rtbench.wait_for(
