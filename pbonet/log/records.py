@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-FORMAT = 1
-"""The version of pbonet's log format."""
+FORMAT = 2
+"""The version of pbonet's log format: since 2 a message can have several cycles."""
 METADATA = "pbonet"
 """Name of the metadata record that describes the run."""
 CHECKSUM = "checksum"
