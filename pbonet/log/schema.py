@@ -22,7 +22,7 @@ from pbonet.svar import group_of, var_bytes
 
 from ._messages import Layout
 from .fields import field_name
-from .records import Step
+from .records import SPAN_NS, Step
 from .rows import Rows
 
 if TYPE_CHECKING:
@@ -55,8 +55,6 @@ EARLIER: Final[tuple[tuple[str, str, str], ...]] = (
     ("uint32", "cpu_ns", "CPU time"),
 )
 """Type, name and description of the first fields of an earlier cycle."""
-SPAN_NS: Final = 100_000_000
-"""The most nanoseconds between the ends of the cycles in a message."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
 HELD: Final = 1 << 30

@@ -69,6 +69,8 @@ def in_a_row(task, variables, pick) -> bytes:
         heard = pick.randbytes(n % 5) if task != "row" else b""
         data = filled(variables, pick)
         parts.append(record(data, pairs, inputs, heard, **head | {"cpu_ns": last}))
+        if n == 90:
+            parts.append(record(b"{}", kind=Step.DID, end_ns=head["end_ns"]))
     return b"".join(parts)
 
 
@@ -125,8 +127,7 @@ def test_every_channel_is_decoded_by_its_schema(path) -> None:
     mine = ours(Log(path))
     assert set(mine) == TOPICS
     assert {len(rows) for topic, rows in mine.items() if topic.count("/") == 1} == {
-        *(63, 149),
-        5,
+        *(63, 149, 5),
     }
     with path.open("rb") as file:
         statistics = make_reader(file).get_summary().statistics
