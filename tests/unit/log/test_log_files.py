@@ -133,7 +133,6 @@ def test_a_log_cut_anywhere_opens_up_to_its_last_whole_chunk(tmp_path) -> None:
         if whole_ones:
             kept = log.arrays("pid")
             expected = min(3000, 100 * whole_ones)
-            assert part.count >= expected
             assert kept["cycle"].tolist() == list(range(1, expected + 1))
         counts.add(whole_ones)
     assert len(counts) > 20, "the places were all alike"
@@ -173,7 +172,7 @@ def test_a_file_that_was_hardly_begun_keeps_nobody_from_the_others(tmp_path) -> 
         assert len(log.arrays("pid")["cycle"]) == 200
         files = text.info(log)["files"]
         assert sorted(file["complete"] for file in files) == [False, True]
-        assert merge([tmp_path], tmp_path / f"{size}.out").messages == 201
+        assert merge([tmp_path], tmp_path / f"{size}.out").messages == 3
 
 
 def test_what_was_cut_is_recovered_for_everybody(tmp_path) -> None:
@@ -216,7 +215,7 @@ def test_logs_of_one_run_are_read_as_one_and_merged_by_time(tmp_path) -> None:
     assert both.tasks == ["a", "b", "c"]
     count = merge([tmp_path / "r"], tmp_path / "one.mcap").messages
     one = Log(tmp_path / "one.mcap")
-    assert count == one.parts[0].count == 3 * 500 + 2
+    assert count == one.parts[0].count == 3 * 5 + 2, "a message for 100 cycles"
     assert len(one.events()) == 2
     for task in both.tasks:
         assert np.array_equal(one.arrays(task)["Y"], both.arrays(task)["Y"])
