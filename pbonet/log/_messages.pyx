@@ -234,7 +234,7 @@ cdef class Layout:
         cdef uint32_t i, count = 0
         cdef int64_t made
         cdef bint implied
-        if size < CDR or not take(base, &at, n, &last):
+        if size < CDR or not take(base, &at, n, &last, True):
             return 0
         at = up(at, 4)
         if at + 4 <= n:     # older logs end before
@@ -243,7 +243,7 @@ cdef class Layout:
         for i in range(count):
             begin = up(at, 8)
             at = begin + self.earlier
-            if not take(base, &at, n, &rest):
+            if not take(base, &at, n, &rest, False):
                 return 0
             if not rest.n_consumed:
                 rest.consumed, rest.n_consumed = last.consumed, last.n_consumed
@@ -366,14 +366,15 @@ cdef bint follows(const ring_record *one, const ring_record *r) noexcept nogil:
             near(one.start_ns - one.release_ns) and near(one.end_ns - one.start_ns))
 
 
-cdef bint take(const char *base, uint64_t *at, uint64_t n, sequences *found) noexcept nogil:
+cdef bint take(const char *base, uint64_t *at, uint64_t n, sequences *found,
+               bint last) noexcept nogil:
     """Find the sequences at a place, and move it behind them; 0 when they are not all there."""
     if not bytes_at(base, at, n, &found.consumed, &found.n_consumed):
         return 0
     if not bytes_at(base, at, n, &found.inputs, &found.n_inputs):
         return 0
     at[0] = up(at[0], 4)
-    if at[0] >= n:      # as in older logs
+    if last and at[0] >= n:     # the oldest logs have no input from outside
         found.heard, found.n_heard = base, 0
         return 1
     return bytes_at(base, at, n, &found.heard, &found.n_heard)

@@ -86,6 +86,11 @@ class TaskLife:
         """Messages of cycles, claims and other commits."""
         return Rows.joined([self._cycles(*one) for one in self._pieces])
 
+    @cached_property
+    def groups(self) -> list[bytes]:
+        """The group of out-vars of each of `commits`, in the format of a table."""
+        return self.schema.groups(self.commits)
+
     def _cycles(self, part: Part, keys: tuple[int, ...]) -> Rows:
         return self.schema.cycles(part.rows(keys[0]))
 

@@ -109,7 +109,8 @@ class TaskSchema:
             for one, place in self._groups()
         ]
         blanks = self._blanks.get(Step.CYCLE, [])
-        self.layout = Layout(_joined(pieces), blanks, end, earlier_end)
+        self._pieces = _joined(pieces)
+        self.layout = Layout(self._pieces, blanks, end, earlier_end)
         self.prefix = len(CDR) + end
         """Size of a message before its byte sequences."""
 
@@ -239,15 +240,25 @@ class TaskSchema:
         return bytes(out)
 
     def group(self, message: bytes) -> bytes:
-        """Return the group of out-vars of a message, in the format of a table.
+        """Return the group of out-vars of a cycle, in the format of a table.
 
         Variables that are not recorded are 0.
         """
         out = bytearray(self._group.bytes)
-        for variable, place, to in self._fields:
-            size, first = _bytes_of(variable), len(CDR) + to
+        for place, size, last, _ in self._pieces:
+            first = len(CDR) + last
             out[place : place + size] = message[first : first + size]
         return bytes(out)
+
+    def groups(self, cycles: Rows) -> list[bytes]:
+        """Return the group of out-vars of each cycle, as `group` does of one."""
+        rows, size = cycles.firsts(self.prefix), self._group.bytes
+        out = np.zeros((len(cycles), size), np.uint8)
+        for place, count, last, _ in self._pieces:
+            first = len(CDR) + last
+            out[:, place : place + count] = rows[:, first : first + count]
+        text = out.tobytes()
+        return [text[at : at + size] for at in range(0, len(cycles) * size, size or 1)]
 
     def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
         """Return pairs, inputs and inputs from outside of a message, as bytes."""
