@@ -145,7 +145,7 @@ class Run:
         self._groups = [
             next(groups) if kind_of(one) in COMMITS else b"" for one in self._records
         ]
-        """What was committed, by record."""
+        """The group of each record that is a commit."""
         self._at = 0
         self._verdict = verdict
         self._rtol = rtol
