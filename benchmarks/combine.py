@@ -20,6 +20,7 @@ import statistics
 import tempfile
 import time
 from bisect import bisect_left, bisect_right
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -155,7 +156,7 @@ def chained(folder: Path, count: int) -> Callable[[float], None]:
     for k, name in enumerate(names):
         (folder / f"{name}.py").write_text(_PART, encoding="utf-8")
         own = f"MODULE {name}\nDESC nothing\nSVARALIAS X=V{k}\nSVARALIAS Y=V{k + 1}\n"
-        own += f"INCONST none\nOUTCONST none\nINVAR X\nOUTVAR Y\n"
+        own += "INCONST none\nOUTCONST none\nINVAR X\nOUTVAR Y\n"
         own += "TASKTYPE periodic\nFREQ 100\nEOF\n"
         (folder / f"{name}.rmod").write_text(own, encoding="utf-8")
     whole = folder / f"whole{count}.rmod"
@@ -166,7 +167,7 @@ def chained(folder: Path, count: int) -> Callable[[float], None]:
     )
     bench = Bench.of(whole, library=[folder])
     bench.on()
-    return type(bench.module).cycle.__get__(bench.module)
+    return partial(type(bench.module).cycle, bench.module)  # the bench's notes it
 
 
 def part_costs(blocks: int) -> dict[str, list[float]]:

@@ -1,11 +1,12 @@
 """Steps of an arm with friction and end stops."""
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+Floats: TypeAlias = NDArray[np.float64]
 
 def solve_with_friction(
     matrix: Floats,

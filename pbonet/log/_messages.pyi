@@ -1,7 +1,5 @@
 """Makes messages of the records of a ring, and single cycles of messages."""
 
-from collections.abc import Buffer
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +23,7 @@ class Layout:
         /,
     ) -> None: ...
     def fold(
-        self, records: bytes | memoryview, span_ns: int, /
+        self, records: bytes, span_ns: int, /
     ) -> list[tuple[int, int, int, int, bytes]]:
         """Return the messages of records as they came from a ring.
 

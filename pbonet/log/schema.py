@@ -135,8 +135,9 @@ class TaskSchema:
     def text(self) -> str:
         """Return the ``ros2msg`` definition."""
         variables = [
-            f"{_ros_type(v)} {field_name(v.name)}  # {v.name} [{v.units}] {_line(v.desc)}"
+            f"{_ros_type(v)} {field_name(v.name)}  # {told}"
             for v in self._shown
+            for told in [f"{v.name} [{v.units}] {_line(v.desc)}"]
         ]
         rest = [
             "uint8[] inputs  # in-vars in the format of the table",
@@ -147,13 +148,14 @@ class TaskSchema:
             *variables,
             "uint8[] consumed  # pairs of register and number, as uint64",
             *rest,
-            f"{self.name}Before[] cycles_before  # the oldest first; what is not said of "
-            "one is as here, and cycle and number rise by 1",
+            f"{self.name}Before[] cycles_before  # the oldest first; what one does not "
+            "say is as here, and cycle and number rise by 1",
             "=" * 80,
             f"MSG: {self.name}Before",
             *(f"{kind} {name}  # {desc}" for kind, name, desc in EARLIER),
             *variables,
-            "uint8[] consumed  # none: as in the last cycle, each number less by 1 a cycle",
+            "uint8[] consumed  # none: as in the last cycle, each number less by 1 for "
+            "each cycle between",
             *rest,
             "",
         ])

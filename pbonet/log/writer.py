@@ -337,4 +337,3 @@ class LogWriter:
                 cast("Any", self._writer).finish()
         finally:
             self._stream.close()
-

@@ -77,7 +77,11 @@ def _cycles(row: dict[str, Any]) -> list[dict[str, Any]]:
     before = row.pop("cycles_before")
     found: list[dict[str, Any]] = []
     for back, one in zip(range(len(before), 0, -1), before, strict=True):
-        own = one if isinstance(one, dict) else {k: getattr(one, k) for k in one.__slots__}
+        own = (
+            one
+            if isinstance(one, dict)
+            else {k: getattr(one, k) for k in one.__slots__}
+        )
         start = own["release_ns"] + own["start_ns"]
         pairs = np.frombuffer(bytes(own["consumed"]), np.uint64).reshape(-1, 2)
         if not len(pairs):

@@ -120,7 +120,7 @@ def test_a_damaged_chunk_is_missing_from_its_first_cycle_on(tmp_path) -> None:
     assert lost.begin * 1e9 + first[0] <= 10_000 * (missing[0] - 1) or not lost.begin
 
 
-def test_messages_that_end_anywhere_are_no_cycles(tmp_path) -> None:
+def test_messages_that_end_anywhere_are_no_cycles() -> None:
     schema = TaskSchema(about("a", PLAIN))
     ((_, count, _, _, message),) = schema.encode(cycles(40))
     assert count == 40
