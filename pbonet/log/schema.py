@@ -260,7 +260,7 @@ class TaskSchema:
             first = len(CDR) + last
             out[:, place : place + count] = rows[:, first : first + count]
         text = out.tobytes()
-        return [text[at : at + size] for at in range(0, len(cycles) * size, size or 1)]
+        return [text[n * size : (n + 1) * size] for n in range(len(cycles))]
 
     def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
         """Return pairs, inputs and inputs from outside of a message, as bytes."""

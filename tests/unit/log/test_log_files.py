@@ -75,6 +75,7 @@ def test_values_of_every_type_come_back(tmp_path) -> None:
         )
         for row in rows
     ]
+    assert life.groups == [life.schema.group(one) for one in life.commits]
     assert life.schema.rest(life.commits[3]) == (
         np.array([7, 3, 8, 3], np.uint64).tobytes(),
         b"ininin",
@@ -83,6 +84,15 @@ def test_values_of_every_type_come_back(tmp_path) -> None:
     assert life.schema.rest(life.commits[2])[1:] == (b"inin", b"heard" * 2)
     assert life.schema.rest(life.commits[3])[1:] == (b"ininin", b"")
     assert life.schema.rest(life.commits[4])[1:] == (b"inininin", b"heard")
+
+
+def test_a_task_without_outputs_has_cycles_of_nothing(tmp_path) -> None:
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    one = record(cycle=1, number=1, end_ns=5)
+    writer.add(writer.add_task(about(outvar=[])), one + record(cycle=2, number=2))
+    writer.close()
+    (life,) = Log(tmp_path).lives("pid")
+    assert life.groups == [b"", b""]
 
 
 def test_channels_say_units_and_descriptions(tmp_path) -> None:
