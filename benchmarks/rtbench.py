@@ -10,6 +10,7 @@ import statistics
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -105,6 +106,8 @@ def start_task(core: rt.CoreTable, slot: int, body: Callable[[rt.Slot], None]) -
         body(end)
         end.disarm()
         status = 0
+    except BaseException:  # noqa: BLE001 - the process ends without Python's own report
+        traceback.print_exc()
     finally:
         sys.stderr.flush()
         os._exit(status)

@@ -28,6 +28,7 @@ from .rows import Rows as Rows
 from .scan import is_complete as is_complete
 from .schema import (
     CDR as CDR,
+    COMMITS as COMMITS,
     HEAD_DTYPE as HEAD_DTYPE,
     HELD as HELD,
     RECORD as RECORD,

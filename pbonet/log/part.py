@@ -21,6 +21,7 @@ from .records import (
     CHECKSUM,
     FORMAT,
     METADATA,
+    SPAN_NS,
     Attached,
     RunAbout,
     checksum_of,
@@ -317,10 +318,13 @@ class Part:
         ]
 
     def _span_of(self, number: int) -> tuple[int | None, int | None]:
-        """Return the time of a chunk, or that between its neighbours."""
+        """Return the time of a chunk, or that between its neighbours.
+
+        Its first message may have cycles that ended before its own time.
+        """
         chunk = self._chunks[number]
-        if chunk.first_ns is not None:
-            return chunk.first_ns, chunk.last_ns
+        if chunk.first_ns is not None and self.span_ns is not None:
+            return max(chunk.first_ns - SPAN_NS, self.span_ns[0]), chunk.last_ns
         before = [one.last_ns for one in self._chunks[:number]]
         after = [one.first_ns for one in self._chunks[number:]]
         return (

@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-FORMAT = 1
-"""The version of pbonet's log format."""
+FORMAT = 2
+"""The version of pbonet's log format: since 2 a message can have several cycles."""
+SPAN_NS = 100_000_000
+"""The most nanoseconds between the ends of the cycles in a message."""
 METADATA = "pbonet"
 """Name of the metadata record that describes the run."""
 CHECKSUM = "checksum"

@@ -1,10 +1,12 @@
-"""One message per cycle: ``ros2msg`` schemas, and CDR bytes encoded by hand.
+"""Messages of cycles: ``ros2msg`` schemas, and CDR bytes.
 
 A message begins with the fields of `HEAD`, as in a ring's record; then come the
 out-vars, then three byte sequences: the (register, number) pairs of the groups that
 were copied in, the in-vars if they do not follow from those, and the inputs from
-outside, which older logs lack.
-Foxglove, PlotJuggler and rerun can read this without a plug-in.
+outside. That is its last cycle. The cycles before it follow, with what does not follow
+from the last one: times, values and byte sequences.
+Foxglove, PlotJuggler and rerun can read this without a plug-in. Older logs have a
+message for each cycle, and the oldest no inputs from outside.
 """
 
 from __future__ import annotations
@@ -15,10 +17,13 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
+from pbonet.errors import LogError
 from pbonet.svar import group_of, var_bytes
 
+from ._messages import Layout
 from .fields import field_name
-from .records import Step
+from .records import SPAN_NS, Step
+from .rows import Rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,7 +31,6 @@ if TYPE_CHECKING:
     from pbonet.config import Variable
 
     from .records import TaskAbout
-    from .rows import Rows
 
 CDR: Final = bytes((0, 1, 0, 0))
 """Little endian."""
@@ -44,6 +48,13 @@ HEAD: Final[tuple[tuple[str, str, str], ...]] = (
     ("kind", "uint32", "pbonet.log.Step"),
 )
 HEAD_DTYPE: Final = np.dtype([(name, kind) for name, kind, _ in HEAD])
+EARLIER: Final[tuple[tuple[str, str, str], ...]] = (
+    ("int64", "release_ns", "release, CLOCK_MONOTONIC"),
+    ("int32", "start_ns", "first line of the method, after the release"),
+    ("int32", "end_ns", "after the commit, after the start"),
+    ("uint32", "cpu_ns", "CPU time"),
+)
+"""Type, name and description of the first fields of an earlier cycle."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
 HELD: Final = 1 << 30
@@ -53,8 +64,10 @@ SAFE: Final = 1 << 29
 RECORD: Final = struct.Struct("<IIIIII")
 """Size, pairs, bytes of out-vars, of inputs, of inputs from outside, and a spare."""
 _HEAD_BYTES: Final = HEAD_DTYPE.itemsize
+_EARLIER_BYTES: Final = sum(np.dtype(kind).itemsize for kind, _, _ in EARLIER)
 _LENGTH: Final = struct.Struct("<I")
-_TIMES: Final = struct.Struct("<qqq")
+COMMITS: Final = frozenset({Step.CYCLE, Step.CLAIM, Step.COMMIT})
+"""Kinds of records that are written to a task's channel of cycles."""
 _ROS: Final = {
     "f4": "float32",
     "f8": "float64",
@@ -87,19 +100,32 @@ class TaskSchema:
         self.about = about
         self._group = group_of(about.outvar, range(len(about.outvar)))
         self._shown = [v for v in about.outvar if v.name not in about.hidden]
-        self._fields: list[tuple[Variable, int, int]] = []
-        at, plain = _HEAD_BYTES, True
-        for variable, place in zip(about.outvar, self._group.at, strict=True):
-            if variable in self._shown:
-                at = _align(at, _unit(variable))
-                self._fields.append((variable, place, at))
-                plain = plain and at == _HEAD_BYTES + place
-                at += _bytes_of(variable)
-        self._end = _align(at, 4)
-        self._plain = plain and at == _HEAD_BYTES + self._group.bytes
+        last, end = self._places(_HEAD_BYTES)
+        earlier, earlier_end = self._places(_EARLIER_BYTES)
+        self._fields = [(one, place, last[one.name]) for one, place in self._groups()]
         self._blanks = _blanks(about)
-        self.prefix = len(CDR) + self._end
+        pieces = [
+            (place, _bytes_of(one), last[one.name], earlier[one.name])
+            for one, place in self._groups()
+        ]
+        blanks = self._blanks.get(Step.CYCLE, [])
+        self._pieces = _joined(pieces)
+        self.layout = Layout(self._pieces, blanks, end, earlier_end)
+        self.prefix = len(CDR) + end
         """Size of a message before its byte sequences."""
+
+    def _groups(self) -> list[tuple[Variable, int]]:
+        """Return the variables that are recorded, with their places in the group."""
+        pairs = zip(self.about.outvar, self._group.at, strict=True)
+        return [(one, place) for one, place in pairs if one in self._shown]
+
+    def _places(self, at: int) -> tuple[dict[str, int], int]:
+        """Return the variables' places in a cycle after some bytes, and its end."""
+        found: dict[str, int] = {}
+        for variable in self._shown:
+            found[variable.name] = at = _align(at, _unit(variable))
+            at += _bytes_of(variable)
+        return found, _align(at, 4)
 
     @property
     def name(self) -> str:
@@ -108,14 +134,31 @@ class TaskSchema:
 
     def text(self) -> str:
         """Return the ``ros2msg`` definition."""
-        lines = [f"{kind} {name}  # {desc}" for name, kind, desc in HEAD]
-        for v in self._shown:
-            told = f"{v.name} [{v.units}] {_line(v.desc)}"
-            lines.append(f"{_ros_type(v)} {field_name(v.name)}  # {told}")
-        lines += ["uint8[] consumed  # pairs of register and number, as uint64"]
-        lines += ["uint8[] inputs  # in-vars in the format of the table"]
-        lines += ["uint8[] heard  # inputs from outside; see pbonet.outside"]
-        return "\n".join([*lines, ""])
+        variables = [
+            f"{_ros_type(v)} {field_name(v.name)}  # {told}"
+            for v in self._shown
+            for told in [f"{v.name} [{v.units}] {_line(v.desc)}"]
+        ]
+        rest = [
+            "uint8[] inputs  # in-vars in the format of the table",
+            "uint8[] heard  # inputs from outside; see pbonet.outside",
+        ]
+        return "\n".join([
+            *(f"{kind} {name}  # {desc}" for name, kind, desc in HEAD),
+            *variables,
+            "uint8[] consumed  # pairs of register and number, as uint64",
+            *rest,
+            f"{self.name}Before[] cycles_before  # the oldest first; what one does not "
+            "say is as here, and cycle and number rise by 1",
+            "=" * 80,
+            f"MSG: {self.name}Before",
+            *(f"{kind} {name}  # {desc}" for kind, name, desc in EARLIER),
+            *variables,
+            "uint8[] consumed  # none: as in the last cycle, each number less by 1 for "
+            "each cycle between",
+            *rest,
+            "",
+        ])
 
     def metadata(self) -> dict[str, str]:
         """Return the metadata of the channel."""
@@ -136,27 +179,48 @@ class TaskSchema:
             "about": msgspec.json.encode(self.about).decode(),
         }
 
-    def encode(self, text: memoryview) -> bytes:
-        """Return the message for one record of a ring."""
-        _, n_consumed, n_bytes, n_inputs, n_heard, _ = RECORD.unpack_from(text)
-        head = RECORD.size + _HEAD_BYTES
-        data, pairs = head + n_bytes, head + n_bytes + 16 * n_consumed
-        inputs = pairs + n_inputs
-        gap = bytes(-n_inputs % 4)
-        return b"".join((
-            CDR,
-            text[RECORD.size : head],
-            self._variables(text[head:data]),
-            _LENGTH.pack(16 * n_consumed),
-            text[data:pairs],
-            _LENGTH.pack(n_inputs),
-            self._shown_of(Step.CYCLE, text[pairs:inputs]),
-            gap,
-            _LENGTH.pack(n_heard),
-            text[inputs : inputs + n_heard],
-        ))
+    def encode(self, records: bytes) -> list[tuple[int, int, int, int, bytes]]:
+        """Return the messages of a ring's records, in their order.
 
-    def encode_step(self, text: memoryview, kind: int) -> bytes:
+        Returns:
+            The kind of each, how many records it has, release and end of the last one,
+            and the message.
+
+        Raises:
+            NodeError: The records are damaged.
+        """
+        return [
+            (kind, count, release, end, data)
+            if kind in COMMITS
+            else (kind, count, release, end, self._encode_step(memoryview(data), kind))
+            for kind, count, release, end, data in self.layout.fold(records, SPAN_NS)
+        ]
+
+    def cycles(self, messages: Rows) -> Rows:
+        """Return the single cycles of messages, each as a message of its own.
+
+        Raises:
+            LogError: A message is shorter than its schema says.
+        """
+        found = self.layout.unfold(messages.data, messages.sizes)
+        if found is None:
+            raise LogError(
+                "a record is shorter than its channel's schema says",
+                expected="every field of each of its cycles",
+                got="a message that ends before",
+                remedy="the program that wrote this log is at fault",
+            )
+        data = found[0]
+        sizes, counts = (np.frombuffer(one, np.int64) for one in found[1:])
+        times = np.repeat(messages.times, counts)
+        rows = Rows(data, sizes, times, np.repeat(messages.places, counts))
+        if len(rows) != len(messages):
+            ends = heads(rows.firsts(self.prefix))["end_ns"]
+            last = np.repeat(np.cumsum(counts) - 1, counts)
+            rows.times = times + ends - ends[last]
+        return rows
+
+    def _encode_step(self, text: memoryview, kind: int) -> bytes:
         """Return the message for a record between cycles."""
         n_bytes = RECORD.unpack_from(text)[2]
         head = RECORD.size + _HEAD_BYTES
@@ -177,29 +241,26 @@ class TaskSchema:
             out[first : first + size] = bytes(len(out[first : first + size]))
         return bytes(out)
 
-    def _variables(self, data: memoryview) -> memoryview | bytes:
-        """Return the group in CDR encoding."""
-        if self._plain:
-            return data
-        out = bytearray(self._end - _HEAD_BYTES)
-        for variable, place, at in self._fields:
-            size, to = _bytes_of(variable), at - _HEAD_BYTES
-            out[to : to + size] = data[place : place + size]
-        return bytes(out)
-
     def group(self, message: bytes) -> bytes:
-        """Return the group of out-vars of a message, in the format of a table.
+        """Return the group of out-vars of a cycle, in the format of a table.
 
         Variables that are not recorded are 0.
         """
-        at = len(CDR) + _HEAD_BYTES
-        if self._plain:
-            return message[at : at + self._group.bytes]
         out = bytearray(self._group.bytes)
-        for variable, place, to in self._fields:
-            size, first = _bytes_of(variable), len(CDR) + to
+        for place, size, last, _ in self._pieces:
+            first = len(CDR) + last
             out[place : place + size] = message[first : first + size]
         return bytes(out)
+
+    def groups(self, cycles: Rows) -> list[bytes]:
+        """Return the group of out-vars of each cycle, as `group` does of one."""
+        rows, size = cycles.firsts(self.prefix), self._group.bytes
+        out = np.zeros((len(cycles), size), np.uint8)
+        for place, count, last, _ in self._pieces:
+            first = len(CDR) + last
+            out[:, place : place + count] = rows[:, first : first + count]
+        text = out.tobytes()
+        return [text[n * size : (n + 1) * size] for n in range(len(cycles))]
 
     def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
         """Return pairs, inputs and inputs from outside of a message, as bytes."""
@@ -248,18 +309,6 @@ def head(message: bytes) -> Any:  # noqa: ANN401 - numpy.void
     return np.frombuffer(message, HEAD_DTYPE, 1, len(CDR))[0]
 
 
-def record_size(text: memoryview, at: int) -> int:
-    """Return the size of the record at an offset."""
-    return int(_LENGTH.unpack_from(text, at)[0])
-
-
-def times(text: memoryview) -> tuple[int, int, int]:
-    """Return release, end, and kind of a ring's record."""
-    release, _, end = _TIMES.unpack_from(text, RECORD.size + 8)
-    kind = _LENGTH.unpack_from(text, RECORD.size + _HEAD_BYTES - 4)[0]
-    return release, end, kind
-
-
 def _sequences(message: bytes, at: int) -> tuple[bytes, bytes, bytes]:
     (size,) = _LENGTH.unpack_from(message, at)
     pairs = at + _LENGTH.size
@@ -268,7 +317,6 @@ def _sequences(message: bytes, at: int) -> tuple[bytes, bytes, bytes]:
     inputs = middle + _LENGTH.size
     end = inputs + size
     last = end + -size % _LENGTH.size + _LENGTH.size
-    # An older log ends after the inputs.
     return message[pairs:middle], message[inputs:end], message[last:]
 
 
@@ -288,6 +336,23 @@ def _blanks(about: TaskAbout) -> dict[int, list[tuple[int, int]]]:
             if variable.name in about.hidden:
                 found.setdefault(int(kind), []).append((at, var_bytes(variable)))
             at += var_bytes(variable)
+    return found
+
+
+def _joined(
+    pieces: list[tuple[int, int, int, int]],
+) -> list[tuple[int, int, int, int]]:
+    """Return pieces of memory, with those that follow one another everywhere as one."""
+    found: list[tuple[int, int, int, int]] = []
+    for piece in pieces:
+        place, size, last, earlier = piece
+        if found:
+            before = found[-1]
+            behind = tuple(at + before[1] for at in (before[0], *before[2:]))
+            if behind == (place, last, earlier):
+                found[-1] = (before[0], before[1] + size, *before[2:])
+                continue
+        found.append(piece)
     return found
 
 

@@ -26,12 +26,11 @@ from .records import (
     Attached,
     Origin,
     RunAbout,
-    Step,
     TaskAbout,
     checked,
     free_name,
 )
-from .schema import StepSchema, TaskSchema, record_size, times
+from .schema import COMMITS, StepSchema, TaskSchema
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -245,22 +244,15 @@ class LogWriter:
 
         Raises:
             OSError: No room is left.
+            NodeError: The records are damaged.
         """
-        one, text, at, count = self._tasks[task], memoryview(records), 0, 0
-        encode, same = one.schema.encode, one.epoch_ns
-        while at < len(text):
-            size = record_size(text, at)
-            record = text[at : at + size]
-            release, end, kind = times(record)
-            epoch = one.moves.one(end) if same is None else same
-            if kind in _COMMITS:
-                self._put(one.cycles, end + epoch, encode(record), release + epoch)
-            else:
-                step = one.schema.encode_step(record, kind)
-                self._put(one.steps, end + epoch, step, release + epoch)
-            at += size
-            count += 1
-        return count
+        one, total = self._tasks[task], 0
+        for kind, count, release, end, data in one.schema.encode(records):
+            epoch = one.moves.one(end) if one.epoch_ns is None else one.epoch_ns
+            channel = one.cycles if kind in COMMITS else one.steps
+            self._put(channel, end + epoch, data, release + epoch)
+            total += count
+        return total
 
     def add_event(self, event: dict[str, Any]) -> None:
         """Write an event, as a message that viewers list among logs.
@@ -345,6 +337,3 @@ class LogWriter:
                 cast("Any", self._writer).finish()
         finally:
             self._stream.close()
-
-
-_COMMITS: Final = frozenset({Step.CYCLE, Step.CLAIM, Step.COMMIT})

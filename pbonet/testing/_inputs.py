@@ -65,7 +65,7 @@ class Commits:
         if found is None:
             return None
         life, row = found
-        return life, life.schema.group(life.commits[row]), not life.about.hidden
+        return life, life.groups[row], not life.about.hidden
 
 
 class Inputs:

@@ -24,13 +24,12 @@ if TYPE_CHECKING:
 
 HEAD: Final = struct.Struct("<QqqqqQQQQII")
 DID: Final = msgspec.json.Decoder(Did)
-_KIND: Final = struct.Struct("<I")
-_KIND_AT: Final = len(CDR) + HEAD.size - _KIND.size
+_KIND_AT: Final = len(CDR) + HEAD.size - 4
 
 
 def kind_of(message: bytes) -> int:
     """Return the kind of a record."""
-    return int(_KIND.unpack_from(message, _KIND_AT)[0])
+    return message[_KIND_AT]  # little endian, and there are few
 
 
 def did(message: bytes) -> Did | None:

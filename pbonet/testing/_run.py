@@ -14,7 +14,7 @@ import numpy as np
 
 from pbonet.config import Library, Limit, parse_rmod
 from pbonet.errors import PbonetError, SvarOwnerError
-from pbonet.log import CDR, HELD, SAFE, STABLE, Step, StepSchema, size, unpack
+from pbonet.log import CDR, COMMITS, HELD, SAFE, STABLE, Step, StepSchema, size, unpack
 from pbonet.node.task import RAISED, Executor, check_ports, files_of, set_param
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
 from pbonet.pbo import PythonWatch, bind, decode_params
@@ -141,6 +141,11 @@ class Run:
         self._doubt = ""
         """Why the module may have another state than it had then."""
         self._records = self._listen(life)
+        groups = iter(life.groups)
+        self._groups = [
+            next(groups) if kind_of(one) in COMMITS else b"" for one in self._records
+        ]
+        """The group of each record that is a commit."""
         self._at = 0
         self._verdict = verdict
         self._rtol = rtol
@@ -168,10 +173,16 @@ class Run:
         rest: list[bytes] = []
         began = 0
         heard: bytes = b""
+        gaps = set(life.gaps)
         for place, one in enumerate(life.records):
-            if place in life.gaps:
+            if place in gaps:
                 self._gaps.add(len(rest))
-            if kind_of(one) == Step.HEARD:
+            kind = kind_of(one)
+            if kind == Step.CYCLE and not heard:
+                rest.append(one)
+                began = len(rest)
+                continue
+            if kind == Step.HEARD:
                 self._take_answers(heard, began)
                 heard = StepSchema.data(one)
                 continue
@@ -182,7 +193,7 @@ class Run:
                 self._take_answers(heard, began)
             heard = b""
             rest.append(one)
-            if kind_of(one) in {Step.CYCLE, Step.SYNC}:
+            if kind in {Step.CYCLE, Step.SYNC}:
                 began = len(rest)
             elif done is not None and done.what != "refused":
                 began = len(rest) - 1
@@ -309,7 +320,7 @@ class Run:
         self._check_gap(head)
         if head[10] == Step.CYCLE:
             self._at += 1
-            self._run_cycle(message, head)
+            self._run_cycle(message, head, self._groups[self._at - 1])
         elif head[10] == Step.DID:
             self._at += 1
             self._now = head[1]
@@ -343,7 +354,9 @@ class Run:
         self._verdict.missing = True
         self._doubt = why
 
-    def _run_cycle(self, message: bytes, head: tuple[int, ...]) -> None:
+    def _run_cycle(
+        self, message: bytes, head: tuple[int, ...], recorded: bytes
+    ) -> None:
         number, release, _, _, dt, _, register, commit, _, flags, _ = head
         self._cycle, self._where, self._key = number, "cycle", (register, commit)
         consumed, inputs, heard = self._schema.rest(message)
@@ -363,7 +376,7 @@ class Run:
         self._source.cyclecount += 1
         if self._limited:
             self.limit(self._limited)
-        recorded, made = self._schema.group(message), self.group.tobytes()
+        made = self.group.tobytes()
         self._verdict.cycles += self.compare(self.about.outvar, recorded, made)
         self._verdict.seconds += dt * 1e-9
 
@@ -442,7 +455,7 @@ class Run:
         self._at += 1
         if kind in {Step.CLAIM, Step.COMMIT}:
             self._key = (head[6], head[7])
-            return self._schema.group(message)
+            return self._groups[self._at - 1]
         self._key = (0, 0)
         return StepSchema.data(message)
 
@@ -487,6 +500,8 @@ class Run:
         Raises:
             Stop: They are not.
         """
+        if recorded == made:
+            return True
         found = self.differ(variables, recorded, made)
         if found is not None and not self._doubt:
             self._verdict.divergence = found

@@ -66,8 +66,37 @@ def by_mcap(path) -> Channels:
             assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
             decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
             one = decode(message.data)
-            found[channel.topic].append({k: getattr(one, k) for k in one.__slots__})
+            found[channel.topic] += _cycles({k: getattr(one, k) for k in one.__slots__})
     return found
+
+
+def _cycles(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the cycles of a message, by what its schema says of those before."""
+    if "cycles_before" not in row:
+        return [row]
+    before = row.pop("cycles_before")
+    found: list[dict[str, Any]] = []
+    for back, one in zip(range(len(before), 0, -1), before, strict=True):
+        own = (
+            one
+            if isinstance(one, dict)
+            else {k: getattr(one, k) for k in one.__slots__}
+        )
+        start = own["release_ns"] + own["start_ns"]
+        pairs = np.frombuffer(bytes(own["consumed"]), np.uint64).reshape(-1, 2)
+        if not len(pairs):
+            pairs = np.frombuffer(bytes(row["consumed"]), np.uint64).reshape(-1, 2)
+            pairs = pairs - np.array([0, back], np.uint64)
+        found.append({
+            **row,
+            **own,
+            "cycle": row["cycle"] - back,
+            "number": row["number"] - back,
+            "start_ns": start,
+            "end_ns": start + own["end_ns"],
+            "consumed": pairs.tobytes(),
+        })
+    return [*found, row]
 
 
 def by_rerun(path) -> Channels:
@@ -88,7 +117,9 @@ def by_rerun(path) -> Channels:
         (name,) = names or ["McapMessage:data"]
         values = [value for (value,) in batch.column(name).to_pylist()]
         rows = [json.loads(bytes(value)) for value in values] if raw else values
-        found.setdefault(topic, []).extend(rows)
+        found.setdefault(topic, []).extend(
+            cycle for row in rows for cycle in _cycles(row)
+        )
     return found
 
 

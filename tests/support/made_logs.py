@@ -74,8 +74,9 @@ def cycles(count, variables=PLAIN, seed=1, since=0) -> bytes:
     pick, parts = random.Random(seed), []
     for n in range(since, since + count):
         data, _ = group(variables, pick)
-        at = 10_000 * n
-        parts.append(record(data, cycle=n + 1, release_ns=at, start_ns=at, end_ns=at))
+        at, number = 10_000 * n, n + 1
+        times = {"release_ns": at, "start_ns": at, "end_ns": at}
+        parts.append(record(data, cycle=number, number=number, register=1, **times))
     return b"".join(parts)
 
 

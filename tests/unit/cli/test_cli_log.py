@@ -239,7 +239,11 @@ def test_the_newest_run_is_taken_where_none_is_named(call, runs) -> None:
 def test_what_cannot_be_read_is_told_by_every_verb(call, tmp_path, words) -> None:
     verb, *more = words
     for name, run_, wanted in (
-        ("newer", run(format=2, pbonet="9.1"), "the log was written by a newer pbonet"),
+        (
+            "newer",
+            run(format=99, pbonet="9.1"),
+            "the log was written by a newer pbonet",
+        ),
         ("two", run("tuesday"), "the folder holds logs of several runs"),
     ):
         folder = tmp_path / name

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import random
 from pathlib import Path
 
+import numpy as np
 import pytest
 from made_logs import PLAIN, about, cycles, flipped, run, written
 
 from pbonet.errors import LogError
-from pbonet.log import Log, LogWriter, recover, text
+from pbonet.log import Log, LogWriter, Rows, recover, text
 from pbonet.log.export import write_csv
+from pbonet.log.part import Part
+from pbonet.log.schema import TaskSchema
 
 FLIPS = 1000
 
@@ -89,3 +94,54 @@ def test_a_record_that_is_too_short_for_its_channel_is_refused(tmp_path) -> None
     writer.close()
     with pytest.raises(LogError, match="shorter than its channel's schema"):
         Log(tmp_path / "run.mcap").arrays("a")
+
+
+def test_a_damaged_chunk_is_missing_from_its_first_cycle_on(tmp_path) -> None:
+    """Its first message has cycles of before its own time."""
+    writer = LogWriter(path := tmp_path / "run.mcap", run())
+    number = writer.add_task(about("a", PLAIN))
+    for first in (0, 4000, 8000):
+        writer.add(number, cycles(4000, since=first))  # of 40 ms
+        writer.flush()
+    writer.close()
+    chunk = Part(path)._chunks[1]
+    data = bytearray(path.read_bytes())
+    data[chunk.at + chunk.size - 9] ^= 1
+    path.write_bytes(data)
+    log = Log(path)
+    numbers = log.arrays("a")["cycle"].tolist()
+    missing = sorted(set(range(1, 12_001)) - set(numbers))
+    assert numbers
+    assert missing
+    first = Part(path).span_ns
+    assert first is not None
+    (lost,) = log.check()
+    assert lost.begin is not None
+    assert lost.begin * 1e9 + first[0] <= 10_000 * (missing[0] - 1) or not lost.begin
+
+
+def test_messages_that_end_anywhere_are_no_cycles() -> None:
+    schema = TaskSchema(about("a", PLAIN))
+    ((_, count, _, _, message),) = schema.encode(cycles(40))
+    assert count == 40
+    size, older = len(message), 0
+    whole = schema.cycles(rows_of(message))
+    assert len(whole) == 40
+    for end in range(size):
+        with contextlib.suppress(LogError):
+            (row,) = schema.cycles(rows_of(message[:end]))
+            assert row == whole[39], "as in logs with a message for each cycle"
+            older += 1
+    assert older < 10
+    pick = random.Random(3)
+    for _ in range(3000):
+        broken = bytearray(message)
+        for _ in range(pick.randrange(1, 4)):
+            broken[pick.randrange(size)] = pick.randrange(256)
+        with contextlib.suppress(LogError):
+            schema.cycles(rows_of(bytes(broken)))
+
+
+def rows_of(message: bytes) -> Rows:
+    sizes, none = np.array([len(message)]), np.zeros(1, np.int64)
+    return Rows(message, sizes, none, none)

@@ -75,6 +75,7 @@ def test_values_of_every_type_come_back(tmp_path) -> None:
         )
         for row in rows
     ]
+    assert life.groups == [life.schema.group(one) for one in life.commits]
     assert life.schema.rest(life.commits[3]) == (
         np.array([7, 3, 8, 3], np.uint64).tobytes(),
         b"ininin",
@@ -83,6 +84,15 @@ def test_values_of_every_type_come_back(tmp_path) -> None:
     assert life.schema.rest(life.commits[2])[1:] == (b"inin", b"heard" * 2)
     assert life.schema.rest(life.commits[3])[1:] == (b"ininin", b"")
     assert life.schema.rest(life.commits[4])[1:] == (b"inininin", b"heard")
+
+
+def test_a_task_without_outputs_has_cycles_of_nothing(tmp_path) -> None:
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    one = record(cycle=1, number=1, end_ns=5)
+    writer.add(writer.add_task(about(outvar=[])), one + record(cycle=2, number=2))
+    writer.close()
+    (life,) = Log(tmp_path).lives("pid")
+    assert life.groups == [b"", b""]
 
 
 def test_channels_say_units_and_descriptions(tmp_path) -> None:
@@ -101,9 +111,15 @@ def test_channels_say_units_and_descriptions(tmp_path) -> None:
     }
     schema = summary.schemas[channel.schema_id].data.decode()
     lines = [line.split("  #")[0] for line in schema.splitlines()]
-    assert lines[11:] == [
+    cycle = [
         *("bool[3] flag", "float64[2] q_x5e", "int16 count", "uint8[5] raw"),
         *("float32[3] w", "uint8[] consumed", "uint8[] inputs", "uint8[] heard"),
+    ]
+    assert lines[11:] == [
+        *cycle,
+        *("pbonet/ArmPidBefore[] cycles_before", "=" * 80, "MSG: pbonet/ArmPidBefore"),
+        *("int64 release_ns", "int32 start_ns", "int32 end_ns", "uint32 cpu_ns"),
+        *cycle,
     ]
 
 
@@ -127,7 +143,6 @@ def test_a_log_cut_anywhere_opens_up_to_its_last_whole_chunk(tmp_path) -> None:
         if whole_ones:
             kept = log.arrays("pid")
             expected = min(3000, 100 * whole_ones)
-            assert part.count >= expected
             assert kept["cycle"].tolist() == list(range(1, expected + 1))
         counts.add(whole_ones)
     assert len(counts) > 20, "the places were all alike"
@@ -167,7 +182,7 @@ def test_a_file_that_was_hardly_begun_keeps_nobody_from_the_others(tmp_path) -> 
         assert len(log.arrays("pid")["cycle"]) == 200
         files = text.info(log)["files"]
         assert sorted(file["complete"] for file in files) == [False, True]
-        assert merge([tmp_path], tmp_path / f"{size}.out").messages == 201
+        assert merge([tmp_path], tmp_path / f"{size}.out").messages == 3
 
 
 def test_what_was_cut_is_recovered_for_everybody(tmp_path) -> None:
@@ -210,7 +225,7 @@ def test_logs_of_one_run_are_read_as_one_and_merged_by_time(tmp_path) -> None:
     assert both.tasks == ["a", "b", "c"]
     count = merge([tmp_path / "r"], tmp_path / "one.mcap").messages
     one = Log(tmp_path / "one.mcap")
-    assert count == one.parts[0].count == 3 * 500 + 2
+    assert count == one.parts[0].count == 3 * 5 + 2, "a message for 100 cycles"
     assert len(one.events()) == 2
     for task in both.tasks:
         assert np.array_equal(one.arrays(task)["Y"], both.arrays(task)["Y"])
@@ -229,10 +244,10 @@ def test_two_runs_in_one_folder_are_told(tmp_path) -> None:
 
 
 def test_a_newer_log_says_which_pbonet_is_needed(tmp_path) -> None:
-    path = written(tmp_path / "run.mcap", format=2, pbonet="9.1")
+    path = written(tmp_path / "run.mcap", format=99, pbonet="9.1")
     with pytest.raises(LogError, match="written by a newer pbonet") as caught:
         Log(path)
-    assert caught.value.got == "format 2, pbonet 9.1"
+    assert caught.value.got == "format 99, pbonet 9.1"
     with path.open("rb") as file:
         assert make_reader(file).get_summary() is not None
 

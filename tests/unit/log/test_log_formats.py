@@ -53,6 +53,27 @@ def filled(variables, pick) -> bytes:
     return bytes(data)
 
 
+def in_a_row(task, variables, pick) -> bytes:
+    """Return cycles of which most follow from one another, as a task makes them."""
+    parts = []
+    for n in range(1, 150):
+        at = 10**6 * n
+        head = {"cycle": n, "number": n + 3 * (n > 70), "register": 5, "dt_ns": 10**6}
+        head |= {"release_ns": at, "start_ns": at + pick.randrange(-9, 10**5)}
+        head |= {"end_ns": at + pick.randrange(10**6), "cpu_ns": pick.randrange(10**5)}
+        head |= {"flags": n // 40, "lost": n // 60}
+        last = head["cpu_ns"] + (1 << 40) if n == 20 else head["cpu_ns"]
+        pairs = {"row": [3, n, 8, n // 2], "all": [3, n + 7], "pairs": []}[task]
+        pairs = pairs if n % 11 else [9, 1]
+        inputs = pick.randbytes(17) if task == "all" or n == 30 else b""
+        heard = pick.randbytes(n % 5) if task != "row" else b""
+        data = filled(variables, pick)
+        parts.append(record(data, pairs, inputs, heard, **head | {"cpu_ns": last}))
+        if n == 90:
+            parts.append(record(b"{}", kind=Step.DID, end_ns=head["end_ns"]))
+    return b"".join(parts)
+
+
 @pytest.fixture
 def path(tmp_path):
     """A log with every kind of channel and of record, in several chunks."""
@@ -75,6 +96,10 @@ def path(tmp_path):
                 more = record(b"in", kind=Step.ON_IN, end_ns=at + 10)
                 writer.add(number, claim + step + more)
                 writer.flush()
+    for task, variables in (("row", EACH), ("all", shuffled), ("pairs", EACH[:3])):
+        hidden = [variables[1].name] if task == "all" else []
+        number = writer.add_task(about(task, variables, hidden=hidden))
+        writer.add(number, in_a_row(task, variables, pick))
     for n in range(5):
         event = {
             "time": n,
@@ -91,7 +116,7 @@ def path(tmp_path):
 TOPICS = {
     *(
         f"arm/{task}{end}"
-        for task in ("pid", "other", "hides", "mute")
+        for task in ("pid", "other", "hides", "mute", "row", "all", "pairs")
         for end in ("", "/steps")
     ),
     *("arm/events", "arm/status/arm0"),
@@ -102,9 +127,11 @@ def test_every_channel_is_decoded_by_its_schema(path) -> None:
     mine = ours(Log(path))
     assert set(mine) == TOPICS
     assert {len(rows) for topic, rows in mine.items() if topic.count("/") == 1} == {
-        63,
-        5,
+        *(63, 149, 5),
     }
+    with path.open("rb") as file:
+        statistics = make_reader(file).get_summary().statistics
+    assert statistics.message_count < sum(map(len, mine.values())) - 300
     must_agree(by_mcap(path), mine)
 
 

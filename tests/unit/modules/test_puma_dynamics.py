@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from newton_euler import G, newton_euler
 
-from pbonet.io.arm import SimulatedArm, solve_with_friction
+from pbonet.io._friction import solve_with_friction
+from pbonet.io.arm import SimulatedArm
 from pbonet.io.chain import Chain
 from pbonet.io.puma560 import PUMA560
 
@@ -308,8 +309,11 @@ def by_enumeration(matrix, push, low, high):
     return found[0]
 
 
-@pytest.mark.parametrize("seed", range(150))
-def test_friction_solver_finds_the_one_solution(seed):
+@pytest.mark.parametrize(
+    ("seed", "all_at_once"), [*((seed, 10) for seed in range(150)), (7, -1), (11, -1)]
+)
+def test_friction_solver_finds_the_one_solution(seed, all_at_once):
+    """With -1 every correction is a single one."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 6))
     root = rng.normal(size=(n, n))
@@ -321,7 +325,7 @@ def test_friction_solver_finds_the_one_solution(seed):
     expected = by_enumeration(matrix, push, low, high)
     bounds = list(zip(low.tolist(), high.tolist(), strict=True))
     for guess in (np.zeros(n), rng.normal(size=n), -np.ones(n)):
-        got = solve_with_friction(matrix, push, bounds, guess)
+        got = solve_with_friction(matrix, push, bounds, guess, all_at_once)
         assert got == pytest.approx(expected, abs=1e-9)
 
 
@@ -336,10 +340,10 @@ def test_friction_solver_ends_where_correcting_all_signs_goes_round():
     assert got == pytest.approx(expected, abs=1e-9)
 
 
-def test_friction_solver_ends_by_single_corrections_too(monkeypatch):
-    monkeypatch.setattr("pbonet.io.arm._ALL_AT_ONCE", -1)
-    for seed in (7, 11):
-        test_friction_solver_finds_the_one_solution(seed)
+def test_friction_solver_says_how_many_joints_it_takes():
+    none = np.zeros(33)
+    with pytest.raises(ValueError, match="33 joints are not 1 to 32"):
+        solve_with_friction(np.eye(33), none, [(0.0, 0.0)] * 33, none)
 
 
 def test_an_arm_that_begins_to_move_loads_nothing():

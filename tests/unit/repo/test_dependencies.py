@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[3]
 IMPORTED_AS = {
     "eclipse-zenoh": {"zenoh"},
-    "pin": {"pinocchio", "eigenpy"},
+    "pin": {"pinocchio"},
     "pyserial": {"serial"},
     "python-can": {"can"},
     "foxglove-sdk": {"foxglove"},
