@@ -6,6 +6,7 @@ from verify_parts import configuration, figure_6_1, rtpu, task, texts
 
 from pbonet.analysis import legality
 from pbonet.analysis.legality import times
+from pbonet.analysis.schedule import CoreShare
 from pbonet.analysis.schedule.soft import from_steps
 from pbonet.config.model import TaskType, Variable
 from pbonet.node.rt import _rt
@@ -13,7 +14,9 @@ from pbonet.node.rt import _rt
 
 def crits(config: legality.Configuration) -> dict[str, int]:
     (entry,) = config.rtpus
-    found = legality.criticalities(config.tasks, entry, limit=config.limit)
+    found = legality.criticalities(
+        config.tasks, entry, core=config.share_of(entry.name)
+    )
     return {name: assigned.crit for name, assigned in found.items()}
 
 
@@ -174,7 +177,9 @@ def test_measured_times_and_other_frequencies_count() -> None:
 
 def test_the_limit_keeps_room_on_the_core() -> None:
     config = configuration(
-        task("a", freq=1000, maxc=0.00097), rtpus=[rtpu(scheduler="EDF")], limit=0.95
+        task("a", freq=1000, maxc=0.00097),
+        rtpus=[rtpu(scheduler="EDF")],
+        core=CoreShare(share=0.95),
     )
     (problem,) = legality.check(config)
     assert problem.expected == "a utilization of at most 95.0%"
@@ -347,7 +352,7 @@ def test_a_rate_that_no_rtpu_grants_is_refused() -> None:
 
 def test_a_crit_that_takes_from_the_critical_set_is_named() -> None:
     """tau1 to tau3 of Figure 6.1 take 98.3 %; tau3 would be outside by the rule."""
-    config = structs.replace(figure_6_1("MUF"), limit=0.95)
+    config = structs.replace(figure_6_1("MUF"), core=CoreShare(share=0.95))
     raised = structs.replace(
         config,
         tasks=tuple(
