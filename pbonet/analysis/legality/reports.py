@@ -203,7 +203,7 @@ def _rtpu(
         outside=load.outside,
         guaranteed=load.guaranteed,
         unknown=load.unknown,
-        by_scheduler=_by_scheduler(asked, first, core.share),
+        by_scheduler=_by_scheduler(asked, first, core.share, serves=bool(reserved)),
         transformations=tuple(changes or ()),
         tasks=tuple(
             _task(task, assigned[task.name], load, moved[task.name], responses)
@@ -232,17 +232,25 @@ def _outlook(load: Load, refused: bool, tasks: Sequence[Task]) -> Outlook:  # no
 
 
 def _by_scheduler(
-    asked: list[Demand], first: list[Server], limit: float
+    asked: list[Demand], first: list[Server], limit: float, *, serves: bool
 ) -> dict[str, bool]:
-    """Return what each algorithm would promise these tasks."""
+    """Return what each algorithm would promise these tasks.
+
+    Args:
+        asked: What they ask for.
+        first: What goes before them.
+        limit: Share of the core for all that.
+        serves: There are servers, of which equation 9 knows nothing.
+    """
     every = {task.name for task in asked}
     used = analysis.utilization([*asked, *first])
     fits = used <= limit * (1 + 1e-9)
+    rm = fits and analysis.rm_schedulable(asked, first)
     return {
         "MUF": set(analysis.critical_set(asked, first, limit=limit)) == every,
         "EDF": fits and analysis.edf_schedulable(asked, first),
-        "RM": fits and analysis.rm_schedulable(asked, first),
-        "RM bound": fits and not first and analysis.rm_bound_holds(asked),
+        "RM": rm,
+        "RM bound": rm and not serves and analysis.rm_bound_holds(asked),
     }
 
 

@@ -10,6 +10,7 @@ import pytest
 from msgspec import structs
 
 from pbonet.analysis import legality
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config import Scheduler
 from pbonet.errors import (
     NoAnswerError,
@@ -681,7 +682,9 @@ def report(outlook, *, unknown=()):
         tasks=(),
         servers=(),
         traffic=0.0,
+        core=CoreShare(),
         copy_speed=1.0,
+        copy_measured=False,
         write_wait=0.0,
         read_wait=0.0,
     )
