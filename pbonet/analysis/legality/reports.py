@@ -66,6 +66,8 @@ class Outlook(StrEnum):
     """Every deadline is met."""
     PARTLY = "critical set only"
     """Only tasks that are not CRITICAL may miss deadlines; they are named."""
+    UNKEPT = "no deadline guaranteed"
+    """Any task may miss deadlines; none of them is CRITICAL."""
     OVERLOADED = "overloaded"
     """Refused."""
     ASSUMED = "assumed"
@@ -227,7 +229,7 @@ def _outlook(load: Load, refused: bool, tasks: Sequence[Task]) -> Outlook:  # no
     if not tasks:
         return Outlook.IDLE
     if set(load.guaranteed) != {*load.critical_set, *load.outside}:
-        return Outlook.PARTLY
+        return Outlook.PARTLY if load.guaranteed else Outlook.UNKEPT
     return Outlook.ASSUMED if load.unknown else Outlook.SCHEDULABLE
 
 

@@ -291,22 +291,29 @@ def _overload(
     over = load.utilization > limit * (1 + MAX_FAULT)
     if (late or over) and (found := _too_large(load, tasks, configuration, late)):
         yield found
-    elif critical and load.scheduler is not Scheduler.EDF:
+    elif critical:
         yield _not_critical(load, configuration, critical, _raised(load, tasks, late))
     elif over and not _known_victims(load, late):
         yield _too_much(load, limit)
     elif late:
-        yield Problem(
-            code=Code.NOT_GUARANTEED,
-            severity=Severity.WARN,
-            what=f"on RTPU {load.rtpu} {' and '.join(late)} may miss deadlines",
-            where=load.rtpu,
-            expected=_promise(load),
-            got=_used(load),
-            remedy=f"{_raised(load, tasks, late)}lower a frequency, or move a task to "
-            "another RTPU",
-            tasks=tuple(late),
-        )
+        strict = over and configuration.strict and load.scheduler is not Scheduler.MUF
+        yield _may_miss(load, late, _raised(load, tasks, late), strict=strict)
+
+
+def _may_miss(load: Load, late: list[str], hint: str, *, strict: bool) -> Problem:
+    """Return who may miss deadlines; a refusal if that is not to happen at all."""
+    any_of = "any of " * (load.scheduler is Scheduler.EDF and len(late) > 1)
+    accept = ", or take STRICT out of the .sbs file" * strict
+    return Problem(
+        code=Code.NOT_GUARANTEED,
+        severity=Severity.REFUSE if strict else Severity.WARN,
+        what=f"on RTPU {load.rtpu} {any_of}{' and '.join(late)} may miss deadlines",
+        where=load.rtpu,
+        expected=_promise(load),
+        got=_used(load),
+        remedy=f"{hint}lower a frequency, or move a task to another RTPU{accept}",
+        tasks=tuple(late),
+    )
 
 
 def _raised(load: Load, tasks: dict[str, Task], late: list[str]) -> str:
@@ -323,14 +330,12 @@ def _raised(load: Load, tasks: dict[str, Task], late: list[str]) -> str:
 
 
 def _known_victims(load: Load, late: list[str]) -> bool:
-    """Return whether it is known who misses in an overload, and who does not.
+    """Return whether it is known who may miss in an overload.
 
-    Under EDF it may be anybody (section 6.2.2). Under RM it is those of low rate, as
-    far as all execution times are known.
+    Under MUF it is those outside the critical set. Under RM it is those of low rate,
+    and under EDF it may be anybody (section 6.2.2), if all execution times are known.
     """
-    if load.scheduler is Scheduler.RM:
-        return bool(late and load.guaranteed)
-    return load.scheduler is Scheduler.MUF
+    return load.scheduler is Scheduler.MUF or bool(late and not load.unknown)
 
 
 def _promise(load: Load) -> str:
@@ -406,9 +411,12 @@ def _not_critical(
         code=Code.OVERLOAD,
         what=f"RTPU {load.rtpu} is too busy for the CRITICAL {names}",
         where=load.rtpu,
-        expected=f"CRITICAL tasks {muf} {limit:.1%}"
-        if load.scheduler is Scheduler.MUF
-        else "CRITICAL tasks whose longest response is within their deadline",
+        expected={
+            Scheduler.MUF: f"CRITICAL tasks {muf} {limit:.1%}",
+            Scheduler.EDF: f"a utilization of at most {limit:.1%} under EDF",
+            Scheduler.RM: "CRITICAL tasks whose longest response is within their "
+            "deadline",
+        }[load.scheduler],
         got=_used(load),
         remedy=f"{hint}{remedy}, lower another task's frequency, or move one to "
         "another RTPU",

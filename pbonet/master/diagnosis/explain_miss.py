@@ -136,6 +136,7 @@ def _analysis(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
         refused = report.outlook in {
             legality.Outlook.OVERLOADED,
             legality.Outlook.PARTLY,
+            legality.Outlook.UNKEPT,
         }
         if refused and status.task not in report.guaranteed:
             yield Cause(

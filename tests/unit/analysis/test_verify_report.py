@@ -31,7 +31,7 @@ def test_figure_6_1_under_each_scheduler() -> None:
     assert muf.outlook is legality.Outlook.PARTLY
     assert muf.critical_set == muf.guaranteed == ("t1", "t2", "t3")
     assert [t.guaranteed for t in muf.tasks] == [True, True, True, False]
-    assert only(figure_6_1("EDF")).outlook is legality.Outlook.OVERLOADED
+    assert only(figure_6_1("EDF")).outlook is legality.Outlook.UNKEPT
     rm = only(figure_6_1("RM"))
     assert rm.outlook is legality.Outlook.PARTLY
     assert rm.guaranteed == ("t1", "t2")

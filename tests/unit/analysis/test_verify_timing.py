@@ -51,15 +51,24 @@ def test_a_soft_task_may_miss() -> None:
     assert texts(figure_6_1("MUF", softness=0.3)) == []
 
 
-def test_edf_has_one_criticality_and_keeps_nothing_in_an_overload() -> None:
+def test_edf_has_one_criticality_and_any_task_may_miss_in_an_overload() -> None:
+    """It may be started once all times are known, unless ``STRICT`` refuses it."""
     config = figure_6_1("EDF")
     assert len(set(crits(config).values())) == 1
     (load,) = legality.loads(config)
     assert load.critical_set == ()
     assert texts(config) == [
-        "arm0: RTPU arm0 is overloaded (expected a utilization of at "
-        "most 100.0%, got 125.0%); lower a frequency, or move a task to another RTPU"
+        "arm0: on RTPU arm0 any of t1 and t2 and t3 and t4 may miss deadlines "
+        "(expected a utilization of at most 100.0% under EDF, got 125.0%); lower a "
+        "frequency, or move a task to another RTPU"
     ]
+    assert [problem.severity for problem in legality.check(config)] == ["warn"]
+    (problem,) = legality.check(structs.replace(config, strict=True))
+    assert problem.severity == "refuse"
+    assert "take STRICT out of the .sbs file" in problem.remedy
+    (problem,) = legality.check(figure_6_1("EDF", critical=True))
+    assert problem.severity == "refuse"
+    assert problem.what == "RTPU arm0 is too busy for the CRITICAL t4"
     fewer = configuration(*config.tasks[:3], rtpus=config.rtpus)
     assert texts(fewer) == []
     assert legality.loads(fewer)[0].critical_set == ("t1", "t2", "t3")
@@ -100,12 +109,19 @@ def test_rm_refuses_an_overload_that_hits_a_critical_task() -> None:
     )
 
 
-def test_rm_refuses_an_overload_of_which_nobody_is_safe() -> None:
+def test_rm_names_all_in_an_overload_of_which_nobody_is_safe() -> None:
     tasks = [task("a", freq=100, maxc=0.009), task("b", freq=99, maxc=0.009)]
     tasks = [structs.replace(t, rmod=structs.replace(t.rmod, crit=7)) for t in tasks]
-    (problem,) = legality.check(configuration(*tasks, rtpus=[rtpu(scheduler="RM")]))
+    config = configuration(*tasks, rtpus=[rtpu(scheduler="RM")])
+    (problem,) = legality.check(config)
+    assert problem.severity == "warn"
+    assert problem.what == "on RTPU arm0 a and b may miss deadlines"
+    (problem,) = legality.check(structs.replace(config, strict=True))
     assert problem.severity == "refuse"
-    assert "is overloaded" in problem.what
+    assert (
+        legality.check(structs.replace(figure_6_1("MUF"), strict=True))[0].severity
+        == "warn"
+    )
 
 
 def test_rm_gives_the_faster_task_the_higher_criticality() -> None:
@@ -182,7 +198,7 @@ def test_the_limit_keeps_room_on_the_core() -> None:
         core=CoreShare(share=0.95),
     )
     (problem,) = legality.check(config)
-    assert problem.expected == "a utilization of at most 95.0%"
+    assert problem.expected == "a utilization of at most 95.0% under EDF"
     assert problem.got == "97.0%"
 
 
