@@ -14,6 +14,7 @@ from .clock_offsets import (
     round_trip as round_trip,
 )
 from .command_record import command as command
+from .core_times import CoreTimes as CoreTimes
 from .event_log import (
     EventLog as EventLog,
     LineBudget as LineBudget,
