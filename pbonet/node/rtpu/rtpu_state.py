@@ -28,6 +28,7 @@ from . import (
     cleanup,
     ranking,
     rtpu_snapshot as known,
+    signal_tasks,
     status,
 )
 from .claims import Claims
@@ -383,6 +384,9 @@ class Rtpu:
             lost = sum(notice.lost.values())
             notice.text = f"[{lost} notices lost before this one] {notice.text}"
         _remember(task, notice)
+        if notice.order is not None:
+            chore = signal_tasks.obey(self, task, *notice.order)
+            self.later(chore, name=f"order of {task.name}")
         if notice.code == "ENDING" and task.state is State.ON:
             self._leaves(task)
         if notice.code == "ENGAGED":

@@ -453,6 +453,8 @@ class Notice(Struct, tag="notice", kw_only=True):
     """Where it happened in the module's code."""
     lost: dict[str, int] = {}
     """Number of notices dropped for lack of room before this one, by code."""
+    order: tuple[str, str] | None = None
+    """Another task of the RTPU, and the signal that the module sends to it."""
     state: str = ""
     error: WireError | None = None
 
