@@ -28,7 +28,6 @@ from . import (
     cleanup,
     ranking,
     rtpu_snapshot as known,
-    signal_tasks,
     status,
 )
 from .claims import Claims
@@ -83,6 +82,8 @@ class Rtpu:
         forks: The fork server that its process began with; in virtual time None.
     """
 
+    obey: Callable[[Task, str, str], Coroutine[None, None, None]] | None = None
+    """Carries out a signal that a task's module sends to another task."""
     _budget: ranking.CoreBudget | None = None
     """Of its core; None in virtual time."""
 
@@ -384,8 +385,8 @@ class Rtpu:
             lost = sum(notice.lost.values())
             notice.text = f"[{lost} notices lost before this one] {notice.text}"
         _remember(task, notice)
-        if notice.order is not None:
-            chore = signal_tasks.obey(self, task, *notice.order)
+        if notice.order is not None and self.obey is not None:
+            chore = self.obey(task, *notice.order)
             self.later(chore, name=f"order of {task.name}")
         if notice.code == "ENDING" and task.state is State.ON:
             self._leaves(task)

@@ -264,6 +264,37 @@ def test_the_traffic_of_equations_6_and_7() -> None:
     ]
 
 
+def test_traffic_is_judged_by_the_memory_of_each_machine() -> None:
+    """144 kB/s of each task are too much for one memory of 200 kB/s, not for two."""
+    tasks = [
+        task(name, invar="Q QD", outvar=f"T{name}", freq=1000, info=None, rtpu=rtpu_)
+        for name, rtpu_ in (("a", "arm0"), ("b", "arm1"))
+    ]
+    names = ("Q", "QD", "Ta", "Tb")
+    table = [Variable(name=name, type="double", nelem=6) for name in names]
+    entries = [rtpu("arm0"), rtpu("arm1")]
+
+    def found(machines, speeds):
+        config = configuration(
+            *tasks,
+            variables=table,
+            rtpus=entries,
+            machines=machines,
+            copy_speeds=speeds,
+        )
+        return [p.got for p in legality.check(config) if p.code == "bandwidth"]
+
+    both = {"arm0": 200e3, "arm1": 200e3}
+    assert found({"arm0": "x", "arm1": "x"}, both) == [
+        "0.288 MB/s, of which b 0.144 MB/s"
+    ]
+    assert found({"arm0": "x", "arm1": "y"}, both) == []
+    assert found({"arm0": "x", "arm1": "y"}, both | {"arm1": 100e3}) == [
+        "0.144 MB/s, of which b 0.144 MB/s"
+    ]
+    assert found({}, {}) == []  # 1 GB/s where nobody has measured
+
+
 @pytest.mark.parametrize(
     ("given", "keyword", "more"),
     [
