@@ -211,7 +211,9 @@ def measure(
             "unexplained": 0,
         }
         for begin, at, count in lost:
-            why = witnesses.explain(begin, at, swap.most_late(turns, begin, at))
+            late_ns = swap.most_late(turns, begin, at)
+            late_ns = max(late_ns, (count - 1) * swap.PERIOD)  # found in one turn
+            why = witnesses.explain(begin, at, late_ns)
             counts = found[task]
             counts[why or "unexplained"] = counts.get(why or "unexplained", 0) + count
         trace.close()
