@@ -208,7 +208,7 @@ class Configuration(Struct, frozen=True, kw_only=True, dict=True):
     producers: Mapping[str, tuple[str, ...]] = {}
     """RMODs of the library that write a variable, by variable; for remedies."""
     core: CoreShare = CoreShare()
-    """What tasks may use of the core of an RTPU that is not in `cores`."""
+    """The share of a core for tasks, for RTPUs that are not in `cores`."""
     cores: Mapping[str, CoreShare] = {}
     """The same of each RTPU whose agent has said it."""
     copy_speed: float = COPY_SPEED

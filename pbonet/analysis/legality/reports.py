@@ -129,7 +129,7 @@ class RtpuReport(Struct, frozen=True, kw_only=True):
     """Equation 8, servers included."""
     bound: float
     core: CoreShare
-    """What its tasks may use of its core, and where that comes from."""
+    """The share of its core for its tasks, and where that comes from."""
     critical_set: tuple[str, ...]
     outside: tuple[str, ...]
     guaranteed: tuple[str, ...]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _LEAST = 1e-9
-"""What is left where dispatching alone takes everything: no task fits."""
+"""The rest where dispatching alone takes everything: no task fits."""
 
 
 class CoreShare(Struct, frozen=True, kw_only=True):

@@ -232,7 +232,7 @@ class Probe(Struct, frozen=True, kw_only=True):
     share: float
     """Share of a core that real-time tasks are granted, above 0, at most 1."""
     share_reason: str
-    """What limits it, as a phrase."""
+    """The reason of that limit, as a phrase."""
     preempt: str
     """The kernel's preemption model as far as it says."""
 

@@ -15,7 +15,7 @@ _BLOCK: Final = 8 << 20
 _COPIES: Final = 4
 """The first one also makes the pages present."""
 _STEP: Final = 1e8
-"""What is measured is not more exact."""
+"""Bytes a second to which it is rounded: a measurement is not more exact."""
 
 
 @cache
