@@ -13,7 +13,7 @@ _CAP_SYS_NICE = 23
 _CAP_IPC_LOCK = 14
 _EPERM = 1
 _USUAL = 0.95
-"""Share of a core at which Linux throttles real-time tasks unless it is told else."""
+"""Share of a core at which Linux throttles real-time tasks by default."""
 _LEAST = 0.001
 """A share of 0 would be that of a core where nothing may run."""
 _FAIR_SERVER = 6, 12
