@@ -7,8 +7,12 @@ Then they are killed, and the same tasks are created in the reverse order: what 
 on the order changes sides, and what depends on a name or a variable does not.
 A C loop above the dispatcher that only sleeps wakes up four times a period on the same
 core: a miss is excused if it was late in that time, by an eighth of a period, because
-the tasks leave more than that free. Ends with status 3 when a task lost a release that
-is not excused.
+the tasks leave more than that free. Every miss that is not excused is then explained by
+the cycles' own records, the dispatcher's trace, and what the kernel counts: the tasks
+themselves used the core; a turn of the dispatcher came late; a cycle under way lost the
+core, which only the kernel or the hypervisor can take from it; or the dispatcher's
+thread waited, or time was stolen. Ends with status 3 when a task lost a release that is
+not excused, and says how many nothing explains.
 
     python -m benchmarks.equal_tasks [--tasks 4] [--load 0.63] [--seconds 30]
 """
@@ -21,12 +25,17 @@ import os
 import sys
 import tempfile
 import time
+from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarks import rtbench, swap
 from benchmarks.steering import VARIABLE
 from pbonet.master import Subsystem
 from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.node import rt
+from pbonet.node.ring import Ring
 from pbonet.xm.net.messages import AgentInfo, Hello
 
 RTPU = "bench0"
@@ -89,10 +98,92 @@ def write_files(folder: Path, tasks: tuple[str, ...], used: float) -> Path:
     return folder / "b.sbs"
 
 
+class Sample(NamedTuple):
+    """What the kernel has counted up to an instant."""
+
+    at_ns: int
+    waited_ns: int
+    """Time for which the dispatcher's thread was ready and did not run."""
+    stolen: int
+    """Ticks that the hypervisor took from the core."""
+
+
+class Witnesses:
+    """What is known about a core besides the misses.
+
+    Args:
+        core: Its number.
+        rings: The rings of its tasks.
+    """
+
+    def __init__(self, core: int, rings: list[Ring]) -> None:
+        self._core, self._rings = core, rings
+        self._cycles: list[tuple[int, int, int]] = []
+        """Start, end and CPU time."""
+        with closing(rt.CoreTable(core, member=False)) as table:
+            status = table.status()
+        self._thread = Path(f"/proc/{status.leader_pid}/task/{status.leader_tid}")
+        self._samples = [self._sample()]
+
+    def look(self) -> None:
+        """Take in what has happened since the last look."""
+        self._samples.append(self._sample())
+        for ring in self._rings:
+            self._cycles += [
+                (one.start_ns, one.end_ns, one.cpu_ns)
+                for one in ring.drain()
+                if not one.kind
+            ]
+
+    def _sample(self) -> Sample:
+        try:
+            waited = int((self._thread / "schedstat").read_text().split()[1])
+        except OSError:
+            waited = 0
+        lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
+        line = next(one for one in lines if one.startswith(f"cpu{self._core} "))
+        return Sample(time.monotonic_ns(), waited, int(line.split()[8]))
+
+    def explain(self, begin: int, end: int, late_ns: int) -> str:
+        """Return why a release in an interval was missed; empty if nothing says it.
+
+        Args:
+            begin: The release before.
+            end: When it was missed.
+            late_ns: By how much a turn of the dispatcher came late in that time.
+        """
+        least = swap.PERIOD // (2 * WAKES)
+        inside = [one for one in self._cycles if one[1] > begin and one[0] < end]
+        if self._used(inside, begin, end) >= 0.9 * (end - begin):
+            return "the tasks used the core"
+        if late_ns >= least:
+            return "a turn came late"
+        if any(
+            e - s - self._used(inside, s, e) >= least
+            for s, e, _ in inside
+            if e - s >= least
+        ):
+            return "a cycle lost the core"
+        for before, after in pairwise(self._samples):
+            if before.at_ns <= end and after.at_ns >= begin:
+                waited = after.waited_ns - before.waited_ns
+                if waited >= least or after.stolen > before.stolen:
+                    return "the kernel counted it"
+        return ""
+
+    @staticmethod
+    def _used(cycles: list[tuple[int, int, int]], begin: int, end: int) -> float:
+        """Return the CPU time of cycles within an interval."""
+        return sum(
+            cpu * max(0, min(e, end) - max(s, begin)) / max(e - s, 1)
+            for s, e, cpu in cycles
+        )
+
+
 def measure(
     subsystem: Subsystem, folder: Path, tasks: tuple[str, ...], seconds: float
 ) -> dict[str, dict[str, int]]:
-    """Return by task its releases, the ones it missed, and those not excused."""
+    """Return by task its releases, the missed ones, and why those not excused."""
     for task in tasks:
         subsystem.spawn(task, RTPU)
     subsystem.reconfig([(task, "on") for task in tasks])
@@ -100,12 +191,16 @@ def measure(
     core = subsystem.clients.call(RTPU, Hello(), AgentInfo).core
     loop = swap.Stalls(folder, core, WAKES)
     traces = {task: swap.Trace(core, (task,)) for task in tasks}
+    rings = [Ring.attach(one.ring) for one in subsystem.status_all()]
+    witnesses = Witnesses(core, rings)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         subsystem.wait(0.2)
         for trace in traces.values():
             trace.look()
+        witnesses.look()
     _, late = loop.end()
+    turns = [turn for trace in traces.values() for turn in trace.turns]
     found: dict[str, dict[str, int]] = {}
     for task, trace in traces.items():
         lost = swap.unexcused(trace, late, swap.PERIOD // (2 * WAKES))
@@ -113,8 +208,17 @@ def measure(
             "releases": trace.released,
             "missed": sum(count for _, count in trace.misses),
             "not excused": sum(count for _, _, count in lost),
+            "unexplained": 0,
         }
+        for begin, at, count in lost:
+            late_ns = swap.most_late(turns, begin, at)
+            late_ns = max(late_ns, (count - 1) * swap.PERIOD)  # found in one turn
+            why = witnesses.explain(begin, at, late_ns)
+            counts = found[task]
+            counts[why or "unexplained"] = counts.get(why or "unexplained", 0) + count
         trace.close()
+    for ring in rings:
+        ring.close()
     subsystem.reconfig([(task, "kill") for task in tasks])
     return found
 
@@ -146,11 +250,13 @@ def main() -> None:
     print(
         f"{asked.tasks} tasks of {swap.RATE:g} Hz, {asked.load:.0%} of a core together"
     )
-    print(f"{'created':8} {'task':8} {'releases':>9} {'missed':>7} {'not excused':>12}")
+    shown = ("releases", "missed", "not excused", "unexplained")
+    print(f"{'created':8} {'task':8} " + " ".join(f"{one:>12}" for one in shown))
     for found in both:
         for place, (task, counts) in enumerate(found.items(), 1):
-            print(f"{place:<8} {task:8} {counts['releases']:9} {counts['missed']:7} "
-                  f"{counts['not excused']:12}")  # fmt: skip
+            row = " ".join(f"{counts[one]:12}" for one in shown)
+            why = ", ".join(f"{n} {k}" for k, n in counts.items() if k not in shown)
+            print(f"{place:<8} {task:8} {row}  {why}")
     if asked.json:
         asked.json.write_text(json.dumps(both, indent=1), encoding="utf-8")
     if any(counts["not excused"] for found in both for counts in found.values()):

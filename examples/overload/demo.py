@@ -22,11 +22,10 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import judged
 import seen
 from judged import CONDUCTOR, SHARE, TASKS, UNIT_NS
-from msgspec import Struct, structs
+from msgspec import Struct
 
 from pbonet.analysis.schedule import chart
 from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
-from pbonet.config import parse_rmod, write_rmod
 from pbonet.errors import NodeError, PbonetError
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import Run
@@ -103,20 +102,10 @@ class Lines:
 
 
 def prepare(scheduler: str, folder: Path) -> Path:
-    """Copy the files of a scheduler's job, and return the job.
-
-    Of an overload under EDF nobody knows what is kept, so pbonet refuses to start it.
-    It starts what it knows nothing about: for EDF and RM MAXC is left out, and with it
-    all reserves, and CRIT, which would take the place of their rules.
-    """
+    """Copy the files of a scheduler's job, and return the job."""
     for path in HERE.iterdir():
         if path.suffix in {".svar", ".sbs", ".job", ".rmod"}:
             shutil.copy(path, folder)
-    for task in TASKS if scheduler != "MUF" else ():
-        file = folder / f"{task}.rmod"
-        rmod = parse_rmod(file.read_text(encoding="utf-8"), str(file))
-        bare = structs.replace(rmod, maxc=None, crit=None)
-        file.write_text(write_rmod(bare), encoding="utf-8")
     return folder / f"{scheduler.lower()}.job"
 
 
@@ -138,6 +127,7 @@ def run(scheduler: str, bursts: int) -> Seen:
             Place(domain=DOMAIN, libraries=(str(HERE),)),
             lines,
             # It ends in the rest behind the last burst, where its tasks obey at once.
+            embed=HERE / "agent.toml",
             seconds=(bursts * (WORK + REST) + 1.5) * HYPERPERIOD_NS * 1e-9,
             runs=Path(folder, "runs"),
         ).run()

@@ -369,6 +369,15 @@ def _check(config: AgentConfig, text: str, file: str) -> None:
             got=f"{config.core}",
             remedy="cores count from 0; see lscpu",
         )
+    if config.core_share is not None and not 0.0 < config.core_share <= 1.0:
+        raise fault(
+            "core_share is out of bounds",
+            _place(text, file, "core_share"),
+            expected="above 0, at most 1",
+            got=f"{config.core_share:g}",
+            remedy="give a share of the core, such as 0.9; leave it out for what the "
+            "kernel grants",
+        )
     _check_events(config, text, file)
     for key in ("log_mb", "log_minutes", "runs_mb"):
         if not 0.0 <= getattr(config, key) <= MAX_LIMIT:

@@ -434,6 +434,8 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """True lets the agents of the domain on one network find each other."""
     awake: bool = False
     """True keeps the machine's processors from sleeping while the RTPU is there."""
+    core_share: float | None = None
+    """Share of the core that may be planned; None: what the kernel grants."""
     files: str | None = None
     """Folder whose files others may use (``pbonet://NAME/...``); none if left out."""
     runs: str | None = None

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import deque
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, NoReturn, Protocol
+from typing import TYPE_CHECKING, Final, NoReturn, Protocol
 
 from msgspec import Struct
 
-from pbonet.errors import MethodError, did_you_mean
+from pbonet.errors import MethodError, StateError, did_you_mean
 from pbonet.ports import here
 
 from ._handling import (
@@ -50,6 +50,10 @@ class Answer(StrEnum):
     """`error`, `clear`: an operator is needed."""
 
 
+_TO_OTHERS: Final = ("on", "off", "clear", "kill")
+"""Signals that a module may send to another task."""
+
+
 class TaskFailure(BaseException):
     """Unwinds the method that called `TaskContext.fail`.
 
@@ -80,6 +84,8 @@ class Notice(Struct, frozen=True):
     """It is an error that a handler of the module has put right."""
     place: str = ""
     """Where it happened, ``file:line in method``, if known."""
+    order: tuple[str, str] | None = None
+    """Another task, and the signal for it; None: it is for the master."""
 
 
 class Outbox(Protocol):
@@ -390,6 +396,33 @@ class TaskContext:
         if signal & (Signal.ILLEGAL | Signal.LEGAL) and self.on_illegal is not None:
             self.on_illegal(text, up=bool(signal & Signal.ILLEGAL))
         self.announce(signal, text)
+
+    def control(self, task: str, signal: str) -> None:
+        """Send a signal to another task of this subsystem and RTPU; never waits.
+
+        It goes to the RTPU and not by the master, so it is there when none is: a
+        handler of errors or of timing failures may turn off what depends on it
+        (Stewart 1994, section 8.2.1). Nothing is verified; what the flag says follows.
+        What became of it is an event of that task, a refusal one of this task.
+
+        Args:
+            task: The other task's name.
+            signal: ``on``, ``off``, ``clear`` or ``kill``.
+
+        Raises:
+            StateError: There is no such signal, or the task is this one.
+        """
+        if signal not in _TO_OTHERS or task == self.name:
+            raise StateError(
+                f"task {self.name} cannot send {signal!r} to {task!r}",
+                where=self.name,
+                expected=f"one of {', '.join(_TO_OTHERS)}, for another task",
+                remedy="correct it; for the task itself there is "
+                "self.task.signal(Signal.OFF)",
+            )
+        text, order = f"{signal} to {task}", (task, signal)
+        at = self.cyclecount, self.now
+        self.outbox.put(Notice(0, text, 0, *at, order=order))
 
     def announce(self, signal: Signal | int, text: str = "") -> None:
         """Report a signal to the master without its effect on the task."""

@@ -165,6 +165,8 @@ def probe(**changes):
         "memlock_limit": -1,
         "lock_memory": True,
         "cores": [0, 1],
+        "share": 0.95,
+        "share_reason": "kernel.sched_rt_runtime_us",
         "preempt": "PREEMPT_RT",
     }
     return Probe(**{**values, **changes})

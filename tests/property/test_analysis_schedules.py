@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from math import lcm
 
 from hypothesis import assume, given, settings, strategies as st
 from plain_dispatcher.dispatch import LEAD_NS
 from plain_dispatcher.inline import Inline
+from verify_parts import rtpu, task as legality_task
 
+from pbonet.analysis.legality.demands import going_first
+from pbonet.analysis.legality.timing import criticalities
 from pbonet.analysis.schedule.analysis import (
     Demand,
     critical_set,
@@ -20,6 +23,7 @@ from pbonet.analysis.schedule.analysis import (
     transform,
     utilization,
 )
+from pbonet.analysis.schedule.core_share import CoreShare
 from pbonet.analysis.schedule.servers import Server, ServerKind, safe_size, server_size
 from pbonet.analysis.schedule.simulate import PeriodicTask, ServerTask, simulate
 from pbonet.analysis.schedule.soft import every
@@ -392,3 +396,52 @@ def test_both_guarantees_of_a_soft_task(period, data, costs) -> None:
         run = run + 1 if after - before == period else 1
         longest = max(longest, run)
     assert longest <= n - 1
+
+
+@settings(max_examples=1000, deadline=None)
+@given(demands(6))
+def test_muf_keeps_every_critical_deadline_that_rm_keeps(sets) -> None:
+    """Section 6.2.3: MUF performs at least as well as RM in all cases.
+
+    All are released together, which is RM's worst case. Its critical set is then the
+    tasks of the highest rates down to the first that misses: a slower one is in time
+    only when that one has given up cycles.
+    """
+    order = sorted(sets, key=lambda one: (one.period_ns, one.name))
+    inside = set(critical_set(sets))
+    rm = [task_of(one, crit=60 - place) for place, one in enumerate(order)]
+    muf = [task_of(one, crit=5 if one.name in inside else 3) for one in order]
+    until = 2 * hyperperiod(sets)
+    kept, missed = (
+        {one.name: found["missed"] for one, found in zip(order, ticks, strict=True)}
+        for ticks in (by_ticks(rm, until), by_ticks(muf, until))
+    )
+    safe = set(takewhile(lambda name: not kept[name], kept))
+    assert safe <= inside
+    assert not any(missed[name] for name in inside)
+
+
+@settings(max_examples=300, deadline=None)
+@given(demands(6), st.integers(1, 2))
+def test_the_critical_set_beside_a_dispatcher_that_takes_its_time(sets, cost) -> None:
+    """Each release, of whatever task, takes `cost` before all cycles."""
+    tasks = [
+        legality_task(one.name, freq=1e9 / one.period_ns, maxc=one.cost_ns / 1e9)
+        for one in sets
+    ]
+    core = CoreShare(dispatch=cost / 1e9)
+    levels = criticalities(tasks, rtpu(), core=core)
+    ranked = [task_of(one, crit=levels[one.name].crit) for one in sets]
+    turns = [
+        PeriodicTask(
+            name=f"dispatch {one.name}", period_ns=one.period_ns, cost=cost, crit=63
+        )
+        for one in sets
+    ]
+    found = by_ticks([*ranked, *turns], 2 * hyperperiod(sets))
+    inside = {one.name for one in ranked if one.crit == 5}
+    for one, account in zip(ranked, found, strict=False):
+        assert not (account["missed"] and one.name in inside)
+    if len(inside) < len(sets):
+        used = sum((one.cost_ns + cost) / one.period_ns for one in sets)
+        assert used > 1 or not edf_schedulable(sets, going_first(tasks, core))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet.analysis.legality import Configuration, Task, effective, loads
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config import RtpuEntry, SvarFile, TaskType
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def keeps_deadlines(tasks: Sequence[Task], entry: RtpuEntry, limit: float) -> bo
         tasks=placed,
         on=frozenset(task.name for task in placed),
         rtpus=(entry,),
-        limit=limit,
+        core=CoreShare(share=limit),
     )
     (load,) = loads(now)
     hard = {task.name for task in placed if not task.rmod.softness}

@@ -8,6 +8,7 @@ said to be assumed.
 
 from __future__ import annotations
 
+from collections import Counter
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,9 @@ from pbonet.analysis.schedule import Demand, Server, ServerKind, soft
 from pbonet.config import TaskType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+
+    from pbonet.analysis.schedule import CoreShare
 
     from .records import Task
 
@@ -136,4 +139,27 @@ def servers(tasks: Iterable[Task]) -> list[Server]:
         )
         for task in tasks
         if is_server(task) and task.rmod.capacity is not None and task.hz is not None
+    ]
+
+
+def going_first(tasks: Sequence[Task], core: CoreShare) -> list[Server]:
+    """Return what goes before all periodic tasks: servers, and the dispatcher.
+
+    The dispatcher takes its time at each release, of a task in the critical set or not,
+    as a server of that period would.
+
+    Args:
+        tasks: All tasks of one RTPU.
+        core: What dispatching takes of its core.
+    """
+    counts = Counter(ns(1.0 / task.hz) for task in tasks if task.hz)
+    return servers(tasks) + [
+        Server(
+            name="dispatcher",
+            kind=ServerKind.SPORADIC,
+            capacity_ns=min(count * ns(core.dispatch), period),
+            period_ns=period,
+        )
+        for period, count in counts.items()
+        if core.dispatch
     ]

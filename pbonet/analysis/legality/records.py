@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule import Profile
+from pbonet.analysis.schedule import CoreShare, Profile
 from pbonet.config import Place, Restart, Rmod, RtpuEntry, SvarFile, Variable
 
 if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
 
 COPY_SPEED = 1e9
-"""Bytes a second that all tasks together may move between table and local tables.
+"""Bytes a second that tasks may move where no agent has measured its memory.
 
-A tenth of what a slow machine's memory moves, so that modules keep the rest.
+A tenth of what a slow machine's memory moves.
 """
 
 
@@ -207,9 +207,28 @@ class Configuration(Struct, frozen=True, kw_only=True, dict=True):
     """Whether what is unsafe is refused (``STRICT``)."""
     producers: Mapping[str, tuple[str, ...]] = {}
     """RMODs of the library that write a variable, by variable; for remedies."""
-    limit: float = 1.0
-    """Share of a core that tasks may use, at most 1."""
+    core: CoreShare = CoreShare()
+    """The share of a core for tasks, for RTPUs that are not in `cores`."""
+    cores: Mapping[str, CoreShare] = {}
+    """The same of each RTPU whose agent has said it."""
     copy_speed: float = COPY_SPEED
+    """Bytes a second that the tasks of a machine may move, if its RTPUs are not in
+    `copy_speeds`."""
+    copy_speeds: Mapping[str, float] = {}
+    """The same as measured by the agent of each RTPU."""
+
+    def share_of(self, rtpu: str) -> CoreShare:
+        """Return what tasks may use of the core of an RTPU."""
+        return self.cores.get(rtpu, self.core)
+
+    def copies(self, rtpu: str) -> float:
+        """Return the bytes a second that the memory of an RTPU's machine moves."""
+        return self.copy_speeds.get(rtpu, self.copy_speed)
+
+    def limit(self, rtpu: str) -> float:
+        """Return the share of the core of an RTPU that is left for its tasks."""
+        rates = (task.hz or 0.0 for task in self.running if task.rtpu == rtpu)
+        return self.share_of(rtpu).left(rates)
 
     @cached_property
     def task_names(self) -> frozenset[str]:

@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.analysis.schedule import (
+    CoreShare,
     Demand,
     Server,
     ServerKind,
@@ -31,6 +32,7 @@ from .demands import (
     Source,
     demands,
     effective,
+    going_first,
     is_server,
     least,
     reserve,
@@ -64,6 +66,8 @@ class Outlook(StrEnum):
     """Every deadline is met."""
     PARTLY = "critical set only"
     """Only tasks that are not CRITICAL may miss deadlines; they are named."""
+    UNKEPT = "no deadline guaranteed"
+    """Any task may miss deadlines; none of them is CRITICAL."""
     OVERLOADED = "overloaded"
     """Refused."""
     ASSUMED = "assumed"
@@ -124,6 +128,8 @@ class RtpuReport(Struct, frozen=True, kw_only=True):
     utilization: float
     """Equation 8, servers included."""
     bound: float
+    core: CoreShare
+    """The share of its core for its tasks, and where that comes from."""
     critical_set: tuple[str, ...]
     outside: tuple[str, ...]
     guaranteed: tuple[str, ...]
@@ -138,7 +144,9 @@ class RtpuReport(Struct, frozen=True, kw_only=True):
     traffic: float
     """Bytes a second of all its tasks (equation 7)."""
     copy_speed: float
-    """Bytes a second that the tasks of all RTPUs may move together."""
+    """Bytes a second that the tasks of all RTPUs of its machine may move together."""
+    copy_measured: bool
+    """Whether its agent has measured that; else it is assumed."""
     write_wait: float
     """Seconds that a task waits to write into the table: equation 27, no lock."""
     read_wait: float
@@ -176,15 +184,15 @@ def _rtpu(
 ) -> RtpuReport:
     tasks = [task for task in configuration.running if task.rtpu == rtpu.name]
     asked, reserved = demands(tasks), servers(tasks)
-    assigned = criticalities(tasks, rtpu, limit=configuration.limit)
+    core, speed = configuration.share_of(rtpu.name), configuration.copies(rtpu.name)
+    first = going_first(tasks, core)
+    assigned = criticalities(tasks, rtpu, core=core)
     critical = {task.name for task in tasks if task.rmod.critical}
     changes: list[Transformation] | None = None
     if rtpu.scheduler is Scheduler.MUF and not critical <= set(load.critical_set):
-        changes = analysis.transform(
-            asked, critical, reserved, limit=configuration.limit
-        )
+        changes = analysis.transform(asked, critical, first, limit=core.share)
     responses = analysis.level_response_times(
-        asked, {name: given.crit for name, given in assigned.items()}, reserved
+        asked, {name: given.crit for name, given in assigned.items()}, first
     )
     return RtpuReport(
         rtpu=rtpu.name,
@@ -192,11 +200,12 @@ def _rtpu(
         outlook=_outlook(load, rtpu.name in refused, tasks),
         utilization=load.utilization,
         bound=load.bound,
+        core=core,
         critical_set=load.critical_set,
         outside=load.outside,
         guaranteed=load.guaranteed,
         unknown=load.unknown,
-        by_scheduler=_by_scheduler(asked, reserved, configuration.limit),
+        by_scheduler=_by_scheduler(asked, first, core.share, serves=bool(reserved)),
         transformations=tuple(changes or ()),
         tasks=tuple(
             _task(task, assigned[task.name], load, moved[task.name], responses)
@@ -204,10 +213,11 @@ def _rtpu(
         ),
         servers=tuple(_servers(rtpu.scheduler, load, asked, reserved, configuration)),
         traffic=sum(moved[task.name] for task in tasks),
-        copy_speed=configuration.copy_speed,
+        copy_speed=speed,
+        copy_measured=rtpu.name in configuration.copy_speeds,
         write_wait=transfers.write_wait(),
         read_wait=transfers.read_wait(
-            max(read_sizes(configuration, tasks), default=0) / configuration.copy_speed,
+            max(read_sizes(configuration, tasks), default=0) / speed,
             transfers.RETRIES,
         ),
     )
@@ -219,22 +229,30 @@ def _outlook(load: Load, refused: bool, tasks: Sequence[Task]) -> Outlook:  # no
     if not tasks:
         return Outlook.IDLE
     if set(load.guaranteed) != {*load.critical_set, *load.outside}:
-        return Outlook.PARTLY
+        return Outlook.PARTLY if load.guaranteed else Outlook.UNKEPT
     return Outlook.ASSUMED if load.unknown else Outlook.SCHEDULABLE
 
 
 def _by_scheduler(
-    asked: list[Demand], reserved: list[Server], limit: float
+    asked: list[Demand], first: list[Server], limit: float, *, serves: bool
 ) -> dict[str, bool]:
-    """Return what each algorithm would promise these tasks."""
+    """Return what each algorithm would promise these tasks.
+
+    Args:
+        asked: What they ask for.
+        first: What goes before them.
+        limit: Share of the core for all that.
+        serves: There are servers, of which equation 9 knows nothing.
+    """
     every = {task.name for task in asked}
-    used = analysis.utilization([*asked, *reserved])
+    used = analysis.utilization([*asked, *first])
     fits = used <= limit * (1 + 1e-9)
+    rm = fits and analysis.rm_schedulable(asked, first)
     return {
-        "MUF": set(analysis.critical_set(asked, reserved, limit=limit)) == every,
-        "EDF": fits and analysis.edf_schedulable(asked, reserved),
-        "RM": fits and analysis.rm_schedulable(asked, reserved),
-        "RM bound": fits and not reserved and analysis.rm_bound_holds(asked),
+        "MUF": set(analysis.critical_set(asked, first, limit=limit)) == every,
+        "EDF": fits and analysis.edf_schedulable(asked, first),
+        "RM": rm,
+        "RM bound": rm and not serves and analysis.rm_bound_holds(asked),
     }
 
 
@@ -302,6 +320,7 @@ def _servers(
     used = min(1.0, analysis.utilization(kept))
     rm = scheduler is Scheduler.RM
     rule = Scheduler.RM if rm else Scheduler.MUF
+    limit = configuration.limit(load.rtpu)
     return [
         ServerReport(
             task=server.name,
@@ -311,10 +330,7 @@ def _servers(
             size=server.size,
             equation=EQUATIONS[rule, server.kind],
             by_equation=server_size(server.kind, used, tasks=math.inf if rm else 1),
-            largest=analysis.largest_server(
-                server, asked, rm=rm, limit=configuration.limit
-            )
-            / 1e9,
+            largest=analysis.largest_server(server, asked, rm=rm, limit=limit) / 1e9,
             fits=alone <= set(load.guaranteed),
         )
         for server in reserved
@@ -352,6 +368,7 @@ def _lines(one: RtpuReport) -> list[str]:
         return [report_head(one)]
     lines = [
         report_head(one),
+        _core(one),
         f"  critical set: {' '.join(one.critical_set) or 'none'}",
     ]
     if late := [task.task for task in one.tasks if _may_miss(task)]:
@@ -371,10 +388,22 @@ def _lines(one: RtpuReport) -> list[str]:
         for s in one.servers
     ]
     lines.append(
-        f"  table: {one.traffic / 1e6:.6g} of {one.copy_speed / 1e6:.6g} MB/s; a write "
-        f"waits {one.write_wait:g} s, a read {one.read_wait * 1e6:.3g} us at most"
+        f"  table: {one.traffic / 1e6:.6g} of {one.copy_speed / 1e6:.6g} MB/s "
+        f"({'measured' if one.copy_measured else 'assumed'}); a write waits "
+        f"{one.write_wait:g} s, a read {one.read_wait * 1e6:.3g} us at most"
     )
     return [*lines, *_table(one)]
+
+
+def _core(one: RtpuReport) -> str:
+    """Return the line about what the core grants."""
+    rate = sum(task.hz or 0.0 for task in one.tasks)
+    dispatching = one.core.dispatch * rate
+    return (
+        f"  core: {one.core.share:.1%} for tasks"
+        + (f", {dispatching:.2%} of it for dispatching" if dispatching else "")
+        + f" ({one.core.reason})"
+    )
 
 
 def _is_periodic(task: TaskReport) -> bool:

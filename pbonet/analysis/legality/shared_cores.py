@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule import INSIDE, PLANNED
+from pbonet.analysis.schedule import INSIDE
 from pbonet.config import Scheduler, TaskType
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ class Sharing(Struct, frozen=True, kw_only=True):
     rtpus: tuple[str, ...]
     utilization: float
     """Equation 8 over all their tasks, servers included."""
+    limit: float
+    """The share of the core that is left for them, above 0."""
     known: bool
     """Every MAXC is known; else `utilization` is the least that it can be."""
     kept: bool
@@ -39,7 +41,7 @@ class Sharing(Struct, frozen=True, kw_only=True):
             f"{', '.join(self.rtpus)} share core {core}, but each was analysed as if "
             f"it had the core alone; together they need "
             f"{'' if self.known else 'at least '}{self.utilization:.1%} of at most "
-            f"{PLANNED:.1%}"
+            f"{self.limit:.1%}"
         )
         if self.kept:
             so = "" if self.known else ", if tasks of unknown MAXC take no time"
@@ -61,6 +63,8 @@ def sharing(reports: Sequence[RtpuReport]) -> Sharing:
         reports: The analysis of each of them.
     """
     used = sum(one.utilization for one in reports)
+    rates = [task.hz or 0.0 for one in reports for task in one.tasks]
+    limit = min(one.core.left(rates) for one in reports)
     tasks = [
         task
         for one in reports
@@ -68,7 +72,7 @@ def sharing(reports: Sequence[RtpuReport]) -> Sharing:
         if task.type is not TaskType.BACKGROUND
     ]
     kept = (
-        used <= PLANNED * _EXACT
+        used <= limit * _EXACT
         and all(one.scheduler is not Scheduler.RM for one in reports)
         and not any(one.servers for one in reports)
         and all(task.guaranteed and task.crit == INSIDE for task in tasks)
@@ -76,6 +80,7 @@ def sharing(reports: Sequence[RtpuReport]) -> Sharing:
     return Sharing(
         rtpus=tuple(sorted(one.rtpu for one in reports)),
         utilization=used,
+        limit=limit,
         known=not any(one.unknown for one in reports),
         kept=kept,
     )

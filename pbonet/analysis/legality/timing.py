@@ -8,6 +8,7 @@ from msgspec import Struct, structs
 
 from pbonet.analysis.schedule import (
     Assigned,
+    CoreShare,
     Timing,
     critical_set,
     criticality,
@@ -19,7 +20,7 @@ from pbonet.analysis.schedule import (
 )
 from pbonet.config import RtpuEntry, Scheduler, element_type
 
-from .demands import demands, is_periodic, is_server, reserve, servers
+from .demands import demands, going_first, is_periodic, is_server, reserve, servers
 from .records import Code, Configuration, Problem, Severity, Task
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Load(Struct, frozen=True, kw_only=True):
 
 
 def criticalities(
-    tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float = 1.0
+    tasks: Sequence[Task], rtpu: RtpuEntry, *, core: CoreShare | None = None
 ) -> dict[str, Assigned]:
     """Return the criticality of each task that runs on one RTPU (6.2.3, 4.5.1).
 
@@ -67,7 +68,7 @@ def criticalities(
     Args:
         tasks: The tasks on that RTPU.
         rtpu: Says which scheduler it has, and its range of frequencies.
-        limit: Share of the core that the critical set of MUF may use.
+        core: What they may use of the core; None: all of it.
 
     Returns:
         By name; `assumed` where it rests on a MAXC that is not known.
@@ -79,7 +80,7 @@ def criticalities(
     elif rtpu.scheduler is Scheduler.RM:
         found = criticality.rate_monotonic(periodic, rtpu.minfreq, rtpu.maxfreq)
     else:
-        found = _muf(tasks, periodic, limit)
+        found = _muf(tasks, periodic, core or CoreShare())
     for task in tasks:
         if task.name not in found:
             found[task.name] = _aperiodic(task, rtpu)
@@ -93,10 +94,11 @@ def _as_declared(task: Task) -> Task:
 
 
 def _muf(
-    tasks: Sequence[Task], periodic: list[Timing], limit: float
+    tasks: Sequence[Task], periodic: list[Timing], core: CoreShare
 ) -> dict[str, Assigned]:
     """Return MUF's rule with the critical set that is left beside the servers."""
-    inside = set(critical_set(demands(tasks), servers(tasks), limit=limit))
+    first, limit = going_first(tasks, core), core.left(t.hz or 0.0 for t in tasks)
+    inside = set(critical_set(demands(tasks), first, limit=core.share))
     fixed = {timing.name for timing in periodic if timing.crit is not None}
     return {
         name: structs.replace(
@@ -152,17 +154,18 @@ def load_without_servers(configuration: Configuration, rtpu: str) -> Load:
 
 def _load(configuration: Configuration, rtpu: RtpuEntry) -> Load:
     tasks = [task for task in configuration.running if task.rtpu == rtpu.name]
-    assigned = criticalities(tasks, rtpu, limit=configuration.limit)
+    limit, core = configuration.limit(rtpu.name), configuration.share_of(rtpu.name)
+    assigned = criticalities(tasks, rtpu, core=core)
     periodic = {task.name: task for task in tasks if is_periodic(task)}
     used = sum((reserve(t) or 0.0) * (t.hz or 0.0) for t in periodic.values())
     used += sum(assigned[t.name].utilization for t in tasks if is_server(t))
-    bound = configuration.limit
+    bound = limit
     if rtpu.scheduler is Scheduler.RM and periodic:
         bound = min(bound, criticality.liu_layland(len(periodic)))
     inside = {name for name in periodic if assigned[name].in_set}
     if rtpu.scheduler is Scheduler.EDF and used <= bound * (1 + MAX_FAULT):
         inside = set(periodic)
-    proven = _guaranteed(tasks, rtpu, assigned, inside, configuration.limit)
+    proven = _guaranteed(tasks, rtpu, assigned, inside, core)
     order = sorted(periodic, key=lambda name: (-(periodic[name].hz or 0.0), name))
     return Load(
         rtpu=rtpu.name,
@@ -181,16 +184,17 @@ def _guaranteed(
     rtpu: RtpuEntry,
     assigned: dict[str, Assigned],
     inside: set[str],
-    limit: float,
+    core: CoreShare,
 ) -> set[str]:
     """Return the periodic tasks that are proven to keep their deadlines."""
-    asked, reserved = demands(tasks), servers(tasks)
+    asked, first = demands(tasks), going_first(tasks, core)
+    limit = core.left(task.hz or 0.0 for task in tasks)
     levels = {name: given.crit for name, given in assigned.items()}
     by_rule = rtpu.scheduler is not Scheduler.RM and _by_rule(tasks, levels, inside)
     if not by_rule:
-        proven = level_guaranteed(asked, levels, reserved)
+        proven = level_guaranteed(asked, levels, first)
         return {name for name in proven if _room(name, tasks, levels, limit)}
-    if rtpu.scheduler is Scheduler.EDF and not edf_schedulable(asked, reserved):
+    if rtpu.scheduler is Scheduler.EDF and not edf_schedulable(asked, first):
         return set()
     return inside
 
@@ -275,7 +279,7 @@ def _load_problems(configuration: Configuration) -> Iterator[Problem]:
 def _overload(
     load: Load, tasks: dict[str, Task], configuration: Configuration
 ) -> Iterator[Problem]:
-    limit = configuration.limit
+    limit = configuration.limit(load.rtpu)
     late = [
         name
         for name in (*load.critical_set, *load.outside)
@@ -287,22 +291,29 @@ def _overload(
     over = load.utilization > limit * (1 + MAX_FAULT)
     if (late or over) and (found := _too_large(load, tasks, configuration, late)):
         yield found
-    elif critical and load.scheduler is not Scheduler.EDF:
+    elif critical:
         yield _not_critical(load, configuration, critical, _raised(load, tasks, late))
     elif over and not _known_victims(load, late):
         yield _too_much(load, limit)
     elif late:
-        yield Problem(
-            code=Code.NOT_GUARANTEED,
-            severity=Severity.WARN,
-            what=f"on RTPU {load.rtpu} {' and '.join(late)} may miss deadlines",
-            where=load.rtpu,
-            expected=_promise(load),
-            got=_used(load),
-            remedy=f"{_raised(load, tasks, late)}lower a frequency, or move a task to "
-            "another RTPU",
-            tasks=tuple(late),
-        )
+        strict = over and configuration.strict and load.scheduler is not Scheduler.MUF
+        yield _may_miss(load, late, _raised(load, tasks, late), strict=strict)
+
+
+def _may_miss(load: Load, late: list[str], hint: str, *, strict: bool) -> Problem:
+    """Return who may miss deadlines; a refusal if that is not to happen at all."""
+    any_of = "any of " * (load.scheduler is Scheduler.EDF and len(late) > 1)
+    accept = ", or take STRICT out of the .sbs file" * strict
+    return Problem(
+        code=Code.NOT_GUARANTEED,
+        severity=Severity.REFUSE if strict else Severity.WARN,
+        what=f"on RTPU {load.rtpu} {any_of}{' and '.join(late)} may miss deadlines",
+        where=load.rtpu,
+        expected=_promise(load),
+        got=_used(load),
+        remedy=f"{hint}lower a frequency, or move a task to another RTPU{accept}",
+        tasks=tuple(late),
+    )
 
 
 def _raised(load: Load, tasks: dict[str, Task], late: list[str]) -> str:
@@ -319,14 +330,12 @@ def _raised(load: Load, tasks: dict[str, Task], late: list[str]) -> str:
 
 
 def _known_victims(load: Load, late: list[str]) -> bool:
-    """Return whether it is known who misses in an overload, and who does not.
+    """Return whether it is known who may miss in an overload.
 
-    Under EDF it may be anybody (section 6.2.2). Under RM it is those of low rate, as
-    far as all execution times are known.
+    Under MUF it is those outside the critical set. Under RM it is those of low rate,
+    and under EDF it may be anybody (section 6.2.2), if all execution times are known.
     """
-    if load.scheduler is Scheduler.RM:
-        return bool(late and load.guaranteed)
-    return load.scheduler is Scheduler.MUF
+    return load.scheduler is Scheduler.MUF or bool(late and not load.unknown)
 
 
 def _promise(load: Load) -> str:
@@ -345,7 +354,8 @@ def _too_large(
     there = [t for t in configuration.running if t.rtpu == load.rtpu]
     reserved = servers(there)
     alone = load_without_servers(configuration, load.rtpu)
-    fits = alone.utilization <= configuration.limit * (1 + MAX_FAULT)
+    limit = configuration.limit(load.rtpu)
+    fits = alone.utilization <= limit * (1 + MAX_FAULT)
     every = {*alone.critical_set, *alone.outside}
     if not reserved or not fits or set(alone.guaranteed) != every:
         return None
@@ -356,7 +366,7 @@ def _too_large(
         code=Code.SERVER,
         what=f"the {who} larger than RTPU {load.rtpu} can bear{victims}",
         where=tasks[reserved[0].name].place("CAPACITY"),
-        expected=_largest(load, reserved, there, configuration.limit),
+        expected=_largest(load, reserved, there, limit),
         got=" and ".join(f"{server.capacity_ns / 1e9:g} s" for server in reserved),
         remedy="lower CAPACITY, lower a frequency, or move a task to another RTPU",
         tasks=tuple(server.name for server in reserved),
@@ -381,8 +391,10 @@ def _not_critical(
     """Return the refusal of CRITICAL tasks that the critical set does not hold."""
     names = " and ".join(critical)
     there = [t for t in configuration.running if t.rtpu == load.rtpu]
+    limit, core = configuration.limit(load.rtpu), configuration.share_of(load.rtpu)
+    first = going_first(there, core)
     changes = (
-        transform(demands(there), critical, servers(there), limit=configuration.limit)
+        transform(demands(there), critical, first, limit=core.share)
         if load.scheduler is Scheduler.MUF
         else ()
     )
@@ -399,9 +411,12 @@ def _not_critical(
         code=Code.OVERLOAD,
         what=f"RTPU {load.rtpu} is too busy for the CRITICAL {names}",
         where=load.rtpu,
-        expected=f"CRITICAL tasks {muf} {configuration.limit:.1%}"
-        if load.scheduler is Scheduler.MUF
-        else "CRITICAL tasks whose longest response is within their deadline",
+        expected={
+            Scheduler.MUF: f"CRITICAL tasks {muf} {limit:.1%}",
+            Scheduler.EDF: f"a utilization of at most {limit:.1%} under EDF",
+            Scheduler.RM: "CRITICAL tasks whose longest response is within their "
+            "deadline",
+        }[load.scheduler],
         got=_used(load),
         remedy=f"{hint}{remedy}, lower another task's frequency, or move one to "
         "another RTPU",
@@ -478,17 +493,32 @@ def read_sizes(configuration: Configuration, tasks: Iterable[Task]) -> list[int]
 
 
 def check_traffic(configuration: Configuration) -> Iterator[Problem]:
-    """Yield a problem when all tasks together move more than the table can (eq. 7)."""
+    """Yield a problem for each machine whose tasks move more than its memory can.
+
+    That is equation 7 (Stewart 1994, section 5.5). RTPUs of which the machine is not
+    known count as one.
+    """
+    machines: dict[str, list[Task]] = {}
+    for task in configuration.running:
+        machines.setdefault(configuration.machines.get(task.rtpu, ""), []).append(task)
+    for tasks in machines.values():
+        yield from _traffic_problems(configuration, tasks)
+
+
+def _traffic_problems(
+    configuration: Configuration, tasks: Sequence[Task]
+) -> Iterator[Problem]:
     moved = traffic(configuration)
-    total = transfers.bandwidth(moved.values())
-    if total <= configuration.copy_speed:
+    total = transfers.bandwidth(moved[task.name] for task in tasks)
+    speed = min(configuration.copies(task.rtpu) for task in tasks)
+    if total <= speed:
         return
-    most = max(moved, key=lambda name: (moved[name], name))
+    most = max((task.name for task in tasks), key=lambda name: (moved[name], name))
     yield Problem(
         code=Code.BANDWIDTH,
         what="the tasks transfer more data than the table can carry",
         where=most,
-        expected=f"at most {configuration.copy_speed / 1e6:.6g} MB/s (equation 7)",
+        expected=f"at most {speed / 1e6:.6g} MB/s (equation 7)",
         got=f"{total / 1e6:.6g} MB/s, of which {most} {moved[most] / 1e6:.6g} MB/s",
         remedy=f"lower the frequency of {most}, or combine it with the tasks that "
         "use it",

@@ -33,7 +33,7 @@ from .timing import criticalities
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from pbonet.analysis.schedule import Assigned
+    from pbonet.analysis.schedule import Assigned, CoreShare
     from pbonet.config import RtpuEntry
 
     from .records import Configuration, Task
@@ -210,7 +210,7 @@ def simulate_job(
         rtpu.name: build.core(
             [task for task in tasks if task.rtpu == rtpu.name],
             rtpu,
-            limit=configuration.limit,
+            shares=configuration.share_of(rtpu.name),
         )
         for rtpu in configuration.rtpus
     }
@@ -252,9 +252,11 @@ class _Builder(Struct, kw_only=True):
     code: ModuleCode | None
     stopped: list[str] = []
 
-    def core(self, tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float) -> Core:
+    def core(
+        self, tasks: Sequence[Task], rtpu: RtpuEntry, *, shares: CoreShare
+    ) -> Core:
         """Return one RTPU before its first instant."""
-        assigned = criticalities(tasks, rtpu, limit=limit)
+        assigned = criticalities(tasks, rtpu, core=shares)
         made: list[Core] = []
         rates = rtpu.scheduler is Scheduler.RM
         made.append(

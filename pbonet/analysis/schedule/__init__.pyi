@@ -15,9 +15,9 @@ from .analysis import (
     level_guaranteed as level_guaranteed,
     transform as transform,
 )
+from .core_share import ASSUMED as ASSUMED, CoreShare as CoreShare
 from .criticality import (
     INSIDE as INSIDE,
-    PLANNED as PLANNED,
     Assigned as Assigned,
     Timing as Timing,
     dropped as dropped,

@@ -192,9 +192,8 @@ def level_guaranteed(
 ) -> set[str]:
     """Return the tasks that never miss under fixed criticalities.
 
-    Beside what `level_response_times` proves: if the tasks of a band would all be in
-    time with the shorter period first, then they are with the earlier deadline first,
-    because EDF makes the best of whatever time the bands above leave.
+    Beside what `level_response_times` proves: the tasks of a band are ranked by their
+    deadlines, below tasks that take no more from any window than a server would.
     """
     tasks, servers = list(tasks), list(servers)
     proven = level_response_times(tasks, levels, servers)
@@ -202,24 +201,20 @@ def level_guaranteed(
     for level in {levels[task.name] for task in tasks}:
         above = [task for task in tasks if levels[task.name] > level]
         band = [task for task in tasks if levels[task.name] == level]
-        if all(
-            response_time(
-                task,
-                [
-                    *above,
-                    *(
-                        t
-                        for t in band
-                        if t.period_ns <= task.period_ns and t is not task
-                    ),
-                ],
-                servers,
-            )
-            is not None
-            for task in band
+        if all(task.cost_ns <= task.period_ns for task in above) and edf_schedulable(
+            band, [*servers, *map(_as_server, above)]
         ):
             found.update(task.name for task in band)
     return found
+
+
+def _as_server(task: Demand) -> Server:
+    return Server(
+        name=task.name,
+        kind=ServerKind.SPORADIC,
+        capacity_ns=task.cost_ns,
+        period_ns=task.period_ns,
+    )
 
 
 # -- earliest deadline first, and the critical set of MUF -----------------------------

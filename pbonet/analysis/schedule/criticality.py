@@ -28,10 +28,6 @@ RM_LEVELS = 62
 """Criticalities 1 to 62; 0 and 63 are reserved (section 4.5.1)."""
 
 
-PLANNED = 0.95
-"""Share of a core that may be planned; above it the kernel throttles all of it."""
-
-
 def dropped(crit: int, *, fixed_rates: bool, server: bool = False) -> int:
     """Return the criticality of a task that has used up its reserve.
 

@@ -229,6 +229,10 @@ class Probe(Struct, frozen=True, kw_only=True):
     lock_memory: bool
     cores: list[int]
     """Cores this process may use."""
+    share: float
+    """Share of a core that real-time tasks are granted, above 0, at most 1."""
+    share_reason: str
+    """The reason of that limit, as a phrase."""
     preempt: str
     """The kernel's preemption model as far as it says."""
 

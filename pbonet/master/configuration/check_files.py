@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule import PLANNED
+from pbonet.analysis.schedule import ASSUMED, CoreShare
 from pbonet.config import (
     AgentConfig,
     JobFile,
@@ -182,7 +182,7 @@ def _local(rmod: Rmod) -> str:
 
 
 def planned(
-    files: Files, host: str, *, code: bool = True
+    files: Files, host: str, *, code: bool = True, core: CoreShare = ASSUMED
 ) -> tuple[legality.Verdict | None, Findings]:
     """Return the verdict on a job, and the faults of its parts.
 
@@ -190,18 +190,21 @@ def planned(
         files: Its files.
         host: The machine whose saved profiles are used.
         code: Import the modules, and compare the files with them.
+        core: What tasks may use of each core.
 
     Returns:
         None instead of the verdict if a part is too faulty for one.
     """
     tasks, found = planned_tasks(files, host, code=code)
-    return judged(files, tasks), found
+    return judged(files, tasks, core=core), found
 
 
 def judged(
     files: Files,
     tasks: Sequence[legality.Task],
     machines: Mapping[str, str] | None = None,
+    *,
+    core: CoreShare = ASSUMED,
 ) -> legality.Verdict | None:
     """Return the verdict on the start of a job; None if its `tasks` are not all.
 
@@ -209,6 +212,7 @@ def judged(
         files: Its files.
         tasks: Its tasks that can be read.
         machines: The machine of each RTPU, where it is known.
+        core: What tasks may use of each core.
     """
     if len(tasks) < sum(len(_lines(line)) for line in files.read_job().tasks):
         return None  # else one fault would be reported as many
@@ -220,7 +224,7 @@ def judged(
         alone=files.sbs.alone,
         strict=files.sbs.strict,
         producers=files.producers(),
-        limit=PLANNED,
+        core=core,
     )
     return legality.judge(empty, legality.job(tasks))
 

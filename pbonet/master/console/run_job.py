@@ -68,7 +68,7 @@ class Run:
         view: View,
         *,
         seconds: float | None = None,
-        embed: bool = True,
+        embed: bool | str | Path = True,
         wait: float | None = None,
         record: str | None = None,
         runs: str | Path | None = None,
@@ -99,6 +99,7 @@ class Run:
             libraries=[*map(str, self.files.library.folders)],
             connect=place.connect,
             runs=runs,
+            settings=None if isinstance(embed, bool) else embed,
         )
 
     def run(self) -> Outcome:

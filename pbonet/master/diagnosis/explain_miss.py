@@ -136,6 +136,7 @@ def _analysis(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
         refused = report.outlook in {
             legality.Outlook.OVERLOADED,
             legality.Outlook.PARTLY,
+            legality.Outlook.UNKEPT,
         }
         if refused and status.task not in report.guaranteed:
             yield Cause(
@@ -183,6 +184,8 @@ def _in_log(chain: Chain, task: str, cycle: int) -> tuple[str, list[Cause]]:
 
 
 _SHOWN = 5
+_AWAY = 0.2
+"""Share of the time in which a task was ready, for dispatching and switches too."""
 
 
 def _gap(chain: Chain, task: str, gap: Gap) -> Cause:
@@ -209,6 +212,16 @@ def _gap(chain: Chain, task: str, gap: Gap) -> Cause:
         )
         for other, seconds in busy
     ]
+    if gap.away > gap.window * _AWAY:
+        because.append(
+            Cause(
+                what=f"for {gap.away * 1e3:.3g} of the {gap.window * 1e3:.3g} ms in "
+                f"which {task} was ready, no task of its RTPU had the core: another "
+                "program, the kernel, an interrupt or the hypervisor had it",
+                source=Source.LOG,
+                remedy=REMEDIES["late start"],
+            )
+        )
     codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "STATE", "METHOD")
     home = facts.home(task)
     because += [

@@ -27,8 +27,18 @@ class Gap(Struct, frozen=True, kw_only=True):
     """When, in seconds since 1970."""
     longest: float
     """CPU seconds of the cycle before them."""
+    window: float = 0.0
+    """Seconds in which the task was ready for cycles that it missed; 0: not known."""
+    own: float = 0.0
+    """CPU seconds that it had in that time."""
     others: tuple[tuple[str, float], ...] = ()
-    """Other tasks of its RTPU, with the CPU seconds that they took meanwhile."""
+    """Other tasks of its RTPU, with the CPU seconds that they had in that time."""
+
+    @property
+    def away(self) -> float:
+        """Seconds of that time in which no task of the RTPU had the core."""
+        used = self.own + sum(seconds for _, seconds in self.others)
+        return max(self.window - used, 0.0)
 
 
 class Facts(Struct, kw_only=True):

@@ -16,6 +16,7 @@ from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue, convert
 from .facts import Facts, Gap
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -200,31 +201,44 @@ def _gaps(log: Log, task: str) -> list[Gap]:
     counts -= np.maximum(np.diff(arrays["cycle"].astype(np.int64)) - 1, 0)
     offset = log.begin_time_ns - log.begin_ns
     places = np.flatnonzero((counts > 0) & (counts < _BREAK))
-    return [
-        Gap(
-            cycle=int(arrays["cycle"][place + 1]),
-            missed=int(counts[place]),
-            at=float(releases[place] + offset) * 1e-9,
-            longest=float(arrays["cpu_ns"][place]) * 1e-9,
-            others=_others(log, task, int(releases[place]), int(releases[place + 1])),
+    found: list[Gap] = []
+    for place in places.tolist():
+        release, end = int(releases[place]), int(arrays["end_ns"][place])
+        if end > release + period:  # its cycle went on; else the next never began
+            ready, until = release, end
+        else:
+            ready, until = release + round(period), int(releases[place + 1])
+        used = dict(_core_use(log, task, ready, until))
+        found.append(
+            Gap(
+                cycle=int(arrays["cycle"][place + 1]),
+                missed=int(counts[place]),
+                at=float(release + offset) * 1e-9,
+                longest=float(arrays["cpu_ns"][place]) * 1e-9,
+                window=(until - ready) * 1e-9,
+                own=used.pop(task, 0.0),
+                others=tuple(sorted(used.items(), key=lambda one: -one[1])),
+            )
         )
-        for place in places.tolist()
-    ]
+    return found
 
 
-def _others(log: Log, task: str, begin: int, end: int) -> tuple[tuple[str, float], ...]:
-    """Return the CPU time of the other tasks of an RTPU in an interval."""
+def _core_use(log: Log, task: str, begin: int, end: int) -> Iterator[tuple[str, float]]:
+    """Yield the tasks of an RTPU with the CPU time that each had in an interval.
+
+    Of a cycle that lies in it in part, that part of its CPU time is counted.
+    """
     home = log.task_about(task).rtpu
-    found: list[tuple[str, float]] = []
     for other in log.tasks:
-        if other == task or log.task_about(other).rtpu != home:
+        if log.task_about(other).rtpu != home:
             continue
         arrays = log.arrays(other)
-        inside = (arrays["end_ns"] > begin) & (arrays["start_ns"] < end)
-        spent = float(arrays["cpu_ns"][inside].sum()) * 1e-9
-        if spent:
-            found.append((other, spent))
-    return tuple(sorted(found, key=lambda one: -one[1]))
+        starts, ends = arrays["start_ns"], arrays["end_ns"]
+        inside = np.flatnonzero((ends > begin) & (starts < end))
+        within = np.minimum(ends[inside], end) - np.maximum(starts[inside], begin)
+        lasted = np.maximum(ends[inside] - starts[inside], 1)
+        if spent := float((arrays["cpu_ns"][inside] * within / lasted).sum()) * 1e-9:
+            yield other, min(spent, (end - begin) * 1e-9)
 
 
 def _values(log: Log, ended: float) -> dict[str, VarValue]:

@@ -16,6 +16,7 @@ import threading
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from pbonet.analysis.schedule import CoreShare
 from pbonet.errors import PbonetError, StateError
 from pbonet.io import no_devices
 from pbonet.node.agent import HANDLED
@@ -232,6 +233,8 @@ def _info(rtpu: VirtualRtpu) -> m.AgentInfo:
         pid=os.getpid(),
         rtpu_pid=0,
         backend="inline",
+        share=CoreShare().share,
+        share_reason=CoreShare().reason,
         version="",
         versions=LAYERS,
         python=platform.python_version(),

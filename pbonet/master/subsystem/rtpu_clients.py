@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 import zenoh
 
+from pbonet.analysis.schedule import CoreShare
 from pbonet.errors import (
     ClaimError,
     NoAnswerError,
@@ -87,6 +88,21 @@ class RtpuClients:
     def machines(self) -> dict[str, str]:
         """Return the machine of each RTPU that has described itself."""
         return {name: agent.machine for name, agent in self._agents.items()}
+
+    def core_shares(self) -> dict[str, CoreShare]:
+        """Return what tasks may use of the core of each RTPU that has said it."""
+        return {
+            name: CoreShare(
+                share=agent.share, dispatch=agent.dispatch, reason=agent.share_reason
+            )
+            for name, agent in self._agents.items()
+            if agent.share
+        }
+
+    def copy_speeds(self) -> dict[str, float]:
+        """Return the bytes a second that each RTPU's machine copies, where measured."""
+        speeds = {name: agent.copy_speed for name, agent in self._agents.items()}
+        return {name: speed for name, speed in speeds.items() if speed}
 
     def share_a_machine(self, one: str, other: str) -> bool:
         """Return whether two RTPUs are known to be on one machine, with one table."""

@@ -542,7 +542,9 @@ class SubsystemTasks:
             alone=self.files.sbs.alone,
             strict=self.files.sbs.strict,
             producers=self.files.producers() if self._whole else {},
-            limit=schedule.PLANNED,
+            core=schedule.ASSUMED,
+            cores=self.clients.core_shares(),
+            copy_speeds=self.clients.copy_speeds(),
         )
 
     def with_infos(self, members: Iterable[Member]) -> None:

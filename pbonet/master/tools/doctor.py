@@ -17,7 +17,6 @@ from msgspec import Struct
 
 import pbonet
 from pbonet import shm
-from pbonet.analysis.schedule import PLANNED
 from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master.console import render
 from pbonet.master.subsystem import client_name
@@ -162,11 +161,8 @@ def rights(probe: Probe) -> Iterator[Finding]:
     """Check real-time permissions and cores."""
     if probe.fifo:
         yield Finding(Level.PASS, f"real time by SCHED_FIFO, kernel {probe.preempt}")
-        share = 1.0
-        if 0 <= probe.rt_runtime_us < probe.rt_period_us:
-            share = probe.rt_runtime_us / probe.rt_period_us
-        text = f"real-time tasks may take {share:.0%} of each core"
-        yield Finding(Level.PASS, f"{text}, verification plans with {PLANNED:.0%}")
+        text = f"real-time tasks may take {probe.share:.1%} of each core"
+        yield Finding(Level.PASS, f"{text} ({probe.share_reason})")
     else:
         yield Finding(
             Level.WARN,

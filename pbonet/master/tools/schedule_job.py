@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from pbonet.analysis import legality
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config import Library, TaskType
 from pbonet.errors import ConfigFileError, PbonetError, SeveralError
 from pbonet.io import no_devices
@@ -77,7 +78,7 @@ def simulate(
     folders = list(folders)
     files = Files(path, Library(folders))
     files.job = _at_rates(files.read_job(), rates or {})
-    verdict, parts = planned(files, host or here())
+    verdict, parts = planned(files, host or here(), core=CoreShare())
     errors = [PbonetError.from_wire(error) for error in parts.errors]
     if len(errors) > 1:
         raise SeveralError("the job cannot be simulated", errors)

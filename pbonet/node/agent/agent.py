@@ -51,7 +51,7 @@ from .duplicate_agents import DuplicateAgents
 from .heartbeat import Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
-from .machine_state import machine_info
+from .machine_state import copy_speed, machine_info
 from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
 from .rtpu_link import RtpuLink
@@ -124,6 +124,7 @@ class Agent:
             grace=config.grace,
             backend=backend,
             awake=config.awake,
+            core_share=config.core_share,
             devices=config.device,
             spps=config.spp,
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
@@ -548,6 +549,9 @@ class Agent:
             self._about,
             rtpu_pid=info.pid,
             backend=info.backend,
+            share=info.share,
+            dispatch=info.dispatch,
+            share_reason=info.share_reason,
             limits=info.limits,
             claims=info.claims,
             on=self._overview.on(),
@@ -582,6 +586,7 @@ class Agent:
             dials=self._dials,
             listens=list(self.config.listen),
             here=self._here,
+            copy_speed=copy_speed(),
             now_ns=time.monotonic_ns(),
         )
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pbonet.config import AgentConfig
 
 _STAYS: Final = "put it back, or end the agent and start it again: its tasks turn OFF"
-_THE_PROCESS: Final = ("libraries", "runs", "awake", "device", "spp")
+_THE_PROCESS: Final = ("libraries", "runs", "awake", "core_share", "device", "spp")
 """Settings with which an RTPU process is started, and which it keeps."""
 LATER: Final = "%s: a change of %s takes effect when the RTPU process is restarted"
 """The report of a change that `kept` has found."""

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 from pathlib import Path
 
-from pbonet.analysis.schedule import PLANNED, Probe
+from pbonet.analysis.schedule import Probe
 
 _CAP_SYS_NICE = 23
 _CAP_IPC_LOCK = 14
 _EPERM = 1
+_USUAL = 0.95
+"""Share of a core at which Linux throttles real-time tasks by default."""
+_LEAST = 0.001
+"""A share of 0 would be that of a core where nothing may run."""
+_FAIR_SERVER = 6, 12
+"""Version of Linux that began to serve other processes beside real-time tasks."""
 
 
 def probe(errno: int) -> Probe:
@@ -21,16 +28,18 @@ def probe(errno: int) -> Probe:
     """
     rtprio = _limit(resource.RLIMIT_RTPRIO)
     memlock = _limit(resource.RLIMIT_MEMLOCK)
-    budget = _cgroup_budget()
+    budget = _cgroup("cpu.rt_runtime_us")
     runtime = _number("/proc/sys/kernel/sched_rt_runtime_us", -1)
     period = _number("/proc/sys/kernel/sched_rt_period_us", 1_000_000)
     nice, lock = _capable(_CAP_SYS_NICE), _capable(_CAP_IPC_LOCK)
     cores = sorted(os.sched_getaffinity(0))
+    share, share_reason = 1.0, "timing is soft, and no throttle applies"
     reasons: list[str] = []
     if errno:
         reasons.append(_why_no_fifo(errno, rtprio, budget, nice=nice))
     else:
-        reasons += _throttling(runtime, period)
+        share, share_reason = _granted(runtime / period, cores)
+        reasons += _throttling(share, share_reason)
         rttime = _limit(resource.RLIMIT_RTTIME)
         if rttime >= 0:
             reasons.append(
@@ -65,6 +74,8 @@ def probe(errno: int) -> Probe:
         memlock_limit=memlock,
         lock_memory=memlock < 0 or lock,
         cores=cores,
+        share=share,
+        share_reason=share_reason,
         preempt=_preemption(),
     )
 
@@ -87,15 +98,48 @@ def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> 
     )
 
 
-def _throttling(runtime: int, period: int) -> list[str]:
-    """Report when the kernel gives real-time tasks less than verification assumes."""
-    wanted = round(PLANNED * period)
-    if runtime < 0 or runtime >= wanted:
+def _granted(throttle: float, cores: list[int]) -> tuple[float, str]:
+    """Return the share of a core that real-time tasks get, and what limits it.
+
+    Args:
+        throttle: The share that the kernel throttles at; below 0: it does not.
+        cores: Those that this process may use.
+    """
+    group = _cgroup("cpu.rt_runtime_us")
+    budget = (group or -1) / (_cgroup("cpu.rt_period_us") or 1_000_000)
+    limits = [
+        (throttle, "kernel.sched_rt_runtime_us"),
+        (budget, "cpu.rt_runtime_us of the control group"),
+        (1.0 - _fair_server(cores), "the kernel's server of other processes"),
+    ]
+    least, reason = min(one for one in limits if one[0] >= 0.0)
+    if least >= 1.0:
+        return 1.0, "the kernel throttles nothing"
+    return max(least, _LEAST), reason
+
+
+def _fair_server(cores: list[int]) -> float:
+    """Return the share that the kernel keeps for other processes, if they want it.
+
+    Linux has that since 6.12; only root may read how much it is.
+    """
+    version = tuple(map(int, re.findall(r"\d+", os.uname().release)[:2]))
+    usual = 50_000_000 if version >= _FAIR_SERVER else 0
+    shares: list[float] = []
+    for core in cores:
+        folder = f"/sys/kernel/debug/sched/fair_server/cpu{core}"
+        runtime = _number(f"{folder}/runtime", usual)
+        shares.append(runtime / max(_number(f"{folder}/period", 1_000_000_000), 1))
+    return max(shares, default=0.0)
+
+
+def _throttling(share: float, reason: str) -> list[str]:
+    """Report when the kernel gives real-time tasks less than it usually does."""
+    if share >= _USUAL:
         return []
     return [
-        f"real-time tasks together get {runtime} us of every {period} us "
-        f"(sched_rt_runtime_us), and verification plans with {wanted} us; raise it "
-        f"(sysctl -w kernel.sched_rt_runtime_us={wanted})"
+        f"real-time tasks together get {share:.1%} of a core ({reason}), and the "
+        f"critical set is planned with that; raise it to {_USUAL:.0%}"
     ]
 
 
@@ -118,8 +162,8 @@ def _capable(bit: int) -> bool:
     return False
 
 
-def _cgroup_budget() -> int | None:
-    """Return cpu.rt_runtime_us of our cgroup-v1 cpu group; None if there is none."""
+def _cgroup(name: str) -> int | None:
+    """Return a number of our cgroup-v1 cpu group; None if there is none."""
     place = mount = None
     for line in Path("/proc/self/cgroup").read_text("utf-8").splitlines():
         _, controllers, path = line.split(":", 2)
@@ -131,7 +175,7 @@ def _cgroup_budget() -> int | None:
             mount = before.split()[4]
     if place is None or mount is None:
         return None
-    file = Path(mount) / place.lstrip("/") / "cpu.rt_runtime_us"
+    file = Path(mount) / place.lstrip("/") / name
     return _number(str(file), 0) if file.exists() else None
 
 

@@ -64,6 +64,7 @@ class RequestHandlers:
 
     def __init__(self, rtpu: Rtpu) -> None:
         self._rtpu = rtpu
+        rtpu.obey = partial(signal_tasks.obey, rtpu)
         self._inspecting = module_inspection.ModuleInspection(rtpu)
         self._codec = codec.Codec()
         self._pack = Answers(rtpu.name, self._report)

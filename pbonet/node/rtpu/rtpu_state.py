@@ -11,7 +11,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 import pbonet
-from pbonet.analysis.schedule import Mode
+from pbonet.analysis.schedule import CoreShare, Mode
 from pbonet.config import RtpuEntry, Scheduler, TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
 from pbonet.node import rt
@@ -81,6 +81,11 @@ class Rtpu:
         places: Its files in the runtime folder.
         forks: The fork server that its process began with; in virtual time None.
     """
+
+    obey: Callable[[Task, str, str], Coroutine[None, None, None]] | None = None
+    """Carries out a signal that a task's module sends to another task."""
+    _budget: ranking.CoreBudget | None = None
+    """Of its core; None in virtual time."""
 
     def __init__(
         self,
@@ -182,6 +187,14 @@ class Rtpu:
         self._scheduling = SchedulingCheck(self.core, self.events)
         self.dispatcher = rt.Dispatcher(self.core, self.config.backend)
         self.dispatcher.start()
+        below = self.dispatcher.backend == "fifo"
+        wanted = self.config.core_share
+        self._budget = ranking.CoreBudget(probe, wanted, below=below)
+        if wanted is not None and wanted > probe.share:
+            self.limits.append(
+                f"core_share is {wanted:.1%}, but real-time tasks get {probe.share:.1%}"
+                f" of a core ({probe.share_reason}): the critical set is not kept above"
+            )
         self.vigil = rt.Vigil(self.dispatcher)
         self.save()
         self._watch = asyncio.create_task(self._watch_quietly(), name="watch")
@@ -205,12 +218,16 @@ class Rtpu:
 
     def info(self) -> rtpu_messages.RtpuInfo:
         """Return the identity of this process."""
+        share = self.core_share()
         return rtpu_messages.RtpuInfo(
             pid=os.getpid(),
             core=self.config.core,
             version=pbonet.__version__,
             backend=self.dispatcher.backend,
             limits=self.limits,
+            share=share.share,
+            dispatch=share.dispatch,
+            share_reason=share.reason,
             claims=self.claims.epochs(),
             started_ns=self._started_ns,
             stops=list(self.stops),
@@ -288,7 +305,7 @@ class Rtpu:
             self._wish(key, task, on=task in joining or task.state is State.ON)
             for key, task in self.tasks.items()
         ]
-        ranked = ranking.rank(self._entry(), wishes)
+        ranked = ranking.rank(self._entry(), wishes, self.core_share())
         before, self.ranks = self.ranks, {k: ranked["/".join(k)] for k in self.tasks}
         for key, rank in self.ranks.items():
             if before.get(key) != rank:
@@ -296,6 +313,10 @@ class Rtpu:
                 self.core.configure(
                     slot, crit=rank.crit, priority=rank.priority, drop=rank.drop
                 )
+
+    def core_share(self) -> CoreShare:
+        """Return what the tasks may use of the core; all of it in virtual time."""
+        return CoreShare() if self._budget is None else self._budget.share()
 
     def _entry(self) -> RtpuEntry:
         """Return the combined descriptions of the RTPU by its users."""
@@ -364,6 +385,9 @@ class Rtpu:
             lost = sum(notice.lost.values())
             notice.text = f"[{lost} notices lost before this one] {notice.text}"
         _remember(task, notice)
+        if notice.order is not None and self.obey is not None:
+            chore = self.obey(task, *notice.order)
+            self.later(chore, name=f"order of {task.name}")
         if notice.code == "ENDING" and task.state is State.ON:
             self._leaves(task)
         if notice.code == "ENGAGED":
@@ -576,7 +600,10 @@ class Rtpu:
                 (task, self.core.snapshot(task.facts.slot))
                 for task in self.tasks.values()
             ]
-            self._timing_failures.report_new(self.core.status(), tasks)
+            core = self.core.status()
+            self._timing_failures.report_new(core, tasks)
+            if self._budget and self._budget.update(core, self.core.cpu_ns()):
+                self.publish_claims()  # with what is left for tasks
             if any(slot.in_sync and slot.mode is Mode.ON for _, slot in tasks):
                 self.core.kick()  # in its turns it reads what waits have used
             self._waiting_cycles.check(tasks)

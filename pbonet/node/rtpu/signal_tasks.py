@@ -32,6 +32,8 @@ OFF_SHARE = 0.6
 """Of the time for a stop, what turning OFF may take; the rest is for ending."""
 TAKEOVER_TIME = 5.0
 """Seconds for the `on` of a task that takes over."""
+ORDER_TIME = 5.0
+"""Seconds for a signal that a module sends to another task."""
 LEAST = 0.05
 """Seconds that each task gets for its `off`, however many there are."""
 
@@ -96,6 +98,24 @@ async def control(
         if event is lifecycle.Event.ON:
             task.coming.remove(done)
     return []
+
+
+async def obey(rtpu: Rtpu, sender: Task, name: str, signal: str) -> None:
+    """Carry out a signal of a module for another task (Stewart 1994, section 8.2.1).
+
+    No master has asked for it, so a refusal is an event of the task that sent it.
+    """
+    subsystem = sender.facts.subsystem
+    try:
+        await control(rtpu, rtpu.need(subsystem, name), signal, ORDER_TIME)
+    except PbonetError as error:
+        rtpu.events.add(
+            Severity.ERROR,
+            "SIGNAL_FAILED",
+            f"{signal} to {name} was refused: {error}",
+            subsystem=subsystem,
+            task=sender.name,
+        )
 
 
 async def _send(

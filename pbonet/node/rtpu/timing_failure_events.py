@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pbonet.analysis.schedule import Kind
 from pbonet.errors import Severity
 from pbonet.node.rt import KINDS
+from pbonet.node.wire import CoreTimes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -38,6 +39,7 @@ class TimingFailureEvents:
         self._hung: set[tuple[str, str, int, int]] = set()
         """Cycles that do not return, by subsystem, task, process and number; -1 for
         events without end."""
+        self._times: CoreTimes | None = None
         self._stalls = 0
         self._stalled_ns = 0
         self._errors = 0
@@ -46,6 +48,9 @@ class TimingFailureEvents:
         self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]
     ) -> None:
         """Report what has come since the last check."""
+        if self._times is None:
+            self._times = CoreTimes(core.core)
+        times = self._times.read(core.leader_pid, core.leader_tid)
         seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
         hung: set[tuple[str, str, int, int]] = set()
         for task, slot in tasks:
@@ -57,7 +62,7 @@ class TimingFailureEvents:
             seen[key] = (*slot.failures, slot.held_off)
             before = self._failures.get(key, (0,) * len(seen[key]))
             if seen[key] != before:
-                self._report(task, slot, before, seen[key])
+                self._report(task, slot, (before, seen[key]), times)
         self._failures, self._hung = seen, hung
         self._check_core(core)
 
@@ -107,13 +112,13 @@ class TimingFailureEvents:
         self,
         task: Task,
         slot: SlotStatus,
-        before: tuple[int, ...],
-        after: tuple[int, ...],
+        counts: tuple[tuple[int, ...], tuple[int, ...]],
+        core: str,
     ) -> None:
         names = (*KINDS, "overlong critical section")
         news = [
             f"{now - then} {name}"
-            for name, then, now in zip(names, before, after, strict=True)
+            for name, then, now in zip(names, *counts, strict=True)
             if now > then
         ]
         times = [f"timing failures: {', '.join(news)}"]
@@ -127,6 +132,8 @@ class TimingFailureEvents:
             times.append(f"the longest cycle took {longest:g} ms of CPU time")
         if slot.maxc_ns:
             times.append(f"reserve {slot.maxc_ns / 1e6:g} ms")
+        if core:
+            times.append(core)
         self._events.add(
             Severity.WARNING,
             "TIMING_FAILURE",

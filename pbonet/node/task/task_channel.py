@@ -129,7 +129,10 @@ class RtpuChannel:
                     Severity.WARNING if handled else severity(notice.bits),
                 ),
                 code="HANDLED" if handled else "WARNING" if warned else "SIGNAL",
-                text=notice.text if warned or handled else self._signal_text(notice),
+                text=notice.text
+                if warned or handled or notice.order
+                else self._signal_text(notice),
+                order=notice.order,
                 cycle=notice.cycle,
                 bits=notice.bits,
                 errnum=notice.code,

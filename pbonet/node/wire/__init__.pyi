@@ -15,6 +15,7 @@ from .clock_offsets import (
 )
 from .command_record import command as command
 from .core_wait import CoreWait as CoreWait, core_times as core_times
+from .core_times import CoreTimes as CoreTimes
 from .event_log import (
     EventLog as EventLog,
     LineBudget as LineBudget,

@@ -54,6 +54,8 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     runs: str = "runs"
     """Folder of the logs, absolute."""
     awake: bool = False
+    core_share: float | None = None
+    """Share of the core that tasks may use; None: what the kernel grants."""
     devices: dict[str, Entry] = {}
     """I/O devices of the machine by logical name."""
     spps: dict[str, SppEntry] = {}
@@ -271,6 +273,10 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     backend: str
     limits: list[str]
     claims: dict[str, int]
+    share: float = 1.0
+    """Share of the core that its tasks may use, as in `AgentInfo`."""
+    dispatch: float = 0.0
+    share_reason: str = ""
     started_ns: int = 0
     """CLOCK_MONOTONIC at its start."""
     stops: list[str] = []
@@ -447,6 +453,8 @@ class Notice(Struct, tag="notice", kw_only=True):
     """Where it happened in the module's code."""
     lost: dict[str, int] = {}
     """Number of notices dropped for lack of room before this one, by code."""
+    order: tuple[str, str] | None = None
+    """Another task of the RTPU, and the signal that the module sends to it."""
     state: str = ""
     error: WireError | None = None
 

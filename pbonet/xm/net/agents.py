@@ -43,6 +43,14 @@ class AgentInfo(Struct, kw_only=True):
     rtpu_pid: int
     backend: str
     """``fifo`` or ``park``; the consequences are in `limits`."""
+    share: float = 0.0
+    """The share of its core that tasks may use; 0: an older agent, which says none."""
+    dispatch: float = 0.0
+    """CPU seconds that the dispatcher takes of it for each release."""
+    share_reason: str = ""
+    """Where these two come from."""
+    copy_speed: float = 0.0
+    """Bytes a second that one of its cores copies, as measured; 0: not measured."""
     limits: list[str] = []
     """Reduced guarantees and their reasons, one sentence each."""
     version: str

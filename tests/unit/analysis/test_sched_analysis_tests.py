@@ -107,7 +107,7 @@ def test_a_band_of_criticality_holds_what_edf_can_schedule() -> None:
     pair = [demand("a", 10, 5), demand("b", 14, 7)]
     assert edf_schedulable(pair)
     assert not rm_schedulable(pair)
-    assert level_guaranteed(pair, {"a": 5, "b": 5}) == set()
+    assert level_guaranteed(pair, {"a": 5, "b": 5}) == {"a", "b"}
     easier = [demand("a", 10, 5), demand("b", 14, 4)]
     levels = {"a": 5, "b": 5}
     assert level_response_times(easier, levels) == {"a": 9, "b": 9}

@@ -208,14 +208,15 @@ def test_other_signals_change_nothing(sent: str) -> None:
 def test_a_frequency_that_overloads_is_refused() -> None:
     slow = task("a", freq=100, maxc=0.001)
     other = task("b", freq=100, maxc=0.0025)
-    config = configuration(slow, other, rtpus=[rtpu(scheduler="EDF")])
+    edf = [rtpu(scheduler="EDF")]
+    config = configuration(slow, other, rtpus=edf, strict=True)
     faster = legality.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=700.0)
     verdict = legality.judge(config, legality.frequency(faster))
     assert verdict.refused == ()
     assert verdict.after.tasks[0].hz == 700
     faster = legality.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=800.0)
     verdict = legality.judge(config, legality.frequency(faster))
-    assert codes(verdict.refused) == ["overload"]
+    assert codes(verdict.refused) == ["not-guaranteed"]
     too_fast = legality.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=1100.0)
     verdict = legality.judge(configuration(slow), legality.frequency(too_fast))
     assert codes(verdict.refused) == ["times"]

@@ -16,6 +16,7 @@ from verify_parts import (
 )
 
 from pbonet.analysis import legality
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config.model import TaskType
 from pbonet.errors import VerificationError
 
@@ -30,7 +31,7 @@ def test_figure_6_1_under_each_scheduler() -> None:
     assert muf.outlook is legality.Outlook.PARTLY
     assert muf.critical_set == muf.guaranteed == ("t1", "t2", "t3")
     assert [t.guaranteed for t in muf.tasks] == [True, True, True, False]
-    assert only(figure_6_1("EDF")).outlook is legality.Outlook.OVERLOADED
+    assert only(figure_6_1("EDF")).outlook is legality.Outlook.UNKEPT
     rm = only(figure_6_1("RM"))
     assert rm.outlook is legality.Outlook.PARTLY
     assert rm.guaranteed == ("t1", "t2")
@@ -139,7 +140,7 @@ def test_a_server_that_is_too_large_is_said_to_be() -> None:
         assert only(config).outlook is legality.Outlook.OVERLOADED
     smaller = task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
     assert texts(configuration(plain, smaller, rtpus=[rtpu()])) == []
-    limited = configuration(plain, tasks[1], rtpus=[rtpu()], limit=0.7)
+    limited = configuration(plain, tasks[1], rtpus=[rtpu()], core=CoreShare(share=0.7))
     assert "expected at most 0.001 s, once in 0.01 s" in texts(limited)[0]
 
 
@@ -164,7 +165,7 @@ def test_a_fixed_criticality_may_spoil_the_critical_set() -> None:
 def test_nothing_is_guaranteed_beyond_the_limit() -> None:
     for crit in (None, 20):
         heavy = task("a", freq=999, maxc=0.001, critical=True, info=None, crit=crit)
-        config = configuration(heavy, rtpus=[rtpu()], limit=0.95)
+        config = configuration(heavy, rtpus=[rtpu()], core=CoreShare(share=0.95))
         assert only(config).guaranteed == ()
         assert "too busy for the CRITICAL a" in texts(config)[0]
         assert texts(configuration(heavy, rtpus=[rtpu()])) == []
@@ -185,11 +186,12 @@ def test_a_transformation_is_proposed() -> None:
 def test_the_report_as_text() -> None:
     assert legality.report_text(legality.report(with_server())).splitlines() == [
         "RTPU arm0 (MUF): schedulable, utilization 80.0% of 100.0%",
+        "  core: 100.0% for tasks (virtual time)",
         "  critical set: a soft",
         "  all deadlines would be met under: MUF, EDF, RM",
         "  server srv: deferrable, 2 ms every 10 ms (20.0%); equation 22 allows 18.2%, "
         "all periods known 2.5 ms; fits",
-        "  table: 0 of 1000 MB/s; a write waits 0 s, a read 0 us at most",
+        "  table: 0 of 1000 MB/s (assumed); a write waits 0 s, a read 0 us at most",
         "  task  Hz       MINC ms      MAXC ms      E ms        U %   crit  set  meets",
         "  soft  83.3333  ? assumed 0  10 measured  6 measured  50.0  5     yes  1 "
         "of 2 cycles, 81.8% of periods at worst",

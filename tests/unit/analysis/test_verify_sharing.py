@@ -6,6 +6,7 @@ import pytest
 from verify_parts import configuration, rtpu, task
 
 from pbonet.analysis import legality
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config.model import TaskType
 from pbonet.master.tools import doctor
 from pbonet.xm.net import run_folder
@@ -18,7 +19,9 @@ def reports(*shares, scheduler="MUF", **settings):
     given = [settings | ({} if s is None else {"maxc": s / 100.0}) for s in shares]
     tasks = [task(n, rtpu=n, **more) for n, more in zip(names, given, strict=True)]
     rtpus = [rtpu(name, scheduler) for name in names]
-    return legality.report(configuration(*tasks, rtpus=rtpus, limit=0.95))
+    return legality.report(
+        configuration(*tasks, rtpus=rtpus, core=CoreShare(share=0.95))
+    )
 
 
 def test_what_fits_together_keeps_its_promise():

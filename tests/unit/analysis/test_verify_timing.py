@@ -6,6 +6,7 @@ from verify_parts import configuration, figure_6_1, rtpu, task, texts
 
 from pbonet.analysis import legality
 from pbonet.analysis.legality import times
+from pbonet.analysis.schedule import CoreShare
 from pbonet.analysis.schedule.soft import from_steps
 from pbonet.config.model import TaskType, Variable
 from pbonet.node.rt import _rt
@@ -13,7 +14,9 @@ from pbonet.node.rt import _rt
 
 def crits(config: legality.Configuration) -> dict[str, int]:
     (entry,) = config.rtpus
-    found = legality.criticalities(config.tasks, entry, limit=config.limit)
+    found = legality.criticalities(
+        config.tasks, entry, core=config.share_of(entry.name)
+    )
     return {name: assigned.crit for name, assigned in found.items()}
 
 
@@ -48,15 +51,24 @@ def test_a_soft_task_may_miss() -> None:
     assert texts(figure_6_1("MUF", softness=0.3)) == []
 
 
-def test_edf_has_one_criticality_and_keeps_nothing_in_an_overload() -> None:
+def test_edf_has_one_criticality_and_any_task_may_miss_in_an_overload() -> None:
+    """It may be started once all times are known, unless ``STRICT`` refuses it."""
     config = figure_6_1("EDF")
     assert len(set(crits(config).values())) == 1
     (load,) = legality.loads(config)
     assert load.critical_set == ()
     assert texts(config) == [
-        "arm0: RTPU arm0 is overloaded (expected a utilization of at "
-        "most 100.0%, got 125.0%); lower a frequency, or move a task to another RTPU"
+        "arm0: on RTPU arm0 any of t1 and t2 and t3 and t4 may miss deadlines "
+        "(expected a utilization of at most 100.0% under EDF, got 125.0%); lower a "
+        "frequency, or move a task to another RTPU"
     ]
+    assert [problem.severity for problem in legality.check(config)] == ["warn"]
+    (problem,) = legality.check(structs.replace(config, strict=True))
+    assert problem.severity == "refuse"
+    assert "take STRICT out of the .sbs file" in problem.remedy
+    (problem,) = legality.check(figure_6_1("EDF", critical=True))
+    assert problem.severity == "refuse"
+    assert problem.what == "RTPU arm0 is too busy for the CRITICAL t4"
     fewer = configuration(*config.tasks[:3], rtpus=config.rtpus)
     assert texts(fewer) == []
     assert legality.loads(fewer)[0].critical_set == ("t1", "t2", "t3")
@@ -97,12 +109,19 @@ def test_rm_refuses_an_overload_that_hits_a_critical_task() -> None:
     )
 
 
-def test_rm_refuses_an_overload_of_which_nobody_is_safe() -> None:
+def test_rm_names_all_in_an_overload_of_which_nobody_is_safe() -> None:
     tasks = [task("a", freq=100, maxc=0.009), task("b", freq=99, maxc=0.009)]
     tasks = [structs.replace(t, rmod=structs.replace(t.rmod, crit=7)) for t in tasks]
-    (problem,) = legality.check(configuration(*tasks, rtpus=[rtpu(scheduler="RM")]))
+    config = configuration(*tasks, rtpus=[rtpu(scheduler="RM")])
+    (problem,) = legality.check(config)
+    assert problem.severity == "warn"
+    assert problem.what == "on RTPU arm0 a and b may miss deadlines"
+    (problem,) = legality.check(structs.replace(config, strict=True))
     assert problem.severity == "refuse"
-    assert "is overloaded" in problem.what
+    assert (
+        legality.check(structs.replace(figure_6_1("MUF"), strict=True))[0].severity
+        == "warn"
+    )
 
 
 def test_rm_gives_the_faster_task_the_higher_criticality() -> None:
@@ -174,10 +193,12 @@ def test_measured_times_and_other_frequencies_count() -> None:
 
 def test_the_limit_keeps_room_on_the_core() -> None:
     config = configuration(
-        task("a", freq=1000, maxc=0.00097), rtpus=[rtpu(scheduler="EDF")], limit=0.95
+        task("a", freq=1000, maxc=0.00097),
+        rtpus=[rtpu(scheduler="EDF")],
+        core=CoreShare(share=0.95),
     )
     (problem,) = legality.check(config)
-    assert problem.expected == "a utilization of at most 95.0%"
+    assert problem.expected == "a utilization of at most 95.0% under EDF"
     assert problem.got == "97.0%"
 
 
@@ -241,6 +262,37 @@ def test_the_traffic_of_equations_6_and_7() -> None:
         "0.2 MB/s (equation 7), got 0.216 MB/s, of which arm 0.144 MB/s); lower the "
         "frequency of arm, or combine it with the tasks that use it"
     ]
+
+
+def test_traffic_is_judged_by_the_memory_of_each_machine() -> None:
+    """144 kB/s of each task are too much for one memory of 200 kB/s, not for two."""
+    tasks = [
+        task(name, invar="Q QD", outvar=f"T{name}", freq=1000, info=None, rtpu=rtpu_)
+        for name, rtpu_ in (("a", "arm0"), ("b", "arm1"))
+    ]
+    names = ("Q", "QD", "Ta", "Tb")
+    table = [Variable(name=name, type="double", nelem=6) for name in names]
+    entries = [rtpu("arm0"), rtpu("arm1")]
+
+    def found(machines, speeds):
+        config = configuration(
+            *tasks,
+            variables=table,
+            rtpus=entries,
+            machines=machines,
+            copy_speeds=speeds,
+        )
+        return [p.got for p in legality.check(config) if p.code == "bandwidth"]
+
+    both = {"arm0": 200e3, "arm1": 200e3}
+    assert found({"arm0": "x", "arm1": "x"}, both) == [
+        "0.288 MB/s, of which b 0.144 MB/s"
+    ]
+    assert found({"arm0": "x", "arm1": "y"}, both) == []
+    assert found({"arm0": "x", "arm1": "y"}, both | {"arm1": 100e3}) == [
+        "0.144 MB/s, of which b 0.144 MB/s"
+    ]
+    assert found({}, {}) == []  # 1 GB/s where nobody has measured
 
 
 @pytest.mark.parametrize(
@@ -347,7 +399,7 @@ def test_a_rate_that_no_rtpu_grants_is_refused() -> None:
 
 def test_a_crit_that_takes_from_the_critical_set_is_named() -> None:
     """tau1 to tau3 of Figure 6.1 take 98.3 %; tau3 would be outside by the rule."""
-    config = structs.replace(figure_6_1("MUF"), limit=0.95)
+    config = structs.replace(figure_6_1("MUF"), core=CoreShare(share=0.95))
     raised = structs.replace(
         config,
         tasks=tuple(

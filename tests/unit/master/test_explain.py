@@ -10,6 +10,7 @@ import pytest
 from msgspec import structs
 
 from pbonet.analysis import legality
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config import Scheduler
 from pbonet.errors import (
     NoAnswerError,
@@ -681,7 +682,9 @@ def report(outlook, *, unknown=()):
         tasks=(),
         servers=(),
         traffic=0.0,
+        core=CoreShare(),
         copy_speed=1.0,
+        copy_measured=False,
         write_wait=0.0,
         read_wait=0.0,
     )
@@ -760,7 +763,11 @@ def test_a_cycle_of_a_log_has_its_own_causes():
     gaps = [
         Gap(cycle=50, missed=2, at=NOW, longest=0.02, others=(("sensor", 0.009),)),
         Gap(cycle=90, missed=1, at=NOW + 60, longest=0.001),
-    ]
+        Gap(
+            cycle=99, missed=1, at=NOW + 90, longest=0.001,
+            window=0.01, own=0.001, others=(("sensor", 0.004),),
+        ),
+    ]  # fmt: skip
     known = facts(gaps={"pid": gaps}, from_log=True)
     known.events = [event("CORE_STALLED", "core 1 stood still")]
     text = told(known, "miss", "pid", "49")
@@ -769,7 +776,8 @@ def test_a_cycle_of_a_log_has_its_own_causes():
     assert "sensor took 9 ms of the core meanwhile" in text
     assert "CORE_STALLED of arm0" in text
     both = told(known, "miss", "pid")
-    assert both.startswith("pid has missed 3 cycles in 2 places")
+    assert both.startswith("pid has missed 4 cycles in 3 places")
+    assert "for 5 of the 10 ms in which pid was ready, no task of its RTPU" in both
     assert f"do: {REMEDIES['late start']}" in both
 
 

@@ -186,3 +186,34 @@ def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "run.mcap").write_bytes(b"x" * 99)
     with pytest.raises(LogError):
         diagnosis.answer(tmp_path / "run.mcap", (), Place())
+
+
+def test_who_had_the_core_while_a_task_was_ready(tmp_path):
+    """A cycle of 35 ms had it for 1 ms, and another task for 12 and half of 10 ms."""
+    path = tmp_path / "run.mcap"
+    files = [Attached("a.sbs", SBS), Attached("a.svar", SVAR)]
+    writer = LogWriter(path, run(), files)
+    pid, other = (
+        writer.add_task(structs.replace(about(name, PLAIN), rmod=RMOD))
+        for name in ("pid", "other")
+    )
+    for n in range(1, 31):
+        release = (n + (3 if n > 10 else 0)) * PERIOD
+        data, _ = group(PLAIN, random.Random(1))
+        writer.add(pid, record(
+            data, cycle=n, release_ns=release, start_ns=release,
+            end_ns=release + (35_000_000 if n == 10 else 1_000_000), cpu_ns=1_000_000,
+        ))  # fmt: skip
+    begin = 10 * PERIOD
+    for n, start, end in ((1, 2_000_000, 14_000_000), (2, 30_000_000, 40_000_000)):
+        data, _ = group(PLAIN, random.Random(1))
+        writer.add(other, record(
+            data, cycle=n, release_ns=begin + start, start_ns=begin + start,
+            end_ns=begin + end, cpu_ns=end - start,
+        ))  # fmt: skip
+    for one in SOUND[:1]:
+        writer.add_event(one)
+    writer.close()
+    text = diagnosis.text(diagnosis.answer(path, ("miss", "pid"), Place()))
+    assert "other took 17 ms of the core meanwhile" in text
+    assert "for 17 of the 35 ms in which pid was ready, no task of its RTPU" in text

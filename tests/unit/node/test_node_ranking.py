@@ -1,11 +1,14 @@
 """Which criticality a task gets: the rule of verification fills in what nobody says."""
 
+from types import SimpleNamespace
+
 import pytest
 from msgspec import structs
 
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config import parse_rmod
 from pbonet.config.model import RtpuEntry, Scheduler, TaskType
-from pbonet.node.rtpu.ranking import Ranked, RankRequest, rank
+from pbonet.node.rtpu.ranking import CoreBudget, Ranked, RankRequest, rank
 
 RMOD = """
 MODULE counts
@@ -28,8 +31,11 @@ def wish(name, freq, *, lines=(), **more):
     )
 
 
-def ranked(*wishes, **entry):
-    return rank(RtpuEntry(name="arm0", **entry), wishes)
+CORE = CoreShare(share=0.95)
+
+
+def ranked(*wishes, core=CORE, **entry):
+    return rank(RtpuEntry(name="arm0", **entry), wishes, core)
 
 
 def crits(*wishes, **entry):
@@ -75,6 +81,47 @@ def test_what_is_off_takes_nothing_from_what_is_on():
 @pytest.mark.parametrize(("maxc", "crit"), [("0.0094", 5), ("0.0096", 3)])
 def test_the_core_is_planned_up_to_its_limit(maxc, crit):
     assert crits(wish("a", 100.0, lines=[f"MAXC {maxc}"])) == {"a": crit}
+
+
+def test_dispatching_is_taken_off_what_many_tasks_may_use():
+    """Ten tasks at 1 kHz and 20 us a release: a fifth of the core is the dispatcher's.
+
+    One of 20 Hz fits beside one of the ten, and not beside all.
+    """
+    core = CoreShare(share=1.0, dispatch=20e-6)
+    last = wish("z", 20.0, lines=["MAXC 0.01"])
+    fast = [wish(f"a{n}", 1000.0, lines=["MAXC 0.00006"]) for n in range(10)]
+    assert crits(fast[0], last, core=core)["z"] == 5
+    assert crits(*fast, last, core=core)["z"] == 3
+    assert crits(*fast, last, core=CoreShare())["z"] == 5
+
+
+def counts(tid, releases):
+    return SimpleNamespace(leader_tid=tid, releases=releases)
+
+
+def test_the_cost_of_a_release_is_measured_and_seldom_changes():
+    granted = SimpleNamespace(share=0.95, share_reason="the kernel")
+    budget = CoreBudget(granted, None, below=True)
+    assert budget.share().dispatch == 1e-5
+    assert not budget.update(counts(7, 1000), 5_000_000)
+    assert not budget.update(counts(7, 2999), 100_000_000)  # too few releases yet
+    assert budget.update(counts(7, 3000), 41_000_000)  # 18 us each
+    assert budget.share() == CoreShare(
+        share=0.95, dispatch=20e-6, reason="the kernel; 20 us a release, measured"
+    )
+    assert not budget.update(counts(7, 5000), 61_000_000)  # 14 us: little below
+    assert not budget.update(counts(9, 5000), 900_000_000)  # another leader begins
+    assert budget.update(counts(9, 7000), 907_000_000)  # 3.5 us
+    assert budget.share().dispatch == 5e-6
+
+
+def test_the_setting_goes_before_the_kernel_and_a_dispatcher_apart_costs_nothing():
+    granted = SimpleNamespace(share=0.95, share_reason="the kernel")
+    budget = CoreBudget(granted, 0.8, below=False)
+    assert not budget.update(counts(1, 0), 0)
+    assert not budget.update(counts(1, 9999), 1_000_000_000)
+    assert budget.share() == CoreShare(share=0.8, reason="core_share of agent.toml")
 
 
 def test_rm_goes_by_rate():

@@ -5,11 +5,12 @@ from types import SimpleNamespace as Plain
 import pytest
 
 from pbonet.node.rtpu.timing_failure_events import TimingFailureEvents
+from pbonet.node.wire.core_times import CoreTimes
 from pbonet.node.wire.event_log import EventLog
 
 MS = 1_000_000
 TASK = Plain(name="pid", facts=Plain(subsystem="arm"))
-CORE = Plain(stalls=0, stalled_ns=0, errors=0, core=1)
+CORE = Plain(stalls=0, stalled_ns=0, errors=0, core=1, leader_pid=0, leader_tid=0)
 
 
 @pytest.mark.parametrize(
@@ -58,3 +59,28 @@ def test_a_cycle_that_does_not_end_is_told_with_its_time(
     head, _, times = event.text.partition("; ")
     assert head.startswith("timing failures: 4 ")
     assert times == told
+
+
+def kernel(folder, line, waited):
+    """Write what the kernel says of core 1 and of the dispatcher's thread."""
+    thread = folder / "7/task/8"
+    thread.mkdir(parents=True, exist_ok=True)
+    (thread / "schedstat").write_text(f"999 {waited} 12\n")
+    (folder / "stat").write_text(f"cpu 9 9 9 9 9 9 9 9\ncpu1 {line} 0 0\nintr 5\n")
+
+
+def test_what_a_core_did_is_the_kernels_difference(tmp_path):
+    times = CoreTimes(1, tmp_path)
+    kernel(tmp_path, "100 0 50 300 5 1 2 40", 1_000_000)
+    assert times.read(7, 8) == ""  # nothing to compare with yet
+    kernel(tmp_path, "120 0 55 310 5 1 4 43", 3_250_000)
+    text = times.read(7, 8)
+    assert text.startswith("core 1 in ")
+    assert text.endswith(
+        " s: busy 250 ms, idle 100 ms, interrupts 20 ms, stolen by the hypervisor 30 "
+        "ms; its dispatcher waited 2.25 ms for it"
+    )
+    kernel(tmp_path, "120 0 55 310 5 1 4 43", 9_000_000)
+    assert "dispatcher" not in times.read(7, 9)  # another one leads
+    (tmp_path / "stat").unlink()
+    assert times.read(7, 9) == ""

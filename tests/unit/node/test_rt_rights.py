@@ -108,9 +108,9 @@ def test_a_group_without_budget_is_named() -> None:
         (
             500_000,
             [
-                "real-time tasks together get 500000 us of every 1000000 us "
-                "(sched_rt_runtime_us), and verification plans with 950000 us; raise "
-                "it (sysctl -w kernel.sched_rt_runtime_us=950000)"
+                "real-time tasks together get 50.0% of a core "
+                "(kernel.sched_rt_runtime_us), and the critical set is planned with "
+                "that; raise it to 95%"
             ],
         ),
     ],

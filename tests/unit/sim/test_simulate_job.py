@@ -58,7 +58,7 @@ def test_an_overload_is_shown_and_not_refused(shop):
         .replace("RTPU a", "RTPU a\nSCHEDULER EDF")
     )
     outcome, told = run(shop, 1.0)
-    assert "RTPU a is overloaded" in told[0]
+    assert "on RTPU a any of source and slow may miss deadlines" in told[0]
     assert outcome.missing
 
 

@@ -1,0 +1,87 @@
+"""Signals that a module sends to other tasks itself (Stewart 1994, section 8.2.1)."""
+
+from __future__ import annotations
+
+import pytest
+
+from pbonet.errors import StateError
+from pbonet.master import Subsystem
+from pbonet.pbo import State, TaskContext
+
+MODULE = '''"""Breaks, and turns others off."""
+
+from typing import Annotated as A
+
+from pbonet import Answer, OutVar, Params, PortBasedObject, param
+
+
+class When(Params):
+    """When it fails."""
+
+    fails: A[int, param("1", "cycle in which it fails", ge=0)] = 0
+    off: A[str, param("none", "tasks that it turns off then")] = ""
+
+
+class Breaks(PortBasedObject[When]):
+    """Count."""
+
+    y: A[float, OutVar("Y", "1", "none", "count")]
+
+    def on(self) -> None:
+        self.y = 0.0
+
+    def cycle(self, dt: float) -> None:
+        self.y += 1.0
+        if self.y == self.params.fails:
+            raise ValueError("it breaks")
+
+    def error(self, error: Exception) -> Answer:
+        for task in self.params.off.split("+"):
+            self.task.control(task, "off")
+        return Answer.ERROR
+'''
+RMOD = (
+    "MODULE breaks\nDESC d\nSVARALIAS Y={y}\nINCONST none\nOUTCONST none\nINVAR none\n"
+    "OUTVAR Y\nTASKTYPE periodic\nFREQ 100\nLOCAL\n{local}\nEOF\n"
+)
+SVAR = "NAME {}\nTYPE double\nDESC d\nUNITS none\nNELEM 1\n\n"
+
+
+@pytest.fixture
+def subsystem(tmp_path):
+    """Three tasks; `a` fails and turns `b`, on its RTPU, and `c`, on another, off."""
+    (tmp_path / "breaks.py").write_text(MODULE)
+    (tmp_path / "x.svar").write_text("".join(map(SVAR.format, "ABC")) + "EOF\n")
+    (tmp_path / "x.sbs").write_text(
+        "SUBSYSTEM x\nSVARFILE x.svar\nRTPU r\nRTPU s\nEOF\n"
+    )
+    (tmp_path / "x.job").write_text(
+        "JOB x\nDESC\nSBS x.sbs\nTASK a\nTASK b\nTASK c s\nEOF\n"
+    )
+    for name in "abc":
+        local = "FAILS 5\nOFF b+c" if name == "a" else ""
+        text = RMOD.format(y=name.upper(), local=local)
+        (tmp_path / f"{name}.rmod").write_text(text)
+    with Subsystem(tmp_path / "x.job", libraries=[tmp_path], virtual=True) as opened:
+        opened.start()
+        yield opened
+
+
+def test_a_handler_of_errors_turns_another_task_off_without_the_master(subsystem):
+    assert {one.state for one in subsystem.status_all()} == {"ON"}
+    subsystem.wait(0.2)
+    states = {one.task: one.state for one in subsystem.status_all()}
+    assert states == {"a": "ERROR", "b": "OFF", "c": "ON"}
+    events = [one for one in subsystem.events() if one.code == "SIGNAL_FAILED"]
+    assert [(one.task, one.text.partition(":")[0]) for one in events] == [
+        ("a", "off to c was refused")
+    ]
+
+
+@pytest.mark.parametrize(("task", "signal"), [("b", "swap"), ("a", "off")])
+def test_what_cannot_be_sent_is_refused_at_once(task, signal):
+    context = TaskContext("a")
+    context.state = State.ON
+    with pytest.raises(StateError, match="task a cannot send"):
+        context.control(task, signal)
+    assert context.outbox.drain() == []
