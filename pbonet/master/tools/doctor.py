@@ -411,7 +411,7 @@ def _each_pair(pairs: _Pairs, count: int) -> Iterator[Finding]:
     if count > _FEW and sound:
         trips = [way.trip for way in sound]
         apart = max(abs(way.offset) for way in sound)
-        text = f"{len(sound)} pairs of {count} agents have measured: round trips "
+        text = f"{len(sound)} pairs of {count} agents see each other: round trips "
         text += f"{render.seconds(min(trips))} to {render.seconds(max(trips))}, clocks "
         yield Finding(Level.PASS, f"{text}at most {apart:.6f} s apart")
     for (one, other), way in pairs:

@@ -121,7 +121,7 @@ def test_of_many_agents_doctor_asks_those_again_that_do_not_see_all():
     found = [str(one) for one in doctor._pairs(client, names)]
     assert asked == [[], []]
     (line,) = found
-    assert line.startswith("PASS 20 pairs of 20 agents have measured: round trips 1 ms")
+    assert line.startswith("PASS 20 pairs of 20 agents see each other: round trips 1")
 
     def short(name, *unseen):
         known[name].alive = 19 - len(unseen)
