@@ -103,7 +103,7 @@ class Agent:
 
     _metrics: MetricsServer | None = None
     _claims: AbstractSet[str] = frozenset()
-    """The subsystems that use the RTPU, as others were told."""
+    """The subsystems that use the RTPU, as last announced."""
     _here_at = 0.0
     """When it was seen which RTPUs live here."""
 
@@ -265,7 +265,7 @@ class Agent:
             self._met_twin,
         )
         self._duplicates.start()
-        beats, ways = self._look_for_others(
+        beats, ways = self._meet_others(
             *(self._session, client, self._stops), info=info
         )
         where = self._session, self.config.domain
@@ -299,7 +299,7 @@ class Agent:
             "%s: %s RTPU process %d on core %d", self.name, how, info.pid, info.core
         )
 
-    def _look_for_others(
+    def _meet_others(
         self,
         link: zenoh.Session,
         client: Client,

@@ -1,7 +1,7 @@
 """Signs of life between agents, and the care for their links during an interruption.
 
 Agents whose RTPUs have the table of one subsystem are a group, and give each other
-signs of life on a key of that subsystem. Nobody else hears these, and an agent without
+signs of life on a key of that subsystem. No other agent hears these, and one without
 a table gives and hears none. One leaves a group when its RTPU has not had the table for
 a while, and says so: an RTPU process that was killed soon has it again.
 
@@ -256,7 +256,7 @@ class Heartbeat:
     def silence(self, subsystem: str, name: str) -> float:
         """Return for how many seconds an agent's machine has surely not answered.
 
-        Nobody can answer before this agent has joined the group, so that counts as an
+        No agent can answer before this one has joined the group, so that counts as an
         answer, unless an agent before this one was in it already.
         """
         with self._guard:

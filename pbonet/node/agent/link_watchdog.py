@@ -70,7 +70,7 @@ class LinkWatchdog:
         return info.zid in self._linked()
 
     def unknown(self) -> bool:
-        """Return whether there is a link to somebody that has never answered."""
+        """Return whether there is a link to an agent that has never answered."""
         return not self._linked() <= self._known.keys()
 
     def _linked(self) -> set[str]:

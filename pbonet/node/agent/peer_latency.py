@@ -139,7 +139,7 @@ class PeerLatencies:
         self._alive: set[str] = set()
         """Agents whose tokens are seen."""
         self._missed: set[str] = set()
-        """Those of them that the last check of the tokens has not found."""
+        """Agents among them that the last check of the tokens has not found."""
         self._watched: list[str] | None = []
         """See `watched_agents`; None: to be determined again."""
         self._turn = 0
@@ -445,7 +445,7 @@ class PeerLatencies:
         self._measure(me, asked | self._unknown_neighbours(me))
 
     def _unknown_neighbours(self, me: str) -> set[str]:
-        """Return agents that may be at the end of a link to somebody unknown.
+        """Return agents that may be at the end of a link to an unknown one.
 
         Each is asked once; one that is no neighbour is dropped again.
         """
