@@ -45,12 +45,12 @@ def test_those_without_a_table_give_and_hear_none(nodes, given):
 
 def test_a_killed_rtpu_process_does_not_end_its_agents_signs_of_life(nodes, given):
     """Its table is closed until the agent has given it again."""
-    arm = nodes.master("arm0", "arm")
-    nodes.master("arm1", "arm")
+    for name in ("arm0", "arm1"):
+        nodes.master(name, "arm")
     near, far = (nodes.agents[name]._heartbeat for name in ("arm0", "arm1"))
     wait_for(lambda: far.is_seen("arm0"), "arm1 to hear arm0")
     changes = []
-    far._report = changes.append
+    far._report = far._met = changes.append
     old = nodes.state("arm0").pid
     os.kill(old, signal.SIGKILL)
     wait_gone([old])
@@ -60,4 +60,3 @@ def test_a_killed_rtpu_process_does_not_end_its_agents_signs_of_life(nodes, give
     assert near.groups() == {"arm"}
     assert changes == []
     assert far.is_seen("arm0")
-    arm.close()
