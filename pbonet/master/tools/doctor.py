@@ -31,7 +31,7 @@ from pbonet.xm.net import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
     from pbonet.analysis.schedule import Probe
 
@@ -318,22 +318,33 @@ def link_verdict(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
 
 
 def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
-    """Prove every pair of agents by the last round trip between the two.
+    """Prove pairs of agents by the last round trip between the two.
 
-    Agents make these each second, so each is asked once and sends nothing. Where one is
-    amiss, agents measure again, a few at most: each of these asks all others.
+    Agents know these of their partners and of a few others, and how many agents they
+    see, so each is asked once and sends nothing. Where something is amiss, agents
+    measure again, a few at most: each of these asks all others.
     """
     asked: dict[str, m.Request] = {name: m.Links(measure=False) for name in names}
     reports, errors = client.call_all(asked, m.LinkReport, timeout=_WAYS_TIME)
     for error in errors:
         yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
-    doubtful = [one for (one, _), way in _ways(reports) if way is None or way.error]
+    short = {n: one for n, one in reports.items() if not _sees_all(one, len(reports))}
+    pairs = _ways(reports, told_all=short)
+    doubtful = [one for (one, _), way in pairs if way is None or way.error]
     again = [*dict.fromkeys(doubtful)][:_AGAIN]
     measured, _ = client.call_all(
         {name: m.Links() for name in again}, m.LinkReport, timeout=_WAYS_TIME
     )
     reports |= measured
-    yield from _each_pair(_ways(reports), len(reports))
+    told_all = [n for n, one in reports.items() if n in measured or one.alive is None]
+    yield from _each_pair(_ways(reports, told_all=told_all), len(reports))
+    for name, report in short.items():
+        if name not in told_all:
+            yield Finding(
+                Level.WARN,
+                f"{name} sees {report.alive} of {len(reports) - 1} other agents",
+                "see what is said of others first, then check again",
+            )
     for name, report in sorted(reports.items()):
         for news in report.tables:
             yield Finding(
@@ -363,15 +374,31 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
 _Pairs = list[tuple[tuple[str, str], m.Way | None]]
 
 
-def _ways(reports: Mapping[str, m.LinkReport]) -> _Pairs:
-    """Return the path between each two agents, as one of the two reports it."""
+def _sees_all(report: m.LinkReport, count: int) -> bool:
+    """Return whether an agent says that it sees all of so many, with itself."""
+    return report.alive is not None and report.alive + 1 >= count
+
+
+def _ways(reports: Mapping[str, m.LinkReport], *, told_all: Container[str]) -> _Pairs:
+    """Return the path between each two agents, as one of the two reports it.
+
+    Args:
+        reports: By agent.
+        told_all: Agents whose pairs are missing where neither reports a path. Of others
+            there are paths of which they report nothing.
+    """
     ways = {
         (report.rtpu, way.rtpu): way
         for report in reports.values()
         for way in report.ways
     }
     pairs = itertools.combinations(sorted(reports), 2)
-    return [((a, b), ways.get((a, b)) or ways.get((b, a))) for a, b in pairs]
+    found = [((a, b), ways.get((a, b)) or ways.get((b, a))) for a, b in pairs]
+    return [
+        ((a, b), way)
+        for (a, b), way in found
+        if way is not None or a in told_all or b in told_all
+    ]
 
 
 def _each_pair(pairs: _Pairs, count: int) -> Iterator[Finding]:

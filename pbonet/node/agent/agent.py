@@ -38,6 +38,7 @@ from pbonet.xm.net import (
     AgentInfo,
     Client,
     LinkReport,
+    credentials,
     dialling,
     key_expressions,
     messages,
@@ -48,7 +49,7 @@ from pbonet.xm.net import (
 from . import restart_check
 from .certificate_expiry import KeyTerm
 from .duplicate_agents import DuplicateAgents
-from .heartbeat import Change, Heartbeat
+from .heartbeat import ALWAYS, Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
 from .machine_state import copy_speed, machine_info
@@ -64,7 +65,7 @@ from .subsystem_links import Links
 from .zenoh_server import Server
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Set as AbstractSet
 
     from pbonet.config import AgentConfig
     from pbonet.node.rtpu import SnapshotChanges
@@ -83,8 +84,8 @@ READY_TIME = 5.0
 """Seconds for which masters do not see an agent that spawns tasks again."""
 LET_GO_TIME = 2.0
 """Seconds for closing tables."""
-HERE_CHECKS = 5
-"""Checks of its processes, 0.2 s apart, for one of the RTPUs that live here."""
+HERE_TIME = 1.0
+"""Seconds for which it counts which RTPUs live here."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -101,6 +102,10 @@ class Agent:
     """
 
     _metrics: MetricsServer | None = None
+    _claims: AbstractSet[str] = frozenset()
+    """The subsystems that use the RTPU, as last announced."""
+    _here_at = 0.0
+    """When it was seen which RTPUs live here."""
 
     def __init__(
         self, config: AgentConfig, *, backend: str = "auto", lasts: bool = True
@@ -158,7 +163,7 @@ class Agent:
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
         self._stopped = StoppedProcesses(
-            self.name, self._processes, self._note, self._check_alive
+            self.name, self._processes, self._note, self._send_alive
         )
         self._link: RtpuLink | None = None
         self._apart: dict[str, float] = {}
@@ -166,7 +171,6 @@ class Agent:
         self._about: AgentInfo | None = None
         self._here: list[str] = []
         """RTPUs that live on this machine; see `AgentInfo.here`."""
-        self._checks = 0
         self._over = Ending()
         self._stopping = False
         self._started = False
@@ -262,40 +266,25 @@ class Agent:
             self._met_twin,
         )
         self._duplicates.start()
-        self._heartbeat = Heartbeat(
-            self._session, self.info(), self._on_sight, self._stops.holds
+        beats, ways = self._meet_others(
+            *(self._session, client, self._stops), info=info
         )
-        self._takeovers = Takeovers(
-            self.name,
-            *(client, self._heartbeat, self._stops),
-            written=self._overview.written,
-            send=self._note,
-        )
-        self._takeovers.update(info)
-        self._takeovers.start()
-        self._ways = PeerLatencies(
-            self._session,
-            *(self.info, self._recorders.send, self._note),
-            listeners=(self._stops, self._takeovers),
-            silent=self._heartbeat.is_silent,
-        )
-        self._ways.start()
         where = self._session, self.config.domain
         self._mirrors = TableCarrier(
-            *(*where, self._ways.clocks, self._note, self._stops.refuses),
-            speaks=self._ways.table_version,
+            *(*where, ways.clocks, self._note, self._stops.refuses),
+            speaks=ways.table_version,
         )
-        self._mirrors.start(self._heartbeat.silence)
+        self._mirrors.start(beats.unanswered)
         self._mirrors.carry(info.tables)
-        self._heartbeat.start()
         self._subscriptions = KeySubscriptions(
             self._session, self.config.events, self._arrived
         )
         self._links = Links(
-            *(*where, self.name, self._ways.clock, self._note),
+            *(*where, self.name, ways.clock, self._note),
             refuses=self._stops.holds_agent,
+            need=ways.need,
         )
-        unlinked = partial(self._ways.unlinked, self._dials)
+        unlinked = partial(ways.unlinked, self._dials)
         self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
         if self.config.metrics is not None:
@@ -310,6 +299,43 @@ class Agent:
         log.info(
             "%s: %s RTPU process %d on core %d", self.name, how, info.pid, info.core
         )
+
+    def _meet_others(
+        self,
+        link: zenoh.Session,
+        client: Client,
+        stops: StopOrders,
+        *,
+        info: rtpu_messages.RtpuInfo,
+    ) -> tuple[Heartbeat, PeerLatencies]:
+        """Start to give signs of life, and to ask and watch other agents."""
+        beats = self._heartbeat = Heartbeat(
+            *(link, self.info(), self._on_sight, stops.holds),
+            met=self._on_first_sign,
+        )
+        self._takeovers = Takeovers(
+            self.name,
+            *(client, beats, stops),
+            written=self._overview.written,
+            send=self._note,
+        )
+        self._takeovers.update(info)
+        self._takeovers.start()
+        ways = self._ways = PeerLatencies(
+            link,
+            *(self.info, self._recorders.send, self._note),
+            listeners=(stops, self._takeovers),
+            silent=beats.is_silent,
+            token_came=beats.token_came,
+            partners=self._partners,
+            knows_all=self._key_folder is not None
+            and credentials.role(self._key_folder) is credentials.Role.GATEWAY,
+        )
+        ways.start()
+        taken_over = self._link is not None and self._link.taken_over
+        beats.join(info.tables, since=ALWAYS if taken_over else None)
+        beats.start()
+        return beats, ways
 
     def _begin_again(self, damage: str) -> None:
         """Give again what the agent before this one had, or tell why not."""
@@ -332,14 +358,6 @@ class Agent:
             found[link.info.pid] = "the RTPU process"
         return found
 
-    def _check_alive(self) -> None:
-        """Send the RTPU process a sign of life; see at times which RTPUs live here."""
-        self._checks += 1
-        if self._checks % HERE_CHECKS == 0:
-            with contextlib.suppress(OSError):  # the folder was removed
-                self._here = self.places.neighbours()
-        self._send_alive()
-
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""
         link, beats = self._link, self._heartbeat
@@ -347,7 +365,7 @@ class Agent:
             return
         before = self._apart
         self._apart = {
-            subsystem: beats.unanswered(use.keeper)
+            subsystem: beats.silence(subsystem, use.keeper)
             for subsystem, use in link.info.tables.items()
             if use.alone and not beats.is_here(use.keeper)
         }
@@ -419,6 +437,19 @@ class Agent:
         )
         log.error("%s: %s", self.name, text)
         self._note(rtpu_messages.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
+
+    def _partners(self) -> set[str]:
+        """Return the agents to ask every second."""
+        beats, stops, links = self._heartbeat, self._stops, self._links
+        found: set[str] = set()
+        if beats is not None and stops is not None:
+            found |= beats.partners() | stops.awaited()
+        return found if links is None else found | links.partners()
+
+    def _on_first_sign(self, name: str) -> None:
+        """Have an agent asked that is heard for the first time."""
+        if (ways := self._ways) is not None:
+            ways.in_sight(name)
 
     def _on_sight(self, change: Change) -> None:
         """Act on an agent that goes out of sight or comes back."""
@@ -545,6 +576,7 @@ class Agent:
         if self._about is None or info is None:
             return self._describe()
         term, ways = self._term, self._ways
+        self._see_neighbours()
         return msgspec.structs.replace(
             self._about,
             rtpu_pid=info.pid,
@@ -563,6 +595,14 @@ class Agent:
             keys_left=term.left if term is not None else None,
             lost=ways.lost() if ways is not None else [],
         )
+
+    def _see_neighbours(self) -> None:
+        """See which RTPUs live here, if that was not done within a second."""
+        now = time.monotonic()
+        if now - self._here_at >= HERE_TIME:
+            self._here_at = now
+            with contextlib.suppress(OSError):  # the folder was removed
+                self._here = self.places.neighbours()
 
     def _describe(self) -> AgentInfo:
         """Return the part of the identity that is constant during a session."""
@@ -634,6 +674,14 @@ class Agent:
         """Carry the tables that are now open, and update the recordings."""
         self._recorders.update(info.recordings, info.claims)
         self._overview.informed(info)
+        ways, beats = self._ways, self._heartbeat
+        if ways is not None and beats is not None:
+            if info.tables.keys() - beats.groups():
+                ways.expect_others()
+            beats.join(info.tables)
+            if info.claims.keys() != self._claims:
+                ways.announce_change()
+        self._claims = info.claims.keys()
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)
         if self._takeovers is not None:

@@ -1,5 +1,10 @@
 """Signs of life between agents, and the care for their links during an interruption.
 
+Agents whose RTPUs have the table of one subsystem are a group, and give each other
+signs of life on a key of that subsystem. No other agent hears these, and one without
+a table gives and hears none. One leaves a group when its RTPU has not had the table for
+a while, and says so: an RTPU process that was killed soon has it again.
+
 An agent that gives no sign of life for 0.4 s is out of sight: its machine's variables
 have no writer then, though the link is kept for some seconds, because an interruption
 is often over before a new link could be made.
@@ -29,7 +34,7 @@ from pbonet.xm.net import direct, key_expressions, session
 from .retransmission import Retransmission
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
 
     from pbonet.xm.net import AgentInfo
 
@@ -39,13 +44,17 @@ PERIOD = 0.1
 """Seconds between two signs of life."""
 LEAST = 1e-3
 """Shortest time between two checks, in seconds."""
+LINGER = 60.0
+"""Seconds for which an agent stays in the group of a table that its RTPU has closed or
+lost."""
 FIND_PERIOD = 1.0
 """Seconds between searches for new connections."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
 """Answers a sign of life of a machine that has orders to carry out."""
-_LEAF = "beat"
+ALWAYS = -math.inf
+"""When an agent joined a group of which another one before it may have been."""
 
 
 class Beat(Struct, array_like=True):
@@ -58,6 +67,8 @@ class Beat(Struct, array_like=True):
     heard: dict[str, int]
     """The agents that the sender hears: `sent_ns` of each one's last sign of life, or
     `HELD`."""
+    leaves: bool = False
+    """Whether it is the last one: the sender leaves the group."""
 
 
 class Change(NamedTuple):
@@ -78,6 +89,11 @@ class _Agent:
         self.machine = machine
         self.heard = self.back = time.monotonic()
         self.seen = True
+        self.back_without = False
+        """Whether it is out of sight, and its token has come again since then: it may
+        have started again, without a table."""
+        self.groups: set[str] = set()
+        """Subsystems in whose groups it was heard."""
         self.sent_ns = 0
         """Of its last sign of life, by the clock of its machine."""
         self.answered = answered
@@ -93,6 +109,7 @@ class _Agent:
         """Take a sign of life."""
         if not self.seen:
             self.back = now
+        self.seen, self.back_without = True, False
         self.heard, self.sent_ns = now, beat.sent_ns
         self.holds = beat.heard.get(me) == HELD
         for name, sent_ns in beat.heard.items():
@@ -101,8 +118,52 @@ class _Agent:
         self.answers = beat.heard
 
 
+class _Group:
+    """This agent's part in the signs of life of one subsystem.
+
+    Args:
+        link: The agent's session.
+        key: The key of this agent's signs of life in the group.
+        keys: The keys of all.
+        take: Called with each sign of life of another agent.
+        joined: When the agent joined it, or `ALWAYS`.
+    """
+
+    def __init__(
+        self,
+        link: zenoh.Session,
+        key: str,
+        keys: str,
+        take: Callable[[zenoh.Sample], None],
+        joined: float,
+    ) -> None:
+        self.joined = joined
+        self.left: float | None = None
+        """Since when the RTPU has not had the table; None: it has it."""
+        self._subscriber = link.declare_subscriber(
+            keys, direct(take), allowed_origin=zenoh.Locality.REMOTE
+        )
+        self._publisher = link.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+
+    def put(self, beat: bytes) -> None:
+        """Give a sign of life."""
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.put(beat)  # pyright: ignore[reportUnknownMemberType]
+
+    def close(self) -> None:
+        """Give and hear none any more."""
+        for entity in (self._subscriber, self._publisher):
+            with contextlib.suppress(zenoh.ZError):
+                entity.undeclare()  # type: ignore[no-untyped-call]
+
+
 class Heartbeat:
-    """An agent's signs of life, and those of the others.
+    """An agent's signs of life, and those of the others in its groups.
 
     Args:
         link: The agent's session.
@@ -110,6 +171,7 @@ class Heartbeat:
         report: Called when another agent goes out of sight or comes back, in zenoh's
             thread or in one of its own.
         holds: Returns whether a machine must carry out orders before it is answered.
+        met: Called with an agent that is heard for the first time, in the same way.
     """
 
     def __init__(
@@ -118,58 +180,97 @@ class Heartbeat:
         me: AgentInfo,
         report: Callable[[Change], None],
         holds: Callable[[str], bool] = lambda _machine: False,
+        met: Callable[[str], None] = lambda _name: None,
     ) -> None:
         self._session, self._report, self._holds = link, report, holds
+        self._met = met
         self._domain, self._name = me.domain, me.name
         self._machine = key_expressions.machine(me.machine)
         self._decoder = msgspec.msgpack.Decoder(Beat)
         self._encoder = msgspec.msgpack.Encoder()
         self._agents: dict[str, _Agent] = {}
+        self._groups: dict[str, _Group] = {}
+        """By subsystem."""
         self._began = self._next_beat = self._next_find = time.monotonic()
         self._guard = threading.Lock()
-        self._over = threading.Event()
+        self._joining = threading.Lock()
+        """Held while groups are joined."""
+        self._over = False
+        self._wake = threading.Event()
         self._retransmission = Retransmission()
         self._thread = threading.Thread(
             target=self._work, name="pbonet beat", daemon=True
         )
 
     def start(self) -> None:
-        """Start to give signs of life, and to expect them."""
-        self._subscriber = self._session.declare_subscriber(
-            key_expressions.all_rtpus(self._domain, _LEAF),
-            direct(self._note_beat),
-            allowed_origin=zenoh.Locality.REMOTE,
-        )
-        self._publisher = self._session.declare_publisher(
-            key_expressions.rtpu(self._domain, self._name, _LEAF),
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME,
-            allowed_destination=zenoh.Locality.REMOTE,
-        )
+        """Start to look after the links, and to give signs of life in groups."""
         self._thread.start()
 
     def stop(self) -> None:
         """End both."""
-        self._over.set()
+        self._over = True
+        self._wake.set()
         if self._thread.is_alive():
             self._thread.join()
+
+    def join(self, subsystems: Collection[str], *, since: float | None = None) -> None:
+        """Be in the groups of exactly these subsystems; others are left after `LINGER`.
+
+        Args:
+            subsystems: Those of which the RTPU has the table.
+            since: When the RTPU got the tables that are new; now, if it is not given.
+        """
+        now = time.monotonic()
+        with self._joining:
+            for subsystem, group in self._groups.items():
+                there = subsystem in subsystems
+                group.left = None if there else group.left or now
+            for subsystem in [one for one in subsystems if one not in self._groups]:
+                group = _Group(
+                    self._session,
+                    key_expressions.beat(self._domain, subsystem, self._name),
+                    key_expressions.beat(self._domain, subsystem),
+                    self._note_beat,
+                    now if since is None else since,
+                )
+                with self._guard:
+                    self._groups[subsystem] = group
+                self._next_beat = now
+        self._wake.set()
+
+    def groups(self) -> set[str]:
+        """Return the subsystems in whose groups this agent is."""
+        with self._guard:
+            return {*self._groups}
+
+    def partners(self) -> set[str]:
+        """Return the other agents of the groups, also those out of sight."""
+        with self._guard:
+            return {*self._agents}
 
     def is_here(self, name: str) -> bool:
         """Return whether an agent is known to be on this machine."""
         with self._guard:
             return self._of_machine(name) is None
 
-    def silence(self, name: str) -> float:
-        """Return for how many seconds an agent's machine has not answered.
+    def silence(self, subsystem: str, name: str) -> float:
+        """Return for how many seconds an agent's machine has surely not answered.
 
-        That is since the last sign of life from here that any agent of it has answered.
-        The start counts as answered, and nothing while one of them answers that there
-        are orders to carry out.
+        No agent can answer before this one has joined the group, so that counts as an
+        answer, unless an agent before this one was in it already.
         """
-        return min(self.unanswered(name), time.monotonic() - self._began)
+        with self._guard:
+            group = self._groups.get(subsystem)
+        joined = group.joined if group is not None else ALWAYS
+        return min(self.unanswered(name), time.monotonic() - joined)
 
     def unanswered(self, name: str) -> float:
-        """Return the same, infinite before the first answer since the start."""
+        """Return for how many seconds an agent's machine has not answered.
+
+        That is since the last sign of life from here that any agent of it has answered;
+        infinite before the first answer. Nothing counts as one while one of them says
+        that there are orders to carry out.
+        """
         with self._guard:
             agents = self._of_machine(name)
             if agents is None:
@@ -177,14 +278,15 @@ class Heartbeat:
             answered = max((one.answered for one in agents.values()), default=0.0)
         return time.monotonic() - answered if answered else math.inf
 
-    def absence(self, name: str, keeper: str) -> float:
+    def absence(self, subsystem: str, name: str, keeper: str) -> float:
         """Return for how many seconds an agent's machine was surely alone.
 
         It has been heard neither here nor by the machine of the keeper, which must be
-        in sight. An agent that is not known was not heard since the start of this one.
-        Infinite for this machine, of which other things are known.
+        in sight, and not before this agent has joined the group. Infinite for this
+        machine, of which other things are known.
 
         Args:
+            subsystem: The subsystem in whose group it was.
             name: The agent.
             keeper: The agent of the keeper's RTPU.
         """
@@ -193,7 +295,9 @@ class Heartbeat:
             lost = self._of_machine(name)
             if lost is None:
                 return math.inf
-            last = [one.heard for one in lost.values()] or [self._began]
+            group = self._groups.get(subsystem)
+            last = [max(self._began, group.joined) if group is not None else now]
+            last += [one.heard for one in lost.values()]
             witnesses = self._of_machine(keeper)
             if witnesses is not None:
                 there = [one for one in witnesses.values() if one.seen]
@@ -218,7 +322,14 @@ class Heartbeat:
     def is_silent(self, name: str) -> bool:
         """Return whether an agent is out of sight, though its link may still exist."""
         agent = self._agents.get(name)
-        return agent is not None and not agent.seen
+        return agent is not None and not (agent.seen or agent.back_without)
+
+    def token_came(self, name: str) -> None:
+        """Take in that an agent's token has come: it may give no signs of life now."""
+        with self._guard:
+            agent = self._agents.get(name)
+            if agent is not None:
+                agent.back_without = not agent.seen
 
     def is_seen(self, name: str) -> bool:
         """Return whether an agent is in sight; one that was never heard is not."""
@@ -227,22 +338,25 @@ class Heartbeat:
 
     def _note_beat(self, sample: zenoh.Sample) -> None:
         """Note a sign of life; runs in zenoh's own thread."""
-        name = key_expressions.rtpu_name(str(sample.key_expr))
+        subsystem, name = key_expressions.beat_of(str(sample.key_expr))
         try:
             beat = self._decoder.decode(sample.payload.to_bytes())
         except (msgspec.MsgspecError, UnicodeDecodeError):
             return  # of another version: it counts as out of sight
         with self._guard:
             agent = self._agents.get(name)
-            back = agent is not None and not agent.seen
+            if beat.leaves or subsystem not in self._groups:
+                self._part(subsystem, name)
+                return
+            new, back = agent is None, agent is not None and not agent.seen
             if agent is None or agent.machine != beat.machine:
                 if agent is not None and agent.seen:
                     return  # first the machine where it was must be out of sight
                 answered = agent.answered if agent is not None else 0.0
                 agent = self._agents[name] = _Agent(beat.machine, answered)
             now = time.monotonic()
+            agent.groups.add(subsystem)
             agent.take(beat, self._name, now)
-            agent.seen = True
             if not any(
                 one.holds and one.seen
                 for one in self._agents.values()
@@ -250,16 +364,27 @@ class Heartbeat:
             ):
                 answered = beat.heard.get(self._name, 0) * 1e-9
                 agent.answered = max(agent.answered, min(answered, now))
-        if back:
+        if new:
+            self._met(name)
+        elif back:
             self._report(Change(name, agent.machine, seen=True, last=False))
+
+    def _part(self, subsystem: str, name: str) -> None:
+        """Forget an agent with which this one has no group any more."""
+        if (agent := self._agents.get(name)) is not None:
+            agent.groups.discard(subsystem)
+            if not agent.groups:
+                del self._agents[name]
 
     def _work(self) -> None:
         process_setup.go_before_others()
         pause = 0.0
-        while not self._over.wait(pause):
+        while not self._over:
+            self._wake.wait(pause)
+            self._wake.clear()
             now, pause = time.monotonic(), PERIOD
             try:
-                pause = min(self._turn(now), max(0.0, self._next_beat - now))
+                pause = self._turn(now)
             except Exception:  # a fault in one turn must not end the signs of life
                 log.exception("the links could not be checked")
 
@@ -268,13 +393,37 @@ class Heartbeat:
         if now >= self._next_find:
             self._next_find = now + FIND_PERIOD
             self._retransmission.find()
-        pause = self._retransmission.tend()
+        pause = min(self._retransmission.tend(), self._next_find - now)
+        if not self._groups:
+            return max(LEAST, pause)
         if now >= self._next_beat:
             self._next_beat = now + PERIOD
-            with contextlib.suppress(zenoh.ZError):
-                self._publisher.put(self._beat())  # pyright: ignore[reportUnknownMemberType]
+            self._leave_those_over(now)
+            beat = self._beat()
+            for group in list(self._groups.values()):
+                group.put(beat)
         self._check(now)
-        return min(pause, self._until_silent(now))
+        pause = min(pause, self._next_beat - now, self._until_silent(now))
+        return max(LEAST, pause)
+
+    def _leave_those_over(self, now: float) -> None:
+        """Leave the groups of tables that the RTPU has not had for `LINGER`."""
+        for subsystem, group in list(self._groups.items()):
+            with self._joining:
+                if group.left is None or now - group.left <= LINGER:
+                    continue
+                with self._guard:
+                    del self._groups[subsystem]
+                    for name in list(self._agents):
+                        self._part(subsystem, name)
+                group.close()
+            goodbye = Beat(self._machine, round(now * 1e9), {}, leaves=True)
+            with contextlib.suppress(zenoh.ZError):
+                self._session.put(  # pyright: ignore[reportUnknownMemberType]
+                    key_expressions.beat(self._domain, subsystem, self._name),
+                    self._encoder.encode(goodbye),
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
 
     def _beat(self) -> bytes:
         """Return a packed sign of life."""

@@ -61,20 +61,27 @@ class LinkWatchdog:
         self._missed: dict[str, int] = {}
         """Number of checks in which a neighbour was not seen; negative: a pause."""
 
-    def met(self, info: AgentInfo, *, here: bool) -> None:
-        """Store the identity of an agent that has answered."""
+    def met(self, info: AgentInfo, *, here: bool) -> bool:
+        """Store the identity of an agent that has answered; return if it is near."""
         self._known.pop(info.zid, None)
         self._known[info.zid] = Neighbour(info.name, info.pid, here)
         while len(self._known) > MOST:
             self._known.pop(next(iter(self._known)))
+        return info.zid in self._linked()
+
+    def unknown(self) -> bool:
+        """Return whether there is a link to an agent that has never answered."""
+        return not self._linked() <= self._known.keys()
+
+    def _linked(self) -> set[str]:
+        return {str(zid) for zid in self._session.info.routers_zid()}
 
     def unseen(self, seen: Iterable[str]) -> dict[str, Neighbour]:
         """Return the neighbours that have a link but are not seen."""
         there = set(seen)
-        linked = (str(zid) for zid in self._session.info.routers_zid())
         return {
             zid: known
-            for zid in linked
+            for zid in self._linked()
             if (known := self._known.get(zid)) and known.name not in there
         }
 

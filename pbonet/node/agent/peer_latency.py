@@ -1,7 +1,11 @@
-"""The paths to the other agents: round trips and clock offsets.
+"""The paths to other agents: round trips and clock offsets.
 
-Every second each agent asks every other agent of its domain for its identity, and
-measures the offset of the other machine's clock (`pbonet.node.wire.clock_offsets`).
+Every second an agent asks its partners for their identity, which are those with which
+it shares a subsystem or a link, and measures the offset of the other machine's clock
+(`pbonet.node.wire.clock_offsets`). It also asks `ASKED` of the `WATCHED` agents that
+come behind it in a circle of all names (`watched_agents`), in turn. So each agent is
+known to a few that it has nothing to do with: they tell of its loss, and repeat a stop
+to it. Of all others an agent knows only that they are there.
 """
 
 from __future__ import annotations
@@ -10,6 +14,7 @@ import contextlib
 import logging
 import threading
 import time
+import zlib
 from collections import Counter
 from typing import TYPE_CHECKING
 
@@ -47,8 +52,16 @@ log = logging.getLogger("pbonet.node")
 
 PERIOD = 1.0
 """Seconds between round trips to one agent."""
+WATCHED = 8
+"""Other agents whose identity an agent knows though it shares nothing with them."""
+ASKED = 2
+"""How many of these it asks each second."""
+CHECKED = 10
+"""Seconds between two checks of which tokens there are."""
 _END = "end"
 """Last part of the key on which an agent announces its orderly end."""
+_CHANGED = "changed"
+"""Last part of the key on which it announces that other subsystems use its RTPU."""
 TRIES = 3
 """Number of round trips for a report."""
 ANSWER_TIME = 0.5
@@ -97,6 +110,9 @@ class PeerLatencies:
         note: Called with reports for masters.
         listeners: Learn of each greeting, and of agents that are lost or have ended.
         silent: Returns whether an agent is out of sight, though its link is kept.
+        token_came: Called when an agent's token has appeared.
+        partners: Returns the agents that are asked every second.
+        knows_all: Watch all agents: commands of masters pass through this one.
     """
 
     def __init__(
@@ -108,13 +124,28 @@ class PeerLatencies:
         *,
         listeners: Sequence[Listener] = (),
         silent: Callable[[str], bool] = lambda _name: False,
+        token_came: Callable[[str], None] = lambda _name: None,
+        partners: Callable[[], set[str]] = set,
+        knows_all: bool = False,
     ) -> None:
         self._session = link
         self._me = me
         self._tell = tell
         self._note = note
         self._listeners = listeners
-        self._silent = silent
+        self._silent, self._token_came = silent, token_came
+        self._partners = partners
+        self._most = None if knows_all else WATCHED
+        self._alive: set[str] = set()
+        """Agents whose tokens are seen."""
+        self._missed: set[str] = set()
+        """Agents among them that the last check of the tokens has not found."""
+        self._watched: list[str] | None = []
+        """See `watched_agents`; None: to be determined again."""
+        self._turn = 0
+        """Which of these are asked next."""
+        self._tried: set[str] = set()
+        """Agents that were asked in search of neighbours."""
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
         """Agents that were seen, and when a search for them first failed."""
@@ -145,9 +176,15 @@ class PeerLatencies:
             key_expressions.all_rtpus(self._me().domain, _END),
             direct(self._on_end),
         )
+        self._changes = self._session.declare_subscriber(
+            key_expressions.all_rtpus(self._me().domain, _CHANGED),
+            direct(self._on_change),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
         self._tokens = self._session.liveliness().declare_subscriber(
             key_expressions.all_rtpus(self._me().domain, "alive"),
             direct(self._on_token),
+            history=True,
         )
         self._thread.start()
 
@@ -163,9 +200,16 @@ class PeerLatencies:
 
         To be called when it answers no greeting any more; see `_on_end`.
         """
+        self._announce(_END)
+
+    def announce_change(self) -> None:
+        """Let those that watch this agent ask at once which subsystems use its RTPU."""
+        self._announce(_CHANGED)
+
+    def _announce(self, leaf: str) -> None:
         with contextlib.suppress(zenoh.ZError):
             me = self._me()
-            key = key_expressions.rtpu(me.domain, me.name, _END)
+            key = key_expressions.rtpu(me.domain, me.name, leaf)
             self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
 
     def unlinked(self, endpoints: Sequence[str]) -> list[str]:
@@ -213,6 +257,16 @@ class PeerLatencies:
             self._appeared(name)
         self._wake.set()
 
+    def expect_others(self) -> None:
+        """Send tables in the oldest version until those in the group are known."""
+        self._table_version = LAYERS["table"].oldest
+
+    def need(self, name: str) -> None:
+        """Ask an agent now, which is a partner; may be called from any thread."""
+        with self._guard:
+            self._new.add(name)
+        self._wake.set()
+
     def _appeared(self, name: str) -> None:
         """Have an agent asked that may be of another version than those in sight."""
         self._new.add(name)
@@ -238,12 +292,49 @@ class PeerLatencies:
         """
         name = key_expressions.rtpu_name(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
+            self._token_came(name)
             with self._guard:
-                self._appeared(name)
+                self._alive.add(name)
+                self._new.add(name)
+                self._watched = None
         else:
+            with self._guard:
+                self._alive.discard(name)
+                self._tried.discard(name)
+                self._watched = None
             for one in self._listeners:
                 one.lost(name)
         self._wake.set()
+
+    def _on_change(self, sample: zenoh.Sample) -> None:
+        """Ask an agent whose subsystems have changed; runs in zenoh's own thread."""
+        name = key_expressions.rtpu_name(str(sample.key_expr))
+        if name in self._peers:
+            self.need(name)
+
+    def _check_tokens(self) -> None:
+        """Compare what the tokens' subscriber has told with all that are there.
+
+        A search beside a subscriber may miss a token (`session.alive`), so one must be
+        missed twice.
+        """
+        found = set(session.rtpus(self._session, self._me().domain))
+        with self._guard:
+            missing = self._alive - found
+            gone = missing & self._missed
+            self._missed = missing
+            if gone or found - self._alive:
+                self._alive = (self._alive | found) - gone
+                self._watched = None
+
+    def _wanted(self, me: str) -> tuple[set[str], list[str]]:
+        """Return the partners, and the agents that are watched beside them."""
+        partners = self._partners() - {me}
+        with self._guard:
+            if self._watched is None:
+                others = self._alive - {me}
+                self._watched = watched_agents(me, others, self._most)
+            return partners, [one for one in self._watched if one not in partners]
 
     def table_version(self) -> int:
         """Return the version of table packets that all agents in sight understand.
@@ -261,64 +352,133 @@ class PeerLatencies:
         """Return what is known of the paths to the others.
 
         Args:
-            measure: Measure now; else it is from the last second, and nothing is sent.
+            measure: Measure the paths to all now; else nothing is sent, and the report
+                has what is known.
         """
         me = self._me()
-        if measure:
-            self._measure_now(me.name)
+        others = self._measure_now(me.name) if measure else {}
         counts = dialling.links(self._session)
         with self._guard:
-            peers = sorted(self._peers.items())
+            peers = sorted((others | self._peers).items())
+            alive = len(self._alive - {me.name})
         ways = [_way(name, peer, me) for name, peer in peers]
         names = {p.info.zid: name for name, p in peers if p.info is not None}
         double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
         unseen = sorted(
-            one.name for one in self._watchdog.unseen(_seen(peers)).values()
+            one.name for one in self._watchdog.unseen(self._seen()).values()
         )
         return m.LinkReport(
-            rtpu=me.name, ways=ways, double=sorted(double), unseen=unseen
+            rtpu=me.name,
+            ways=ways,
+            double=sorted(double),
+            unseen=unseen,
+            alive=alive,
         )
 
-    def _measure_now(self, me: str) -> None:
-        """Make round trips to all, and more to those that cannot be asked yet."""
+    def _measure_now(self, me: str) -> dict[str, Peer]:
+        """Make round trips to all; return the agents of which nothing is kept.
+
+        More are made to those that cannot be asked yet.
+        """
+        partners, watched = self._wanted(me)
+        with self._guard:
+            kept = {*partners, *watched, *self._peers}
+        others: dict[str, Peer] = {}
         for _ in range(TRIES):
-            self._measure(me)
+            self._check_tokens()
+            with self._guard:
+                names = self._alive - {me}
+            for name in names - kept:
+                self._ask_once(name, others.setdefault(name, Peer()), kept=False)
+            self._measure(me, names & kept)
         for _ in range(AGAIN):
             with self._guard:
                 left = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
             if not left or self._over.wait(PAUSE):
                 break
             self._measure(me, left)
+        return others
 
     def _watch(self) -> None:
         due = time.monotonic() + PERIOD
+        seconds = 0
         while not self._over.is_set():
             self._wake.wait(max(0.0, due - time.monotonic()))
             self._wake.clear()
-            with self._guard:
-                new, self._new = self._new, set()
             if time.monotonic() < due:
-                self._measure_quietly(new)
+                self._quietly(self._ask_new)
                 continue
             due = time.monotonic() + PERIOD
-            try:
-                self._measure(self._me().name)
-                self._relink_unseen()
-            except (zenoh.ZError, OSError) as error:
-                log.debug("the connections cannot be measured: %s", error)
+            seconds += 1
+            if seconds % CHECKED == 0:
+                self._quietly(self._check_tokens)
+            self._quietly(self._ask_due)
+            self._quietly(self._relink_unseen)
             if self._tell is not None and (others := self._apart()):
                 self._tell(rtpu_messages.Clocks(self._me().machine, others))
 
-    def _measure_quietly(self, names: set[str]) -> None:
+    def _ask_new(self) -> None:
+        """Ask the agents that have appeared, if they are partners or watched."""
+        with self._guard:
+            new, self._new = self._new, set()
+        me = self._me().name
+        partners, watched = self._wanted(me)
+        with self._guard:
+            known = {*partners, *watched, *self._peers}
+        if concerned := new & known:
+            self._measure(me, concerned)
+        else:
+            self._forget_lost(me)
+
+    def _ask_due(self) -> None:
+        """Ask all partners, and the next of the others."""
+        with self._guard:
+            new, self._new = self._new, set()
+        me = self._me().name
+        partners, watched = self._wanted(me)
+        asked = set(partners)
+        if watched:
+            first = self._turn = (self._turn + ASKED) % len(watched)
+            asked.update((watched + watched)[first : first + ASKED])
+        asked.update(name for name in watched if name in new or name not in self._peers)
+        self._drop({*partners, *watched})
+        self._measure(me, asked | self._unknown_neighbours(me))
+
+    def _unknown_neighbours(self, me: str) -> set[str]:
+        """Return agents that may be at the end of a link to an unknown one.
+
+        Each is asked once; one that is no neighbour is dropped again.
+        """
+        if not self._watchdog.unknown():
+            return set()
+        with self._guard:
+            left = self._alive - self._tried - self._peers.keys() - {me}
+            found = set(sorted(left)[:ASKED])
+            self._tried |= found
+        return found
+
+    def _drop(self, wanted: set[str]) -> None:
+        """Drop what is known of agents that are there, and are not to be known."""
+        with self._guard:
+            strangers = self._peers.keys() & self._alive - wanted
+            dropped = [name for name in strangers if not self._peers[name].near]
+            for name in dropped:
+                del self._peers[name]
+        for name in dropped:
+            for one in self._listeners:
+                one.dropped(name)
+
+    def _quietly(self, what: Callable[[], object]) -> None:
         try:
-            self._measure(self._me().name, names)
+            what()
         except (zenoh.ZError, OSError) as error:
             log.debug("the connections cannot be measured: %s", error)
 
     def _relink_unseen(self) -> None:
         """Reopen links through which neighbours are not seen."""
+        seen = self._seen()
         with self._guard:
-            seen = {*_seen(self._peers.items()), *self._back}
+            seen |= self._back
             self._back.clear()
         for name in self._watchdog.cut_silent(seen):
             text = f"the link to agent {name} transferred nothing; it is opened again"
@@ -327,6 +487,13 @@ class PeerLatencies:
                 self._note(
                     rtpu_messages.Note(int(Severity.WARNING), "LINK_RENEWED", text)
                 )
+
+    def _seen(self) -> set[str]:
+        """Return the agents that are in sight and can be asked, even if late."""
+        with self._guard:
+            deaf = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
+            there = self._alive - deaf
+        return {name for name in there if not self._silent(name)}
 
     def _apart(self) -> list[rtpu_messages.Apart]:
         """Return the offsets of other machines' clocks from this one's."""
@@ -343,47 +510,50 @@ class PeerLatencies:
                 and not peer.error
             ]
 
-    def _measure(self, me: str, wanted: Container[str] | None = None) -> None:
-        """Make one round trip to each agent that is seen, or to those in `wanted`."""
-        domain, machine = self._me().domain, self._me().machine
-        names = [
-            name
-            for name in session.rtpus(self._session, domain)
-            if name != me and not self._silent(name)
-        ]
-        near = {str(zid) for zid in self._session.info.routers_zid()}
+    def _forget_lost(self, me: str) -> list[str]:
+        """Return the agents in sight; keep apart those that are not any more."""
+        with self._guard:
+            there = self._alive - {me}
+        names = [name for name in sorted(there) if not self._silent(name)]
         with self._guard:
             for gone in self._peers.keys() - set(names):
                 self._lose(gone, self._peers.pop(gone))
-            for name in names:
-                self._lost.pop(name, None)
-        for name in names:
-            if wanted is not None and name not in wanted:
-                continue
-            peer = self._peers.setdefault(name, Peer())
-            begin = time.monotonic_ns()
-            found = self._ask(key_expressions.rtpu(domain, name, "status"))
-            end = time.monotonic_ns()
-            with self._guard:
-                if isinstance(found, m.AgentInfo):
-                    if self._ended.get(name, begin) < begin:
-                        del self._ended[name]  # it has restarted
-                    trip = round_trip(begin, end, found.now_ns)
-                    peer.add(found, trip)
-                    self._machines[name] = key_expressions.machine(found.machine)
-                    self.clocks.add(self._machines[name], trip)
-                    peer.near = found.zid in near
-                    self._watchdog.met(found, here=found.machine == machine)
-                else:
-                    peer.error = found
-            if isinstance(found, m.AgentInfo):
-                for one in self._listeners:
-                    one.met(found)
+            for name in self._lost.keys() & set(names):
+                del self._lost[name]
+        return names
+
+    def _measure(self, me: str, wanted: Container[str]) -> None:
+        """Make one round trip to each agent in `wanted` that is in sight."""
+        for name in self._forget_lost(me):
+            if name in wanted:
+                with self._guard:
+                    peer = self._peers.setdefault(name, Peer())
+                self._ask_once(name, peer)
         with self._guard:
             if not self._new:  # those have not told their versions yet
                 infos = [peer.info for peer in self._peers.values()]
                 ranges = [i.understands("table") if i else None for i in infos]
                 self._table_version = spoken(LAYERS["table"], ranges)
+
+    def _ask_once(self, name: str, peer: Peer, *, kept: bool = True) -> None:
+        """Make one round trip to an agent; listeners learn of it if it is kept."""
+        me = self._me()
+        begin = time.monotonic_ns()
+        found = self._ask(key_expressions.rtpu(me.domain, name, "status"))
+        end = time.monotonic_ns()
+        with self._guard:
+            if not isinstance(found, m.AgentInfo):
+                peer.error = found
+                return
+            if self._ended.get(name, begin) < begin:
+                del self._ended[name]  # it has restarted
+            trip = round_trip(begin, end, found.now_ns)
+            peer.add(found, trip)
+            self._machines[name] = key_expressions.machine(found.machine)
+            self.clocks.add(self._machines[name], trip)
+            peer.near = self._watchdog.met(found, here=found.machine == me.machine)
+        for one in self._listeners if kept else ():
+            one.met(found)
 
     def _lose(self, name: str, peer: Peer) -> None:
         """Remember agents that are no longer seen, unless they announced their end."""
@@ -419,9 +589,26 @@ def _port(address: str) -> str:
     return address.rpartition(" ")[2]
 
 
-def _seen(peers: Iterable[tuple[str, Peer]]) -> list[str]:
-    """Return the names of agents that can be asked, even if they answer late."""
-    return [name for name, peer in peers if peer.error != _UNASKED]
+def watched_agents(me: str, others: Iterable[str], most: int | None) -> list[str]:
+    """Return the agents that come behind `me` in a circle of all names, by their sums.
+
+    So each agent is watched by as many as it watches. The circle is not in order of the
+    names: those of one machine are often alike, and would be lost together.
+
+    Args:
+        me: The agent that watches.
+        others: The other agents.
+        most: How many are watched; None: all.
+    """
+    if most is None:
+        return sorted(others)
+    place = _place(me)
+    ranks = sorted((_place(name) <= place, _place(name), name) for name in others)
+    return [name for *_, name in ranks[:most]]
+
+
+def _place(name: str) -> int:
+    return zlib.crc32(name.encode())
 
 
 def _way(name: str, peer: Peer, me: m.AgentInfo) -> m.Way:

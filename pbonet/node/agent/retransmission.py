@@ -14,6 +14,7 @@ the cable is plugged in again, with the lost agent in sight all the time.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
 import stat
@@ -34,6 +35,8 @@ BUSY = 0.025
 IDLE = 0.1
 """The same otherwise: the first retransmission is seen before the second one, which
 comes 0.15 s later."""
+NEVER = math.inf
+"""The same without a connection."""
 FIRST_US = 75_000
 """Until the first retransmission, in addition to the measured round trip. It exceeds
 the 40 ms by which a receiver may delay an acknowledgement."""
@@ -133,6 +136,8 @@ class Retransmission:
         for fd, one in list(self._connections.items()):
             if not one.tend(now):
                 del self._connections[fd]
+        if not self._connections:
+            return NEVER
         busy = any(one.is_busy for one in self._connections.values())
         return BUSY if busy else IDLE
 

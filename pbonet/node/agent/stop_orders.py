@@ -77,6 +77,9 @@ class Listener(Protocol):
     def ended(self, name: str) -> None:
         """Take in that an agent has ended in order."""
 
+    def dropped(self, name: str) -> None:
+        """Forget an agent that is there, and is not asked any more."""
+
 
 class _Peer(Struct):
     """An RTPU, as its agent described it last."""
@@ -284,6 +287,30 @@ class StopOrders:
                 if order.due.get(name):
                     del order.due[name]
         self._changed()
+
+    def dropped(self, name: str) -> None:
+        """Forget an RTPU that is not asked any more, unless it has an order due."""
+        with self._guard:
+            if not any(name in order.due for order in self._orders):
+                self._peers.pop(name, None)
+
+    def awaited(self) -> set[str]:
+        """Return the agents of which it is to be seen whether orders are carried out.
+
+        These are those of the RTPUs that have not, and others of their machines.
+        """
+        if not self._orders:
+            return set()
+        with self._guard:
+            due = {name for order in self._orders for name in order.due}
+            held = {
+                machine
+                for order in self._orders
+                for name, machine in order.machines.items()
+                if name in order.due
+            }
+            beside = (n for n, one in self._peers.items() if one.machine in held)
+            return due.union(beside)
 
     def has_ended(self, name: str) -> bool:
         """Return whether an agent in sight says that an RTPU of its machine has ended.

@@ -76,6 +76,7 @@ class Links:
         clock: Returns the clock of an agent's machine; None if unknown.
         tell: Called with reports for masters.
         refuses: Returns whether records from an agent's machine are not used.
+        need: Called with an agent whose clock is needed from now on.
     """
 
     def __init__(
@@ -87,11 +88,13 @@ class Links:
         tell: Callable[[rtpu_messages.Note], None],
         *,
         refuses: Callable[[str], bool],
+        need: Callable[[str], None] = lambda _name: None,
     ) -> None:
         self._session = session
         self._domain = domain
         self._name = name
-        self._clock, self._refuses = clock, refuses
+        self._clock, self._refuses, self._need = clock, refuses, need
+        self._partners: set[str] = set()
         self._tell = tell
         self._standing = places.StandingLinks(domain)
         self._cares: dict[str, ServedLink] = {}
@@ -123,6 +126,10 @@ class Links:
         for text in list(self._cares):
             self._drop(text)
         places.sweep(self._domain)
+
+    def partners(self) -> set[str]:
+        """Return the agents at the other ends of the links that this one serves."""
+        return self._partners
 
     # -- declarations of other agents --------------------------------------------------
 
@@ -225,9 +232,13 @@ class Links:
             log.debug("%s: link %s: %s", self._name, care.name, error)
             wanted = LinkDuty(sink=wanted.sink)
         self._show(care, wanted)
-        if (wanted.take, wanted.serve) != (care.duty.take, care.duty.serve):
-            self._report(care, wanted)
-        care.duty = wanted
+        care.duty, before = wanted, care.duty
+        duties = [one.duty for one in self._cares.values()]
+        self._partners = {far for d in duties for far in (d.take, d.serve) if far}
+        if wanted.take and wanted.take != before.take:
+            self._need(wanted.take)
+        if (wanted.take, wanted.serve) != (before.take, before.serve):
+            self._report(care.name, wanted, before)
 
     def _begin(self, care: ServedLink, wanted: LinkDuty) -> None:
         me, name = self._name, care.name
@@ -269,12 +280,12 @@ class Links:
 
     # -- reports -----------------------------------------------------------------------
 
-    def _report(self, care: ServedLink, wanted: LinkDuty) -> None:
+    def _report(self, name: names.Name, wanted: LinkDuty, before: LinkDuty) -> None:
         if wanted.take or wanted.serve:
-            text = f"link {care.name} {_way(wanted)} is up"
+            text = f"link {name} {_way(wanted)} is up"
             self._note(rtpu_messages.Note(int(Severity.INFO), "LINK_UP", text))
         else:
-            text = f"link {care.name} {_way(care.duty)} is down"
+            text = f"link {name} {_way(before)} is down"
             self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_DOWN", text))
 
     def _misfit(self, name: names.Name, error: Exception) -> None:

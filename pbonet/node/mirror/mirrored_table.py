@@ -66,7 +66,7 @@ class Owner(Protocol):
     speaks: Callable[[], int]
     """Returns the version of packets that all other machines understand."""
     silence: Callable[[str], float]
-    """Returns for how many seconds an RTPU's machine has given no sign of life."""
+    """Returns for how many seconds an RTPU's machine has not answered signs of life."""
 
     def do(self, what: Callable[[], object]) -> None:
         """Let the carrier's thread call a function; may be called from any thread."""

@@ -89,8 +89,8 @@ class TableCarrier:
         """Start to carry the tables given to `carry`.
 
         Args:
-            silence: Returns for how many seconds the machine of an RTPU has given no
-                sign of life.
+            silence: Returns for how many seconds the machine of an RTPU has not
+                answered signs of life; infinite before the first answer.
         """
         self.silence = silence
         self._ends.submit(int)  # starts the thread

@@ -20,7 +20,6 @@ original OFF; that is a new loss.
 from __future__ import annotations
 
 import logging
-import math
 import secrets
 import threading
 import time
@@ -54,7 +53,11 @@ class Signs(Protocol):
         """Return whether an agent is in sight."""
         ...
 
-    def absence(self, name: str, keeper: str) -> float:
+    def is_here(self, name: str) -> bool:
+        """Return whether an agent is known to be on this machine."""
+        ...
+
+    def absence(self, subsystem: str, name: str, keeper: str) -> float:
         """Return for how many seconds an agent's machine was surely alone."""
         ...
 
@@ -177,6 +180,9 @@ class Takeovers:
     def lost(self, name: str) -> None:
         """Do nothing: signs of life say when an agent is out of sight."""
 
+    def dropped(self, name: str) -> None:
+        """Do nothing: originals are in the subsystem, and their agents are asked."""
+
     def ended(self, name: str) -> None:
         """Take in that an agent has turned its tasks off and ended."""
         with self._guard:
@@ -214,7 +220,7 @@ class Takeovers:
             return since if one.missing else None
         if self._orders.has_ended(standby.rtpu):
             return since
-        alone = self._signs.absence(standby.rtpu, one.keeper)
+        alone = self._signs.absence(standby.subsystem, standby.rtpu, one.keeper)
         if alone < session.SILENT_MS * 1e-3:
             return None
         return max(since, now - alone)  # it may have been heard between two turns
@@ -229,7 +235,7 @@ class Takeovers:
             timeout=TIME,
         )
         others = [name for name in self._orders.in_reach() if name != one.keeper]
-        needed = [] if self._is_here(one.keeper) else [one.keeper]
+        needed = [] if self._signs.is_here(one.keeper) else [one.keeper]
         if needed and self._ask(needed, order):
             one.again = now + PAUSE
             return
@@ -245,10 +251,6 @@ class Takeovers:
         except NodeError as error:
             log.warning("%s: %s does not take over: %s", self._name, standby, error)
         one.order, one.since = None, None
-
-    def _is_here(self, keeper: str) -> bool:
-        """Return whether the keeper's machine is this one."""
-        return self._signs.absence(keeper, self._name) == math.inf
 
     def _ask(self, names: list[str], order: m.Replaced) -> list[PbonetError]:
         """Give an order to RTPUs; return the errors of those that do not take it."""

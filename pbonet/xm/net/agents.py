@@ -181,6 +181,8 @@ class LinkReport(Struct, kw_only=True):
     """Agents to which a link exists but which are not visible; it is opened again."""
     double: list[str] = []
     """Agents to which there are two links, which makes zenoh's routers stall."""
+    alive: int | None = None
+    """How many other agents it sees; those in `ways` are among them."""
 
 
 class PortUser(Struct, kw_only=True):

@@ -161,6 +161,12 @@ def prove(folder: Path, roles: Collection[Role] = tuple(Role)) -> float:
     return until
 
 
+def role(folder: Path) -> Role | None:
+    """Return the role of the keys of `folder`, which are in order (`prove`)."""
+    common, _ = _shown(*(folder / name for name in FILES))
+    return Role.of(common)
+
+
 def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
     """Return why the keys of `folder` and a TLS listener reject each other.
 

@@ -43,6 +43,17 @@ def svar(domain: str, subsystem: str, leaf: str, machine: str = "*") -> str:
     return f"{ROOT}/{domain}/sbs/{subsystem}/svar/{leaf}/{machine}"
 
 
+def beat(domain: str, subsystem: str, name: str = "*") -> str:
+    """Return the key of an agent's signs of life in a subsystem's group, or of all."""
+    return f"{ROOT}/{domain}/sbs/{subsystem}/beat/{name}"
+
+
+def beat_of(key: str) -> tuple[str, str]:
+    """Return subsystem and agent of the key of a sign of life."""
+    parts = key.split("/")
+    return parts[3], parts[5]
+
+
 def machine(identity: str) -> str:
     """Return a machine's identity in the form used in keys."""
     return identity.replace("/", "-")

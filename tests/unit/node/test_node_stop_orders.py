@@ -29,7 +29,6 @@ from pbonet.xm.net import (
     key_expressions,
     messages as m,
     resource_messages as r,
-    session,
 )
 from pbonet.xm.net.agents import AgentInfo
 
@@ -237,11 +236,11 @@ def test_one_that_answers_after_its_end_is_lost_when_it_is_not_seen(
     ways = PeerLatencies(link, lambda: info("arm0"))
     found = info("arm1", "arm")
     monkeypatch.setattr(ways, "_ask", lambda _key: found if answers else "no answer")
-    monkeypatch.setattr(session, "rtpus", lambda *_: ["arm0", "arm1"])
+    ways._alive = {"arm0", "arm1"}
     ways._peers["arm1"] = Peer()
     ways._peers["arm1"].info = found
     ways._on_end(SimpleNamespace(key_expr=key_expressions.rtpu("d", "arm1", "end")))
-    ways._measure("arm0")
+    ways._measure("arm0", {"arm1"})
     ways.out_of_sight("arm1")
     assert [one.rtpu for one in ways.lost()] == ["arm1"] * answers
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 
 import pytest
@@ -34,7 +33,9 @@ class World:
         self.reach = ["arm2", "arm3"]
         self.ended = set()
         signs = SimpleNamespace(
-            is_seen=lambda name: name not in self.silent, absence=self._absence
+            is_seen=lambda name: name not in self.silent,
+            is_here=lambda name: name == "arm1",
+            absence=lambda *_: self.alone,
         )
         orders = SimpleNamespace(
             add=lambda order: self.done.append(("kept", order.tasks)),
@@ -52,9 +53,6 @@ class World:
         tables = {"t": OpenTable(keep=False, keeper=keeper, alone=1.0)}
         info = SimpleNamespace(standbys=[*standbys], tables=tables)
         self.watch.update(info)
-
-    def _absence(self, name, _keeper):
-        return math.inf if name == "arm1" else self.alone
 
     def call_all(self, requests, _result, *, timeout):
         assert timeout > 0

@@ -103,6 +103,43 @@ def test_the_error_says_so():
     )
 
 
+def test_of_many_agents_doctor_asks_those_again_that_do_not_see_all():
+    """An agent knows the paths to a few others, and how many there are."""
+    names = [f"arm{n}" for n in range(10, 30)]
+    known = {
+        name: LinkReport(rtpu=name, ways=[Way(rtpu=other, trip=0.001)], alive=19)
+        for name, other in zip(names, [*names[1:], names[0]], strict=True)
+    }
+    asked = []
+
+    def call_all(requests, *_, **__):
+        asked.append([n for n, one in requests.items() if one.measure])
+        return {n: (known, whole)[one.measure][n] for n, one in requests.items()}, []
+
+    whole = {}
+    client = SimpleNamespace(call_all=call_all)
+    found = [str(one) for one in doctor._pairs(client, names)]
+    assert asked == [[], []]
+    (line,) = found
+    assert line.startswith("PASS 20 pairs of 20 agents see each other: round trips 1")
+
+    def short(name, *unseen):
+        known[name].alive = 19 - len(unseen)
+        ways = [Way(rtpu=n, trip=0.001) for n in names if n not in {name, *unseen}]
+        whole[name] = LinkReport(rtpu=name, ways=ways, alive=19 - len(unseen))
+
+    for name in names[:4]:
+        short(name, "arm29")
+    del known["arm29"].ways[0]
+    asked.clear()
+    found = [str(one) for one in doctor._pairs(client, names)][1:]
+    assert asked == [[], names[:3]]
+    assert [line.partition(";")[0] for line in found] == [
+        *(f"FAIL {n} - arm29: they do not see each other" for n in names[:3]),
+        "WARN arm13 sees 18 of 19 other agents",
+    ]
+
+
 def test_doctor_tells_what_agents_say_of_their_links():
     """Of each pair once, by whichever of the two knows; what is amiss with a remedy."""
     unasked = "its agent is seen, but requests do not reach it"

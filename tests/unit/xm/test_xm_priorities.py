@@ -46,8 +46,7 @@ def priority_of_beats():
     )
     me = SimpleNamespace(domain="d", name="arm0", machine="here")
     beats = Heartbeat(fake, me, print)
-    beats._thread = SimpleNamespace(start=lambda: None)
-    beats.start()
+    beats.join(["cell"])
     return found[0]
 
 
