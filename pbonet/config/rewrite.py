@@ -76,7 +76,7 @@ def rewrite_job(
         found = _job_key(last, keyword, rest)
         return tuple(renamed.get(word, word) for word in found)
 
-    return _rewritten(before, record, job_text, parse_job, _job_key, former)
+    return _rewritten(before, record, job_text, parse_job, _job_key, key_before=former)
 
 
 def rewrite_svar(before: str, record: SvarFile) -> Rewritten:
@@ -122,6 +122,7 @@ def _rewritten(
     write: Callable[[Record], str],
     parse: Callable[[str, str], Record],
     key: Callable[[Key, str, str], Key],
+    *,
     key_before: Callable[[Key, str, str], Key] | None = None,
 ) -> Rewritten:
     file = str(getattr(record, "file", ""))
