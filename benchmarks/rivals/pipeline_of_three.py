@@ -84,7 +84,8 @@ def measure(
     """Run every pipeline in every round; return what each run gave."""
     there = contestants(told)
     found: dict[str, list[Block]] = {}
-    for _ in range(rounds):
+    for number in range(rounds):
+        told(f"pipelines, round {number + 1} of {rounds}")
         for name, running in there.items():
             mark = secrets.token_hex(8)
             os.environ[MARK] = mark

@@ -20,6 +20,7 @@ import math
 import multiprocessing
 import os
 import secrets
+import signal
 import statistics
 import time
 from typing import TYPE_CHECKING, NamedTuple
@@ -39,6 +40,7 @@ from benchmarks.rivals.rival import (
     whole,
 )
 from benchmarks.rivals.zenoh_key import ZenohKey
+from pbonet.node import rt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -59,7 +61,7 @@ LENGTHS = (6, 256)
 PERIOD = 1_000_000
 AHEAD = 20_000_000
 """Nanoseconds from the order to the begin of a block."""
-OPEN_SECONDS = 20.0
+OPEN_SECONDS = 60.0
 
 
 class Block(NamedTuple):
@@ -189,6 +191,7 @@ def take_late(end: Reader, until: int, times: Times, number: float) -> float:
 
 def serve(rival: Rival, side: str, core: int, pipe: Connection) -> None:
     """Be one side of a rival in this process, and measure when the parent says so."""
+    rt.orphan_guard(signal.SIGUSR1, os.getppid())
     end: Writer | Reader = rival.writer() if side == "writer" else rival.reader()
     os.sched_setaffinity(0, {core})  # threads of the rival's own stay free
     pipe.send("open")
@@ -317,8 +320,11 @@ def measure(rounds: int, seconds: float, told: Callable[[str], None]) -> Found:
                 try:
                     pairs.append(Pair(kind(length, tag), cores))
                 except RuntimeError as error:
+                    if kind is PbonetTable:
+                        raise
                     told(f"{error}; skipped with {ARRAYS} x [{length}]")
-            for _ in range(rounds):
+            for number in range(rounds):
+                told(f"{ARRAYS} x [{length}], round {number + 1} of {rounds}")
                 _round(pairs, seconds, found)
         finally:
             for pair in pairs:
