@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Generator
 
 NEEDS = ("dora-rs", "dora-rs-cli")
-START, END = 30.0, 20.0
+START, END = 90.0, 60.0
 """Seconds within which the nodes run, and end."""
 NODES = {
     "source": """
