@@ -62,6 +62,8 @@ PERIOD = 1_000_000
 AHEAD = 20_000_000
 """Nanoseconds from the order to the begin of a block."""
 OPEN_SECONDS = 60.0
+FEWEST = 100
+"""Calls or sets of a block that counts; with fewer it measures the scheduler."""
 
 
 class Block(NamedTuple):
@@ -69,7 +71,7 @@ class Block(NamedTuple):
 
     p50: float
     """Nanoseconds of a call; in `late`, from the commit until the set is there; NaN:
-    there was none."""
+    there were too few."""
     p99: float
     calls: int
     torn: int
@@ -105,8 +107,8 @@ class Times:
     def block(self, cpu_ns: int, periods: float) -> Block:
         """Return what is to be known of them."""
         used = cpu_ns / max(periods, 1.0)
-        if not self.taken:
-            return Block(math.nan, math.nan, 0, self.torn, used)
+        if len(self.taken) < FEWEST:
+            return Block(math.nan, math.nan, len(self.taken), self.torn, used)
         each = sorted(self.taken)
         p50, p99 = (each[int(share * (len(each) - 1))] for share in (0.5, 0.99))
         return Block(
