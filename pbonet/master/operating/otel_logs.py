@@ -65,8 +65,9 @@ class OtelLogs:
         address = endpoint.rstrip("/")
         address += "" if address.endswith(PATH) else PATH
         self._address, self._warned, self._added = address, warned, 0
-        self._sent = _Counted(OTLPLogExporter(endpoint=address))
-        self._provider.add_log_record_processor(BatchLogRecordProcessor(self._sent))
+        sent: Any = _Counted(OTLPLogExporter(endpoint=address))
+        self._sent: _Counted = sent
+        self._provider.add_log_record_processor(BatchLogRecordProcessor(sent))
         self._logger = self._provider.get_logger("pbonet.events")
 
     def add(self, event: Event) -> None:

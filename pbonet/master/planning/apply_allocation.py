@@ -18,7 +18,6 @@ from pbonet.config import rewrite_job
 from pbonet.errors import PbonetError
 from pbonet.master.console import oneshot
 from pbonet.master.editing import JobEditor
-from pbonet.pbo import State
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from pbonet.master.console import Reply
     from pbonet.master.editing import FileChange
 
+_ON = "ON"
 _NUMBER = re.compile(r"_\d+$")
 
 
@@ -122,13 +122,13 @@ def _left(path: Path, copies: Mapping[str, str], place: Place) -> list[str]:
             continue
         begin = f"its copy {copy} is {states[copy]}, and {task} "
         former = states.get(task)
-        if former == State.ON:
+        if former == _ON:
             todo = f"is ON as before: remove the copy with 'pbonet kill {path} {copy}'"
         elif former is None:
             todo = f"does not exist: 'pbonet explain {path} {copy}' says why, or stop "
             todo += "and start the job"
         else:
-            again = f"swap {path} {copy}" if states[copy] == State.ON else f"on {path}"
+            again = f"swap {path} {copy}" if states[copy] == _ON else f"on {path}"
             todo = f"is {former}: 'pbonet {again} {task}' continues with it, then "
             todo += f"'pbonet kill {path} {copy}' removes the copy"
         notes.append(f"{begin}{todo}")
