@@ -123,13 +123,14 @@ def number_of(arrays: Sequence[NDArray[np.float64]]) -> tuple[float, bool]:
 
 
 def periods(begin: int, seconds: float) -> Iterator[int]:
-    """Yield once in a period; sleep between."""
+    """Yield once in a period and sleep between; periods that are over are left out."""
     now, sleep, due = time.monotonic_ns, time.sleep, begin
-    for _ in range(int(seconds * 1e9) // PERIOD):
+    end = begin + int(seconds * 1e9)
+    while due < end:
         if (left := due - now()) > 0:
             sleep(left * 1e-9)
         yield due
-        due += PERIOD
+        due += PERIOD * max((now() - due) // PERIOD + 1, 1)
 
 
 def ticks(begin: int, seconds: float) -> Iterator[int]:
