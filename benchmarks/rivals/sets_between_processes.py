@@ -15,6 +15,7 @@ processor   of both processes for a set at 1 kHz, less that of two which only sl
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
 import multiprocessing
@@ -62,6 +63,7 @@ PERIOD = 1_000_000
 AHEAD = 20_000_000
 """Nanoseconds from the order to the begin of a block."""
 OPEN_SECONDS = 60.0
+END_SECONDS = 5.0
 FEWEST = 100
 """Calls or sets of a block that counts; with fewer it measures the scheduler."""
 
@@ -215,7 +217,9 @@ def serve(rival: Rival, side: str, core: int, pipe: Connection) -> None:
         used = time.process_time_ns() - before
         pipe.send(times.block(used, seconds * 1e9 / PERIOD))
         gc.collect()
-    os._exit(0)  # a rival's threads do not hold up the end
+    del end  # so that a rival removes what it has made
+    gc.collect()
+    os._exit(0)  # its threads do not hold up the end
 
 
 class Pair:
@@ -263,8 +267,10 @@ class Pair:
     def close(self) -> None:
         """End both."""
         for pipe in self.pipes:
-            pipe.close()
+            with contextlib.suppress(OSError):
+                pipe.send(None)
         for process in self.processes:
+            process.join(END_SECONDS)
             process.kill()
             process.join()
         self.rival.close()
