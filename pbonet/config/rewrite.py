@@ -8,6 +8,7 @@ read back, and must mean the record.
 from __future__ import annotations
 
 import re
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
@@ -22,7 +23,7 @@ from .svar import parse_svar, svar_text
 from .write import meaning
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from .model import JobFile, Rmod, SeqFile, SvarFile
 
@@ -56,17 +57,26 @@ class _Line(NamedTuple):
     text: str
 
 
-def rewrite_job(before: str, record: JobFile) -> Rewritten:
+def rewrite_job(
+    before: str, record: JobFile, renamed: Mapping[str, str] = MappingProxyType({})
+) -> Rewritten:
     """Return the text of a ``.job`` file changed so that it says `record`.
 
     Args:
         before: The text that it has; empty: there is none.
         record: The job; its file is named in messages.
+        renamed: New names of tasks, by those that they have in the text: their lines
+            keep their places and comments.
 
     Raises:
         ConfigError: No file can say it.
     """
-    return _rewritten(before, record, job_text, parse_job, _job_key)
+
+    def former(last: Key, keyword: str, rest: str) -> Key:
+        found = _job_key(last, keyword, rest)
+        return tuple(renamed.get(word, word) for word in found)
+
+    return _rewritten(before, record, job_text, parse_job, _job_key, key_before=former)
 
 
 def rewrite_svar(before: str, record: SvarFile) -> Rewritten:
@@ -112,6 +122,8 @@ def _rewritten(
     write: Callable[[Record], str],
     parse: Callable[[str, str], Record],
     key: Callable[[Key, str, str], Key],
+    *,
+    key_before: Callable[[Key, str, str], Key] | None = None,
 ) -> Rewritten:
     file = str(getattr(record, "file", ""))
     plain = write(record)
@@ -127,8 +139,11 @@ def _rewritten(
     former = parse(before, file)
     if meaning(former) == meaning(record):
         return Rewritten(before)
+    there = key_before or key
     text = _merged(
-        [*_lines(before, key)], [*_lines(write(former), key)], [*_lines(plain, key)]
+        [*_lines(before, there)],
+        [*_lines(write(former), there)],
+        [*_lines(plain, key)],
     )
     if "\r\n" in before:
         text = text.replace("\r\n", "\n").replace("\n", "\r\n")

@@ -66,10 +66,15 @@ def test_a_rate_is_set_where_it_runs(job, nodes, call):
     assert status == 0, err
     words = ("--task", "first", "--factor", 0.5, "--seconds", 1)
     cost = ("--cost", "mean(Y0[0])")  # it counts its cycles
+    before = job.read_text()
     status, out, err = call("tune", job, *where, *words, *cost, "--apply", "--json")
     assert status == 0, out + err
     assert json.loads(out)["set"] == {"first": 50.0}
+    assert json.loads(out)["files"] == [str(job.with_name("work_tuned.job"))]
     _, out, _ = call("freq", job, "first", *where, "--json")
     assert "50.0" in out
-    assert "FREQ 50" in job.read_text()
+    assert job.read_text() == before
+    copy = job.with_name("work_tuned.job").read_text()
+    assert copy.startswith("JOB work_tuned\n")
+    assert "FREQ 50" in copy
     assert call("stop", "cell", "--domain", nodes.domain)[0] == 0

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from pbonet.errors import StateError
+from pbonet.errors import StateError, SvarMissingError
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
 from pbonet.master.diagnosis import ask_facts
@@ -41,6 +41,17 @@ def test_a_task_in_error_is_the_cause_of_the_flag(running, agents):
     assert "task jttrace on arm1 is ERROR" in text
     assert "because cycle failed: no path [status]" in text
     assert "do: 'clear jttrace' brings it out of ERROR" in text
+
+
+def test_a_variable_of_a_subsystem_that_was_not_started(running, agents):
+    refused = SvarMissingError("the table of subsystem 'arm' is not open here")
+    for one in agents.values():
+        one.tasks.clear()
+        one.fail["display", ""] = refused
+    text = diagnosis.text(running("Q_REF"))
+    assert "because the table of subsystem 'arm' is not open here, on arm0" in text
+    assert "do: start the job: `pbonet start`" in text
+    assert "not read" not in text
 
 
 def test_each_agent_is_asked_once_for_each_fact(running, agents):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections import Counter
 
 import pytest
@@ -179,6 +180,20 @@ def test_fleet_names_what_is_away_and_what_is_amiss(world, agents, call, tmp_pat
     assert away[1].startswith("AWAY> r5: no agent of this name can be reached; start")
     assert "has not seen r9 of lab9 for 7 s" in away[2]
     assert any("its clock is +90.0 s off" in line for line in lines)
+
+
+def test_fleet_asks_about_all_subsystems_at_once(world, agents, call):
+    """Each agent answers about its own subsystem only when all have been asked."""
+    agents("r0", "r1", "r2")
+    asked = threading.Barrier(len(agents))
+    for name, one in agents.items():
+        one.claims = {f"of-{name}": (1, "")}
+        one.held["status"] = asked
+    status, out, err = call("fleet", "--json", "--domain", world.domain)
+    assert (status, err) == (0, "")
+    found = json.loads(out)["subsystems"]
+    assert [one["name"] for one in found] == ["of-r0", "of-r1", "of-r2"]
+    assert not any(one["unknown"] for one in found)
 
 
 def test_fleet_of_a_domain_without_agents(world, agents, call):

@@ -39,7 +39,7 @@ def command(
     if otlp:
         from pbonet.master.operating import OtelLogs
 
-        with OtelLogs(otlp) as logs:
+        with OtelLogs(otlp, lambda text: options.warn([text])) as logs:
             follow_events.follow(file, given, place, as_data=json_, also=logs.add)
     if follow:
         follow_events.follow(file, given, place, as_data=json_)

@@ -63,7 +63,7 @@ def command(
     svg: A[Path | None, Option("Draw the errors into a file.", "FILE")] = None,
     write: A[bool, Option("Write the rates into the job.")] = False,
     apply: A[
-        bool, Option("Write them, and set them in the running subsystem.")
+        bool, Option("Set them where it runs, and write them into a copy of the job.")
     ] = False,
     dry_run: A[
         bool, Option("With --write or --apply: only show what would be done.")
@@ -88,13 +88,15 @@ def command(
         pbonet tune arm.job --task pid --task diff --limit 0.5 --svg tune.svg
         Write them into the job:
         pbonet tune arm.job --cost 'rms(Q_REF - Q_MEZ)' --write
+        Set them where it runs, and write them into arm_tuned.job:
+        pbonet tune arm.job --apply
     """
     import msgspec
 
     from pbonet.master.planning import FACTORS, tune, tuning_text
 
     if write and apply:
-        raise UsageError("--write and --apply exclude each other: --apply writes, too")
+        raise UsageError("--write and --apply exclude each other: choose one")
     if dry_run and not (write or apply):
         raise UsageError("--dry-run needs --write or --apply")
     found, warnings = tune(
@@ -144,7 +146,7 @@ def _write(
     if dry_run:
         return [apply_allocation.changes_text(changes)], about
     replies, paths = (
-        apply_rates.set_rates(file, found, place, editor.save)
+        apply_rates.set_rates(file, found, place, lambda: apply_rates.save_copy(editor))
         if apply
         else ([], editor.save())
     )

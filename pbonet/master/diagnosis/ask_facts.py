@@ -12,7 +12,7 @@ from enum import Flag, auto
 from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
-from pbonet.errors import NodeError, PbonetError, SeveralError
+from pbonet.errors import NodeError, PbonetError, SeveralError, SvarMissingError
 from pbonet.master import configuration
 from pbonet.master.subsystem import find_missing, start_refusals
 from pbonet.xm.net import messages as m
@@ -164,8 +164,12 @@ def _read_table(subsystem: Subsystem, facts: Facts) -> None:
                 passed.append(name)
         if task.info is not None:
             facts.inherited[member.name] = passed
-    if facts.keeper not in facts.silent:
+    if facts.keeper in facts.silent:
+        return
+    try:
         facts.values = {one.name: one for one in subsystem.display()}
+    except SvarMissingError as error:
+        facts.closed = error.what
 
 
 def _read_schedule(subsystem: Subsystem, facts: Facts) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _PERIODS = 2.0
 """A task whose cycles go on has counted one within so many periods."""
+_NOT_STARTED = "a start opens it, and no task exists"
 _SHARE = 0.5
 """An input whose age is passed on has at least this share of the output's age."""
 
@@ -29,10 +30,7 @@ def variable(chain: Chain, name: str) -> tuple[str, list[Cause]]:
     facts = chain.facts
     value = facts.values.get(name)
     if value is None:
-        causes: list[Cause] = []
-        if facts.keeper in facts.silent:
-            causes.append(chain.behind("rtpu", facts.keeper, Source.AGENTS))
-        return f"the value of {name} could not be read", causes
+        return f"the value of {name} could not be read", [*_unread(chain, name)]
     what = _state(chain, value)
     writer = (value.writer or "").rpartition("/")[2]
     constant = any(one.name == name and one.constant for one in facts.graph.variables)
@@ -44,6 +42,27 @@ def variable(chain: Chain, name: str) -> tuple[str, list[Cause]]:
     if not writer:
         return what, list(_unwritten(chain, value, old=old))
     return what, list(_written(chain, value, writer))
+
+
+def _unread(chain: Chain, name: str) -> Iterator[Cause]:
+    """Yield why a variable has no value that could be read."""
+    facts = chain.facts
+    if facts.keeper in facts.silent:
+        yield chain.behind("rtpu", facts.keeper, Source.AGENTS)
+    elif facts.closed:
+        there = any(rtpu.tasks for rtpu in facts.rtpus.values())
+        yield Cause(
+            what=f"{facts.closed}, on {facts.keeper}, which keeps it: "
+            + ("it was lost, and tasks run without it" if there else _NOT_STARTED),
+            source=Source.STATUS,
+            remedy=REMEDIES["table lost" if there else "no table"],
+        )
+    elif facts.from_log:
+        yield Cause(
+            what=f"the run has no value of {name}: no task that was recorded wrote it",
+            source=Source.LOG,
+            remedy=REMEDIES["not recorded"],
+        )
 
 
 def _state(chain: Chain, value: VarValue) -> str:

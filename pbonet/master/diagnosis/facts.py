@@ -58,6 +58,8 @@ class Facts(Struct, kw_only=True):
     """Cycles of each task at a second reading; `watched` seconds after the status."""
     watched: float = 0.0
     values: dict[str, VarValue] = {}
+    closed: str = ""
+    """Why the table is not open on the RTPU that keeps it; empty: it is."""
     keeper: str = ""
     limits: dict[str, float] = {}
     """The largest age of each variable that the table or a reader allows, seconds."""

@@ -107,6 +107,9 @@ REMEDIES: Final[Mapping[str, str]] = {
     "another master": "end that master, or use `--take-over`",
     "restarted": "see its events: why the process ended; turn the tasks on",
     "unclaimed": "start the job",
+    "no table": "start the job: `pbonet start`",
+    "table lost": "`pbonet stop`, then start the job again",
+    "not recorded": "name its writer in a RECORD line of the job",
     "withdrawn": "read what happened then: `pbonet log events`",
 }
 """Remedies for what is read from counters, states and events."""

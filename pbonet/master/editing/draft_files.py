@@ -48,6 +48,8 @@ class Draft(Struct, frozen=True, kw_only=True):
     """The job (unless it has no task), the table, and each RMOD that was changed."""
     origins: dict[Path, str]
     """The texts that these were made from, whose comments and layout they keep."""
+    renamed: dict[str, str] = {}
+    """New names of tasks of the job, by those that the text it was made from has."""
     bare: frozenset[Path] = frozenset()
     """Files that were written as a whole, without the comments they had."""
 
@@ -214,9 +216,16 @@ class DraftFiles(Files):
             texts = {p: t for p, t in self.draft.texts.items() if p != self.job_path}
             self.show(structs.replace(self.draft, job=job, texts=texts))
             return
-        new = rewrite_job(self.draft.origins.get(self.job_path, ""), job)
+        origin = self.draft.origins.get(self.job_path, "")
+        new = rewrite_job(origin, job, self.draft.renamed)
         draft = self._with(self.job_path, new)
         self.show(structs.replace(draft, job=parse_job(new.text, job.file)))
+
+    def note_new_name(self, task: str, name: str) -> None:
+        """Note that a task gets another name, for the line of it in the job."""
+        renamed = self.draft.renamed
+        first = next((one for one, now in renamed.items() if now == task), task)
+        self.show(structs.replace(self.draft, renamed={**renamed, first: name}))
 
     def set_variables(self, variables: Iterable[Variable]) -> None:
         """Change the variables of the table.

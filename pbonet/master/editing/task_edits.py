@@ -273,6 +273,8 @@ def _rename(files: DraftFiles, record: Rmod, new: str) -> None:
     def renamed(names: Iterable[str]) -> tuple[str, ...]:
         return tuple(new if one == task else one for one in names)
 
+    if not standby:
+        files.note_new_name(task, new)
     changed = structs.replace(line, **{"fallback" if standby else "rmod": new})
     files.set_job(
         tasks=tuple(changed if one is line else one for one in job.tasks),

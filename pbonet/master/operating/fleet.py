@@ -7,6 +7,7 @@ answer cost one time limit together.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -36,6 +37,8 @@ _LOW: Final = 1 * _GIB
 """Free bytes below which a disk is said to be nearly full."""
 _APART: Final = 1.0
 """Seconds by which the wall clocks of two machines may differ."""
+_AT_ONCE: Final = 256
+"""Requests that wait for their answers at one time."""
 LAYER: Final = "commands"
 """The layer whose versions are shown as those of the protocol."""
 
@@ -164,7 +167,7 @@ def _ask_all(
     infos, failed = client.call_all({one: m.Hello() for one in names}, m.AgentInfo)
     silent = [name for name in names if name not in infos]
     told = {name: _Told(info) for name, info in infos.items()}
-    with ThreadPoolExecutor(max(len(told), 1)) as pool:
+    with ThreadPoolExecutor(min(max(len(told), 1), _AT_ONCE)) as pool:
         list(pool.map(partial(_time, client), told, told.values()))
     return told, dict(zip(silent, failed, strict=True))
 
@@ -219,31 +222,45 @@ def _machine(told: list[_Told]) -> Machine:
 
 
 def _subsystems(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> list[Subsystem]:
-    """Ask each RTPU for the state of each subsystem that uses it."""
-    users: dict[str, list[str]] = {}
-    for info in infos:
-        for name in info.claims:
-            users.setdefault(name, []).append(info.name)
-    found: list[Subsystem] = []
-    for name, rtpus in sorted(users.items()):
-        asked: dict[str, m.Request] = {
-            one: m.Status(subsystem=name) for one in sorted(rtpus)
-        }
-        statuses, _ = client.call_all(asked, m.RtpuStatus)
-        tasks: dict[str, int] = {}
-        for task in (task for one in statuses.values() for task in one.tasks):
-            tasks[task.state] = tasks.get(task.state, 0) + 1
-        causes = {cause: None for one in statuses.values() for cause in one.illegal}
-        found.append(
-            Subsystem(
-                name=name,
-                rtpus=sorted(rtpus),
-                tasks=tasks,
-                flag=list(causes),
-                unknown=[one for one in asked if one not in statuses],
-            )
+    """Ask each RTPU for the state of each subsystem that uses it, all at once.
+
+    So those that do not answer cost one time limit together, however many subsystems
+    they have.
+    """
+    pairs = sorted((name, info.name) for info in infos for name in info.claims)
+    with ThreadPoolExecutor(min(max(len(pairs), 1), _AT_ONCE)) as pool:
+        answers = dict(
+            zip(pairs, pool.map(partial(_status, client), pairs), strict=True)
         )
-    return found
+    users: dict[str, list[str]] = {}
+    for name, rtpu in pairs:
+        users.setdefault(name, []).append(rtpu)
+    return [
+        _subsystem(name, {rtpu: answers[name, rtpu] for rtpu in rtpus})
+        for name, rtpus in users.items()
+    ]
+
+
+def _status(client: rpc.Client, pair: tuple[str, str]) -> m.RtpuStatus | None:
+    """Return a subsystem's status on an RTPU; None: it does not answer."""
+    subsystem, rtpu = pair
+    try:
+        return client.call(rtpu, m.Status(subsystem=subsystem), m.RtpuStatus)
+    except PbonetError:
+        return None
+
+
+def _subsystem(name: str, answers: Mapping[str, m.RtpuStatus | None]) -> Subsystem:
+    statuses = [one for one in answers.values() if one is not None]
+    states = Counter(str(task.state) for one in statuses for task in one.tasks)
+    causes = dict.fromkeys(cause for one in statuses for cause in one.illegal)
+    return Subsystem(
+        name=name,
+        rtpus=[*answers],
+        tasks=dict(states),
+        flag=[*causes],
+        unknown=[rtpu for rtpu, one in answers.items() if one is None],
+    )
 
 
 def _away(

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pbonet.master.console import Reply
     from pbonet.master.editing import FileChange
 
+_ON = "ON"
 _NUMBER = re.compile(r"_\d+$")
 
 
@@ -91,15 +92,47 @@ def switch(editor: JobEditor, place: Place, *, dry_run: bool) -> list[Reply]:
     try:
         replies.append(_switch(editor, editor.files.job_path, place, dry_run=False))
     except BaseException as error:
+        copies = editor.files.draft.renamed
         editor.files.show(editor.files.first)
         editor.save()
         if isinstance(error, PbonetError):
-            error.add_note(
-                "the job's files are as they were before; 'pbonet status' shows which "
-                "tasks run"
-            )
+            error.add_note("the job's files are as they were before")
+            for note in _left(editor.files.path, copies, place):
+                error.add_note(note)
         raise
     return replies
+
+
+def _left(path: Path, copies: Mapping[str, str], place: Place) -> list[str]:
+    """Return which copies a failed change has left, each with what to do.
+
+    Args:
+        path: The subsystem's file.
+        copies: The copy of each task that was to move.
+        place: Where the subsystem is.
+    """
+    try:
+        tasks = oneshot.run(path, "status", {}, place).data["tasks"]
+    except PbonetError as error:
+        return [f"which tasks run is not known: {error}; 'pbonet status' shows it"]
+    states = {one["task"]: one["fields"]["state"] for one in tasks}
+    notes: list[str] = []
+    for task, copy in copies.items():
+        if copy not in states:
+            continue
+        begin = f"its copy {copy} is {states[copy]}, and {task} "
+        former = states.get(task)
+        if former == _ON:
+            todo = f"is ON as before: remove the copy with 'pbonet kill {path} {copy}'"
+        elif former is None:
+            todo = f"does not exist: 'pbonet explain {path} {copy}' says why, or stop "
+            todo += "and start the job"
+        else:
+            again = f"swap {path} {copy}" if states[copy] == _ON else f"on {path}"
+            todo = f"is {former}: 'pbonet {again} {task}' continues with it, then "
+            todo += f"'pbonet kill {path} {copy}' removes the copy"
+        notes.append(f"{begin}{todo}")
+    return notes or ["no copy was left: the tasks run as before"]
 
 
 def _switch(editor: JobEditor, job: Path, place: Place, *, dry_run: bool) -> Reply:

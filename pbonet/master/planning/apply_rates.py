@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PbonetError
+from msgspec import structs
+
+from pbonet.config import rewrite_job
+from pbonet.errors import ConfigFileError, PbonetError
 from pbonet.master.console import oneshot
 from pbonet.master.editing import JobEditor
 
@@ -25,6 +28,35 @@ def draft(
     for task, hz in rates.items():
         editor.set_field(task, "freq", hz)
     return editor
+
+
+def save_copy(editor: JobEditor) -> list[Path]:
+    """Write a draft into a copy of its job beside it, such as ``arm_tuned.job``.
+
+    Its name is the job's with ``_tuned``, and a number if there is one of that name.
+
+    Raises:
+        ConfigFileError: The copy cannot be written.
+    """
+    files = editor.files
+    stem, number = f"{files.job_path.stem}_tuned", 1
+    path = files.job_path.with_name(f"{stem}.job")
+    while path.exists():
+        number += 1
+        path = files.job_path.with_name(f"{stem}_{number}.job")
+    job = structs.replace(files.draft.job, name=path.stem, file=str(path))
+    text = rewrite_job(files.draft.texts[files.job_path], job).text
+    try:
+        with path.open("x", encoding="utf-8") as copy:
+            copy.write(text)
+    except OSError as error:
+        raise ConfigFileError(
+            "the copy of the job cannot be written",
+            where=str(path),
+            got=error.strerror or str(error),
+            remedy="allow writing in its folder, or use --write for the job itself",
+        ) from None
+    return [path]
 
 
 def set_rates(

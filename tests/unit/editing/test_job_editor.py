@@ -225,6 +225,31 @@ def test_rename_and_remove_reach_every_line_of_the_job(puma):
     assert editor.state()["off_order"] == []
 
 
+def test_a_line_of_a_renamed_task_keeps_its_place_and_its_comment(puma):
+    before = puma.read_text()
+    line = next(x for x in before.splitlines() if x.split()[:2] == ["TASK", "qrdiff"])
+    noted = f"# of both\n{line}  # velocities"
+    puma.write_text(before.replace(line, noted))
+    editor = JobEditor(puma)
+    editor.rename_task("qrdiff", "speeds")
+    editor.set_field("speeds", "freq", 250)
+    editor.rename_task("speeds", "rates")
+    editor.add_task("qrdiff")  # the name is free again, and its line is a new one
+    editor.save()
+    lines = puma.read_text().splitlines()
+    at = lines.index("# of both")
+    assert lines[at - 1] == before.splitlines()[at - 1]
+    assert lines[at + 1].split()[:2] == ["TASK", "rates"]
+    assert "FREQ 250" in lines[at + 1]
+    assert lines[at + 1].endswith("  # velocities")
+    assert ["TASK", "qrdiff"] in [one.split()[:2] for one in lines]
+    editor.undo()
+    editor.undo()
+    editor.save()
+    assert "speeds" in puma.read_text()
+    assert "# velocities" in puma.read_text()
+
+
 def test_a_fallback_stands_by_and_is_taken_away(puma):
     editor = JobEditor(puma)
     state = editor.set_fallback("jttrace", "jtball", takeover=1.0)

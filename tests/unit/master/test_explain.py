@@ -516,6 +516,23 @@ def test_a_variable_without_any_writer():
     assert f"do: {REMEDIES['unwritten']}" in told(known, "REF")
 
 
+def test_a_table_that_is_not_open_is_the_cause_and_says_what_to_do():
+    """Before a start no table is open; afterwards one that is not was lost."""
+    closed = "the table of subsystem 'arm' is not open here"
+    known = facts(values={}, closed=closed)
+    text = told(known, "Q")
+    assert text.splitlines()[0] == "the value of Q could not be read"
+    assert f"because {closed}, on arm0, which keeps it: it was lost" in text
+    assert f"do: {REMEDIES['table lost']}" in text
+    known.rtpus = {name: structs.replace(r, tasks=[]) for name, r in rtpus().items()}
+    text = told(known, "Q")
+    assert "a start opens it, and no task exists" in text
+    assert f"do: {REMEDIES['no table']}" in text
+    text = told(facts(values={}, from_log=True), "Q")
+    assert "no task that was recorded wrote it" in text
+    assert f"do: {REMEDIES['not recorded']}" in text
+
+
 def test_a_writer_on_a_machine_that_is_away():
     known = facts(status("pid"))
     known.rtpus = {"arm0": rtpus(status("pid"))["arm0"]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.server
 import queue
+import socket
 import sys
 import threading
 
@@ -13,7 +14,7 @@ from opentelemetry.proto.collector.logs.v1.logs_service_pb2 import (
 )
 
 from pbonet.errors import NodeError, Severity, StateError
-from pbonet.master.operating import OtelLogs
+from pbonet.master.operating import OtelLogs, otel_logs
 from pbonet.xm.net import Event
 
 
@@ -49,10 +50,12 @@ def event(**more):
 
 def test_an_event_is_a_log_record(collector):
     address, got = collector
-    with OtelLogs(address) as logs:
+    warned = []
+    with OtelLogs(address, warned.append) as logs:
         logs.add(event(cycle=7, subsystem="arm", place="pid.py:3 in cycle"))
         logs.add(event(severity=int(Severity.WARNING), task=""))
     path, headers, body = got.get(timeout=30)
+    assert warned == []
     assert path == "/v1/logs"
     assert headers["Content-Type"] == "application/x-protobuf"
     (resource,) = ExportLogsServiceRequest.FromString(body).resource_logs
@@ -72,16 +75,31 @@ def test_an_event_is_a_log_record(collector):
     assert "pbonet.task" not in {one.key for one in second.attributes}
 
 
+def test_a_collector_that_answers_nothing_does_not_hold_up_the_end(monkeypatch):
+    """It takes the connection and is silent, for longer than the test may take."""
+    monkeypatch.setattr(otel_logs, "END_TIME", 0.2)
+    warned = []
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        monkeypatch.setenv("OTEL_EXPORTER_OTLP_LOGS_TIMEOUT", "3600")
+        with OtelLogs(address, warned.append) as logs:
+            logs.add(event())
+            logs.add(event(n=2))
+    (text,) = warned
+    assert text.startswith(f"2 of 2 events did not reach the collector {address}/v1/")
+    assert "check that it runs" in text
+
+
 @pytest.mark.parametrize("address", ["localhost:4318", "127.0.0.1", "ftp://x", "http:"])
 def test_what_is_no_address_of_a_collector_is_refused(address):
     with pytest.raises(StateError, match="no address of a collector"):
-        OtelLogs(address)
+        OtelLogs(address, print)
 
 
 def test_without_the_sdk_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "opentelemetry.sdk._logs", None)
     with pytest.raises(NodeError) as refused:
-        OtelLogs("http://127.0.0.1:1")
+        OtelLogs("http://127.0.0.1:1", print)
     assert "pip install 'pbonet[otel]'" in refused.value.remedy
 
 

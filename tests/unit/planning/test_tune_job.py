@@ -80,6 +80,25 @@ def test_rates_are_proposed_drawn_and_written(tmp_path, call):
     assert check_file(job).legal
 
 
+def test_a_copy_has_the_rates_and_the_job_stays(tmp_path):
+    job = chain_job(tmp_path)
+    before = job.read_text()
+    taken = tmp_path / "chain_tuned.job"
+    taken.write_text("a user's own")
+    editor = apply_rates.draft(job, {"a": 28.5, "b": 14.0})
+    (copy,) = apply_rates.save_copy(editor)
+    assert copy.name == "chain_tuned_2.job"
+    assert (job.read_text(), taken.read_text()) == (before, "a user's own")
+    assert "# samples" in copy.read_text()
+    record = read_job(copy)
+    assert record.name == "chain_tuned_2"
+    assert {one.rmod: one.freq for one in record.tasks if one.freq} == {
+        "a": 28.5,
+        "b": 14.0,
+    }
+    assert check_file(copy).legal
+
+
 def test_what_an_interrupt_ends_leaves_nothing(tmp_path, monkeypatch):
     """The runs are ended amid their work; what they left in their folder is removed."""
     answers = tmp_path / "answers"

@@ -23,6 +23,12 @@ def bench(monkeypatch):
     return module
 
 
+def source(program: str) -> Path:
+    """The file that runs a benchmark, which is a module or a package."""
+    folder = ROOT / "benchmarks" / program
+    return folder / "__main__.py" if folder.is_dir() else folder.with_suffix(".py")
+
+
 def ends(bench, monkeypatch, capsys, *words):
     monkeypatch.setattr(sys, "argv", ["run", *words])
     status = bench.main()
@@ -35,14 +41,15 @@ def test_every_benchmark_is_a_program(bench) -> None:
         assert importlib.util.find_spec(name) is not None, name
     assert set(bench.QUICK) <= set(bench.RUNS)
     programs = {line.split()[0] for line in bench.RUNS.values()}
-    for path in (ROOT / "benchmarks").glob("*.py"):
-        if '__name__ == "__main__"' in path.read_text() and path.stem != "run":
-            assert path.stem in programs, f"`make bench` does not run {path.name}"
+    for path in (ROOT / "benchmarks").rglob("*.py"):
+        name = path.parent.name if path.stem == "__main__" else path.stem
+        if '__name__ == "__main__"' in path.read_text() and name != "run":
+            assert name in programs, f"`make bench` does not run {path}"
 
 
 def test_those_without_a_goal_are_named(bench, monkeypatch, capsys) -> None:
     for program in {line.split()[0] for line in bench.RUNS.values()}:
-        text = (ROOT / "benchmarks" / f"{program}.py").read_text()
+        text = source(program).read_text()
         judges = re.search(r"judge\(|sys\.exit\(3\)|else 3|MISSED", text) is not None
         assert judges != (program in bench.NO_GOAL), program
     _, out = ends(bench, monkeypatch, capsys, "svar", "ports")
