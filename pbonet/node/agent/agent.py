@@ -17,7 +17,6 @@ import secrets
 import socket
 import threading
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -38,6 +37,7 @@ from pbonet.xm.net import (
     AgentInfo,
     Client,
     LinkReport,
+    client_of_router,
     dialling,
     key_expressions,
     messages,
@@ -143,6 +143,8 @@ class Agent:
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
+        self._rank = 0
+        """See `client_of_router`; 0: it has no routers."""
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
         self._heartbeat: Heartbeat | None = None
@@ -193,6 +195,11 @@ class Agent:
         """
         survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
+        domain, routed = self.config.domain, bool(self.config.routers)
+        client_of_router.check(domain, self.name, routed=routed)
+        if routed:
+            self._rank = client_of_router.next_rank(domain, self.name)
+            text += f", rank {self._rank}"
         self._lock = run_folder.NameLock(self.places.lock, text, patience=LOCK_TIME)
         try:
             self._open()
@@ -207,17 +214,39 @@ class Agent:
         """The port on which metrics are served; None: they are not."""
         return self._metrics.port if self._metrics is not None else None
 
-    def _open(self) -> None:
+    def _open_session(self) -> zenoh.Session:
+        config = self.config
+        if config.routers:
+            self._dials = list(config.routers)
+            self._session = client_of_router.open_session(
+                self.places,
+                config.routers,
+                rank=self._rank,
+                listen=config.listen,
+                key_folder=self._key_folder,
+            )
+            return self._session
         dialled = dialling.Dialled(
             self.places,
-            listen=self.config.listen,
-            connect=self.config.connect,
-            multicast=self.config.multicast,
+            listen=config.listen,
+            connect=config.connect,
+            multicast=config.multicast,
             key_folder=self._key_folder,
         )
         self._session = dialled.session
         dialled.settle()
         self._session, self._dials = dialled.session, dialled.dials
+        return self._session
+
+    def _unlinked(self) -> list[str]:
+        """Return the endpoints without a link, of those that should have one."""
+        found = self._ways.unlinked(self._dials) if self._ways is not None else []
+        if self.config.routers and len(found) < len(self._dials):
+            return []  # one router is enough
+        return found
+
+    def _open(self) -> None:
+        self._session = self._open_session()
         self._refuse_duplicate()
         damage = self._desired.load()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
@@ -294,8 +323,7 @@ class Agent:
             *(*where, self.name, self._ways.clock, self._note),
             refuses=self._stops.holds_agent,
         )
-        unlinked = partial(self._ways.unlinked, self._dials)
-        self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
+        self._term = KeyTerm(self._key_folder, self.name, self._note, self._unlinked)
         self._term.start()
         if self.config.metrics is not None:
             self._metrics = MetricsServer(
@@ -769,5 +797,20 @@ def _check_addresses(config: AgentConfig, keys: Path | None) -> None:
     """
     for one in config.listen:
         session.check_endpoint(one, insecure=config.insecure, key_folder=keys)
+    if config.routers and (config.connect or config.multicast):
+        other = "multicast" if config.multicast else "connect"
+        raise NodeError(
+            "an agent with routers has no links to other agents",
+            where=config.name or "",
+            expected=f"routers or {other}",
+            got="both",
+            remedy=f"remove {other} (also PBONET_CONNECT): routers lead to all agents",
+        )
+    if len(config.connect) >= client_of_router.MESH:
+        log.warning(
+            "%s: links to %d agents; beyond %d machines start a router (pbonet router)"
+            " and name it as routers in each agent.toml, instead of connect",
+            *(config.name, len(config.connect), client_of_router.MESH),
+        )
     if config.metrics is not None:
         check_address(config.metrics, keys)

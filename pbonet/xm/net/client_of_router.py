@@ -1,0 +1,99 @@
+"""Agents as clients of a router, instead of routers that are linked with each other.
+
+An agent that is a router keeps the state of all others. A client asks its router for
+what it needs, so that neither its memory nor its work grows with the number of
+machines. It is a client of one router at a time, and of the next one named when that
+is lost.
+
+Of the agents of one machine only one has a link to a router: each is a client of one
+that was there before, of which it knows by the runtime folder, and accepts those that
+came later. Each has a *rank*, greater than those of all agents that it finds. As an
+agent links only to lesser ranks, and accepts only greater ones, there is no circle,
+whichever of them end and start again. Without a router they still see each other.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import NodeError
+
+from . import run_folder, session
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import zenoh
+
+MESH = 8
+"""Machines that agents may link with each other without a router: each of them works
+for all."""
+
+
+def check(domain: str, name: str, *, routed: bool) -> None:
+    """Refuse an agent that reaches others in another way than those of its machine.
+
+    Raises:
+        NodeError: Agents that are clients of a router, and agents that are not, would
+            be on one machine.
+    """
+    others = run_folder.ranks(domain)
+    for other, rank in sorted(others.items()):
+        if other != name and bool(rank) != routed:
+            uses, lacks = (other, name) if rank else (name, other)
+            raise NodeError(
+                "of the agents of one machine, either all have routers or none has",
+                where=f"domain {domain}",
+                expected=f"the same routers for {name} as for {other}",
+                got=f"routers for {uses}, none for {lacks}",
+                remedy="give `routers` in agent.toml, --router or PBONET_ROUTER to "
+                "each of them, or to none",
+            )
+
+
+def next_rank(domain: str, name: str) -> int:
+    """Return a rank that is greater than those of the machine's other agents."""
+    ranks = run_folder.ranks(domain)
+    return 1 + max((rank for one, rank in ranks.items() if one != name), default=0)
+
+
+def open_session(
+    places: run_folder.Places,
+    routers: Sequence[str],
+    *,
+    rank: int,
+    listen: Sequence[str] = (),
+    key_folder: Path | None = None,
+) -> zenoh.Session:
+    """Open an agent's session as a client.
+
+    Args:
+        places: The agent's files.
+        routers: Endpoints of routers, the nearest first.
+        rank: The agent's.
+        listen: Endpoints for masters and tools, besides its socket.
+        key_folder: The agent's keys, if any.
+
+    Raises:
+        NodeError: An endpoint cannot be used.
+        ConfigFileError: The key folder cannot be used.
+    """
+    named = [session.check_dialled(one, key_folder=key_folder) for one in routers]
+    places.remove(*places.agents_files)  # of a killed agent; we hold the lock
+    before = sorted(
+        (its, name)
+        for name, its in run_folder.ranks(places.domain).items()
+        if 0 < its < rank and name != places.name
+    )
+    hubs = [run_folder.Places(places.domain, name).hub(its) for its, name in before]
+    return session.routed_agent(
+        places,
+        [*(f"unixsock-stream/{hub}" for hub in hubs), *named],
+        rank=rank,
+        listen=listen,
+        key_folder=key_folder,
+    )
+
+
+__all__ = ["MESH", "check", "next_rank", "open_session"]
