@@ -100,6 +100,8 @@ class Agent:
         lasts: Whether the next agent of that name is to know what this one had.
     """
 
+    reason = ""
+    """Why the agent has ended by itself."""
     _metrics: MetricsServer | None = None
 
     def __init__(
@@ -174,8 +176,6 @@ class Agent:
         self._restarts: list[float] = []
         self._restarter: threading.Thread | None = None
         self._guard = threading.Lock()
-        self.reason = ""
-        """Why the agent has ended by itself."""
         self._given_up = False
         """Whether that was a loss, and not the orderly end of the RTPU process."""
 
@@ -240,10 +240,15 @@ class Agent:
 
     def _unlinked(self) -> list[str]:
         """Return the endpoints without a link, of those that should have one."""
-        found = self._ways.unlinked(self._dials) if self._ways is not None else []
-        if self.config.routers and len(found) < len(self._dials):
-            return []  # one router is enough
-        return found
+        if self._ways is None or self._session is None:
+            return []
+        found = self._ways.unlinked(self._dials)
+        if not found or not self.config.routers:
+            return found
+        one_is_linked = len(found) < len(self._dials)
+        with contextlib.suppress(zenoh.ZError):
+            one_is_linked |= client_of_router.goes_by_neighbour(self._session)
+        return [] if one_is_linked else found
 
     def _open(self) -> None:
         self._session = self._open_session()

@@ -14,6 +14,7 @@ whichever of them end and start again. Without a router they still see each othe
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from pbonet.errors import NodeError
@@ -96,4 +97,10 @@ def open_session(
     )
 
 
-__all__ = ["MESH", "check", "next_rank", "open_session"]
+def goes_by_neighbour(link: zenoh.Session) -> bool:
+    """Return whether an agent is now a client of another agent of its machine."""
+    hub = re.compile(r"unixsock-stream/.+\.hub[1-9]\d*")
+    return any(hub.fullmatch(str(one.dst)) for one in link.info.links())
+
+
+__all__ = ["MESH", "check", "goes_by_neighbour", "next_rank", "open_session"]

@@ -7,8 +7,8 @@ RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use
 resources of other machines), ``NAME.agent`` and ``NAME.rtpu`` (locked while these
 processes live), ``NAME.state`` (what to clean up if the RTPU process is killed) and
 ``NAME.log`` (the RTPU process's standard error), ``NAME.hubN`` (the socket on which an
-agent that is a client of a router accepts agents of the machine). ``devices`` has a file for each I/O
-device that is open.
+agent that is a client of a router accepts agents of the machine). ``devices`` has a
+file for each I/O device that is open.
 
 Nothing here imports zenoh, because the RTPU process uses it too.
 """
