@@ -60,6 +60,7 @@ RUNS = {
     "mppi": "mppi",
     "web": "web",
     "metrics": "metrics",
+    "scale": "scale",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -85,6 +86,7 @@ QUICK = {
     "mppi": "--updates 3 --rollouts 64",
     "web": "--quick",
     "metrics": "--quick",
+    "scale": "--quick",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",
