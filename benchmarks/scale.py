@@ -198,6 +198,7 @@ def at(fleet: rig.Fleet, count: int, seconds: float, rounds: int) -> dict[str, A
 def faults(fleet: rig.Fleet, seconds: float) -> list[dict[str, Any]]:
     """Cause faults; return a row for each: seconds until it is healed, and CPU."""
     rows: list[dict[str, Any]] = []
+    before = fleet.started_again
 
     def heal(what: str, cause: Any) -> None:  # noqa: ANN401 - any function
         spent, begin = rig.cpu(fleet.routers.pids()), time.monotonic()
@@ -238,8 +239,10 @@ def faults(fleet: rig.Fleet, seconds: float) -> list[dict[str, Any]]:
         fleet.routers.start(0)
 
     heal("both killed, one started: all reconnect", restart_all)
-    running = sum(one.is_running() for one in fleet.machines)
-    rows.append({"fault": "agents that ended", "healed": len(fleet.machines) - running})
+    rows.append({
+        "fault": "agents that ended, or did not start",
+        "healed": fleet.started_again - before,
+    })
     return rows
 
 
