@@ -118,6 +118,17 @@ def test_a_router_is_killed_and_control_goes_on(lab, keys, cell, host):
     tasks_run(cell)
 
 
+def test_a_silent_router_is_replaced(lab, lan, cell):
+    """Its cables transmit nothing, and everything considers them intact."""
+    for peer in "ab":
+        lan.mute("c", peer)
+    comes(cell)
+    tasks_run(cell)
+    for peer in "ab":
+        lan.heal("c", peer)
+    wait_for(lambda: lab.seen("b") == SEEN == lab.seen("a"), "all of them")
+
+
 def test_without_a_router_a_machine_sees_its_own(lab, keys, cell):
     """Nothing stops there; it is as a pulled cable for the others."""
     for host in "bc":
@@ -125,7 +136,7 @@ def test_without_a_router_a_machine_sees_its_own(lab, keys, cell):
     wait_for(lambda: lab.seen("a") == ["arm0", "desk"], "the loss of b at a")
     assert lab.seen("b") == ["arm1"]
     assert cell.status("arm0", "src").state == "ON"
-    lab.start("late", "a", listen=(), routers=routers(lab, "a"))
+    lab.start("late", "a", listen=())  # joins those of its machine
     lab.stop("late")
     start_routers(lab, keys)
     wait_for(lambda: lab.seen("b") == SEEN == lab.seen("a"), "all of them")

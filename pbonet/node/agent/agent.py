@@ -146,7 +146,7 @@ class Agent:
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
         self._rank = 0
-        """See `client_of_router`; 0: it has no routers."""
+        """See `client_of_router`; 0: it is a router itself."""
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
         self._heartbeat: Heartbeat | None = None
@@ -195,10 +195,10 @@ class Agent:
         """
         survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
-        domain, routed = self.config.domain, bool(self.config.routers)
-        client_of_router.check(domain, self.name, routed=routed)
-        if routed:
-            self._rank = client_of_router.next_rank(domain, self.name)
+        self._rank = client_of_router.rank_of(
+            self.config.domain, self.name, routed=bool(self.config.routers)
+        )
+        if self._rank:
             text += f", rank {self._rank}"
         self._lock = run_folder.NameLock(self.places.lock, text, patience=LOCK_TIME)
         try:
@@ -216,11 +216,11 @@ class Agent:
 
     def _open_session(self) -> zenoh.Session:
         config = self.config
-        if config.routers:
-            self._dials = list(config.routers)
+        if self._rank:
+            self._dials = list(config.routers or config.connect)
             self._session = client_of_router.open_session(
                 self.places,
-                config.routers,
+                self._dials,
                 rank=self._rank,
                 listen=config.listen,
                 key_folder=self._key_folder,
@@ -243,7 +243,7 @@ class Agent:
         if self._ways is None or self._session is None:
             return []
         found = self._ways.unlinked(self._dials)
-        if not found or not self.config.routers:
+        if not found or not self._rank:
             return found
         one_is_linked = len(found) < len(self._dials)
         with contextlib.suppress(zenoh.ZError):

@@ -32,31 +32,34 @@ MESH = 8
 for all."""
 
 
-def check(domain: str, name: str, *, routed: bool) -> None:
-    """Refuse an agent that reaches others in another way than those of its machine.
+def rank_of(domain: str, name: str, *, routed: bool) -> int:
+    """Return the rank of an agent that starts; 0: it is not to be a client.
+
+    It is greater than those of the machine's other agents. An agent without routers
+    is a client too where those are.
+
+    Args:
+        domain: The agent's domain.
+        name: The agent.
+        routed: Whether it has routers.
 
     Raises:
-        NodeError: Agents that are clients of a router, and agents that are not, would
-            be on one machine.
+        NodeError: It has routers, and agents of the machine are no clients.
     """
     others = run_folder.ranks(domain)
-    for other, rank in sorted(others.items()):
-        if other != name and bool(rank) != routed:
-            uses, lacks = (other, name) if rank else (name, other)
-            raise NodeError(
-                "of the agents of one machine, either all have routers or none has",
-                where=f"domain {domain}",
-                expected=f"the same routers for {name} as for {other}",
-                got=f"routers for {uses}, none for {lacks}",
-                remedy="give `routers` in agent.toml, --router or PBONET_ROUTER to "
-                "each of them, or to none",
-            )
-
-
-def next_rank(domain: str, name: str) -> int:
-    """Return a rank that is greater than those of the machine's other agents."""
-    ranks = run_folder.ranks(domain)
-    return 1 + max((rank for one, rank in ranks.items() if one != name), default=0)
+    others.pop(name, None)
+    lacking = sorted(one for one, rank in others.items() if not rank)
+    if routed and lacking:
+        raise NodeError(
+            "an agent with routers cannot join agents that have none",
+            where=f"domain {domain}",
+            expected="routers for all agents of this machine",
+            got=f"none for {', '.join(lacking)}",
+            remedy="give them `routers` in agent.toml, --router or PBONET_ROUTER, too, "
+            "and restart them first",
+        )
+    greatest = max(others.values(), default=0)
+    return greatest + 1 if routed or greatest else 0
 
 
 def open_session(
@@ -103,4 +106,4 @@ def goes_by_neighbour(link: zenoh.Session) -> bool:
     return any(hub.fullmatch(str(one.dst)) for one in link.info.links())
 
 
-__all__ = ["MESH", "check", "goes_by_neighbour", "next_rank", "open_session"]
+__all__ = ["MESH", "goes_by_neighbour", "open_session", "rank_of"]
