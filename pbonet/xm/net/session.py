@@ -71,6 +71,11 @@ OPEN_TIME = 1.1
 BUSY_TIME = 5.0
 """The same for agents of this machine whose processes run: what does not answer for a
 second is busy, or its machine is, and a `stop` or `swap` must not fail by that."""
+STAND_IN_TIME = 20.0
+"""Seconds for which an agent that is a client tries to open its session. On a machine
+that is very busy it takes longer to link two sessions of one process than `OPEN_MS`."""
+_NOBODY_ANSWERS = "Unable to connect to any"
+"""In zenoh's message, when no endpoint of a client has accepted it in time."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
     " Were both sides' keys made by one authority and not revoked, and is the address"
@@ -258,11 +263,15 @@ def routed_agent(
         "south": [{"filters": [{"modes": ["client"], "region_names": accepted}]}]
     }
     part = _settings(mode="router", listen={"endpoints": [stand_in]}, connect={})
-    try:
-        with zenoh.open(_packed(part)):
-            return zenoh.open(_packed(settings))
-    except zenoh.ZError as error:
-        raise _not_open(listens, error) from None
+    begin = time.monotonic()
+    while True:
+        try:
+            with zenoh.open(_packed(part)):
+                return zenoh.open(_packed(settings))
+        except zenoh.ZError as error:
+            busy = _NOBODY_ANSWERS in str(error)
+            if not busy or time.monotonic() - begin > STAND_IN_TIME:
+                raise _not_open(listens, error) from None
 
 
 def _ranked(rank: int) -> str:
