@@ -145,6 +145,7 @@ class Machine:
     def __init__(self, name: str, folder: Path, routers: Sequence[str]) -> None:
         self.name, self.routers = name, list(routers)
         self.run_dir, self.shm = folder / f"{name}.run", folder / f"{name}.shm"
+        self.output = folder / f"{name}.out"
         for one in (self.run_dir, self.shm):
             one.mkdir(mode=0o700)
         self.agent: subprocess.Popen[bytes] | None = None
@@ -159,21 +160,22 @@ class Machine:
         words = ["--name", self.name, "--domain", DOMAIN, "--grace", "2"]
         for one in self.routers:
             words += ["--router", one]
-        self.agent = subprocess.Popen(
-            [sys.executable, "-m", "pbonet.cli", "agent", *words],
-            env={
-                **os.environ,
-                "PBONET_RUN_DIR": str(self.run_dir),
-                "PBONET_SHM_DIR": str(self.shm),
-                "PBONET_STATE_DIR": str(self.run_dir / "state"),
-                "PBONET_CONNECT": "",
-            },
-            stdout=subprocess.DEVNULL,
-        )
+        with self.output.open("wb") as shown:
+            self.agent = subprocess.Popen(
+                [sys.executable, "-m", "pbonet.cli", "agent", *words],
+                env={
+                    **os.environ,
+                    "PBONET_RUN_DIR": str(self.run_dir),
+                    "PBONET_SHM_DIR": str(self.shm),
+                    "PBONET_STATE_DIR": str(self.run_dir / "state"),
+                    "PBONET_CONNECT": "",
+                },
+                stdout=shown,
+            )
 
     def is_ready(self) -> bool:
-        """Return whether its agent accepts masters."""
-        return (self.run_dir / DOMAIN / f"{self.name}.sock").exists()
+        """Return whether its agent says that it accepts commands."""
+        return b": ready on" in self.output.read_bytes()
 
     @property
     def pid(self) -> int:
