@@ -264,8 +264,10 @@ class Fleet:
             for one in running[number : number + 10]:
                 one.send_signal(signal.SIGTERM)
             for one in running[number : number + 10]:
-                one.wait(60.0)
-        wait(lambda: all(one.is_gone() for one in self.machines), "their ends", 60.0)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    one.wait(60.0)
+                one.kill()  # its tasks end by themselves
+        wait(lambda: all(one.is_gone() for one in self.machines), "their ends")
         self._folder.cleanup()
 
 
