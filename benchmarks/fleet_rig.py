@@ -297,7 +297,11 @@ class Sessions:
                 "link": {"tx": {"lease": session.LEASE_MS, "keep_alive": 4}},
             },
         }
-        told = {"domain": "bare", "settings": settings, "active": active}
+        told: dict[str, Any] = {
+            "domain": "bare",
+            "settings": settings,
+            "active": active,
+        }
         told["routers"] = routers.endpoints
         self.processes: list[subprocess.Popen[str]] = []
         for first in range(0, count, each):

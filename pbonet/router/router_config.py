@@ -144,7 +144,8 @@ def _override(
         given["transport/link/protocols"] = link["protocols"]
         given["access_control"] = own["access_control"]
     for key, value in given.items():
-        config.insert_json5(key, msgspec.json.encode(value).decode())
+        text = msgspec.json.encode(value).decode()
+        config.insert_json5(key, text)  # pyright: ignore[reportUnknownMemberType]
 
 
 def _check(config: zenoh.Config, where: str, *, insecure: bool) -> None:
