@@ -32,7 +32,7 @@ def command(
     show: A[bool, Option("Print the configuration, for zenohd, and end.")] = False,
     verbose: A[bool, Option("Log what happens.", names=("--verbose", "-v"))] = False,
 ) -> int:
-    """Be a router, through which the agents and masters of many machines meet.
+    """Be a router, by which agents and masters of many machines meet.
 
     It is zenoh's router and takes zenohd's configuration file; options replace what the
     file says. It runs until SIGTERM or Ctrl-C. Agents are its clients with --router.
