@@ -244,8 +244,8 @@ def routed_agent(
         ConfigFileError: The key folder cannot be used.
     """
     listens = [places.endpoint, f"unixsock-stream/{places.hub(rank)}", *listen]
-    # zenoh opens no client while none of its endpoints answers. A router of this process
-    # takes that part until the session is open.
+    # zenoh opens no client while none of its endpoints answers. A router of this
+    # process takes that part until the session is open.
     stand_in = f"unixsock-stream/{places.hub(0)}"
     settings = _settings(
         mode="client",
