@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pbonet.errors import UnreachableError
 from pbonet.xm.net import session
 
 if TYPE_CHECKING:
@@ -225,10 +226,14 @@ class Fleet:
 
     def seen(self) -> set[str]:
         """Return the agents that a client of a router sees."""
-        with session.client(
-            DOMAIN, connect=self.alive_routers(), timeout=20.0, local=False
-        ) as link:
+        with (
+            contextlib.suppress(UnreachableError),  # it is too busy to answer
+            session.client(
+                DOMAIN, connect=self.alive_routers(), timeout=20.0, local=False
+            ) as link,
+        ):
             return set(session.rtpus(link, DOMAIN, timeout=5.0))
+        return set()
 
     def alive_routers(self) -> list[str]:
         """Return the endpoints of the routers that run."""

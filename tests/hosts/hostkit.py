@@ -281,6 +281,8 @@ class Lab:
                 process.send_signal(signal.SIGTERM)
             for process in running:
                 process.wait(LIMIT)
+            for process in self.routers.values():
+                process.stdout.close()
             self._check()
         finally:
             for pid, _ in self._left():
