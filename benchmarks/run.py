@@ -61,6 +61,7 @@ RUNS = {
     "web": "web",
     "metrics": "metrics",
     "rivals": "rivals",
+    "scale": "scale",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -87,6 +88,7 @@ QUICK = {
     "web": "--quick",
     "metrics": "--quick",
     "rivals": "--rounds 1 --seconds 0.3",
+    "scale": "--quick",
     "steering": "--rounds 2",
     "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",

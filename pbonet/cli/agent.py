@@ -33,6 +33,14 @@ def command(
         list[str] | None,
         Option("Connect to this agent.", "ENDPOINT", env="PBONET_CONNECT"),
     ] = None,
+    router: A[
+        list[str] | None,
+        Option(
+            "Be a client of this router (pbonet router), or of the next one named.",
+            "ENDPOINT",
+            env="PBONET_ROUTER",
+        ),
+    ] = None,
     library: A[
         list[Path] | None,
         Option("A folder of modules.", "FOLDER", env="PBONET_LIBRARY"),
@@ -92,6 +100,7 @@ def command(
         "domain": domain,
         "listen": listen,
         "connect": connect,
+        "routers": router,
         "libraries": [str(folder) for folder in library] if library else None,
         "grace": grace,
         "keys": str(keys.absolute()) if keys else None,

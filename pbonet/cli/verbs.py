@@ -33,7 +33,7 @@ GROUPS: Final = {
     "Express mail": ("sem", "queue", "mailbox", "file"),
     "Recordings": ("log", "replay"),
     "Machines and this program": (
-        *("agent", "fleet", "devices", "doctor", "keys", "completion"),
+        *("agent", "router", "fleet", "devices", "doctor", "keys", "completion"),
     ),
 }
 """The verbs as the help shows them."""
@@ -45,7 +45,7 @@ _OWN: Final = {
 }
 """Verbs with a file of their own."""
 _FOLDERS: Final = {
-    "operating": ("devices", "doctor", "events", "explain", "fleet", "top"),
+    "operating": ("devices", "doctor", "events", "explain", "fleet", "router", "top"),
     "planning": ("allocate", "tune"),
     "xm": ("sem", "queue", "mailbox", "file"),
 }

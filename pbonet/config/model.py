@@ -422,6 +422,8 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     core: int | None = None
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
+    routers: tuple[str, ...] = ()
+    """Endpoints of routers, the nearest first: the agent is a client of one of them."""
     libraries: tuple[str, ...] = ()
     """Folders with modules, beside the library that pbonet brings."""
     grace: float = 5.0

@@ -72,6 +72,8 @@ class Lab:
         self.protocol = "tls" if self.keys else "tcp"
         self.domain = f"h{secrets.token_hex(3)}"
         self.agents: dict[str, tuple[str, subprocess.Popen]] = {}
+        self.routers: dict[str, subprocess.Popen] = {}
+        """By host."""
         self._sessions: dict[str, object] = {}
         self.run_dirs: dict[str, Path] = {}
         self.shm_dirs: dict[str, Path] = {}
@@ -115,6 +117,26 @@ class Lab:
         if wait:
             self.wait_seen(name, host)
         return process
+
+    def start_router(self, host, *, connect=(), keys=None):
+        """Start a router on a host, and wait until it accepts connections."""
+        words = ["--listen", f"{self.protocol}/[::]:{self.port}"]
+        words += [word for one in connect for word in ("--connect", one)]
+        words += ["--keys", str(keys)] if keys else ["--insecure"]
+        command = (sys.executable, "-m", "pbonet.cli", "router", *words)
+        process = subprocess.Popen(
+            self.lan[host].command(*command),
+            env=self.environment(host),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.routers[host] = process
+        assert "ready" in process.stdout.readline()
+
+    def kill_router(self, host):
+        """Kill a router, as a fault of its machine would."""
+        with self.routers.pop(host) as process:
+            process.kill()
 
     def chain(self):
         """Start arm0 on a, arm1 on b, arm2 on c; a and c have no way but by b."""
@@ -254,10 +276,13 @@ class Lab:
             for host in list(self._sessions):
                 self.forget_session(host)
             running = [process for _, process in self.agents.values()]
+            running += self.routers.values()
             for process in running:
                 process.send_signal(signal.SIGTERM)
             for process in running:
                 process.wait(LIMIT)
+            for process in self.routers.values():
+                process.stdout.close()
             self._check()
         finally:
             for pid, _ in self._left():

@@ -67,5 +67,6 @@ def of(
         **os.environ,
         "PBONET_DOMAIN": domain,
         "PBONET_CONNECT": " ".join(connect),
+        "PBONET_ROUTER": "",
         "PBONET_LIBRARY": os.pathsep.join(map(str, libraries)),
     }

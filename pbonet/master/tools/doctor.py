@@ -22,6 +22,7 @@ from pbonet.master.console import render
 from pbonet.master.subsystem import client_name
 from pbonet.versions import REMEDY
 from pbonet.xm.net import (
+    client_of_router,
     credentials,
     messages as m,
     rpc,
@@ -346,6 +347,7 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
                 "see what is said of others first, then check again",
             )
     for name, report in sorted(reports.items()):
+        yield from meshed(name, report)
         for news in report.tables:
             yield Finding(
                 Level.WARN if news.lost else Level.PASS,
@@ -369,6 +371,19 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
                 "let one of the two name the other with --connect, not both, and "
                 "start it again",
             )
+
+
+def meshed(name: str, report: m.LinkReport) -> Iterator[Finding]:
+    """Warn if an agent has links of its own to agents of many machines."""
+    hosts = {way.host for way in report.ways if way.hops == 1}
+    if len(hosts) >= client_of_router.MESH:
+        yield Finding(
+            Level.WARN,
+            f"{name} has links to agents of {len(hosts)} other machines: each works "
+            "for all",
+            f"beyond {client_of_router.MESH} machines start a router (`pbonet router`) "
+            "and name it as routers in each agent.toml, instead of connect",
+        )
 
 
 _Pairs = list[tuple[tuple[str, str], m.Way | None]]

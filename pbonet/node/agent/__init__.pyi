@@ -1,4 +1,4 @@
-from . import agent_main as agent_main
+from . import agent_main as agent_main, systemd_notify as systemd_notify
 from .agent import Agent as Agent
 from .shared_memory_status import (
     HANDLED as HANDLED,

@@ -17,7 +17,6 @@ import secrets
 import socket
 import threading
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -38,6 +37,7 @@ from pbonet.xm.net import (
     AgentInfo,
     Client,
     LinkReport,
+    client_of_router,
     credentials,
     dialling,
     key_expressions,
@@ -101,6 +101,8 @@ class Agent:
         lasts: Whether the next agent of that name is to know what this one had.
     """
 
+    reason = ""
+    """Why the agent has ended by itself."""
     _metrics: MetricsServer | None = None
     _claims: AbstractSet[str] = frozenset()
     """The subsystems that use the RTPU, as last announced."""
@@ -149,6 +151,8 @@ class Agent:
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
+        self._rank = 0
+        """See `client_of_router`; 0: it is a router itself."""
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
         self._heartbeat: Heartbeat | None = None
@@ -177,8 +181,6 @@ class Agent:
         self._restarts: list[float] = []
         self._restarter: threading.Thread | None = None
         self._guard = threading.Lock()
-        self.reason = ""
-        """Why the agent has ended by itself."""
         self._given_up = False
         """Whether that was a loss, and not the orderly end of the RTPU process."""
 
@@ -198,6 +200,11 @@ class Agent:
         """
         survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
+        self._rank = client_of_router.rank_of(
+            self.config.domain, self.name, routed=bool(self.config.routers)
+        )
+        if self._rank:
+            text += f", rank {self._rank}"
         self._lock = run_folder.NameLock(self.places.lock, text, patience=LOCK_TIME)
         try:
             self._open()
@@ -212,17 +219,44 @@ class Agent:
         """The port on which metrics are served; None: they are not."""
         return self._metrics.port if self._metrics is not None else None
 
-    def _open(self) -> None:
+    def _open_session(self) -> zenoh.Session:
+        config = self.config
+        if self._rank:
+            self._dials = list(config.routers or config.connect)
+            self._session = client_of_router.open_session(
+                self.places,
+                self._dials,
+                rank=self._rank,
+                listen=config.listen,
+                key_folder=self._key_folder,
+            )
+            return self._session
         dialled = dialling.Dialled(
             self.places,
-            listen=self.config.listen,
-            connect=self.config.connect,
-            multicast=self.config.multicast,
+            listen=config.listen,
+            connect=config.connect,
+            multicast=config.multicast,
             key_folder=self._key_folder,
         )
         self._session = dialled.session
         dialled.settle()
         self._session, self._dials = dialled.session, dialled.dials
+        return self._session
+
+    def _unlinked(self) -> list[str]:
+        """Return the endpoints without a link, of those that should have one."""
+        if self._ways is None or self._session is None:
+            return []
+        found = self._ways.unlinked(self._dials)
+        if not found or not self._rank:
+            return found
+        one_is_linked = len(found) < len(self._dials)
+        with contextlib.suppress(zenoh.ZError):
+            one_is_linked |= client_of_router.goes_by_neighbour(self._session)
+        return [] if one_is_linked else found
+
+    def _open(self) -> None:
+        self._session = self._open_session()
         self._refuse_duplicate()
         damage = self._desired.load()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
@@ -284,8 +318,7 @@ class Agent:
             refuses=self._stops.holds_agent,
             need=ways.need,
         )
-        unlinked = partial(ways.unlinked, self._dials)
-        self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
+        self._term = KeyTerm(self._key_folder, self.name, self._note, self._unlinked)
         self._term.start()
         if self.config.metrics is not None:
             self._metrics = MetricsServer(
@@ -822,5 +855,20 @@ def _check_addresses(config: AgentConfig, keys: Path | None) -> None:
     """
     for one in config.listen:
         session.check_endpoint(one, insecure=config.insecure, key_folder=keys)
+    if config.routers and (config.connect or config.multicast):
+        other = "multicast" if config.multicast else "connect"
+        raise NodeError(
+            "an agent with routers has no links to other agents",
+            where=config.name or "",
+            expected=f"routers or {other}",
+            got="both",
+            remedy=f"remove {other} (also PBONET_CONNECT): routers lead to all agents",
+        )
+    if len(config.connect) >= client_of_router.MESH:
+        log.warning(
+            "%s: links to %d agents; beyond %d machines start a router (pbonet router)"
+            " and name it as routers in each agent.toml, instead of connect",
+            *(config.name, len(config.connect), client_of_router.MESH),
+        )
     if config.metrics is not None:
         check_address(config.metrics, keys)

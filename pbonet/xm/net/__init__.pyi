@@ -1,5 +1,6 @@
 from . import (
     access_control as access_control,
+    client_of_router as client_of_router,
     codec as codec,
     credentials as credentials,
     decoders as decoders,

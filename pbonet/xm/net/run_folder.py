@@ -6,8 +6,9 @@ and in that, per RTPU: ``NAME.sock`` (the agent's zenoh endpoint), ``NAME.ctl`` 
 RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use
 resources of other machines), ``NAME.agent`` and ``NAME.rtpu`` (locked while these
 processes live), ``NAME.state`` (what to clean up if the RTPU process is killed) and
-``NAME.log`` (the RTPU process's standard error). ``devices`` has a file for each I/O
-device that is open.
+``NAME.log`` (the RTPU process's standard error), ``NAME.hubN`` (the socket on which an
+agent that is a client of a router accepts agents of the machine). ``devices`` has a
+file for each I/O device that is open.
 
 Nothing here imports zenoh, because the RTPU process uses it too.
 """
@@ -30,6 +31,7 @@ LONGEST_SOCKET = 107
 """Maximum length of a Unix socket's path on Linux, in bytes."""
 _LOOK = 0.01
 _HOLDER = re.compile(r"process (\d+)")
+_RANK = re.compile(r"rank (\d+)")
 _FLOCK = struct.Struct("hhqqi4x")
 
 
@@ -132,10 +134,18 @@ class Places:
         """The zenoh endpoint of the agent's socket."""
         return f"unixsock-stream/{self.sock}"
 
+    def hub(self, rank: int) -> Path:
+        """Return the agent's socket for agents of the machine of greater rank."""
+        path = self.folder / f"{self.name}.hub{rank}"
+        _check_length(path)
+        return path
+
     @property
-    def agents_files(self) -> tuple[Path, Path, Path]:
-        """The agent's sockets, and the lock file that zenoh makes for one."""
-        return self.sock, self.sock.with_suffix(".sock.lock"), self.post
+    def agents_files(self) -> tuple[Path, ...]:
+        """The agent's sockets, and the lock files that zenoh makes for them."""
+        hub = re.compile(re.escape(self.name) + r"\.hub\d+(\.lock)?")
+        hubs = [path for path in self.folder.iterdir() if hub.fullmatch(path.name)]
+        return self.sock, self.sock.with_suffix(".sock.lock"), self.post, *hubs
 
     def neighbours(self) -> list[str]:
         """Return the RTPUs of the domain whose agent or process lives here, sorted."""
@@ -254,7 +264,18 @@ def agent_processes(domain: str) -> dict[str, int]:
     The process is 0 for an agent that does not report it.
     """
     here = folder() / check_name("a domain", domain)
-    return {path.stem: _holder(path) for path in here.glob("*.agent") if is_held(path)}
+    held = (path for path in here.glob("*.agent") if is_held(path))
+    return {path.stem: _number(_HOLDER, path) for path in held}
+
+
+def ranks(domain: str) -> dict[str, int]:
+    """Return the ranks of the agents of `domain` that live on this machine.
+
+    It is 0 for an agent that is not a client of a router; see `client_of_router`.
+    """
+    here = folder() / check_name("a domain", domain)
+    held = (path for path in here.glob("*.agent") if is_held(path))
+    return {path.stem: _number(_RANK, path) for path in held}
 
 
 def is_stopped(pid: int) -> bool:
@@ -266,10 +287,10 @@ def is_stopped(pid: int) -> bool:
     return stat.rpartition(")")[2].split()[0] in {"T", "t"}
 
 
-def _holder(path: Path) -> int:
-    """Return the process id that a lock's holder has written, or 0."""
+def _number(what: re.Pattern[str], path: Path) -> int:
+    """Return a number that a lock's holder has written, or 0."""
     try:
-        found = _HOLDER.search(path.read_text(encoding="utf-8", errors="replace"))
+        found = what.search(path.read_text(encoding="utf-8", errors="replace"))
     except OSError:
         return 0
     return int(found[1]) if found else 0

@@ -2,7 +2,8 @@
 
 Agents run as routers and everything else is a client of some agent, so one agent within
 reach is enough to reach all. Agents of one machine find each other in the runtime
-folder; others are named, or found by multicast if that is requested. There is no
+folder; others are named, or found by multicast if that is requested. Where machines are
+many, agents are clients of routers of their own kind (`client_of_router`). There is no
 gossip, and the shared-memory transport is off. A client that is lost is noticed within
 400 ms by its silence, an agent by its signs of life (`pbonet.node.agent.heartbeat`).
 
@@ -19,7 +20,7 @@ import re
 import resource
 import time
 import zlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import msgspec
 import zenoh
@@ -70,6 +71,11 @@ OPEN_TIME = 1.1
 BUSY_TIME = 5.0
 """The same for agents of this machine whose processes run: what does not answer for a
 second is busy, or its machine is, and a `stop` or `swap` must not fail by that."""
+STAND_IN_TIME = 20.0
+"""Seconds for which an agent that is a client tries to open its session. On a machine
+that is very busy it takes longer to link two sessions of one process than `OPEN_MS`."""
+_NOBODY_ANSWERS = "Unable to connect to any"
+"""In zenoh's message, when no endpoint of a client has accepted it in time."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
     " Were both sides' keys made by one authority and not revoked, and is the address"
@@ -80,6 +86,12 @@ _HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):(\d{1,5})([?#].*)?")
 _LAST_PORT = 65535
 _ROS_LONGEST = 64 << 20
 """Bytes of the longest message of ROS 2 that is received at all."""
+CLIENT = "client"
+"""Name by which masters and tools make themselves known; see `routed_agent`."""
+MOST_RANKS = 1000
+"""Agents of greater rank that an agent accepts, counted from its own."""
+MOST_SESSIONS = 10_000
+"""Most clients and routers of one router; zenoh's own limit is 1,000."""
 TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks forever beyond 256."""
 
@@ -193,9 +205,10 @@ def agent(
         NodeError: An endpoint cannot be listened on.
         ConfigFileError: The key folder cannot be used.
     """
+    listens = [places.endpoint, *listen]
     config = _config(
         mode="router",
-        listen={"endpoints": [places.endpoint, *listen]},
+        listen={"endpoints": listens},
         connect={"endpoints": list(dial)},
         multicast=_scouting(places.domain) if multicast else None,
         key_folder=key_folder,
@@ -203,12 +216,104 @@ def agent(
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise NodeError(
-            "the agent's session cannot be opened",
-            where=" ".join([places.endpoint, *listen]),
-            got=_reason(error),
-            remedy="is another program listening there?",
-        ) from None
+        raise _not_open(listens, error) from None
+
+
+def routed_agent(
+    places: run_folder.Places,
+    north: Sequence[str],
+    *,
+    rank: int,
+    listen: Sequence[str] = (),
+    key_folder: Path | None = None,
+) -> zenoh.Session:
+    """Open the session of an agent that is a client, and has clients of its own.
+
+    It is opened also while nothing answers. Then, and whenever its link is lost, all of
+    `north` are tried until one accepts.
+
+    Args:
+        places: The agent's files.
+        north: Endpoints of which it needs a link to any one, the best first.
+        rank: Of the machine's agents, those of a greater rank are accepted.
+        listen: Endpoints for masters and tools, besides its socket.
+        key_folder: The agent's keys, if any.
+
+    Raises:
+        NodeError: An endpoint cannot be listened on.
+        ConfigFileError: The key folder cannot be used.
+    """
+    listens = [places.endpoint, f"unixsock-stream/{places.hub(rank)}", *listen]
+    # zenoh opens no client while none of its endpoints answers. A router of this
+    # process takes that part until the session is open.
+    stand_in = f"unixsock-stream/{places.hub(0)}"
+    settings = _settings(
+        mode="client",
+        listen={"endpoints": listens},
+        connect={
+            "endpoints": [*north, stand_in],
+            "timeout_ms": 0,
+            "exit_on_failure": True,
+        },
+        key_folder=key_folder,
+    )
+    accepted = [CLIENT, *map(_ranked, range(rank + 1, rank + 1 + MOST_RANKS))]
+    settings["region_name"] = _ranked(rank)
+    settings["gateway"] = {
+        "south": [{"filters": [{"modes": ["client"], "region_names": accepted}]}]
+    }
+    part = _settings(mode="router", listen={"endpoints": [stand_in]}, connect={})
+    begin = time.monotonic()
+    while True:
+        try:
+            with zenoh.open(_packed(part)):
+                return zenoh.open(_packed(settings))
+        except zenoh.ZError as error:
+            busy = _NOBODY_ANSWERS in str(error)
+            if not busy or time.monotonic() - begin > STAND_IN_TIME:
+                raise _not_open(listens, error) from None
+
+
+def _ranked(rank: int) -> str:
+    return f"agent-{rank}"
+
+
+def router_settings(
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    key_folder: Path | None = None,
+) -> dict[str, object]:
+    """Return zenoh's configuration of a router for agents and masters.
+
+    Args:
+        listen: Where it accepts agents, masters and other routers.
+        connect: Other routers to which it keeps a link. Of two routers only one may
+            name the other.
+        key_folder: The keys of a gateway, if any.
+
+    Raises:
+        ConfigFileError: The key folder cannot be used.
+    """
+    settings = _settings(
+        mode="router",
+        listen={"endpoints": list(listen)},
+        connect={"endpoints": list(connect)},
+        key_folder=key_folder,
+        roles=(credentials.Role.GATEWAY,),
+    )
+    transport = cast("dict[str, dict[str, object]]", settings["transport"])
+    transport["unicast"]["max_sessions"] = MOST_SESSIONS
+    return settings
+
+
+def _not_open(listens: Sequence[str], error: Exception) -> NodeError:
+    return NodeError(
+        "the agent's session cannot be opened",
+        where=" ".join(listens),
+        got=reason(error),
+        remedy="is another program listening there?",
+    )
 
 
 def _scouting(domain: str) -> dict[str, object]:
@@ -273,6 +378,7 @@ def client(
         # With a time limit zenoh would spend all of it on the first endpoint.
         connect={"endpoints": endpoints, "timeout_ms": 0, "exit_on_failure": True},
         key_folder=key_folder,
+        region_name=CLIENT,
     )
     limit = max(timeout, BUSY_TIME) if timeout and running else timeout
     begin = time.monotonic()
@@ -285,7 +391,7 @@ def client(
             if now - begin + (now - tried) < limit:  # the next try may take as long
                 time.sleep(_OPEN_PAUSE)
                 continue
-            got, remedy = _reason(error), ""
+            got, remedy = reason(error), ""
             if timeout:
                 from . import probe_endpoint  # only if there is no answer
 
@@ -343,13 +449,13 @@ def ros2(
             raise NodeError(
                 "the router for ROS 2 cannot be opened",
                 where=listen,
-                got=_reason(error),
+                got=reason(error),
                 remedy="is another router there? --router connects to it",
             ) from None
         raise UnreachableError(
             "no zenoh router for ROS 2 answers",
             where=router,
-            got=_reason(error),
+            got=reason(error),
             remedy="start one with `ros2 run rmw_zenoh_cpp rmw_zenohd`, or be one with "
             f"--listen {router}",
         ) from None
@@ -391,7 +497,33 @@ def _config(
     listen: Mapping[str, object] | None = None,
     multicast: Mapping[str, object] | None = None,
     key_folder: Path | None = None,
+    region_name: str = "",
 ) -> zenoh.Config:
+    settings = _settings(
+        mode=mode,
+        connect=connect,
+        listen=listen,
+        multicast=multicast,
+        key_folder=key_folder,
+    )
+    if region_name:
+        settings["region_name"] = region_name
+    return _packed(settings)
+
+
+def _packed(settings: Mapping[str, object]) -> zenoh.Config:
+    return zenoh.Config.from_json5(msgspec.json.encode(settings).decode())
+
+
+def _settings(
+    *,
+    mode: str,
+    connect: Mapping[str, object],
+    listen: Mapping[str, object] | None = None,
+    multicast: Mapping[str, object] | None = None,
+    key_folder: Path | None = None,
+    roles: tuple[credentials.Role, ...] = (),
+) -> dict[str, object]:
     retry = {
         "period_init_ms": 100,
         "period_max_ms": RETRY_MS,
@@ -424,13 +556,13 @@ def _config(
         "queries_default_timeout": 2000,
     }
     if key_folder:
-        roles = credentials.AGENTS if listen else tuple(credentials.Role)
-        credentials.prove(key_folder, roles)
+        usual = credentials.AGENTS if listen else tuple(credentials.Role)
+        credentials.prove(key_folder, roles or usual)
     if listen is not None:
         settings["listen"] = listen
         if key_folder:
             settings["access_control"] = access_control.rules()
-    return zenoh.Config.from_json5(msgspec.json.encode(settings).decode())
+    return settings
 
 
 def _accept_pending() -> int:
@@ -456,7 +588,7 @@ def _tls(folder: Path) -> dict[str, object]:
     }
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
     """Return the first line of zenoh's error, without the place in its sources."""
     text = str(error) or type(error).__name__
     return re.sub(r"\s+at \S+\.rs:\d+\.?", "", text.splitlines()[0])

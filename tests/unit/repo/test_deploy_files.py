@@ -1,6 +1,7 @@
 """The files in deploy/: each judged by its own tool, and their commands by pbonet's."""
 
 import importlib.util
+import json
 import os
 import re
 import shlex
@@ -17,12 +18,17 @@ import yaml
 from pbonet.cli import parser, verbs
 from pbonet.config import read_agent
 from pbonet.node.agent import systemd_notify
+from pbonet.router import router_config
+from pbonet.xm.net import pki
+from pbonet.xm.net.credentials import Role
 from pbonet.xm.net.session import check_endpoint
 
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"
 CORES = Path("/sys/devices/system/cpu")
 UNIT = DEPLOY / "systemd" / "pbonet-agent@.service"
+ROUTER_UNIT = DEPLOY / "systemd" / "pbonet-router.service"
+ROUTER = DEPLOY / "router.json5"
 
 
 def judge(tool, *words):
@@ -49,10 +55,10 @@ def parsed(words):
     return verb.name, parser.parse(verb, rest)
 
 
-def settings(section):
-    """Return the settings of a section of the unit file, one value each."""
+def settings(section, unit=UNIT):
+    """Return the settings of a section of a unit file, one value each."""
     found, here = {}, ""
-    for line in UNIT.read_text().splitlines():
+    for line in unit.read_text().splitlines():
         if line.startswith("["):
             here = line.strip("[]")
         elif "=" in line and not line.startswith("#") and here == section:
@@ -69,20 +75,43 @@ def test_scripts_have_no_fault():
     judge("shellcheck", DEPLOY / "host-setup.sh")
 
 
-def unit_in(folder):
-    """Return the unit, with a program that is there."""
+def unit_in(folder, of=UNIT):
+    """Return a unit, with a program that is there."""
     program = folder / "pbonet"
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
-    unit = folder / UNIT.name
-    unit.write_text(UNIT.read_text().replace("/opt/pbonet/bin/pbonet", str(program)))
+    unit = folder / of.name
+    unit.write_text(of.read_text().replace("/opt/pbonet/bin/pbonet", str(program)))
     return unit
 
 
 @pytest.mark.slow
-def test_unit_is_valid(tmp_path):
+@pytest.mark.parametrize("unit", [UNIT, ROUTER_UNIT], ids=lambda unit: unit.stem)
+def test_unit_is_valid(tmp_path, unit):
     """Its program is put where the host's set-up would, in a root of its own."""
-    assert judge("systemd-analyze", "verify", "--man=no", unit_in(tmp_path)) == ""
+    assert judge("systemd-analyze", "verify", "--man=no", unit_in(tmp_path, unit)) == ""
+
+
+def test_units_start_a_router_that_systemd_hears_of():
+    service_ = settings("Service", ROUTER_UNIT)
+    assert (service_["Type"], service_["Restart"]) == ("notify", "always")
+    in_container = SERVICES["router"]["command"]
+    for words in (shlex.split(service_["ExecStart"])[1:], in_container):
+        name, options = parsed(words)
+        assert name == "router"
+        assert str(options["config"]) == "/etc/pbonet/router.json5"
+
+
+def test_router_file_is_what_pbonet_would_write(tmp_path):
+    """With mutual TLS and the access control of this version."""
+    pki.make_authority(tmp_path)
+    keys = pki.issue(tmp_path, Role.GATEWAY, "router", hosts=["router.lab"])
+    own = router_config.read(listen=["tls/[::]:7447"], key_folder=keys)
+    said = router_config.show(own).replace(str(keys), "/etc/pbonet/keys")
+    told = router_config.read(ROUTER)
+    assert json.loads(router_config.show(told)) == json.loads(said)
+    lines = ROUTER.read_text().splitlines(keepends=True)
+    assert "".join(one for one in lines if not one.startswith("//")) == said
 
 
 def test_unit_starts_an_agent():

@@ -1,0 +1,124 @@
+"""Ranks of the agents of one machine, and sessions that are clients and have some."""
+
+import json
+import re
+import socket
+
+import pytest
+import zenoh
+from long_limits import LIMIT
+from watching import wait_for
+
+from pbonet.errors import NodeError
+from pbonet.xm.net import client_of_router, run_folder, session
+
+with socket.socket() as _one:
+    _one.bind(("127.0.0.1", 0))
+    ROUTER = f"tcp/127.0.0.1:{_one.getsockname()[1]}"
+"""Where a router may be; most of the time there is none."""
+
+
+@pytest.fixture
+def _folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+
+
+@pytest.fixture
+def opened(_folder):
+    """Starts the sessions of agents; returns a session by its name."""
+    kept = {}
+
+    def start(name, *, routed=True):
+        rank = client_of_router.rank_of("d", name, routed=routed)
+        places = run_folder.Places("d", name)
+        lock = run_folder.NameLock(places.lock, f"agent {name}, process 1, rank {rank}")
+        link = client_of_router.open_session(places, [ROUTER], rank=rank)
+        key = f"pbonet/d/rtpu/{name}/alive"
+        token = link.liveliness().declare_token(key)
+        kept[name] = (link, lock, token, places)
+        return rank
+
+    def end(name):
+        link, lock, _, places = kept.pop(name)
+        link.close()
+        places.remove(*places.agents_files)
+        lock.release()
+
+    start.end = end
+    start.sees = lambda name: session.rtpus(kept[name][0], "d")
+    yield start
+    for name in list(kept):
+        end(name)
+    left = [path.name for path in run_folder.folder().rglob("*") if path.is_file()]
+    assert not left
+
+
+def all_see(opened, *names):
+    for name in names:
+        wait_for(lambda n=name: opened.sees(n) == sorted(names), f"all from {name}")
+
+
+def test_agents_without_a_router_see_each_other(opened):
+    """And a program that connects to any of them sees all."""
+    assert [opened(name) for name in "abc"] == [1, 2, 3]
+    all_see(opened, *"abc")
+    for name in "abc":
+        where = [run_folder.Places("d", name).endpoint]
+        with session.client("d", connect=where, timeout=LIMIT, local=False) as link:
+            wait_for(lambda s=link: session.rtpus(s, "d") == list("abc"), "all")
+
+
+def test_they_end_and_start_in_any_order(opened):
+    """Each joins the others, and none is in a circle that misses a router."""
+    for name in "abc":
+        opened(name)
+    for name in "abaccb":
+        opened.end(name)
+        assert opened(name) > 2
+        all_see(opened, *"abc")
+    settings = session.router_settings(listen=[ROUTER])
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))):
+        with session.client("d", connect=[ROUTER], timeout=LIMIT, local=False) as link:
+            wait_for(lambda: session.rtpus(link, "d") == list("abc"), "all by it")
+        for name in "ab":
+            opened.end(name)
+        opened("b")
+        all_see(opened, *"bc")
+        with session.client("d", connect=[ROUTER], timeout=LIMIT, local=False) as link:
+            wait_for(lambda: session.rtpus(link, "d") == list("bc"), "both by it")
+    all_see(opened, *"bc")
+
+
+def test_one_without_routers_joins(opened):
+    opened("a")
+    assert opened("b", routed=False) == 2
+    all_see(opened, *"ab")
+
+
+@pytest.mark.usefixtures("_folder")
+def test_alone_without_routers_is_no_client():
+    assert client_of_router.rank_of("d", "a", routed=False) == 0
+
+
+@pytest.mark.usefixtures("_folder")
+def test_routers_beside_agents_that_have_none():
+    places = run_folder.Places("d", "old")
+    lock = run_folder.NameLock(places.lock, "agent old, process 1")
+    try:
+        with pytest.raises(NodeError, match=re.escape("none for old); give them")):
+            client_of_router.rank_of("d", "a", routed=True)
+        assert client_of_router.rank_of("d", "old", routed=True) == 1
+    finally:
+        lock.release()
+
+
+def test_a_stranger_is_no_client(opened):
+    """A zenoh client must say that it is one: it might be an agent of lesser rank."""
+    opened("a")
+    where = run_folder.Places("d", "a").endpoint
+    config = zenoh.Config.from_json5(
+        f'{{mode: "client", connect: {{endpoints: ["{where}"], timeout_ms: 0}},'
+        "scouting: {multicast: {enabled: false}}}"
+    )
+    with pytest.raises(zenoh.ZError):
+        zenoh.open(config)
