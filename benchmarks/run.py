@@ -107,7 +107,7 @@ QUICK = {
 }
 """Arguments behind those, which take their place, for a quick run."""
 NO_GOAL = {
-    *("ports", "overhead", "reserve", "aperiodic"),
+    *("ports", "aperiodic"),
     *("transfer", "combine"),
 }
 """Modules that show how something is, and judge nothing."""
