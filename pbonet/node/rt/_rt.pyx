@@ -514,6 +514,10 @@ cdef class Slot:
                                 expected=f"SCHED_FIFO {RT_COMMAND_LEVEL}",
                                 got=os.strerror(error))
 
+    def meet_dispatcher(self) -> None:
+        self.live()
+        rt_meet_dispatcher(&self.task)
+
     def signal(self, uint32_t bits) -> int:
         return rt_send_signal(self.live(), bits)
 

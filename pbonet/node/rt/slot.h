@@ -235,7 +235,7 @@ static inline int rt_wait(struct rt_task *task, int served)
         }
         if (rt_is_virtual(task->table))
             return RT_WAIT_IDLE;
-        if (rt_take(task->slot, &task->seq, &until))
+        if (rt_take(task->table, task->slot, &task->seq, &until))
             return RT_RELEASED;
         if (rt_futex_wait(&g->bell, bell, until) == EINTR)
             return RT_WAIT_SIGNAL;
@@ -304,6 +304,7 @@ static inline void rt_end(struct rt_task *task)
         rt_spare(task->table, task->slot, &task->look);
         return;
     }
+    rt_own_up(task->table, task->slot, task->dl_ns);
     /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
      * others wait, or the dispatcher sees that the cycle has ended. */
     atomic_store(&task->slot->post.done, task->seq);
@@ -311,6 +312,12 @@ static inline void rt_end(struct rt_task *task)
         rt_kick(task->table);
     rt_spare(task->table, task->slot, &task->look);
     rt_check_next(task->table, task->slot, &task->look);
+}
+
+/* Take hold of the timer of the dispatcher's checks. Later the process may lack the right. */
+static inline void rt_meet_dispatcher(struct rt_task *task)
+{
+    rt_look_fd(&task->look, task->table, task->slot);
 }
 
 /* Tell the task that a command or another request waits for it. */

@@ -24,10 +24,18 @@ static inline struct rt_lent rt_lent(const struct rt_grant *g)
     return lent;
 }
 
+/* Wake the dispatcher for what was due at `at`. */
+static inline void rt_report(struct rt_table *t, int64_t at)
+{
+    atomic_store(&t->looked_ns, at);
+    rt_kick(t);
+}
+
 /* Take the release that is due: 1, its grant is `*seq`. Otherwise 0; the task may sleep
- * until `*until` (0: until it is woken). A release that was slept through is left to the
- * dispatcher, whose check has found that. */
-static inline int rt_take(struct rt_slot *slot, uint32_t *seq, int64_t *until)
+ * until `*until` (0: until it is woken). A release that was slept through is the
+ * dispatcher's, who counts what was missed. */
+static inline int rt_take(struct rt_table *t, struct rt_slot *slot, uint32_t *seq,
+                          int64_t *until)
 {
     struct rt_grant *g = &slot->grant;
     struct rt_lent lent = rt_lent(g);
@@ -35,10 +43,14 @@ static inline int rt_take(struct rt_slot *slot, uint32_t *seq, int64_t *until)
     if (!lent.lease)
         return 0;
     int64_t late = rt_now() - lent.release_ns;
-    if (late < 0)
+    if (late < 0) {
         *until = lent.release_ns;
-    if (late < 0 || late >= atomic_load_explicit(&g->lent_period_ns, memory_order_relaxed))
         return 0;
+    }
+    if (late >= atomic_load_explicit(&g->lent_period_ns, memory_order_relaxed)) {
+        rt_report(t, lent.release_ns);
+        return 0;
+    }
     uint32_t taken = (uint32_t)lent.lease + 1;
     int64_t length = atomic_load_explicit(&g->lent_length_ns, memory_order_relaxed);
     *seq = atomic_load_explicit(&g->lent_seq, memory_order_relaxed) + taken;
@@ -53,6 +65,16 @@ static inline int rt_take(struct rt_slot *slot, uint32_t *seq, int64_t *until)
     return 1;
 }
 
+/* Before a cycle counts as ended: if it ran past its deadline or the next release, the
+ * dispatcher has to see that. */
+static inline void rt_own_up(struct rt_table *t, struct rt_slot *slot, int64_t deadline)
+{
+    struct rt_lent lent = rt_lent(&slot->grant);
+    int64_t bound = lent.release_ns < deadline ? lent.release_ns : deadline;
+    if (lent.release_ns && rt_now() >= bound)
+        rt_report(t, bound);
+}
+
 /* The cycle has ended: set the dispatcher's check to the next one that the task may take. */
 static inline void rt_check_next(struct rt_table *t, struct rt_slot *slot,
                                  struct rt_look *look)
@@ -60,10 +82,11 @@ static inline void rt_check_next(struct rt_table *t, struct rt_slot *slot,
     struct rt_grant *g = &slot->grant;
     int fd = rt_look_fd(look, t, slot);
     uint64_t lease = atomic_load(&g->lease);
-    if (!lease || fd < 0)
+    int64_t first = atomic_load_explicit(&g->lent_check_ns, memory_order_relaxed);
+    if (!lease || !first || fd < 0)
         return;
     struct rt_lent lent = rt_lent(g);
-    int64_t at = lent.lease ? lent.release_ns + atomic_load(&g->lent_check_ns) : 0;
+    int64_t at = lent.lease ? lent.release_ns + first : 0;
     struct itimerspec when = {.it_value = rt_timespec(at)};
     if (timerfd_settime(fd, TFD_TIMER_ABSTIME, &when, NULL))
         return;
