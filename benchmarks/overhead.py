@@ -178,7 +178,8 @@ def line(name: str, blocks: list[dict[str, float]]) -> str:
     """Return a line of the table: medians of the blocks."""
     m = {key: statistics.median(b[key] for b in blocks) for key in blocks[0]}
     return (
-        f"{name:21} {m['c loop']:9.1f} {m['task']:9.1f} {m['accounted']:11.1f} {m['dispatcher']:13.1f} "
+        f"{name:21} {m['c loop']:9.1f} {m['task']:9.1f} {m['accounted']:11.1f} "
+        f"{m['dispatcher']:13.1f} "
         f"{m['share']:8.2f} {rtbench.spread([b['total'] for b in blocks], 1)} "
         f"{rtbench.spread([b['ratio'] for b in blocks], 2)} "
         f"{m['turns']:13.3f} {m['levels']:12.3f} "

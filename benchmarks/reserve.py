@@ -101,8 +101,8 @@ class Failures:
         self._next = core.trace(1 << 62)[0]
         self._mark = self._release = -1
         self.found: dict[int, tuple[int, int]] = {}
-        """Of each release: when its cycle failed, and the CPU time used beyond the
-        reserve by then."""
+        """Of each release: when its cycle failed and was told so, and the CPU time used
+        beyond the reserve by then."""
 
     def read(self) -> None:
         """Take in what has come since the last call.
@@ -120,7 +120,7 @@ class Failures:
     def _one(self, now: int, records: list[Decision]) -> None:
         mine = {Event(r.kind): r for r in records if r.slot == self._slot}
         used = mine[Event.USED].a if Event.USED in mine else 0
-        if Event.FAIL in mine:
+        if Event.FAIL in mine and mine[Event.FAIL].arg >> 8:  # else it is only counted
             self.found[self._release] = now, used - self._mark - LIMIT_NS
         if Event.RELEASE in mine:
             self._mark, self._release = used, mine[Event.RELEASE].a

@@ -1,6 +1,8 @@
-"""A task that is alone on its core releases itself, and nothing else changes by that."""
+"""A task that is alone on its core releases itself; nothing else changes by that."""
 
 from __future__ import annotations
+
+import itertools
 
 import pytest
 from plain_dispatcher.dispatch import replay
@@ -56,7 +58,7 @@ def test_its_cycles_cost_no_turns_and_every_release_has_one(host, trace) -> None
     assert turns < 60, "one for each 25 cycles, and those of commands"
     releases = [record[1] for record in task.records()]
     assert all(at % (2 * MS) == 0 for at in releases)
-    steps = [b - a for a, b in zip(releases, releases[1:], strict=False)]
+    steps = [b - a for a, b in itertools.pairwise(releases)]
     assert all(step > 0 for step in steps)
     assert sum(step // (2 * MS) - 1 for step in steps) <= status["missed"]
     assert trace.taken() > 150
@@ -65,13 +67,11 @@ def test_its_cycles_cost_no_turns_and_every_release_has_one(host, trace) -> None
 
 def test_a_late_cycle_is_missed_as_under_the_dispatcher(host, trace) -> None:
     """Every fifth cycle takes two and a half periods: it uses up two releases."""
-    task = host.spawn(
-        "overrun", {"every": 5, "ns": 10 * MS}, period_ns=4 * MS, crit=5
-    )
+    task = host.spawn("overrun", {"every": 5, "ns": 10 * MS}, period_ns=4 * MS, crit=5)
     task.until("cycles", 50)
     task.end()
     releases = [record[1] for record in task.records()]
-    steps = {(b - a) // (4 * MS) for a, b in zip(releases, releases[1:], strict=False)}
+    steps = {(b - a) // (4 * MS) for a, b in itertools.pairwise(releases)}
     assert {1, 3} <= steps
     status = task.status()
     assert status["missed"] >= 2 * (status["cycles"] // 5)
