@@ -24,13 +24,6 @@ static inline struct rt_lent rt_lent(const struct rt_grant *g)
     return lent;
 }
 
-/* Wake the dispatcher for what was due at `at`. */
-static inline void rt_report(struct rt_table *t, int64_t at)
-{
-    atomic_store(&t->looked_ns, at);
-    rt_kick(t);
-}
-
 /* Take the release that is due: 1, its grant is `*seq`. Otherwise 0; the task may sleep
  * until `*until` (0: until it is woken). A release that was slept through is the
  * dispatcher's, who counts what was missed. */
@@ -48,7 +41,8 @@ static inline int rt_take(struct rt_table *t, struct rt_slot *slot, uint32_t *se
         return 0;
     }
     if (late >= atomic_load_explicit(&g->lent_period_ns, memory_order_relaxed)) {
-        rt_report(t, lent.release_ns);
+        atomic_store(&t->looked_ns, lent.release_ns);   /* the core may have stood still */
+        rt_kick(t);
         return 0;
     }
     uint32_t taken = (uint32_t)lent.lease + 1;
@@ -72,7 +66,7 @@ static inline void rt_own_up(struct rt_table *t, struct rt_slot *slot, int64_t d
     struct rt_lent lent = rt_lent(&slot->grant);
     int64_t bound = lent.release_ns < deadline ? lent.release_ns : deadline;
     if (lent.release_ns && rt_now() >= bound)
-        rt_report(t, bound);
+        rt_kick(t);
 }
 
 /* The cycle has ended: set the dispatcher's check to the next one that the task may take. */
