@@ -12,7 +12,7 @@
  * ended. A task that hangs, dies or is stopped does not, so the dispatcher looks. Moving
  * that timer costs a third of a cycle on a virtual machine, so any other task is checked when
  * a cycle ends after its deadline, which wakes the dispatcher before it counts as ended, or
- * when the lease ends: nobody but the task itself waits for the core.
+ * when the lease ends: no other task waits for the core.
  *
  * Every turn, whatever its reason, first reads how many releases were taken and calls the
  * rest back. The word of the lease has a number, so a task that a turn has interrupted
