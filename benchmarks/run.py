@@ -111,7 +111,7 @@ QUICK = {
 }
 """Arguments behind those, which take their place, for a quick run."""
 NO_GOAL = {
-    *("ports", "overhead", "reserve", "aperiodic"),
+    *("ports", "aperiodic"),
     "transfer",
 }
 """Modules that show how something is, and judge nothing."""

@@ -61,6 +61,16 @@ def test_the_last_cycle_s_end_takes_a_look_back(tmp_path) -> None:
     run(program)
 
 
+def test_a_lone_task_takes_every_release_once_and_every_turn_knows(tmp_path) -> None:
+    program = tmp_path / "rt_lease"
+    run(
+        COMPILERS[0], *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_lease.c",
+        "-o", program, "-lpthread",
+    )  # fmt: skip
+    run(program, "1", "200")
+
+
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> None:
     """It knows neither fences, which order atomics here, nor mutexes with a clock."""

@@ -409,6 +409,12 @@ class Slot:
         """
     def command_level(self) -> None:
         """Go to the level of commands (after ``init``); no effect under ``park``."""
+    def meet_dispatcher(self) -> None:
+        """Take hold of the timer of the dispatcher's checks, before rights are dropped.
+
+        A task that has it stops a check when its cycle has ended, and may release
+        itself while it is alone on its core. Otherwise the dispatcher does both.
+        """
     def signal(self, bits: int) -> int:
         """Count the signals that are not masked, and return them; never waits."""
     @property

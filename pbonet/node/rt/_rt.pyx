@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = ../../outside/tape.h ../../cmodule/pbonet.h ../../cmodule/instance.h ../../cmodule/running.h layout.h state.h watch.h wait.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h restrict.h table.h look.h looker.h loop.h slot.h failure.h signals.h interrupts.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+# distutils: depends = ../../outside/tape.h ../../cmodule/pbonet.h ../../cmodule/instance.h ../../cmodule/running.h layout.h state.h watch.h wait.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h restrict.h table.h look.h looker.h lease/lend.h lease/take.h loop.h slot.h failure.h signals.h interrupts.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin wrapper of the C headers in this folder; documented in `_rt.pyi`."""
 
 import os
@@ -513,6 +513,10 @@ cdef class Slot:
             raise RealTimeError("the priority for commands is refused",
                                 expected=f"SCHED_FIFO {RT_COMMAND_LEVEL}",
                                 got=os.strerror(error))
+
+    def meet_dispatcher(self) -> None:
+        self.live()
+        rt_meet_dispatcher(&self.task)
 
     def signal(self, uint32_t bits) -> int:
         return rt_send_signal(self.live(), bits)

@@ -105,6 +105,7 @@ cdef extern from "slot.h" nogil:
     int rt_command_level(const rt_task *task)
     int rt_wait(rt_task *task, int served)
     int rt_begin(rt_task *task)
+    void rt_meet_dispatcher(rt_task *task)
     void rt_end(rt_task *task)
     int64_t rt_step(const rt_task *task)
     void rt_account(rt_task *task, const rt_cost *cost)

@@ -12,6 +12,7 @@
 #define PBONET_DISPATCH_H
 
 #include "device.h"
+#include "lease/lend.h"
 #include "muf.h"
 #include "standby.h"
 
@@ -231,6 +232,7 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
                             rt_cpu_fn cpu)
 {
     struct rt_slot *slot = &t->slots[i];
+    rt_latch_lease(t, i, s);
     /* SYNC POINT: rt_alloc resets a slot before it starts a new life. */
     uint32_t life = atomic_load_explicit(&slot->config.life, memory_order_acquire);
     if (life != s->life) {
@@ -239,6 +241,7 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
         uint8_t said = !(life & 1) && rt_fell_in(slot, life - 1);
         uint8_t fell = !(life & 1) && (s->armed || s->fell || said);
         memset(s, 0, sizeof *s);
+        atomic_store(&slot->grant.lease, 0);
         s->life = life;
         s->fell = fell;
         rt_emit(t, RT_LIFE, i, life, said, 0);
@@ -458,8 +461,10 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
         struct rt_state s = t->slots[i].state;
         if (lead)
             s.level = RT_UNSET;
-        rt_latch(t, i, &s, now, cpu);
-        rt_commit(t, i, &s);
+        do {
+            rt_latch(t, i, &s, now, cpu);
+            rt_commit(t, i, &s);
+        } while (!rt_recall(&t->slots[i]));
     }
     for (int i = 0; i < high; i++) {
         struct rt_state *s = &t->slots[i].state;

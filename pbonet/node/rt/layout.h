@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 13,
+    RT_VERSION = 14,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -106,6 +106,8 @@ struct rt_post {
     _Atomic int64_t wish_dl_ns;         /* absolute; 0: none */
     _Atomic int64_t event_ns;           /* begin of the last event */
     _Atomic uint64_t cpu_ns;            /* the task's CPU clock, in virtual time only */
+    _Atomic uint32_t meets;             /* the `look_life` whose timer the task can move */
+    _Atomic int64_t lease_cpu_ns[2];    /* CPU clock of its process at a release taken */
 };
 
 struct rt_grant {
@@ -130,6 +132,11 @@ struct rt_grant {
     _Atomic uint32_t fell;              /* a standby of this task is engaged at once */
     _Atomic uint32_t flooded;           /* events come without end, so `hung` is set, too */
     _Atomic uint32_t hung;              /* a cycle or `sync` does not return: others go first */
+    _Atomic uint64_t lease;             /* number << 32 | releases taken; 0: none; see lease/ */
+    _Atomic uint32_t lent_seq;          /* the grant before the first of them */
+    _Atomic uint32_t lent_metered;      /* the CPU clock at a release is needed */
+    _Atomic int64_t lent_ns, lent_end_ns, lent_period_ns, lent_length_ns;
+    _Atomic int64_t lent_check_ns;      /* from a release to the first check */
 };
 
 struct rt_piece {
@@ -168,6 +175,7 @@ struct rt_state {
     struct rt_piece pieces[RT_PIECES];
     int32_t after_kind;
     uint32_t ticket;                    /* of the calls that it waits for; 0: none */
+    uint32_t leases, taken;             /* number of leases; releases taken of the last */
     uint64_t after[RT_MASKS];
 };
 
@@ -244,6 +252,7 @@ struct rt_table {
     int64_t due_ns;                     /* when the next turn is due ... */
     _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */
     _Atomic int64_t look_ns;            /* when the timer of a check expires; 0: stopped */
+    _Atomic int64_t looked_ns;          /* when it was due to expire, until a turn reads it */
     _Atomic uint64_t look;              /* number << 32 | cycles still under way */
     _Atomic uint64_t spared;            /* checks that were cancelled in time */
 

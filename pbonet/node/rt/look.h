@@ -28,10 +28,10 @@ struct rt_look {
 };
 
 /* The leader's timer as a descriptor of this process; -1: not available, and not tried
- * again until there is another leader. */
-static inline int rt_look_fd(struct rt_look *look, struct rt_table *t)
+ * again until there is another leader. The slot says whether the task has it. */
+static inline int rt_look_fd(struct rt_look *look, struct rt_table *t, struct rt_slot *slot)
 {
-    uint32_t life = atomic_load(&t->look_life);
+    uint32_t life = atomic_load_explicit(&t->look_life, memory_order_relaxed);
     if (look->life == life)
         return look->fd;
     if (look->life && look->fd >= 0)
@@ -43,6 +43,7 @@ static inline int rt_look_fd(struct rt_look *look, struct rt_table *t)
         look->fd = (int)syscall(SYS_pidfd_getfd, pid, atomic_load(&t->look_fd), 0);
         close(pid);
     }
+    atomic_store(&slot->post.meets, look->fd < 0 ? 0 : life);
     return look->fd;
 }
 
@@ -59,7 +60,7 @@ static inline void rt_spare(struct rt_table *t, struct rt_slot *slot, struct rt_
     } while (!atomic_compare_exchange_weak(&t->look, &word, word - 1));
     if ((word & UINT32_MAX) > 1)
         return;
-    int fd = rt_look_fd(look, t);
+    int fd = rt_look_fd(look, t, slot);
     if (fd < 0 || timerfd_settime(fd, 0, &off, NULL))
         return;
     atomic_store(&t->look_ns, 0);

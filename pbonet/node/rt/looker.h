@@ -69,7 +69,7 @@ static inline void *rt_looker_thread(void *arg)
     pthread_setname_np(pthread_self(), "looker");
     atomic_store(&t->look_tid, (int32_t)syscall(SYS_gettid));
     while (read(looker->fd, &times, sizeof times) > 0 && !atomic_load(&looker->stop)) {
-        atomic_store(&t->look_ns, 0);
+        atomic_store(&t->looked_ns, atomic_exchange(&t->look_ns, 0));
         rt_kick(t);
     }
     return NULL;
@@ -84,6 +84,7 @@ static inline void rt_looker_start(struct rt_looker *looker, struct rt_table *t)
     looker->running = 0;
     atomic_store(&looker->stop, 0);
     atomic_store(&t->look_ns, 0);
+    atomic_store(&t->looked_ns, 0);
     looker->fd = timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC);
     if (looker->fd < 0)
         return;

@@ -115,8 +115,10 @@ static inline int rt_top_done(struct rt_table *t)
 static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
 {
     int64_t now = rt_now(), due = t->due_ns;
-    if (backend == RT_FIFO && due && !atomic_load(&t->look_ns))
-        due = atomic_load(&t->sure_ns);     /* no check, or it was cancelled */
+    if (backend == RT_FIFO && due) {        /* a check may be cancelled, or moved on */
+        int64_t looked = atomic_exchange(&t->looked_ns, 0);
+        due = rt_sooner(looked ? looked : atomic_load(&t->look_ns), atomic_load(&t->sure_ns));
+    }
     if (due && now - due > atomic_load_explicit(&t->late_max_ns, memory_order_relaxed))
         atomic_store_explicit(&t->late_max_ns, now - due, memory_order_relaxed);
     if (due && now - due > RT_STALL_NS) {
@@ -164,10 +166,14 @@ static inline void rt_lead(struct rt_loop *loop)
         uint32_t mail = atomic_load(&t->mailbox);
         int64_t due = rt_once(t, loop->backend, lead);
         lead = 0;
+        if (loop->looker.running)
+            rt_lend(t);
         if (!rt_top_done(t) && !atomic_load(&loop->stop))
             rt_sleep(&loop->looker, mail, due);
     }
     rt_looker_stop(&loop->looker);
+    if (rt_is_lent(t))          /* no task keeps a lease without a leader */
+        rt_once(t, loop->backend, 0);
     for (uint32_t i = 0; i < RT_SLOTS; i++) {   /* no task stays held without a leader */
         t->slots[i].state.parked = 0;
         atomic_store(&t->slots[i].grant.parked, 0);

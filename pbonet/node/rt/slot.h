@@ -7,6 +7,7 @@
 #define PBONET_SLOT_H
 
 #include "layout.h"
+#include "lease/take.h"
 #include "look.h"
 #include "sys.h"
 #include "table.h"
@@ -221,7 +222,9 @@ static inline int rt_wait(struct rt_task *task, int served)
         if (ask & RT_ASK_ORPHAN)
             return RT_WAIT_ORPHAN;
         uint32_t seq = atomic_load_explicit(&g->seq, memory_order_acquire);
-        int due = seq != atomic_load_explicit(&task->slot->post.done, memory_order_relaxed);
+        uint32_t done = atomic_load_explicit(&task->slot->post.done, memory_order_relaxed);
+        int due = (int32_t)(seq - done) > 0;    /* the task may be ahead: take.h */
+        int64_t until;
         if ((ask & RT_ASK_COMMAND) && (served || !due)) {
             atomic_fetch_and(&g->ask, ~(uint32_t)RT_ASK_COMMAND);
             return RT_WAIT_COMMAND;
@@ -232,7 +235,9 @@ static inline int rt_wait(struct rt_task *task, int served)
         }
         if (rt_is_virtual(task->table))
             return RT_WAIT_IDLE;
-        if (rt_futex_wait(&g->bell, bell, 0) == EINTR)
+        if (rt_take(task->table, task->slot, &task->seq, &until))
+            return RT_RELEASED;
+        if (rt_futex_wait(&g->bell, bell, until) == EINTR)
             return RT_WAIT_SIGNAL;
     }
 }
@@ -299,12 +304,20 @@ static inline void rt_end(struct rt_task *task)
         rt_spare(task->table, task->slot, &task->look);
         return;
     }
+    rt_own_up(task->table, task->slot, task->dl_ns);
     /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
      * others wait, or the dispatcher sees that the cycle has ended. */
     atomic_store(&task->slot->post.done, task->seq);
     if (atomic_load(&task->table->waiting))
         rt_kick(task->table);
     rt_spare(task->table, task->slot, &task->look);
+    rt_check_next(task->table, task->slot, &task->look);
+}
+
+/* Take hold of the timer of the dispatcher's checks. Later the process may lack the right. */
+static inline void rt_meet_dispatcher(struct rt_task *task)
+{
+    rt_look_fd(&task->look, task->table, task->slot);
 }
 
 /* Tell the task that a command or another request waits for it. */

@@ -385,6 +385,8 @@ static inline void rt_reset_watch(struct rt_slot *slot)
         atomic_store(&slot->signals.counts[k], 0);
     atomic_store(&post->event_ns, 0);
     atomic_store(&post->cpu_ns, 0);
+    atomic_store(&post->meets, 0);
+    atomic_store(&g->lease, 0);
     atomic_store(&g->overruns, 0);
     atomic_store(&g->held_off, 0);
 }

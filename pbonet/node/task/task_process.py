@@ -269,6 +269,7 @@ class Host:
         rt.pin(self.spec.core)
         process_setup.settle_memory()
         self.slot.command_level()
+        self.slot.meet_dispatcher()
         try:
             rt.drop_rights()
         except RealTimeError as error:

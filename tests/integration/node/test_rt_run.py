@@ -212,8 +212,9 @@ def test_a_stopped_host_leaves_one_release_and_a_count(host) -> None:
     releases = [r[1] for r in task.records()]
     first = next(k for k, at in enumerate(releases) if at >= resumed - 2 * MS)
     gap = releases[first] - releases[first - 1]
-    assert gap >= 240 * MS, "old releases were run after the stop"
-    assert task.status()["missed"] >= 110
+    # While it is alone the task has releases of up to 50 ms without its host.
+    assert gap >= 190 * MS, "old releases were run after the stop"
+    assert task.status()["missed"] >= 90
 
 
 @needs_fifo

@@ -152,6 +152,8 @@ class Dispatcher:
                 disarm(state)
             case Event.MODE:
                 self._mode(now, slot, state, record)
+            case Event.DONE if record.arg:
+                _took(state, record)
             case Event.DONE:
                 over(state)
             case Event.BEGUN:
@@ -269,6 +271,20 @@ def _order(state: SlotState) -> tuple[int, int, bool, int]:
         state.overrun >= LAST,
         -urgency(rank, state.dl_ns, state.priority),
     )
+
+
+def _took(state: SlotState, record: Decision) -> None:
+    """Take over that a lone task has released itself since, the last time at `a`."""
+    over(state)
+    state.seq += record.arg
+    state.ready = state.granted = state.begun = True
+    state.rel_ns = record.a
+    state.dl_ns = record.a + (state.deadline or state.period)
+    state.next_ns = record.a + state.period
+    state.late = state.sure = False
+    state.fresh = limited(state)
+    state.clock = max(state.clock, record.b)
+    state.mark = state.clock
 
 
 def _configure(state: SlotState, record: Decision) -> None:

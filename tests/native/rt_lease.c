@@ -1,0 +1,201 @@
+/* A lone task releases itself under a lease, and every turn finds what it did.
+ *
+ * usage: rt_lease SEED ROUNDS; exits 0 when no release was lost or run twice, whatever came
+ * between two steps of the task. Turns are taken at times of this program; `now` of the task
+ * is the real clock, so periods are long and releases lie in the past or far ahead.
+ */
+#include "slot.h"
+#include "loop.h"
+
+enum { PERIOD = 20000000 };
+
+static struct rt_table table;
+static struct rt_task task = {.table = &table, .slot = &table.slots[0]};
+static struct rt_state *state = &table.slots[0].state;
+static int64_t grid;            /* the release that the first turn of a round grants */
+static uint64_t seed;
+
+static uint32_t pick(uint32_t n)
+{
+    seed = seed * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    return (uint32_t)(seed >> 33) % n;
+}
+
+static void require(int good, const char *what)
+{
+    if (!good) {
+        fprintf(stderr, "broken: %s\n", what);
+        exit(1);
+    }
+}
+
+static int64_t no_cpu(const struct rt_slot *slot, int main)
+{
+    (void)slot, (void)main;
+    return 1000;
+}
+
+static void turn(int64_t now)
+{
+    rt_turn(&table, now, 0, 0, no_cpu);
+    rt_turn_end(&table);
+    require(!atomic_load(&table.slots[0].grant.lease), "a turn calls the lease back");
+}
+
+/* A turn that grants the release `grid`, and lends those after it. */
+static void begin(int64_t maxc, int tells)
+{
+    struct rt_settings s = {.pid = 1, .crit = 5, .priority = 0, .kind = -1,
+                            .period_ns = PERIOD, .deadline_ns = 0, .drop = 3, .handler = -1,
+                            .tells = tells, .minc_ns = -1, .maxc_ns = maxc, .hang_ns = -1};
+    grid = rt_now() / PERIOD * PERIOD - PERIOD;
+    rt_arm(&task);
+    rt_configure(&table, 0, &s);
+    turn(grid - PERIOD);
+    turn(grid);
+    require(state->granted && state->rel_ns == grid, "granted by a turn");
+    require(rt_wait(&task, 0) == RT_RELEASED && rt_begin(&task), "begun");
+    atomic_store(&task.slot->post.meets, atomic_load(&table.look_life));
+    rt_lend(&table);
+    require(atomic_load(&task.slot->grant.lease) != 0, "lent");
+    require(table.sure_ns > grid + PERIOD, "the dispatcher sleeps longer");
+}
+
+/* End the cycle without a report, as if it had ended in time. */
+static void done(void)
+{
+    atomic_store(&task.slot->post.done, task.seq);
+}
+
+/* Take the next release as if it were due `late` after that of the last cycle. */
+static int take(int64_t late)
+{
+    int64_t until, shift = task.rel_ns + PERIOD - (rt_now() - late);
+    int64_t lent = atomic_load(&task.slot->grant.lent_ns);
+    atomic_store(&task.slot->grant.lent_ns, lent - shift);
+    int took = rt_take(&table, task.slot, &task.seq, &until);
+    atomic_store(&task.slot->grant.lent_ns, lent);
+    if (!took)
+        return 0;
+    atomic_fetch_add(&task.slot->grant.rel_ns, shift);
+    atomic_fetch_add(&task.slot->grant.dl_ns, shift);
+    require(rt_begin(&task), "a release that was taken begins");
+    return 1;
+}
+
+static void finish(void)
+{
+    done();
+    rt_leave(&task, RT_OFF);
+    turn(state->next_ns);
+    require(!state->armed && !state->ready, "off");
+}
+
+/* Two releases are taken; a turn amid the second cycle, or after it, knows both. */
+static void play(void)
+{
+    int ended = (int)pick(2);
+    uint32_t seq;
+    uint64_t releases = atomic_load(&table.releases), missed;
+    begin(pick(2) ? PERIOD / 2 : 0, (int)pick(2));
+    missed = state->missed;
+    for (int k = 0; k < 2; k++) {
+        done();
+        require(take(0), "a release that is due is taken");
+        require(task.rel_ns == grid + (k + 1) * PERIOD, "on the grid, none left out");
+    }
+    seq = task.seq;
+    if (ended)
+        done();
+    turn(grid + 2 * PERIOD + 1000);
+    require(state->seq == seq && state->rel_ns == grid + 2 * PERIOD, "the turn knows");
+    require(state->ready == !ended && state->begun == !ended, "and whether it still runs");
+    require(state->next_ns == grid + 3 * PERIOD, "the next release is the dispatcher's");
+    require(state->missed == missed, "none was missed");
+    require(atomic_load(&table.releases) == releases + 2, "both are counted");
+    require(!rt_take(&table, task.slot, &seq, &grid), "nothing is taken without a lease");
+    finish();
+}
+
+/* A turn that comes between the check of the lease and the taking of a release: the word
+ * has changed. A leader that is killed after its commit leaves a lease that goes on. */
+static void interrupt(void)
+{
+    begin(0, 0);
+    done();
+    struct rt_lent before = rt_lent(&task.slot->grant);
+    turn(grid + 1000);
+    require(!atomic_compare_exchange_strong(&task.slot->grant.lease, &before.lease,
+                                            before.lease + 1), "the old lease is void");
+    finish();
+    begin(0, 0);
+    done();
+    require(take(0), "taken");
+    struct rt_state s = *state;
+    rt_latch_lease(&table, 0, &s);
+    rt_commit(&table, 0, &s);   /* and here the leader dies */
+    done();
+    require(take(0), "the task does not notice");
+    turn(grid + 2 * PERIOD + 1000);
+    require(state->rel_ns == grid + 2 * PERIOD && state->seq == task.seq, "counted once");
+    finish();
+}
+
+/* Who slept through a release, or worked through one, leaves it to the dispatcher. */
+static void overrun(void)
+{
+    uint32_t mail;
+    begin(0, 0);
+    done();
+    mail = atomic_load(&table.mailbox);
+    require(!take(PERIOD) && atomic_load(&table.mailbox) != mail, "slept through: told");
+    require(atomic_load(&table.looked_ns) != 0, "and since when");
+    finish();
+    begin(0, 0);                /* its deadline has passed: the real clock is past it */
+    mail = atomic_load(&table.mailbox);
+    rt_own_up(&table, task.slot, grid + PERIOD);
+    require(atomic_load(&table.mailbox) != mail, "a late end is told before it counts");
+    turn(grid + PERIOD + 1000);
+    require(state->missed && state->begun && state->failures[RT_DEADLINE], "and is a miss");
+    finish();
+}
+
+/* Nobody who is not alone, or has something to be told, gets a lease. */
+static void others(void)
+{
+    struct rt_settings s = {.pid = 2, .crit = 5, .priority = 0, .kind = -1,
+                            .period_ns = PERIOD, .deadline_ns = -1, .drop = -1, .handler = -1,
+                            .tells = -1, .minc_ns = -1, .maxc_ns = -1, .hang_ns = -1};
+    struct rt_task other = {.table = &table, .slot = &table.slots[1]};
+    begin(0, 0);
+    rt_configure(&table, 1, &s);
+    rt_arm(&other);
+    turn(grid + 1000);
+    rt_lend(&table);
+    require(!atomic_load(&task.slot->grant.lease), "two are armed");
+    rt_leave(&other, RT_OFF);
+    turn(grid + 2000);
+    atomic_store(&task.slot->post.meets, 7);
+    rt_lend(&table);
+    require(!atomic_load(&task.slot->grant.lease), "it has another leader's timer");
+    finish();
+}
+
+int main(int argc, char **argv)
+{
+    if (argc != 3)
+        return 2;
+    seed = strtoull(argv[1], NULL, 10);
+    require(!rt_init(&table, 0), "init");
+    atomic_store(&table.look_life, 1);
+    int member = rt_join(&table);
+    require(rt_alloc(&table, member, "rtpu", "task") == 0, "alloc");
+    require(rt_alloc(&table, member, "rtpu", "other") == 1, "alloc");
+    for (int64_t round = atoll(argv[2]); round > 0; round--) {
+        play();
+        interrupt();
+        overrun();
+        others();
+    }
+    return 0;
+}
