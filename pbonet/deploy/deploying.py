@@ -138,7 +138,7 @@ async def act(shell: Shell, step: Step) -> None:
         if isinstance(action, Put):
             await shell.put(action.path, action.data, action.mode, action.owner)
         else:
-            await shell.run(*action.words)
+            await shell.run(*action.words, check=action.must)
 
 
 async def check(shell: Shell, report: Report) -> None:
@@ -148,7 +148,7 @@ async def check(shell: Shell, report: Report) -> None:
         done = await shell.run("systemctl", "is-active", unit, check=False)
         if done.status:
             log = await shell.run(
-                *("journalctl", "-u", unit, "-n", "3", "-o", "cat", "--no-pager"),
+                *("journalctl", "-u", unit, "-n", "5", "-o", "cat", "--no-pager"),
                 check=False,
             )
             what = f"the agent of {rtpu} is {done.out.strip()}: {log.said or 'no log'}"

@@ -263,7 +263,7 @@ class Plan:
                     rtpu, "starts with systemd", () if enabled else enable
                 )
             elif not enabled or found is None or not self.facts.running(rtpu):
-                start = Run(("systemctl", "enable", "--now", unit))
+                start = Run(("systemctl", "enable", "--now", unit), must=False)
                 state = "" if found is None else f", now {found.state}"
                 yield self._service(rtpu, f"is enabled and started{state}", (start,))
             elif rtpu in self._anew:

@@ -23,6 +23,7 @@ _WHEEL: Final = re.compile(
     r"pbonet-(?P<version>[^-]+)(-\d[^-]*)?-(?P<python>[^-]+)-[^-]+-(?P<platform>[^-]+)"
     r"\.whl"
 )
+_PLATFORM: Final = re.compile(r"(?:many|musl)?linux(?:\d+|_\d+_\d+)?_(\w+)")
 _CPYTHON: Final = re.compile(r"cp3(\d+)")
 UNPACKED: Final = 4
 """Bytes on disk of an installed wheel's byte; compressed ones have 2.5 to 4."""
@@ -111,11 +112,17 @@ def release_of(
         wheel=wheel,
         version=found["version"],
         python=f"3.{python[1]}",
-        machine=re.sub(r".*(?:linux|\d)_", "", found["platform"]),
+        machine=_processor(found["platform"]),
         extras=extras,
         wheelhouse=others,
         digest=hashlib.sha256("\n".join(record).encode()).hexdigest()[:8],
     )
+
+
+def _processor(platform: str) -> str:
+    """Return the processor in a wheel's platform, such as ``manylinux_2_17_x86_64``."""
+    found = _PLATFORM.match(platform)
+    return found[1] if found else platform
 
 
 def _record(wheel: Path) -> str:

@@ -108,7 +108,7 @@ class Shell:
             NodeError: It cannot be written.
         """
         script = (
-            'umask 077; mkdir -p -m 0755 "$(dirname "$1")"; cat > "$1.new" '
+            'mkdir -p "$(dirname "$1")"; umask 077; cat > "$1.new" '
             '&& chown "$3:" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1"'
         )
         await self.run(
@@ -119,7 +119,10 @@ class Shell:
         assert self._connection is not None, "the connection was not opened"  # noqa: S101
         try:
             done = await self._connection.run(
-                shlex.join(words), input=data, encoding=None, timeout=COMMAND
+                f"umask 022; {shlex.join(words)}",
+                input=data,
+                encoding=None,
+                timeout=COMMAND,
             )
         except asyncssh.TimeoutError:
             raise NodeError(

@@ -38,6 +38,8 @@ class Run(Struct, frozen=True):
     """Run a command as root."""
 
     words: tuple[str, ...]
+    must: bool = True
+    """Whether a failure is an error; else the check that follows tells of it."""
 
 
 class Step(Struct, kw_only=True):
