@@ -1,6 +1,6 @@
 """Hosts that are reached over ssh: each with a root, a systemd and an sshd of its own.
 
-The root is an overlay on this machine's. systemd is the first process of a process name
+The root is an overlay on this machine's, and what is written there is in memory. systemd is the first process of a process name
 space, with a control group of its own; it starts sshd on an unprivileged port, and
 whatever a test enables. Nothing outside of the folder and the control group is changed.
 """
@@ -52,8 +52,11 @@ WantedBy=multi-user.target
 """
 BOOT = """
 mount --make-rprivate /
-mount -t overlay none -o lowerdir=/,upperdir={0}/u,workdir={0}/w {0}/r
-cd {0}/r
+mount -t tmpfs -o mode=755 layers {0}/layers
+mkdir {0}/layers/upper {0}/layers/work {0}/layers/root
+cd {0}/layers
+mount -t overlay none -o lowerdir=/,upperdir=upper,workdir=work root
+cd root
 rm -rf etc/init.d etc/rc?.d etc/systemd/system lib/systemd/system/*.target.wants etc/machine-id
 mkdir -p etc/systemd/system/multi-user.target.wants lib/systemd/system/sysinit.target.wants
 ln -s ../systemd-journald.service lib/systemd/system/sysinit.target.wants
@@ -126,10 +129,8 @@ class SshHost:
 
     def __init__(self, host, folder, authorized):
         self.host, self.folder = host, folder
-        self.root = folder / "u"
         self.group = groups() / folder.name
-        for name in "uwr":
-            (folder / name).mkdir(parents=True)
+        (folder / "layers").mkdir(parents=True)
         key, config = folder / "host_key", folder / "sshd_config"
         make = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)]
         subprocess.run(make, check=True)
