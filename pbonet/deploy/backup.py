@@ -35,38 +35,6 @@ MANIFEST: Final = "backup.json"
 FORMAT: Final = 1
 HOSTS: Final = "hosts.toml"
 _JOB_FILES: Final = {".job", ".sbs", ".svar", ".rmod", ".seq", ".toml", ".py"}
-_COLLECT: Final = f"""
-import base64, glob, hashlib, json, os, pwd, sys
-names = glob.glob("{steps.ETC}/*.toml") + glob.glob("{KEYS}/*.pem")
-names += glob.glob("{steps.UNITS}/pbonet-*.service")
-names += glob.glob("{steps.UNITS}/pbonet-*.service.d/*.conf")
-names += ["{steps.SYSUSERS}", "{steps.TMPFILES}", "{steps.LIMITS}"]
-found = []
-for name in sorted(filter(os.path.isfile, names)):
-    about = os.stat(name)
-    with open(name, "rb") as stream:
-        data = stream.read()
-    try:
-        owner = pwd.getpwuid(about.st_uid).pw_name
-    except KeyError:
-        owner = "root"
-    secret = name.endswith("/{KEY}")
-    found.append({{
-        "path": name,
-        "mode": about.st_mode & 0o777,
-        "owner": owner,
-        "digest": hashlib.sha256(data).hexdigest(),
-        "data": "" if secret else base64.b64encode(data).decode(),
-    }})
-begin, end = "pbonet-agent@", ".service"
-folder = "{steps.UNITS}/multi-user.target.wants"
-enabled = os.listdir(folder) if os.path.isdir(folder) else []
-enabled = [n[len(begin):-len(end)] for n in enabled if n.startswith(begin)]
-link = "{steps.OPT}"
-release = os.path.basename(os.readlink(link)) if os.path.islink(link) else ""
-print(json.dumps({{"files": found, "enabled": sorted(enabled), "release": release}}))
-"""
-"""The program that a machine runs to tell its files."""
 
 
 class Copied(Struct, frozen=True, kw_only=True):
@@ -176,7 +144,8 @@ def restore(file: HostsFile, folder: Path, *, apply: bool) -> list[Report]:
 
 async def _collect(shell: Shell) -> Told:
     python = shell.machine.host.python
-    done = await shell.run(python, "-", data=_COLLECT.encode())
+    program = steps.packaged("files_on_host.py")
+    done = await shell.run(python, "-", data=program.encode())
     try:
         return msgspec.json.decode(done.out, type=Told)
     except msgspec.DecodeError:

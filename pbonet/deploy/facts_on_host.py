@@ -1,31 +1,36 @@
 """Prints what a machine has, as JSON; run there by its own Python, as root.
 
-It is sent over ssh and needs nothing but Python 3.6. Its arguments are lists as JSON:
-files whose content is wanted, files of which only a digest is, and units of systemd.
+It is sent over ssh, so it imports nothing of pbonet, and runs with Python 3.7. Its
+arguments are lists as JSON: files whose content is wanted, files of which only a digest
+is, and units of systemd.
 """
+
+from __future__ import annotations
 
 import grp
 import hashlib
+import importlib.util
 import json
-import os
-import pathlib
 import platform
 import pwd
 import shutil
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
-OPT = "/opt/pbonet"
-RELEASES = "/opt/pbonet-releases"
+OPT = Path("/opt/pbonet")
+RELEASES = Path("/opt/pbonet-releases")
 COMPLETE = "complete"
+WANTS = Path("/etc/systemd/system/multi-user.target.wants")
+BEGIN, END = "pbonet-agent@", ".service"
 
 
-def file(path, secret):
+def file(name: str, *, secret: bool) -> dict[str, Any] | None:
     """Return a file's digest, rights, and, unless it is secret, its text."""
+    path = Path(name)
     try:
-        about = os.stat(path)
-        with pathlib.Path(path).open("rb") as stream:
-            data = stream.read()
+        about, data = path.stat(), path.read_bytes()
     except OSError:
         return None
     try:
@@ -40,7 +45,7 @@ def file(path, secret):
     }
 
 
-def user():
+def user() -> list[str] | None:
     """Return the groups of the user pbonet; None if there is no such user."""
     try:
         found = pwd.getpwnam("pbonet")
@@ -50,67 +55,70 @@ def user():
     return sorted({*groups, grp.getgrgid(found.pw_gid).gr_name})
 
 
-def kernel(name):
-    """Return the numbers in a list of cores such as 0,2-3."""
+def cores(name: str) -> list[int]:
+    """Return the numbers in one of the kernel's lists of cores, such as 0,2-3."""
     try:
-        with pathlib.Path("/sys/devices/system/cpu/" + name).open() as stream:
-            parts = stream.read().strip().split(",")
+        text = Path("/sys/devices/system/cpu", name).read_text(encoding="utf-8")
     except OSError:
         return []
-    found = []
-    for part in filter(None, parts):
+    found: list[int] = []
+    for part in filter(None, text.strip().split(",")):
         first, _, last = part.partition("-")
         found += range(int(first), int(last or first) + 1)
     return found
 
 
-def link(path):
+def link(path: Path) -> str:
     """Return the name of what a link leads to; empty if it is none."""
-    return (
-        os.path.basename(os.readlink(path)) if pathlib.Path(path).is_symlink() else ""
-    )
+    return path.resolve().name if path.is_symlink() else ""
 
 
-def releases():
+def releases() -> list[str]:
     """Return the names of the releases that are installed completely."""
-    if not pathlib.Path(RELEASES).is_dir():
-        return []
-    names = os.listdir(RELEASES)
+    there = RELEASES.iterdir() if RELEASES.is_dir() else ()
     return sorted(
-        n
-        for n in names
-        if pathlib.Path(os.path.join(RELEASES, n, COMPLETE)).exists()
-        and not pathlib.Path(os.path.join(RELEASES, n)).is_symlink()
+        one.name for one in there if not one.is_symlink() and (one / COMPLETE).exists()
     )
 
 
-def unit(name):
-    """Return the state of a unit: active, failed, ..., and whether it is enabled."""
-    told = []
-    for verb in ("is-active", "is-enabled"):
-        done = subprocess.Popen(["systemctl", verb, name], stdout=subprocess.PIPE)
-        told.append(done.communicate()[0].decode().strip())
+def unit(name: str) -> dict[str, Any]:
+    """Return the state of a unit, such as active, and whether it is enabled."""
+    told = [
+        subprocess
+        .run(
+            ["systemctl", verb, name],  # noqa: S607 - where a machine has it
+            stdout=subprocess.PIPE,
+            check=False,
+        )
+        .stdout.decode()
+        .strip()
+        for verb in ("is-active", "is-enabled")
+    ]
     return {"state": told[0], "enabled": told[1] == "enabled"}
 
 
-def others():
-    """Return the RTPUs whose units are enabled."""
-    folder = "/etc/systemd/system/multi-user.target.wants"
-    names = os.listdir(folder) if pathlib.Path(folder).is_dir() else []
-    begin, end = "pbonet-agent@", ".service"
+def enabled() -> list[str]:
+    """Return the RTPUs whose agents start with the machine."""
+    names = [one.name for one in WANTS.iterdir()] if WANTS.is_dir() else []
     return sorted(
-        n[len(begin) : -len(end)]
-        for n in names
-        if n.startswith(begin) and n.endswith(end)
+        name[len(BEGIN) : -len(END)]
+        for name in names
+        if name.startswith(BEGIN) and name.endswith(END)
     )
 
 
-def main():
+def venv() -> bool:
+    """Return whether environments can be made; Debian has that in another package."""
+    return all(importlib.util.find_spec(name) for name in ("venv", "ensurepip"))
+
+
+def main() -> None:
     """Print the facts."""
-    read, secret, units = map(json.loads, sys.argv[1:4])
-    units = sorted({*units, *("pbonet-agent@%s.service" % one for one in others())})
-    systemd = pathlib.Path("/run/systemd/system").is_dir()
-    existing = "/opt" if pathlib.Path("/opt").is_dir() else "/"
+    read, secret, asked = map(json.loads, sys.argv[1:4])
+    rtpus = enabled()
+    units = sorted({*asked, *(f"{BEGIN}{rtpu}{END}" for rtpu in rtpus)})
+    systemd = Path("/run/systemd/system").is_dir()
+    place = OPT.parent if OPT.parent.is_dir() else Path("/")
     facts = {
         "hostname": platform.node(),
         "machine": platform.machine(),
@@ -119,30 +127,20 @@ def main():
         "systemctl": shutil.which("systemctl") is not None,
         "systemd": systemd,
         "groups": user(),
-        "files": {path: file(path, False) for path in read},
-        "secrets": {path: file(path, True) for path in secret},
-        "run_folder": pathlib.Path("/run/pbonet").is_dir(),
-        "folder": pathlib.Path(OPT).is_dir() and not pathlib.Path(OPT).is_symlink(),
+        "files": {path: file(path, secret=False) for path in read},
+        "secrets": {path: file(path, secret=True) for path in secret},
+        "run_folder": Path("/run/pbonet").is_dir(),
+        "folder": OPT.is_dir() and not OPT.is_symlink(),
         "current": link(OPT),
-        "previous": link(os.path.join(RELEASES, "previous")),
+        "previous": link(RELEASES / "previous"),
         "releases": releases(),
-        "free": shutil.disk_usage(existing).free,
+        "free": shutil.disk_usage(str(place)).free,
         "units": {name: unit(name) for name in units} if systemd else {},
-        "enabled": others(),
-        "online": kernel("online"),
-        "isolated": kernel("isolated"),
+        "enabled": rtpus,
+        "online": cores("online"),
+        "isolated": cores("isolated"),
     }
-    print(json.dumps(facts))
-
-
-def venv():
-    """Return whether environments can be made; Debian has that in another package."""
-    try:
-        import ensurepip
-        import venv
-    except ImportError:
-        return False
-    return bool(ensurepip and venv)
+    sys.stdout.write(json.dumps(facts) + "\n")
 
 
 if __name__ == "__main__":

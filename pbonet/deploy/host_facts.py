@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from importlib import resources
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -100,7 +99,7 @@ async def ask(shell: Shell, machine: Machine) -> Facts:
         NodeError: It has no Python that can tell, or told nonsense.
         UnreachableError: The connection was lost.
     """
-    program = resources.files(__package__).joinpath("facts_on_host.py").read_bytes()
+    program = steps.packaged("facts_on_host.py").encode()
     lists = (
         paths_of(machine),
         [f"{KEYS}/{KEY}"],

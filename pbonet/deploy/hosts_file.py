@@ -96,6 +96,8 @@ class HostsFile(Struct, frozen=True, kw_only=True):
     jobs: list[Path]
     known_hosts: Path | None
     identity: Path | None
+    homes: dict[str, str]
+    """The machine of each RTPU, of those too that are not wanted."""
 
 
 def read_hosts(path: str | Path, only: Sequence[str] = ()) -> HostsFile:
@@ -125,6 +127,7 @@ def read_hosts(path: str | Path, only: Sequence[str] = ()) -> HostsFile:
     return HostsFile(
         path=path,
         machines=_chosen(machines, only, path),
+        homes={rtpu: one.name for one in machines for rtpu in one.configs},
         authority=authority,
         wheel=at(found.wheel),
         wheelhouse=at(found.wheelhouse),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from importlib import resources
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import NodeError
@@ -12,7 +11,7 @@ from pbonet.xm.net.credentials import CA, CERT, KEY
 
 from . import steps
 from .hosts_file import KEYS
-from .steps import Put, Run, Step
+from .steps import Put, Run, Step, packaged
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -243,9 +242,10 @@ class Plan:
             )
         taken = {*self.machine.cores.values(), *facts.isolated}
         others = [str(core) for core in online if core not in taken]
+        affinity = " ".join([*others, str(own)])
         text = (
             f"# Core {own} is the RTPU's own; the others are for its agent and all "
-            f"that is not real time.\n[Service]\nCPUAffinity={' '.join([*others, str(own)])}\n"
+            f"that is not real time.\n[Service]\nCPUAffinity={affinity}\n"
         )
         what = f"cores of RTPU {rtpu}: {own}, and {' '.join(others) or 'no other'}"
         return self._file(rtpu, steps.cores_of(rtpu), text, what, *self._read_units())
@@ -274,7 +274,7 @@ class Plan:
                 yield self._service(rtpu, "runs", ())
 
     def _service(self, rtpu: str, what: str, actions: tuple[Run, ...]) -> Step:
-        state = "change" if actions else "same"
+        state: steps.State = "change" if actions else "same"
         what = f"the agent of {rtpu} {what}"
         return Step(name="service", state=state, what=what, actions=actions)
 
@@ -286,14 +286,6 @@ class Plan:
                     f"'systemctl disable --now {steps.unit_of(rtpu)}' ends it"
                 )
                 yield Step(name="service", state="same", what=what)
-
-
-def packaged(name: str) -> str:
-    """Return the text of a file that pbonet brings for machines."""
-    found = resources.files(__package__)
-    for part in name.split("/"):
-        found = found.joinpath(part)
-    return found.read_text(encoding="utf-8")
 
 
 def install(machine: Machine, release: Release) -> Iterator[Put | Run]:
@@ -365,7 +357,8 @@ def _check_room(machine: Machine, facts: Facts, release: Release) -> None:
             where=f"{machine.name}: /opt",
             expected=f"{release.size >> 20} MiB",
             got=f"{facts.free >> 20} MiB are free",
-            remedy=f"remove what is not needed, such as old releases in {steps.RELEASES}",
+            remedy="remove what is not needed, such as old releases in "
+            f"{steps.RELEASES}",
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from .steps import Shown
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from pbonet.errors import PbonetError
 
-    from .steps import Step
+    from .steps import State, Step
 
 _MARKS: Final = {
     "same": "ok",
@@ -39,13 +39,21 @@ class Report(Struct, kw_only=True):
             Shown(name=s.name, state=s.state, what=s.what, diff=s.diff) for s in steps
         ]
 
-    def add(self, name: str, state: str, what: str) -> None:
+    def add(self, name: str, state: State, what: str) -> None:
         """Add a step that has no actions of its own."""
-        self.steps.append(Shown(name=name, state=state, what=what))  # type: ignore[arg-type]
+        self.steps.append(Shown(name=name, state=state, what=what))
 
     def failed(self, error: PbonetError) -> None:
         """Take an error over."""
         self.error = str(error)
+
+    def settle(self) -> None:
+        """Say of what was to change that it has, or that it failed."""
+        state: State = "failed" if self.state == "failed" else "changed"
+        self.steps = [
+            structs.replace(s, state=state) if s.state == "change" else s
+            for s in self.steps
+        ]
 
     @property
     def state(self) -> str:

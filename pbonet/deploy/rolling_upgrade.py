@@ -57,10 +57,14 @@ class Turn(Struct, kw_only=True):
     then: dict[str, Range]
 
     @property
+    def rtpus(self) -> list[str]:
+        """RTPUs whose agents start with the machine, or are to."""
+        return list(dict.fromkeys((*self.machine.configs, *self.facts.enabled)))
+
+    @property
     def running(self) -> list[str]:
         """RTPUs whose agents run."""
-        named = dict.fromkeys((*self.machine.configs, *self.facts.enabled))
-        return [rtpu for rtpu in named if self.facts.running(rtpu)]
+        return [rtpu for rtpu in self.rtpus if self.facts.running(rtpu)]
 
     @property
     def done(self) -> bool:
@@ -172,8 +176,7 @@ class _Upgrade:
     def _moves(self, turns: list[Turn]) -> dict[str, Moves]:
         """Return what becomes of the tasks that are ON, by machine."""
         rtpus = {turn.machine.name: turn.running for turn in turns}
-        homes = {r: one.name for one in self.file.machines for r in one.configs}
-        return running_tasks.moves(rtpus, homes, self.file.jobs, self.place)
+        return running_tasks.moves(rtpus, self.file.homes, self.file.jobs, self.place)
 
     def _tell(self, turn: Turn, moves: Mapping[str, Moves]) -> None:
         report = turn.report
@@ -182,10 +185,15 @@ class _Upgrade:
             return
         for line in moves[turn.machine.name].lines():
             report.add("tasks", "change", line)
-        agents = ", ".join(turn.running) or "no agent"
         old = turn.facts.current or "that of host-setup.sh"
-        what = f"{turn.target} in place of {old}; {agents} ends and starts"
+        agents = f"the agents of {', '.join(turn.rtpus)} end and start"
+        what = f"{turn.target} in place of {old}; {agents}"
         report.add("in use", "change", what)
+        if idle := [rtpu for rtpu in turn.rtpus if rtpu not in turn.running]:
+            report.warnings.append(
+                f"the agents of {', '.join(idle)} do not run, so their tasks are not "
+                "known: start their job afterwards (pbonet start)"
+            )
 
     async def _take(self, turn: Turn, moves: Moves) -> bool:
         """Take a machine's turn; return whether it is back."""
@@ -200,9 +208,7 @@ class _Upgrade:
                 report.add("tasks", "changed", moves.back())
         except PbonetError as error:
             report.failed(error)
-        report.steps = [
-            s if s.state != "change" else _replaced(s, report) for s in report.steps
-        ]
+        report.settle()
         if report.state != "failed":
             return True
         only = f"pbonet upgrade {self.file.path} --back --host {name} --apply"
@@ -212,12 +218,13 @@ class _Upgrade:
 
     async def _exchange(self, shell: Shell, turn: Turn) -> None:
         """Use the release, between the end of the agents and their start."""
-        units = [steps.unit_of(rtpu) for rtpu in turn.running]
+        units = [steps.unit_of(rtpu) for rtpu in turn.rtpus]
         if units:
             await shell.run("systemctl", "stop", *units)
         for action in use(turn.facts, turn.target):
             await shell.run(*action.words)
         if units:
+            await shell.run("systemctl", "reset-failed", *units, check=False)
             await shell.run("systemctl", "start", *units, check=False)
 
     def _come_back(self, turn: Turn, moves: Moves) -> None:
@@ -233,7 +240,7 @@ class _Upgrade:
                 raise NodeError(
                     "the agents do not answer as the new release",
                     where=turn.machine.name,
-                    expected=f"{', '.join(turn.running)} with pbonet {turn.version}",
+                    expected=f"{', '.join(turn.rtpus)} with pbonet {turn.version}",
                     got=lacking,
                     remedy="see 'journalctl -u pbonet-agent@NAME' there, and pbonet "
                     "fleet",
@@ -245,15 +252,9 @@ class _Upgrade:
         found = running_tasks.agents(self.place)
         return "; ".join(
             f"{rtpu}: {found[rtpu].version if rtpu in found else 'no answer'}"
-            for rtpu in turn.running
+            for rtpu in turn.rtpus
             if rtpu not in found or found[rtpu].version != turn.version
         )
-
-
-def _replaced(step: steps.Shown, report: Report) -> steps.Shown:
-    """Return a planned step as done, or as failed where the machine has failed."""
-    state: steps.State = "failed" if report.state == "failed" else "changed"
-    return steps.Shown(name=step.name, state=state, what=step.what, diff=step.diff)
 
 
 def _ordered(file: HostsFile) -> list[Machine]:

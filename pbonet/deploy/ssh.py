@@ -6,7 +6,7 @@ Host keys are checked against the operator's known hosts, and none is accepted u
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 from msgspec import Struct
 
@@ -58,11 +58,11 @@ class Shell:
 
     def __init__(self, machine: Machine, file: HostsFile) -> None:
         self.machine = machine
-        self._file = file
+        self.file = file
         self._connection: asyncssh.SSHClientConnection | None = None
         self._root: tuple[str, ...] = ()
 
-    async def __aenter__(self) -> Shell:
+    async def __aenter__(self) -> Self:
         self._connection = await self._connect()
         try:
             await self._become_root()
@@ -139,7 +139,7 @@ class Shell:
         )
 
     async def _connect(self) -> asyncssh.SSHClientConnection:
-        host, file = self.machine.host, self._file
+        host, file = self.machine.host, self.file
         given: dict[str, object] = {}
         if host.port is not None:
             given["port"] = host.port
@@ -154,7 +154,7 @@ class Shell:
                 self.machine.address,
                 connect_timeout=CONNECT,
                 keepalive_interval=CONNECT,
-                **given,  # type: ignore[arg-type]
+                **given,
             )
         except asyncssh.HostKeyNotVerifiable as error:
             raise self._unknown_host(error.reason) from None
@@ -196,7 +196,7 @@ class Shell:
             where=self.machine.name,
             got=why,
             remedy=f"see whether 'ssh {self._login}' works: address and port in "
-            f"{self._file.path.name}, its sshd, the network",
+            f"{self.file.path.name}, its sshd, the network",
         )
 
     def _unknown_host(self, why: str) -> NodeError:
@@ -214,7 +214,7 @@ class Shell:
             where=self.machine.name,
             got=why,
             remedy=f"ssh-copy-id {self._login}, or name a user and an identity that it "
-            f"takes in {self._file.path.name}",
+            f"takes in {self.file.path.name}",
         )
 
 

@@ -1,7 +1,8 @@
-"""The steps in which a machine becomes what it is to be, and the places of files there."""
+"""Steps in which a machine becomes what it is to be, and where files are there."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final, Literal
 
 from msgspec import Struct
@@ -77,3 +78,8 @@ def config_of(rtpu: str) -> str:
 def cores_of(rtpu: str) -> str:
     """Return where the cores are named that an agent and its tasks may use."""
     return f"{UNITS}/{unit_of(rtpu)}.d/cores.conf"
+
+
+def packaged(name: str) -> str:
+    """Return the text of a file that pbonet brings for machines."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")

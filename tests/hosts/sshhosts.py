@@ -1,8 +1,9 @@
 """Hosts that are reached over ssh: each with a root, a systemd and an sshd of its own.
 
-The root is an overlay on this machine's, and what is written there is in memory. systemd is the first process of a process name
-space, with a control group of its own; it starts sshd on an unprivileged port, and
-whatever a test enables. Nothing outside of the folder and the control group is changed.
+The root is an overlay on this machine's, and what is written there is in memory.
+systemd is the first process of a process name space, with a control group of its own;
+it starts sshd on an unprivileged port, and whatever a test enables. Nothing outside of
+the folder and the control group is changed.
 """
 
 from __future__ import annotations
@@ -53,13 +54,15 @@ WantedBy=multi-user.target
 BOOT = """
 mount --make-rprivate /
 mount -t tmpfs -o mode=755 layers {0}/layers
-mkdir {0}/layers/upper {0}/layers/work {0}/layers/root
 cd {0}/layers
+mkdir upper work root
 mount -t overlay none -o lowerdir=/,upperdir=upper,workdir=work root
 cd root
-rm -rf etc/init.d etc/rc?.d etc/systemd/system lib/systemd/system/*.target.wants etc/machine-id
-mkdir -p etc/systemd/system/multi-user.target.wants lib/systemd/system/sysinit.target.wants
-ln -s ../systemd-journald.service lib/systemd/system/sysinit.target.wants
+rm -rf etc/init.d etc/rc?.d etc/systemd/system lib/systemd/system/*.target.wants
+rm -f etc/machine-id
+units=lib/systemd/system
+mkdir -p etc/systemd/system/multi-user.target.wants $units/sysinit.target.wants
+ln -s ../systemd-journald.service $units/sysinit.target.wants
 : > etc/machine-id
 cp {0}/sshd.service etc/systemd/system
 ln -s ../sshd.service etc/systemd/system/multi-user.target.wants
@@ -83,9 +86,11 @@ ln -s pts/ptmx dev/ptmx
 mount -t tmpfs -o mode=755 run run
 mount -t tmpfs -o mode=1777 tmp tmp
 hostname {1}
+echo {1} > etc/hostname
 exec chroot . /usr/bin/env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin \
   /lib/systemd/systemd --log-target=journal --show-status=no
 """
+WHEEL = "Wheel-Version: 1.0\nRoot-Is-Purelib: false\nTag: {}\n"
 OWN = """
 echo $$ > {0}/cgroup.procs
 exec unshare --cgroup --mount --pid --fork --kill-child --uts --ipc sh -ec "$1"
@@ -215,13 +220,14 @@ class SshHost:
 # -- wheels ---
 
 
-def make_wheel(folder, version, layers=""):
+def make_wheel(folder, version, layers="", **added):
     """Return a wheel of this checkout as it is built here, as another release.
 
     Args:
         folder: Where it is put.
         version: Its version.
         layers: Text that is added to `pbonet/versions.py`.
+        added: Text that is added to other files, by name with __ for /.
     """
     source = Path(pbonet.__file__).parent
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
@@ -230,6 +236,8 @@ def make_wheel(folder, version, layers=""):
         "pbonet/__init__.py": lambda text: text.replace(pbonet.__version__, version),
         "pbonet/versions.py": lambda text: text + layers,
     }
+    for name, more in added.items():
+        changed[f"pbonet/{name.replace('__', '/')}.py"] = lambda text, m=more: text + m
     files = {}
     for path in sorted(source.rglob("*")):
         name = str(path.relative_to(source.parent))
@@ -242,7 +250,8 @@ def make_wheel(folder, version, layers=""):
     dist = metadata.distribution("pbonet")
     about = dist.read_text("METADATA")
     about = about.replace(f"\nVersion: {dist.version}", f"\nVersion: {version}")
-    return pack(folder, "pbonet", version, tag, files, about, dist.entry_points)
+    path = folder / f"pbonet-{version}-{tag}.whl"
+    return pack(path, files, about, dist.entry_points)
 
 
 def compiled(path, top):
@@ -255,9 +264,10 @@ def compiled(path, top):
     return {str(cached.relative_to(top)): head + cached.read_bytes()[16:]}
 
 
-def pack(folder, name, version, tag, files, about, entry_points=()):
+def pack(path, files, about, entry_points=()):
     """Write a wheel; return its path."""
-    info = f"{name}-{version}.dist-info"
+    info = "-".join(path.name.split("-")[:2]) + ".dist-info"
+    tag = "-".join(path.stem.split("-")[2:])
     lines = ["[console_scripts]"]
     lines += [
         f"{e.name} = {e.value}" for e in entry_points if e.group == "console_scripts"
@@ -265,12 +275,11 @@ def pack(folder, name, version, tag, files, about, entry_points=()):
     files = {
         **files,
         f"{info}/METADATA": about.encode(),
-        f"{info}/WHEEL": f"Wheel-Version: 1.0\nRoot-Is-Purelib: false\nTag: {tag}\n".encode(),
+        f"{info}/WHEEL": WHEEL.format(tag).encode(),
         f"{info}/entry_points.txt": "\n".join([*lines, ""]).encode(),
     }
     record = "".join(f"{n},sha256={digest(d)},{len(d)}\n" for n, d in files.items())
     files[f"{info}/RECORD"] = f"{record}{info}/RECORD,,\n".encode()
-    path = folder / f"{name}-{version}-{tag}.whl"
     with zipfile.ZipFile(path, "w") as archive:
         for inner, data in files.items():
             archive.writestr(inner, data)
@@ -293,5 +302,6 @@ def make_wheelhouse(folder):
         version = metadata.version(name)
         about = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
         files = {} if number else {"needs.pth": f"{PACKAGES}\n".encode()}
-        pack(folder, name.replace("-", "_"), version, "py3-none-any", files, about)
+        file = f"{name.replace('-', '_')}-{version}-py3-none-any.whl"
+        pack(folder / file, files, about)
     return folder

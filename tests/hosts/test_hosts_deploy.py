@@ -14,8 +14,9 @@ from nodekit import rmod, svar
 from sshhosts import MODULES, PYTHON, SshHost, make_wheel, make_wheelhouse
 
 HOSTS = {"arm-pc": ("b", "arm0"), "cam-pc": ("c", "arm1"), "desk": ("a", "arm2")}
-NEXT = 'LAYERS.update(table=Range(1, 2), commands=Range(1, 2))\n'
-AFTER = 'LAYERS.update(table=Range(2, 2), commands=Range(2, 2))\n'
+NEXT = "LAYERS.update(table=Range(1, 2), commands=Range(1, 2))\n"
+BROKEN = '\nraise RuntimeError("broken on purpose")\n'
+AFTER = "LAYERS.update(table=Range(2, 2), commands=Range(2, 2))\n"
 
 
 class Operator:
@@ -61,7 +62,8 @@ class Operator:
             lines += [f"[hosts.{name}]", f'address = "{self.address(name)}"']
             lines += [f"port = {sshhosts.PORT}", 'user = "root"', f'role = "{role}"']
             lines += [f"names = {json.dumps(others if name == 'desk' else [])}"]
-            lines += [f'python = "{PYTHON}/bin/python3"', f"[hosts.{name}.rtpus.{rtpu}]"]
+            lines += [f'python = "{PYTHON}/bin/python3"']
+            lines += [f"[hosts.{name}.rtpus.{rtpu}]"]
             lines += [f'libraries = ["{MODULES}"]']
             if name == "desk":
                 lines += ['listen = ["tls/[::]:7447"]']
@@ -76,6 +78,7 @@ class Operator:
         tasks = {
             "src": ("arm0", rmod("counts", "Y0")),
             "mid": ("arm1", rmod("holds", "Y2", invar="Y0", local={"level": 2.0})),
+            "spare": ("arm0", rmod("holds", "Y2", invar="Y0", local={"level": 3.0})),
         }
         rtpus = "\n".join(
             f"RTPU {r}\nSCHEDULER MUF\nUSAGE exclusive\nMINFREQ 1\nMAXFREQ 1000\n"
@@ -85,8 +88,9 @@ class Operator:
         head = "SUBSYSTEM cell\nSVARFILE cell.svar\nMASTER arm2\n"
         (self.folder / "cell.sbs").write_text(f"{head}{rtpus}\nEOF\n")
         (self.folder / "cell.svar").write_text(svar())
-        for name, (_, rmod_text) in tasks.items():
-            (self.folder / f"{name}.rmod").write_text(rmod_text)
+        for name, (rtpu, lines) in tasks.items():
+            at = lines.replace("FREQ 200\n", f"FREQ 200\nRTPU {rtpu}\n")
+            (self.folder / f"{name}.rmod").write_text(at)
 
     def run(self, *words, status=0):
         """Type a command of pbonet; return what it printed."""
@@ -106,7 +110,7 @@ class Operator:
         )
         if done.returncode != status:
             for host in self.hosts.values():
-                print(host.inside("journalctl", "-n", "30", "--no-pager", check=False))
+                print(host.inside("journalctl", "-n", "60", "--no-pager", check=False))
         assert done.returncode == status, done.stdout + done.stderr
         return done.stdout + done.stderr
 
@@ -141,43 +145,102 @@ def operator(lan, tmp_path):
         made.close()
 
 
-JOB = "JOB run\nDESC a job\nSBS cell.sbs\nTASK src arm0 RESTART on\nTASK mid arm1\nEOF\n"
+JOB = """JOB run
+DESC a job
+SBS cell.sbs
+TASK src arm0 RESTART on
+TASK mid arm1 FALLBACK spare
+EOF
+"""
 
 
-def states(one, name):
-    return [step["state"] for step in one["steps"] if step["name"] == name]
+def states(told, name):
+    """Return by machine the states of the steps of a name."""
+    return {
+        host: [step["state"] for step in one["steps"] if step["name"] == name]
+        for host, one in told.items()
+    }
 
 
-def test_machines_are_set_up_upgraded_and_restored(operator, tmp_path):
+def all_are(told, state):
+    return {one["state"] for one in told.values()} == {state}
+
+
+@pytest.fixture
+def laboratory(operator, tmp_path):
+    """Three machines that were set up, with a job that runs."""
     old = make_wheel(tmp_path, "0.1.0")
     operator.job(JOB)
     operator.boot()
     operator.write()
     operator.run("keys", "ca", "--ca", "keys")
     operator.run("keys", "master", "anna", "--ca", "keys")
+    deploy = ("deploy", "lab.toml", "--wheel", old)
 
-    # A host key that nobody has seen is not accepted.
-    told = operator.hosts_told("deploy", "lab.toml", "--wheel", old, status=1)
+    told = operator.hosts_told(*deploy, status=1)
     assert all("host key is not known" in one["error"] for one in told.values())
     operator.trust()
+    told = operator.hosts_told(*deploy)
+    assert all_are(told, "change")
+    find = ("find", "/opt", "/etc", "-name", "*pbonet*", "-not", "-name", "*.d")
+    assert not operator.hosts["arm-pc"].inside(*find)
+    told = operator.hosts_told(*deploy, "--apply")
+    assert all_are(told, "changed")
+    assert states(told, "check") == {name: ["same"] for name in HOSTS}
+    assert all_are(operator.hosts_told(*deploy), "same")
 
-    # The plan does nothing; what it says is done, and then there is nothing to do.
-    told = operator.hosts_told("deploy", "lab.toml", "--wheel", old)
-    assert {one["state"] for one in told.values()} == {"change"}
-    assert not operator.hosts["arm-pc"].inside("find", "/opt", "/etc", "-name", "*pbonet*")
-    apply = ("deploy", "lab.toml", "--wheel", old, "--apply")
-    print(operator.run(*apply))
-    told = operator.hosts_told("deploy", "lab.toml", "--wheel", old)
-    assert {one["state"] for one in told.values()} == {"same"}, told
+    operator.run("start", "run.job", *operator.reach())
+    assert operator.on() == {"src", "mid"}
+    return operator
 
-    print(operator.run("deploy", "lab.toml", "--wheel", old))
-    print(operator.run("fleet", *operator.reach()))
-    print(operator.run("start", "run.job", *operator.reach()))
-    print(operator.on())
+
+def test_machines_are_upgraded_while_others_run_and_restored(laboratory, tmp_path):
+    operator = laboratory
+    # Releases that cannot speak with each other are refused before anything is done.
+    far = make_wheel(tmp_path, "0.3.0", AFTER)
+    up = ("upgrade", "lab.toml", *operator.reach(), "--wheel")
+    said = operator.run(*up, far, "--apply", status=1)
+    assert "no common version of commands" in said
+
+    # One whose agent does not start stops the upgrade, and the way back is told.
+    bad = make_wheel(tmp_path, "0.1.9", node__agent__agent_main=BROKEN)
+    told = operator.hosts_told(*up, bad, "--apply", "--host", "arm-pc", status=1)
+    assert states(told, "check") == {"arm-pc": ["failed"]}
+    assert "broken on purpose" in json.dumps(told)
+    assert "--back --host arm-pc --apply" in json.dumps(told)
+    back = ("upgrade", "lab.toml", "--back", "--host", "arm-pc", *operator.reach())
+    assert all_are(operator.hosts_told(*back, "--apply"), "changed")
+    operator.run("start", "run.job", *operator.reach())
+    assert operator.on() == {"src", "mid"}
+
+    # A task that nobody has declared to be interrupted is not, without --yes.
     new = make_wheel(tmp_path, "0.2.0", NEXT)
-    up = ("upgrade", "lab.toml", "--wheel", new, *operator.reach())
-    print(operator.run(*up))
-    print(operator.run(*up, "--apply", status=1))
-    print(operator.run(*up, "--apply", "--yes"))
-    print(operator.on())
-    print(operator.run("fleet", *operator.reach()))
+    operator.job(JOB.replace(" RESTART on", ""))
+    said = operator.run(*up, new, "--host", "arm-pc", "--apply", status=1)
+    assert "src of cell on arm0 is turned off" in said
+    operator.job(JOB)
+    told = operator.hosts_told(*up, new, "--apply")
+    assert [*told] == ["arm-pc", "cam-pc", "desk"]  # gateway and keeper come last
+    assert all_are(told, "changed"), told
+    assert "spare takes its place" in json.dumps(told["cam-pc"])
+    assert operator.on() == {"src", "mid"}
+    infos = json.loads(operator.run("fleet", "--json", *operator.reach()))["machines"]
+    assert [one["versions"] for one in infos] == [["0.2.0"]] * len(HOSTS)
+
+    # What is configured is copied, and put back.
+    operator.run("backup", "lab.toml", "saved")
+    kept = {path.name for path in (tmp_path / "saved").rglob("*") if path.is_file()}
+    assert {"hosts.toml", "run.job", "arm0.toml", "cert.pem"} <= kept
+    assert "key.pem" not in kept
+    config = "/etc/pbonet/arm0.toml"
+    shell = f"echo grace = 9.0 >> {config}; rm /etc/security/limits.d/pbonet.conf"
+    operator.hosts["arm-pc"].inside("sh", "-ec", shell)
+    told = operator.hosts_told("restore", "lab.toml", "saved")
+    changes = [s for s in told["arm-pc"]["steps"] if s["state"] == "change"]
+    assert [s["name"] for s in changes] == ["file", "file", "service"]
+    assert "-grace = 9.0" in changes[0]["diff"]
+    assert told["cam-pc"]["state"] == told["desk"]["state"] == "same"
+    told = operator.hosts_told("restore", "lab.toml", "saved", "--apply")
+    assert told["arm-pc"]["state"] == "changed"
+    assert "grace" not in operator.hosts["arm-pc"].inside("cat", config)
+    assert operator.on() == {"src", "mid"}
