@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import ConfigFileError, NodeError
-from pbonet.xm.net.credentials import CA, CERT, KEY
+from pbonet.xm.net import credentials
 
 from . import deploying, steps
 from .hosts_file import KEYS
@@ -53,7 +53,7 @@ class Content(Copied, frozen=True, kw_only=True):
 
 
 class Told(Struct, frozen=True, kw_only=True):
-    """What a machine tells."""
+    """A machine's files, agents and release."""
 
     files: list[Content]
     enabled: list[str]
@@ -79,7 +79,7 @@ def save(file: HostsFile, folder: Path) -> list[Report]:
         folder: A new or empty folder.
 
     Returns:
-        What is told of each machine; one that failed does not raise.
+        A report of each machine; one that failed does not raise.
 
     Raises:
         ConfigFileError: The folder has files, or cannot be written.
@@ -119,10 +119,10 @@ def restore(file: HostsFile, folder: Path, *, apply: bool) -> list[Report]:
     Args:
         file: The machines.
         folder: The backup.
-        apply: Whether it is done; else it is only told.
+        apply: Whether it is done; else it is only planned.
 
     Returns:
-        What is told of each machine; one that failed does not raise.
+        A report of each machine; one that failed does not raise.
     """
 
     async def one(machine: Machine, report: Report) -> None:
@@ -130,7 +130,7 @@ def restore(file: HostsFile, folder: Path, *, apply: bool) -> list[Report]:
         async with Shell(machine, file) as shell:
             told = await _collect(shell)
             plan = [*_plan(folder / machine.name, saved, told)]
-            report.told(plan)
+            report.record(plan)
             if apply:
                 await deploying.carry_out(shell, plan, report)
             if saved.release != told.release:
@@ -209,16 +209,17 @@ def _plan(folder: Path, saved: Saved, told: Told) -> Iterator[Step]:
     """Yield what gives a machine its files back."""
     there = {one.path: one for one in told.files}
     was = {one.path: one for one in saved.files}
-    key = f"{KEYS}/{KEY}"
+    key = f"{KEYS}/{credentials.KEY}"
+    certificates = {f"{KEYS}/{name}" for name in (credentials.CERT, credentials.CA)}
     other_key = key in was and (
         key not in there or there[key].digest != was[key].digest
     )
-    anew: set[str] = set()
+    again: set[str] = set()
     units = False
     for one in saved.files:
         if one.path == key:
             continue
-        if one.path in {f"{KEYS}/{CERT}", f"{KEYS}/{CA}"} and other_key:
+        if one.path in certificates and other_key:
             what = f"{one.path} belongs to other keys: 'pbonet deploy' gives new ones"
             yield Step(name="keys", state="waits", what=what)
             continue
@@ -226,8 +227,8 @@ def _plan(folder: Path, saved: Saved, told: Told) -> Iterator[Step]:
         yield step
         if step.state == "change":
             units |= one.path.startswith(steps.UNITS)
-            anew |= _rtpus_of(one.path, saved.enabled)
-    yield from _follow(anew, saved.enabled, told.enabled, units=units)
+            again |= _rtpus_of(one.path, saved.enabled)
+    yield from _follow(again, saved.enabled, told.enabled, units=units)
 
 
 def _file_step(folder: Path, one: Copied, there: Content | None) -> Step:
@@ -256,7 +257,7 @@ def _rtpus_of(path: str, rtpus: Sequence[str]) -> set[str]:
 
 
 def _follow(
-    anew: set[str], enabled: Sequence[str], there: Sequence[str], *, units: bool
+    again: set[str], enabled: Sequence[str], there: Sequence[str], *, units: bool
 ) -> Iterator[Step]:
     if units:
         run = (Run(("systemctl", "daemon-reload")),)
@@ -266,7 +267,7 @@ def _follow(
         if rtpu not in there:
             what = f"the agent of {rtpu} is enabled and started"
             run = (Run(("systemctl", "enable", "--now", unit)),)
-        elif rtpu in anew:
+        elif rtpu in again:
             what = f"the agent of {rtpu} reads its configuration again; tasks go on"
             run = (Run(("systemctl", "reload-or-restart", unit)),)
         else:

@@ -53,12 +53,12 @@ def deploy(
     Args:
         file: The machines.
         release: What is to be installed; None: what is there stays.
-        apply: Whether it is done; else it is only told.
+        apply: Whether it is done; else it is only planned.
         fail_fast: Work on one machine after the other, and leave the others alone when
             one fails.
 
     Returns:
-        What is told of each machine; one that failed does not raise.
+        A report of each machine; one that failed does not raise.
     """
 
     async def one(machine: Machine, report: Report) -> None:
@@ -74,7 +74,7 @@ async def each(
     *,
     fail_fast: bool,
 ) -> list[Report]:
-    """Do something with every machine, several at one time; return what is told."""
+    """Do something with every machine, several at one time; return reports."""
     reports = [Report(host=machine.name) for machine in machines]
     turns = asyncio.Semaphore(1 if fail_fast else AT_ONCE)
     failed = asyncio.Event()
@@ -107,7 +107,7 @@ async def _set_up(
     keys = _keys(file, machine, apply=apply)
     facts = await host_facts.ask(shell, machine)
     plan = Plan(machine, facts, release, keys).steps()
-    report.told(plan)
+    report.record(plan)
     if apply:
         await carry_out(shell, plan, report)
     if machine.configs and facts.systemd and (apply or report.state == "same"):
@@ -135,7 +135,7 @@ async def carry_out(shell: Shell, plan: Sequence[Step], report: Report) -> None:
                 await act(shell, step)
                 step.state = "changed"
     finally:
-        report.told(plan)
+        report.record(plan)
 
 
 async def act(shell: Shell, step: Step) -> None:
@@ -154,7 +154,8 @@ async def check(shell: Shell, report: Report) -> None:
         done = await shell.run("systemctl", "is-active", unit, check=False)
         if done.status:
             log = await shell.run(
-                *("journalctl", "-u", unit, "-n", "5", "-o", "cat", "--no-pager"),
+                *("journalctl", "-u", unit, "-t", "pbonet", "-n", "3"),
+                *("-o", "cat", "--no-pager"),
                 check=False,
             )
             what = f"the agent of {rtpu} is {done.out.strip()}: {log.said or 'no log'}"

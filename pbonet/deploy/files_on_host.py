@@ -1,7 +1,7 @@
 """Prints the files by which a machine is configured, as JSON; run there, as root.
 
 It is sent over ssh, so it imports nothing of pbonet, and runs with Python 3.7. Private
-keys are told by their digest only.
+keys are described by their digest only.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BEGIN, END = "pbonet-agent@", ".service"
 OPT = Path("/opt/pbonet")
 
 
-def told(path: Path) -> dict[str, Any]:
+def described(path: Path) -> dict[str, Any]:
     """Return a file: its rights, its digest, and what is in it."""
     about, data = path.stat(), path.read_bytes()
     try:
@@ -55,7 +55,7 @@ def main() -> None:
         if name.startswith(BEGIN) and name.endswith(END)
     ]
     found = {
-        "files": [told(path) for path in sorted(paths) if path.is_file()],
+        "files": [described(path) for path in sorted(paths) if path.is_file()],
         "enabled": sorted(rtpus),
         "release": OPT.resolve().name if OPT.is_symlink() else "",
     }

@@ -1,4 +1,4 @@
-"""What a machine has: asked once, by a program that is sent there."""
+"""Facts about a machine: asked once, by a program that is sent there."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import NodeError
-from pbonet.xm.net.credentials import CA, CERT, KEY
+from pbonet.xm.net import credentials
 
 from . import steps
 from .hosts_file import KEYS
@@ -42,7 +42,7 @@ class Unit(Struct, frozen=True):
 
 
 class Facts(Struct, frozen=True, kw_only=True):
-    """What a machine has."""
+    """A machine as it is."""
 
     hostname: str
     machine: str
@@ -89,7 +89,7 @@ def paths_of(machine: Machine) -> list[str]:
     own = [
         f(rtpu) for rtpu in machine.configs for f in (steps.config_of, steps.cores_of)
     ]
-    return [*fixed, *own, f"{KEYS}/{CA}", f"{KEYS}/{CERT}"]
+    return [*fixed, *own, f"{KEYS}/{credentials.CA}", f"{KEYS}/{credentials.CERT}"]
 
 
 async def ask(shell: Shell, machine: Machine) -> Facts:
@@ -102,7 +102,7 @@ async def ask(shell: Shell, machine: Machine) -> Facts:
     program = steps.packaged("facts_on_host.py").encode()
     lists = (
         paths_of(machine),
-        [f"{KEYS}/{KEY}"],
+        [f"{KEYS}/{credentials.KEY}"],
         [steps.unit_of(rtpu) for rtpu in machine.configs],
     )
     python = machine.host.python

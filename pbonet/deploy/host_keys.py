@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from pbonet.errors import ConfigFileError
-from pbonet.xm.net.credentials import CA, CERT, FILES, KEY, Role
+from pbonet.xm.net import credentials
 
 if TYPE_CHECKING:
     from .hosts_file import Machine
@@ -42,15 +42,15 @@ def keys_of(authority: Path, machine: Machine) -> HostKeys:
     """
     from pbonet.xm.net import pki
 
-    if not (authority / CA).exists():
+    if not (authority / credentials.CA).exists():
         raise ConfigFileError(
             "there is no certificate authority",
             where=str(authority),
-            expected=f"{CA} and ca.key",
+            expected=f"{credentials.CA} and ca.key",
             remedy=f"pbonet keys ca --ca {authority}",
         )
     folder = authority / machine.name
-    if not (folder / KEY).exists():
+    if not (folder / credentials.KEY).exists():
         return HostKeys(files={}, lacks="it has none")
     holder = pki.read(folder)
     lacks = ""
@@ -58,11 +58,13 @@ def keys_of(authority: Path, machine: Machine) -> HostKeys:
         lacks = "it was revoked"
     elif holder.days < RENEWED:
         lacks = f"it is valid for {max(holder.days, 0):.0f} days"
-    elif holder.role != Role(machine.host.role):
+    elif holder.role != credentials.Role(machine.host.role):
         lacks = f"it is one of a {holder.role}"
     elif missing := [n for n in machine.reached_at if n not in holder.hosts]:
         lacks = f"it does not name {', '.join(missing)}"
-    return HostKeys(files={n: (folder / n).read_bytes() for n in FILES}, lacks=lacks)
+    return HostKeys(
+        files={n: (folder / n).read_bytes() for n in credentials.FILES}, lacks=lacks
+    )
 
 
 def make(authority: Path, machine: Machine) -> HostKeys:
@@ -79,12 +81,12 @@ def make(authority: Path, machine: Machine) -> HostKeys:
         new = Path(made) / "keys"
         pki.issue(
             authority,
-            Role(machine.host.role),
+            credentials.Role(machine.host.role),
             machine.name,
             hosts=machine.reached_at,
             folder=new,
         )
         folder.mkdir(mode=0o700, exist_ok=True)
-        for name in (KEY, CERT, CA):
+        for name in (credentials.KEY, credentials.CERT, credentials.CA):
             shutil.move(new / name, folder / name)
     return keys_of(authority, machine)

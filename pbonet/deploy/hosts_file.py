@@ -42,7 +42,7 @@ class Host(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     user: str | None = None
     """The user who logs in: root, or one with sudo; as ssh says if left out."""
     role: Literal["agent", "gateway"] = "agent"
-    """What its keys are for."""
+    """The role of its keys."""
     names: tuple[str, ...] = ()
     """Further names and addresses at which others connect to its agents."""
     python: str = "python3"
@@ -84,7 +84,7 @@ class Machine(Struct, frozen=True, kw_only=True):
 
 
 class HostsFile(Struct, frozen=True, kw_only=True):
-    """What a ``HOSTS.toml`` says; paths are found from its folder."""
+    """A ``HOSTS.toml``; paths are found from its folder."""
 
     path: Path
     machines: list[Machine]

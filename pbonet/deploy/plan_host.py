@@ -7,7 +7,7 @@ import hashlib
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import NodeError
-from pbonet.xm.net.credentials import CA, CERT, KEY
+from pbonet.xm.net import credentials
 
 from . import steps
 from .hosts_file import KEYS
@@ -49,7 +49,7 @@ class Plan:
         self.facts = facts
         self.release = release
         self.keys = keys
-        self._anew: set[str] = set()
+        self._reread: set[str] = set()
         """RTPUs whose agents read their configuration or keys again."""
 
     @property
@@ -200,24 +200,24 @@ class Plan:
         if keys.lacks:
             what = f"a certificate for {names} is made and put there: {keys.lacks}"
             yield Step(name="keys", state="change", what=what)
-            self._anew |= {*self.machine.configs}
+            self._reread |= {*self.machine.configs}
             return
         there = self.facts.files | self.facts.secrets
         wanted = [
             Put(
                 path=f"{KEYS}/{name}",
                 data=keys.files[name],
-                mode=0o600 if name == KEY else 0o644,
+                mode=0o600 if name == credentials.KEY else 0o644,
                 owner=steps.USER,
             )
-            for name in (KEY, CERT, CA)
+            for name in (credentials.KEY, credentials.CERT, credentials.CA)
         ]
         puts = [one for one in wanted if not _stands(there.get(one.path), one)]
         what = f"certificate for {names}"
         if not puts:
             yield Step(name="keys", state="same", what=what)
             return
-        self._anew |= {*self.machine.configs}
+        self._reread |= {*self.machine.configs}
         yield Step(name="keys", state="change", what=what, actions=tuple(puts))
 
     def _configs(self) -> Iterator[Step]:
@@ -225,7 +225,7 @@ class Plan:
             path = steps.config_of(rtpu)
             step = self._file(rtpu, path, text, f"configuration of RTPU {rtpu}")
             if step.state == "change":
-                self._anew.add(rtpu)
+                self._reread.add(rtpu)
             yield step
             if rtpu in self.machine.cores:
                 yield self._cores(rtpu)
@@ -266,7 +266,7 @@ class Plan:
                 start = Run(("systemctl", "enable", "--now", unit), must=False)
                 state = "" if found is None else f", now {found.state}"
                 yield self._service(rtpu, f"is enabled and started{state}", (start,))
-            elif rtpu in self._anew:
+            elif rtpu in self._reread:
                 reload = Run(("systemctl", "reload", unit))
                 what = "reads its configuration and keys again; its tasks go on"
                 yield self._service(rtpu, what, (reload,))

@@ -32,7 +32,7 @@ BY_PIP: Final = 600 << 20
 
 
 class Release(Struct, frozen=True, kw_only=True):
-    """What is installed."""
+    """A release that is installed."""
 
     wheel: Path
     version: str
@@ -52,7 +52,7 @@ class Release(Struct, frozen=True, kw_only=True):
 
     @property
     def requirement(self) -> str:
-        """The wheel as pip is told of it, with the extras."""
+        """The wheel as pip takes it, with the extras."""
         extras = f"[{','.join(self.extras)}]" if self.extras else ""
         return f"{self.wheel.name}{extras}"
 

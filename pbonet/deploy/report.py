@@ -1,4 +1,4 @@
-"""What is told of machines: their steps, what was done, what failed."""
+"""Reports of machines: their steps, what was done, what failed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Report(Struct, kw_only=True):
     """Why it failed, with what to do; empty: it did not."""
     warnings: list[str] = []
 
-    def told(self, steps: Iterable[Step]) -> None:
+    def record(self, steps: Iterable[Step]) -> None:
         """Take steps over as they are now."""
         self.steps = [
             Shown(name=s.name, state=s.state, what=s.what, diff=s.diff) for s in steps
@@ -84,7 +84,7 @@ def text(reports: Iterable[Report], hint: str = "") -> str:
 
     Args:
         reports: The machines.
-        hint: What is said at the end when something is still to be done.
+        hint: A line at the end when something is still to be done.
     """
     reports = list(reports)
     lines = [line for one in reports for line in (*_lines(one), "")]

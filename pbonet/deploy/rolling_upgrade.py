@@ -86,12 +86,11 @@ def upgrade(
         file: The machines, and the jobs that are started again.
         release: The release; None: the one that each machine used before.
         place: How agents are reached.
-        apply: Whether it is done; else it is only told.
+        apply: Whether it is done; else it is only planned.
         yes: Whether tasks may be turned off that nothing declares to be.
 
     Returns:
-        What is told of each machine, in their order. After one that fails, none is
-        begun.
+        Reports of the machines, in their order. After one that fails, none is begun.
 
     Raises:
         NodeError: Releases that would meet have no version in common, or tasks would be
@@ -128,7 +127,7 @@ class _Upgrade:
         ahead = [turn for turn in turns if not turn.done]
         moves = await asyncio.to_thread(self._moves, ahead)
         for turn in turns:
-            self._tell(turn, moves)
+            self._report(turn, moves)
         if self.apply:
             running_tasks.must_be_allowed(moves, yes=self.yes)
             for turn in ahead:
@@ -143,7 +142,7 @@ class _Upgrade:
             plan = Plan(machine, facts, self.release, None)
             plan.check()
             todo = plan.install_steps()
-            report.told(todo)
+            report.record(todo)
             if self.apply:
                 await deploying.carry_out(shell, todo, report)
             now = (
@@ -178,7 +177,7 @@ class _Upgrade:
         rtpus = {turn.machine.name: turn.running for turn in turns}
         return running_tasks.moves(rtpus, self.file.homes, self.file.jobs, self.place)
 
-    def _tell(self, turn: Turn, moves: Mapping[str, Moves]) -> None:
+    def _report(self, turn: Turn, moves: Mapping[str, Moves]) -> None:
         report = turn.report
         if turn.done:
             report.add("in use", "same", turn.target)

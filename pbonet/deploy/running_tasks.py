@@ -1,4 +1,4 @@
-"""What becomes of the tasks that are ON on a machine whose agents end for a while.
+"""The tasks that are ON on a machine whose agents end for a while, and where they go.
 
 One whose job has a fallback on another machine goes there, and comes back. The others
 are turned off, and started again by their job. ``RESTART on`` in the job says that a
@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from pbonet.config import read_job, read_rmod, read_sbs
-from pbonet.errors import NodeError, PbonetError, UnreachableError
+from pbonet.errors import (
+    NoAnswerError,
+    NodeError,
+    PbonetError,
+    SeveralError,
+    UnreachableError,
+)
 from pbonet.xm.net import messages as m, rpc, session
 
 if TYPE_CHECKING:
@@ -217,7 +223,7 @@ def move_back(found: Moves, place: Place, end: float) -> None:
                 task.job, "swap", {"old": [task.fallback], "new": [task.name]}, place
             )
     for job in found.jobs:
-        _command(job, "start", {"job": str(job)}, place)
+        _start(job, place, end)
     wanted = {(t.rtpu, t.subsystem, t.name) for t in found.tasks if t.job is not None}
     while lacking := wanted - _on(place):
         if time.monotonic() > end:
@@ -228,6 +234,29 @@ def move_back(found: Moves, place: Place, end: float) -> None:
                 remedy="'pbonet explain FILE.sbs TASK' says why",
             )
         time.sleep(_EVERY)
+
+
+def _start(job: Path, place: Place, end: float) -> None:
+    """Start a job; while RTPUs do not answer yet, again.
+
+    Raises:
+        PbonetError: It was refused, or they do not answer in time.
+    """
+    while True:
+        try:
+            _command(job, "start", {"job": str(job)}, place)
+        except PbonetError as error:
+            if time.monotonic() > end or not _unanswered(error):
+                raise
+            time.sleep(_EVERY)
+        else:
+            return
+
+
+def _unanswered(error: PbonetError) -> bool:
+    if isinstance(error, SeveralError):
+        return all(map(_unanswered, error.errors))
+    return isinstance(error, (NoAnswerError, UnreachableError))
 
 
 def _on(place: Place) -> set[tuple[str, str, str]]:

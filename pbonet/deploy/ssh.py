@@ -31,7 +31,7 @@ CONNECT: Final = 15.0
 COMMAND: Final = 900.0
 """Seconds after which a command is given up; pip may fetch packages meanwhile."""
 _SHOWN: Final = 3
-"""Lines of a failed command that are told."""
+"""Lines of a failed command that an error has."""
 
 
 class Done(Struct, frozen=True):
@@ -102,7 +102,7 @@ class Shell:
         return done
 
     async def put(self, path: str, data: bytes, mode: int, owner: str) -> None:
-        """Write a file, in one step for who reads it; its folder is made if needed.
+        """Write a file, in one step for its readers; its folder is made if needed.
 
         Raises:
             NodeError: It cannot be written.

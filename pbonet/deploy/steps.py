@@ -40,7 +40,7 @@ class Run(Struct, frozen=True):
 
     words: tuple[str, ...]
     must: bool = True
-    """Whether a failure is an error; else the check that follows tells of it."""
+    """Whether a failure is an error; else the check that follows reports it."""
 
 
 class Step(Struct, kw_only=True):
@@ -57,7 +57,7 @@ class Step(Struct, kw_only=True):
 
 
 class Shown(Struct, frozen=True, kw_only=True):
-    """A step as it is told."""
+    """A step as it is printed."""
 
     name: str
     state: State

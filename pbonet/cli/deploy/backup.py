@@ -18,7 +18,7 @@ def command(
     host: shared.Host = None,
     json_: options.Json = False,
 ) -> int:
-    """Copy what machines are configured by: agents, units, certificates, jobs.
+    """Copy configurations of machines: agents, units, certificates, jobs.
 
     Private keys are not copied. The status is 1 if a machine failed.
 
