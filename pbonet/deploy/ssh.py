@@ -5,6 +5,7 @@ Host keys are checked against the operator's known hosts, and none is accepted u
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from typing import TYPE_CHECKING, Final, Self
 
@@ -118,12 +119,13 @@ class Shell:
     async def _run(self, *words: str, data: bytes = b"") -> Done:
         assert self._connection is not None, "the connection was not opened"  # noqa: S101
         try:
-            done = await self._connection.run(
-                f"umask 022; {shlex.join(words)}",
-                input=data,
-                encoding=None,
-                timeout=COMMAND,
+            process = await self._connection.create_process(
+                f"umask 022; {shlex.join(words)}", encoding=None
             )
+            with contextlib.suppress(BrokenPipeError):  # it ended without reading all
+                process.stdin.write(data)
+                process.stdin.write_eof()
+            done = await process.wait(timeout=COMMAND)
         except asyncssh.TimeoutError:
             raise NodeError(
                 f"a command did not end within {COMMAND:g} s: {shlex.join(words)}",

@@ -214,7 +214,7 @@ def test_machines_are_upgraded_while_others_run_and_restored(laboratory, tmp_pat
     bad = make_wheel(tmp_path, "0.1.9", node__agent__agent_main=BROKEN)
     told = operator.hosts_told(*up, bad, "--apply", "--host", "arm-pc", status=1)
     assert states(told, "check") == {"arm-pc": ["failed"]}
-    assert "broken on purpose" in json.dumps(told)
+    assert "broken on purpose" in json.dumps(told), told
     assert "--back --host arm-pc --apply" in json.dumps(told)
     back = ("upgrade", "lab.toml", "--back", "--host", "arm-pc", *operator.reach())
     assert all_are(operator.hosts_told(*back, "--apply"), "changed")
