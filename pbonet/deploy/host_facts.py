@@ -77,6 +77,11 @@ class Facts(Struct, frozen=True, kw_only=True):
         unit = self.units.get(steps.unit_of(rtpu))
         return unit is not None and unit.state in {"active", "activating", "reloading"}
 
+    def serving(self, rtpu: str) -> bool:
+        """Return whether an agent has started, and runs."""
+        unit = self.units.get(steps.unit_of(rtpu))
+        return unit is not None and unit.state in {"active", "reloading"}
+
     def text(self, path: str) -> str | None:
         """Return the text of a file; None if there is none."""
         found = self.files.get(path)

@@ -64,7 +64,7 @@ class Turn(Struct, kw_only=True):
     @property
     def running(self) -> list[str]:
         """RTPUs whose agents run."""
-        return [rtpu for rtpu in self.rtpus if self.facts.running(rtpu)]
+        return [rtpu for rtpu in self.rtpus if self.facts.serving(rtpu)]
 
     @property
     def done(self) -> bool:

@@ -202,6 +202,7 @@ def laboratory(operator, tmp_path):
     return operator
 
 
+@pytest.mark.timeout(900)  # twelve environments are made, on a machine that may be busy
 def test_machines_are_upgraded_while_others_run_and_restored(laboratory, tmp_path):
     operator = laboratory
     # Releases that cannot speak with each other are refused before anything is done.
