@@ -36,7 +36,7 @@ $(VENV)/.packages: $(VENV)/.demo
 	$(PIP) "pip>=25.1"
 	$(PIP) \
 	  --group test --group dev --group typing --group docs --group deploy \
-	  "pbonet[robot,placo,mujoco,design,plan,mpc,trajectory,devices,plot,parquet,pandas,view,web,ros2,keys,files,metrics,otel,mavlink,can,i2c,gpio,spi,ethercat]"
+	  "pbonet[robot,placo,mujoco,design,plan,mpc,trajectory,devices,plot,parquet,pandas,view,web,ros2,keys,files,metrics,otel,mavlink,can,i2c,gpio,spi,ethercat,deploy]"
 	@touch $@
 
 native: $(VENV)/.native  ## Build the native parts again after a change

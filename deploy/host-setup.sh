@@ -70,6 +70,7 @@ done
 taken=$(said "$etc"/*.toml; printf '%s\n' "$isolated" ${core[@]+"${core[@]}"})
 others=$(grep -vxF "$taken" <<<"$online" || true)
 if [ "$mode" != --show ] && [ "$(id -u)" != 0 ]; then die "$mode needs root: sudo $0 $mode"; fi
+if [ "$mode" = --apply ] && [ -L /opt/pbonet ]; then die "'pbonet deploy' has set this machine up; use it again (docs/operations.md)"; fi
 command -v systemctl >/dev/null || die "this machine has no systemd; docs/deployment.md says what an agent needs"
 
 if [ "$mode" = --remove ]; then
@@ -79,7 +80,7 @@ if [ "$mode" = --remove ]; then
   step "remove what --apply has put there"
   run rm -f "$units/pbonet-agent@.service" /etc/sysusers.d/pbonet.conf \
     /etc/tmpfiles.d/pbonet.conf /etc/security/limits.d/pbonet.conf
-  run rm -rf /opt/pbonet /run/pbonet "$units"/pbonet-agent@*.service.d
+  run rm -rf /opt/pbonet /opt/pbonet-releases /run/pbonet "$units"/pbonet-agent@*.service.d
   service daemon-reload
   exit 0
 fi

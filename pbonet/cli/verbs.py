@@ -35,6 +35,7 @@ GROUPS: Final = {
     "Machines and this program": (
         *("agent", "router", "fleet", "devices", "doctor", "keys", "completion"),
     ),
+    "Install on machines over ssh": ("deploy", "upgrade", "backup", "restore"),
 }
 """The verbs as the help shows them."""
 NAMES: Final = tuple(name for names in GROUPS.values() for name in names)
@@ -45,6 +46,7 @@ _OWN: Final = {
 }
 """Verbs with a file of their own."""
 _FOLDERS: Final = {
+    "deploy": ("deploy", "upgrade", "backup", "restore"),
     "operating": ("devices", "doctor", "events", "explain", "fleet", "router", "top"),
     "planning": ("allocate", "tune"),
     "xm": ("sem", "queue", "mailbox", "file"),

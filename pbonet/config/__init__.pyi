@@ -3,6 +3,7 @@ from .agent import (
     agent_text as agent_text,
     parse_agent as parse_agent,
     read_agent as read_agent,
+    settings_text as settings_text,
 )
 from .any_file import read_any as read_any
 from .bundle import Section as Section, bundled as bundled, combines as combines

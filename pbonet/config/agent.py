@@ -252,12 +252,18 @@ def _header(text: str, file: str, name: str, kind: str) -> _Header:
 
 def agent_text(config: AgentConfig) -> str:
     """Return an ``agent.toml`` with all settings of an agent, defaults included."""
-    fields: dict[str, Any] = msgspec.to_builtins(config)
-    tables: dict[str, dict[str, Any]] = {"events": fields.pop("events")}
-    for name, device in fields.pop("device").items():
-        tables[f"device.{name}.settings"] = device.pop("settings")
+    return settings_text(msgspec.to_builtins(config))
+
+
+def settings_text(settings: Mapping[str, Any]) -> str:
+    """Return an ``agent.toml`` with some settings, as its reader names them."""
+    fields = dict(settings)
+    tables: dict[str, dict[str, Any]] = {"events": fields.pop("events", {})}
+    for name, entry in fields.pop("device", {}).items():
+        device = dict(entry)
+        tables[f"device.{name}.settings"] = device.pop("settings", {})
         tables[f"device.{name}"] = device
-    for name, processor in fields.pop("spp").items():
+    for name, processor in fields.pop("spp", {}).items():
         tables[f"spp.{name}"] = processor
     lines = [f"{k} = {_value(v)}" for k, v in fields.items() if v is not None]
     for name, table in sorted(tables.items()):

@@ -17,6 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
 PAGE = ROOT / "pbonet" / "master" / "web" / "dist"
 CARRIED = {".py", ".pyi", ".pxd", ".pxi", ".h", ".rmod", ".trace", ".typed"}
+CARRIED |= {".service", ".sysusers", ".tmpfiles", ".conf"}
 
 
 def tracked() -> list[str]:

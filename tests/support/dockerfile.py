@@ -23,7 +23,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-KNOWN = ("FROM", "RUN", "COPY", "ENV", "USER", "WORKDIR", "EXPOSE", "ENTRYPOINT", "CMD")
+KNOWN = ("FROM", "ARG", "RUN", "COPY", "ENV", "USER", "WORKDIR", "EXPOSE")
+KNOWN += ("ENTRYPOINT", "CMD")
 PLAIN = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"}
 
 
@@ -89,7 +90,7 @@ class Stage:
                 self.run("/bin/sh", "-ec", step.rest)
             case "COPY":
                 self.copy(shlex.split(step.rest), context, others)
-            case "ENV":
+            case "ENV" | "ARG":
                 self.env |= dict(one.split("=", 1) for one in shlex.split(step.rest))
             case "USER":
                 self.user = step.rest.strip()

@@ -6,7 +6,7 @@ from pathlib import Path
 from pbonet import errors
 
 PACKAGE = Path(__file__).parents[3] / "pbonet"
-PARTS = ("master", "node", "svar", "xm")
+PARTS = ("deploy", "master", "node", "svar", "xm")
 KINDS = {
     name
     for name, kind in vars(errors).items()

@@ -114,6 +114,23 @@ def test_router_file_is_what_pbonet_would_write(tmp_path):
     assert "".join(one for one in lines if not one.startswith("//")) == said
 
 
+MOST_EXPOSED = 2.5
+"""What `systemd-analyze security` may say of the unit, of 10."""
+
+
+def test_unit_is_closed_but_for_what_control_needs():
+    said = judge("systemd-analyze", "security", "--offline=true", "--no-pager", UNIT)
+    found = re.search(r"Overall exposure level for \S+: ([\d.]+)", said)
+    assert float(found[1]) <= MOST_EXPOSED, said
+    open_ = settings("Service")
+    assert open_["RestrictRealtime"] == open_["PrivateDevices"] == "no"
+    assert open_["DeviceAllow"] == "char-* rw"
+    assert open_["ReadWritePaths"].endswith("/shm")
+    assert {"AF_INET", "AF_UNIX", "AF_CAN"} <= {
+        *open_["RestrictAddressFamilies"].split()
+    }
+
+
 def test_unit_starts_an_agent():
     command = shlex.split(settings("Service")["ExecStart"])
     name, options = parsed(command[1:])

@@ -1,0 +1,1 @@
+"""Verbs that set up, upgrade, back up and restore machines over ssh."""

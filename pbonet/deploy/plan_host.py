@@ -1,0 +1,376 @@
+"""The plan for a machine: a function of what it has and what it is to have."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from typing import TYPE_CHECKING, Final
+
+from pbonet.errors import NodeError
+from pbonet.xm.net import credentials
+
+from . import steps
+from .hosts_file import KEYS
+from .steps import Put, Run, Step, packaged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from .host_facts import Facts
+    from .host_keys import HostKeys
+    from .hosts_file import Machine
+    from .release import Release
+
+OLDEST: Final = (3, 11)
+"""The oldest Python that pbonet runs with."""
+BEFORE: Final = "before-deploy"
+"""The name of a release that host-setup.sh installed."""
+INCOMING: Final = f"{steps.RELEASES}/incoming"
+
+
+class Plan:
+    """The steps for one machine.
+
+    Args:
+        machine: What it is to have.
+        facts: What it has.
+        release: What is to be installed; None: what is there stays.
+        keys: Its keys; None: it has none of ours.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        facts: Facts,
+        release: Release | None,
+        keys: HostKeys | None,
+    ) -> None:
+        self.machine = machine
+        self.facts = facts
+        self.release = release
+        self.keys = keys
+        self._reread: set[str] = set()
+        """RTPUs whose agents read their configuration or keys again."""
+
+    @property
+    def rtpus(self) -> list[str]:
+        """RTPUs of the machine, those too that are not to be there."""
+        return list(dict.fromkeys((*self.machine.configs, *self.facts.enabled)))
+
+    def steps(self) -> list[Step]:
+        """Return all steps, in the order in which they are done.
+
+        Raises:
+            NodeError: The machine cannot take pbonet.
+        """
+        self.check()
+        found = [*self._user(), self._limits(), *self._install(), *self._use()]
+        found += [*self._keys(), *self._configs(), self._unit()]
+        return [*found, *self._services(), *self._strangers()]
+
+    def install_steps(self) -> list[Step]:
+        """Return the steps that install the release beside others.
+
+        Raises:
+            NodeError: There is no room for it.
+        """
+        return [*self._install()]
+
+    def check(self) -> None:
+        """Raise if the machine cannot take pbonet."""
+        facts = self.facts
+        if not facts.systemctl:
+            raise NodeError(
+                "the machine has no systemd",
+                where=self.machine.name,
+                remedy="docs/deployment.md says what an agent needs without it",
+            )
+        if self.release is not None:
+            _check_python(self.machine, facts, self.release)
+
+    # -- what every machine has ---
+
+    def _user(self) -> Iterator[Step]:
+        there = self.facts.groups is not None and "dialout" in self.facts.groups
+        yield self._file(
+            "user",
+            steps.SYSUSERS,
+            packaged("systemd/pbonet.sysusers"),
+            "user pbonet, in the group dialout",
+            Run(("systemd-sysusers", steps.SYSUSERS)),
+            lacks=not there,
+        )
+        yield self._file(
+            "runtime folder",
+            steps.TMPFILES,
+            packaged("systemd/pbonet.tmpfiles"),
+            "/run/pbonet, for all agents of the machine",
+            Run(("systemd-tmpfiles", "--create", steps.TMPFILES)),
+            lacks=not self.facts.run_folder,
+        )
+
+    def _limits(self) -> Step:
+        what = "real-time rights of people in the group pbonet"
+        return self._file("limits", steps.LIMITS, packaged("limits.conf"), what)
+
+    def _unit(self) -> Step:
+        text = packaged("systemd/pbonet-agent@.service")
+        running = any(map(self.facts.running, self.machine.configs))
+        what = "pbonet-agent@.service"
+        if running and self.facts.text(steps.UNIT) != text:
+            what += "; it holds for agents that are started from now on"
+        return self._file("unit", steps.UNIT, text, what, *self._read_units())
+
+    def _read_units(self) -> tuple[Run, ...]:
+        return (Run(("systemctl", "daemon-reload")),) if self.facts.systemd else ()
+
+    def _file(
+        self,
+        name: str,
+        path: str,
+        text: str,
+        what: str,
+        *follow: Run,
+        lacks: bool = False,
+    ) -> Step:
+        """Return the step that gives a file its text, and what follows from that.
+
+        Args:
+            name: The step's name.
+            path: The file.
+            text: Its text.
+            what: What the step is about.
+            follow: What is run when the file has changed.
+            lacks: Whether that is to be run even if it has not.
+        """
+        before = self.facts.text(path)
+        put = () if before == text else (Put(path=path, data=text.encode()),)
+        if not put and not lacks:
+            return Step(name=name, state="same", what=what)
+        diff = _diff(path, before, text) if put and before is not None else ""
+        actions = (*put, *follow)
+        return Step(name=name, state="change", what=what, diff=diff, actions=actions)
+
+    # -- releases ---
+
+    def _install(self) -> Iterator[Step]:
+        release = self.release
+        if release is None:
+            return
+        if release.name in self.facts.releases:
+            yield Step(name="release", state="same", what=f"{release.name} is there")
+            return
+        _check_room(self.machine, self.facts, release)
+        yield Step(
+            name="release",
+            state="change",
+            what=f"{release.name} is installed beside others, "
+            + ("with its wheels" if release.wheelhouse else "packages by pip there"),
+            actions=tuple(install(self.machine, release)),
+        )
+
+    def _use(self) -> Iterator[Step]:
+        """Use the release, unless agents run with another one."""
+        release, facts = self.release, self.facts
+        if release is None:
+            return
+        if facts.current == release.name:
+            yield Step(name="in use", state="same", what=release.name)
+            return
+        running = [one for one in self.rtpus if facts.running(one)]
+        old = facts.current or ("that of host-setup.sh" if facts.folder else "")
+        if running and old:
+            what = f"{', '.join(running)} run {old}: 'pbonet upgrade' changes that"
+            yield Step(name="in use", state="waits", what=what)
+            return
+        yield Step(
+            name="in use",
+            state="change",
+            what=f"{release.name}, before: {old or 'none'}",
+            actions=tuple(use(facts, release.name)),
+        )
+
+    # -- keys and configurations ---
+
+    def _keys(self) -> Iterator[Step]:
+        keys = self.keys
+        if keys is None:
+            return
+        names = ", ".join(self.machine.reached_at)
+        if keys.lacks:
+            what = f"a certificate for {names} is made and put there: {keys.lacks}"
+            yield Step(name="keys", state="change", what=what)
+            self._reread |= {*self.machine.configs}
+            return
+        there = self.facts.files | self.facts.secrets
+        wanted = [
+            Put(
+                path=f"{KEYS}/{name}",
+                data=keys.files[name],
+                mode=0o600 if name == credentials.KEY else 0o644,
+                owner=steps.USER,
+            )
+            for name in (credentials.KEY, credentials.CERT, credentials.CA)
+        ]
+        puts = [one for one in wanted if not _stands(there.get(one.path), one)]
+        what = f"certificate for {names}"
+        if not puts:
+            yield Step(name="keys", state="same", what=what)
+            return
+        self._reread |= {*self.machine.configs}
+        yield Step(name="keys", state="change", what=what, actions=tuple(puts))
+
+    def _configs(self) -> Iterator[Step]:
+        for rtpu, text in self.machine.configs.items():
+            path = steps.config_of(rtpu)
+            step = self._file(rtpu, path, text, f"configuration of RTPU {rtpu}")
+            if step.state == "change":
+                self._reread.add(rtpu)
+            yield step
+            if rtpu in self.machine.cores:
+                yield self._cores(rtpu)
+
+    def _cores(self, rtpu: str) -> Step:
+        own = self.machine.cores[rtpu]
+        online, facts = self.facts.online, self.facts
+        if own not in online:
+            raise NodeError(
+                f"RTPU {rtpu} is to have core {own}",
+                where=self.machine.name,
+                expected=f"one of {', '.join(map(str, online))}",
+                remedy="correct its core in the file of hosts",
+            )
+        taken = {*self.machine.cores.values(), *facts.isolated}
+        others = [str(core) for core in online if core not in taken]
+        affinity = " ".join([*others, str(own)])
+        text = (
+            f"# Core {own} is the RTPU's own; the others are for its agent and all "
+            f"that is not real time.\n[Service]\nCPUAffinity={affinity}\n"
+        )
+        what = f"cores of RTPU {rtpu}: {own}, and {' '.join(others) or 'no other'}"
+        return self._file(rtpu, steps.cores_of(rtpu), text, what, *self._read_units())
+
+    # -- services ---
+
+    def _services(self) -> Iterator[Step]:
+        for rtpu in self.machine.configs:
+            unit = steps.unit_of(rtpu)
+            found = self.facts.units.get(unit)
+            enabled = rtpu in self.facts.enabled
+            if not self.facts.systemd:
+                enable = (Run(("systemctl", "enable", unit)),)
+                yield self._service(
+                    rtpu, "starts with systemd", () if enabled else enable
+                )
+            elif not enabled or found is None or not self.facts.running(rtpu):
+                start = Run(("systemctl", "enable", "--now", unit), must=False)
+                state = "" if found is None else f", now {found.state}"
+                yield self._service(rtpu, f"is enabled and started{state}", (start,))
+            elif rtpu in self._reread:
+                reload = Run(("systemctl", "reload", unit))
+                what = "reads its configuration and keys again; its tasks go on"
+                yield self._service(rtpu, what, (reload,))
+            else:
+                yield self._service(rtpu, "runs", ())
+
+    def _service(self, rtpu: str, what: str, actions: tuple[Run, ...]) -> Step:
+        state: steps.State = "change" if actions else "same"
+        what = f"the agent of {rtpu} {what}"
+        return Step(name="service", state=state, what=what, actions=actions)
+
+    def _strangers(self) -> Iterator[Step]:
+        for rtpu in self.facts.enabled:
+            if rtpu not in self.machine.configs:
+                what = (
+                    f"the agent of {rtpu} is not in the file of hosts, and stays: "
+                    f"'systemctl disable --now {steps.unit_of(rtpu)}' ends it"
+                )
+                yield Step(name="service", state="same", what=what)
+
+
+def install(machine: Machine, release: Release) -> Iterator[Put | Run]:
+    """Yield what installs a release beside others; it is not used yet."""
+    folder = f"{steps.RELEASES}/{release.name}"
+    incoming = f"{INCOMING}/{release.name}"
+    yield Run(("rm", "-rf", folder, INCOMING))
+    for path in (release.wheel, *release.wheelhouse):
+        yield Put(path=f"{incoming}/{path.name}", data=path.read_bytes())
+    yield Run((machine.host.python, "-m", "venv", folder))
+    pip = (f"{folder}/bin/python", "-m", "pip", "install", "--quiet")
+    quiet = ("--disable-pip-version-check", "--no-cache-dir")
+    index = ("--no-index", f"--find-links={incoming}") if release.wheelhouse else ()
+    yield Run((*pip, *quiet, *index, f"{incoming}/{release.requirement}"))
+    yield Run((f"{folder}/bin/pbonet", "--version"))
+    yield Run(("touch", f"{folder}/{steps.COMPLETE}"))
+    yield Run(("rm", "-rf", INCOMING))
+
+
+def use(facts: Facts, name: str) -> Iterator[Run]:
+    """Yield what makes a release the one in use, while no agent runs.
+
+    The one that is replaced stays, and can be used again.
+    """
+    before = facts.current
+    if facts.folder:
+        before = BEFORE
+        target = f"{steps.RELEASES}/{BEFORE}"
+        yield Run(("mkdir", "-p", steps.RELEASES))
+        yield Run(("mv", "-T", steps.OPT, target))
+        yield Run(("touch", f"{target}/{steps.COMPLETE}"))
+    if before:
+        yield Run(("ln", "-sfnT", before, steps.PREVIOUS))
+    new = f"{steps.OPT}.new"
+    yield Run(("ln", "-sfnT", f"{steps.RELEASES}/{name}", new))
+    yield Run(("mv", "-fT", new, steps.OPT))
+
+
+def _check_python(machine: Machine, facts: Facts, release: Release) -> None:
+    said = ".".join(map(str, facts.python))
+    if facts.python < OLDEST or said != release.python:
+        raise NodeError(
+            f"the machine's {machine.host.python} is Python {said}",
+            where=machine.name,
+            expected=f"Python {release.python}, for which {release.wheel.name} is",
+            remedy='name another one of the machine as python = "...", or give a wheel '
+            "that was built for it with --wheel",
+        )
+    if facts.machine != release.machine:
+        raise NodeError(
+            f"the machine's processor is {facts.machine}",
+            where=machine.name,
+            expected=f"{release.machine}, for which {release.wheel.name} is",
+            remedy="give a wheel that was built on such a machine with --wheel, and "
+            "name the machines that it is for with --host",
+        )
+    if not facts.venv:
+        raise NodeError(
+            f"{machine.host.python} makes no environments there",
+            where=machine.name,
+            remedy="apt-get install python3-venv on the machine",
+        )
+
+
+def _check_room(machine: Machine, facts: Facts, release: Release) -> None:
+    if facts.free < release.size:
+        raise NodeError(
+            "there is no room for another release",
+            where=f"{machine.name}: /opt",
+            expected=f"{release.size >> 20} MiB",
+            got=f"{facts.free >> 20} MiB are free",
+            remedy="remove what is not needed, such as old releases in "
+            f"{steps.RELEASES}",
+        )
+
+
+def _stands(there: object, wanted: Put) -> bool:
+    digest = hashlib.sha256(wanted.data).hexdigest()
+    mine = (digest, wanted.mode, wanted.owner)
+    has = [getattr(there, name, None) for name in ("digest", "mode", "owner")]
+    return tuple(has) == mine
+
+
+def _diff(path: str, before: str, after: str) -> str:
+    lines = difflib.unified_diff(
+        before.splitlines(), after.splitlines(), path, path, lineterm="", n=1
+    )
+    return "\n".join(lines)

@@ -1,0 +1,184 @@
+"""A release of pbonet: its wheel, those of what it needs, and a name made of both."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+import pbonet
+from pbonet.errors import ConfigFileError, NodeError
+from pbonet.versions import Range
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_WHEEL: Final = re.compile(
+    r"pbonet-(?P<version>[^-]+)(-\d[^-]*)?-(?P<python>[^-]+)-[^-]+-(?P<platform>[^-]+)"
+    r"\.whl"
+)
+_PLATFORM: Final = re.compile(r"(?:many|musl)?linux(?:\d+|_\d+_\d+)?_(\w+)")
+_CPYTHON: Final = re.compile(r"cp3(\d+)")
+UNPACKED: Final = 4
+"""Bytes on disk of an installed wheel's byte; compressed ones have 2.5 to 4."""
+BY_PIP: Final = 600 << 20
+"""Bytes that an environment needs whose packages pip fetches."""
+
+
+class Release(Struct, frozen=True, kw_only=True):
+    """A release that is installed."""
+
+    wheel: Path
+    version: str
+    python: str
+    """The Python of its wheel, such as ``3.11``."""
+    machine: str
+    """The processor of its wheel, such as ``x86_64``."""
+    extras: tuple[str, ...]
+    wheelhouse: tuple[Path, ...]
+    """Wheels of what it needs; empty: pip on the machine fetches them."""
+    digest: str
+
+    @property
+    def name(self) -> str:
+        """Its folder's name on a machine."""
+        return f"{self.version}-{self.digest}"
+
+    @property
+    def requirement(self) -> str:
+        """The wheel as pip takes it, with the extras."""
+        extras = f"[{','.join(self.extras)}]" if self.extras else ""
+        return f"{self.wheel.name}{extras}"
+
+    @property
+    def layers(self) -> dict[str, Range]:
+        """Versions of each layer that it understands."""
+        with zipfile.ZipFile(self.wheel) as archive:
+            text = archive.read("pbonet/versions.py").decode()
+        module: dict[str, Any] = {"__name__": "versions"}
+        exec(compile(text, "versions.py", "exec"), module)  # noqa: S102 - it is to run
+        return {name: Range(*found) for name, found in module["LAYERS"].items()}
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes on a machine's disk, about."""
+        if not self.wheelhouse:
+            return BY_PIP
+        packed = sum(path.stat().st_size for path in (self.wheel, *self.wheelhouse))
+        return UNPACKED * packed
+
+
+def release_of(
+    wheel: Path, extras: Iterable[str] = (), wheelhouse: Path | None = None
+) -> Release:
+    """Return the release that a wheel is.
+
+    Args:
+        wheel: The wheel of pbonet.
+        extras: Extras of pbonet that are installed with it.
+        wheelhouse: A folder with the wheels of all that it needs.
+
+    Raises:
+        ConfigFileError: A file is missing, or is no wheel of pbonet.
+    """
+    found = _WHEEL.fullmatch(wheel.name)
+    python = _CPYTHON.fullmatch(found["python"]) if found else None
+    if found is None or python is None:
+        raise ConfigFileError(
+            "this is not a wheel of pbonet",
+            where=str(wheel),
+            expected="a name such as pbonet-0.2.0-cp311-cp311-linux_x86_64.whl",
+            remedy="build one with --build, or pip wheel --no-deps FOLDER",
+        )
+    extras = tuple(sorted(extras))
+    others: tuple[Path, ...] = ()
+    if wheelhouse is not None:
+        others = tuple(sorted(wheelhouse.glob("*.whl")))
+        if not others:
+            raise ConfigFileError(
+                "the folder has no wheels",
+                where=str(wheelhouse),
+                expected="the wheels of all that pbonet needs",
+                remedy=f"pip download --dest {wheelhouse} {wheel}",
+            )
+    record = [_record(wheel), *extras]
+    return Release(
+        wheel=wheel,
+        version=found["version"],
+        python=f"3.{python[1]}",
+        machine=_processor(found["platform"]),
+        extras=extras,
+        wheelhouse=others,
+        digest=hashlib.sha256("\n".join(record).encode()).hexdigest()[:8],
+    )
+
+
+def _processor(platform: str) -> str:
+    """Return the processor in a wheel's platform, such as ``manylinux_2_17_x86_64``."""
+    found = _PLATFORM.match(platform)
+    return found[1] if found else platform
+
+
+def _record(wheel: Path) -> str:
+    """Return the list of files and their digests in a wheel.
+
+    Two wheels of one source have the same, whatever the times in them.
+    """
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            name = next(n for n in archive.namelist() if n.endswith("/RECORD"))
+            return archive.read(name).decode()
+    except (OSError, StopIteration, zipfile.BadZipFile) as error:
+        raise ConfigFileError(
+            "the wheel cannot be read",
+            where=str(wheel),
+            got=getattr(error, "strerror", "") or str(error),
+            remedy="build one with --build, or pip wheel --no-deps FOLDER",
+        ) from None
+
+
+def built(folder: Path) -> Path:
+    """Build a wheel of the checkout that this pbonet runs from; return it.
+
+    Args:
+        folder: Where it is put.
+
+    Raises:
+        NodeError: This pbonet runs from no checkout, or the build failed.
+    """
+    source = Path(pbonet.__file__).parents[1]
+    if not (source / "pyproject.toml").exists():
+        raise NodeError(
+            "this pbonet was installed, and has no source to build a wheel of",
+            where=str(source),
+            remedy="name a wheel with --wheel",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
+    done = subprocess.run(
+        [*pip, "--wheel-dir", str(folder), str(source)],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    wheel = folder / _newest(folder) if done.returncode == 0 else None
+    if wheel is None:
+        lines = done.stderr.strip().splitlines()
+        raise NodeError(
+            "the wheel could not be built",
+            where=str(source),
+            got=lines[-1] if lines else f"status {done.returncode}",
+            remedy=f"see what pip says: pip wheel --no-deps {source}",
+        )
+    return wheel
+
+
+def _newest(folder: Path) -> str:
+    wheels = folder.glob(f"pbonet-{pbonet.__version__}-*.whl")
+    return max(wheels, key=lambda path: path.stat().st_mtime_ns).name
