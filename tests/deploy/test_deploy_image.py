@@ -15,7 +15,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 BASE = 110_000_000
-"""Bytes that debian:bookworm-slim has (75 MB), with its packages for python3 (35 MB)."""
+"""Bytes of debian:bookworm-slim (75 MB) and its packages for python3 (35 MB)."""
 MOST = 250_000_000
 """Bytes that an image may have."""
 OVERLAY = "mount -t overlay none -o lowerdir=/,upperdir={0}/u,workdir={0}/w {0}/r"
