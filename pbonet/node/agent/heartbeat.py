@@ -172,6 +172,8 @@ class Heartbeat:
             thread or in one of its own.
         holds: Returns whether a machine must carry out orders before it is answered.
         met: Called with an agent that is heard for the first time, in the same way.
+        machine_of: Returns the machine of an agent that has told it otherwise, in the
+            form used in keys.
     """
 
     def __init__(
@@ -180,10 +182,12 @@ class Heartbeat:
         me: AgentInfo,
         report: Callable[[Change], None],
         holds: Callable[[str], bool] = lambda _machine: False,
+        *,
         met: Callable[[str], None] = lambda _name: None,
+        machine_of: Callable[[str], str | None] = lambda _name: None,
     ) -> None:
         self._session, self._report, self._holds = link, report, holds
-        self._met = met
+        self._met, self._machine_of = met, machine_of
         self._domain, self._name = me.domain, me.name
         self._machine = key_expressions.machine(me.machine)
         self._decoder = msgspec.msgpack.Decoder(Beat)
@@ -295,6 +299,8 @@ class Heartbeat:
             lost = self._of_machine(name)
             if lost is None:
                 return math.inf
+            if name not in self._agents:
+                lost = {}  # others of its machine do not speak for one that has left
             group = self._groups.get(subsystem)
             last = [max(self._began, group.joined) if group is not None else now]
             last += [one.heard for one in lost.values()]
@@ -309,14 +315,16 @@ class Heartbeat:
         return now - max(last)
 
     def _of_machine(self, name: str) -> dict[str, _Agent] | None:
-        """Return the agents of an agent's machine; None if that is this machine."""
+        """Return the agents of an agent's machine; None if that is this machine.
+
+        The agent itself need not be among them: it has no table, or none any more.
+        """
         agent = self._agents.get(name)
-        if name == self._name or (agent is not None and agent.machine == self._machine):
+        machine = agent.machine if agent is not None else self._machine_of(name)
+        if name == self._name or machine == self._machine:
             return None
         return {
-            other: one
-            for other, one in self._agents.items()
-            if agent is not None and one.machine == agent.machine
+            other: one for other, one in self._agents.items() if one.machine == machine
         }
 
     def is_silent(self, name: str) -> bool:

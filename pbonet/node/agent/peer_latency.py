@@ -343,6 +343,10 @@ class PeerLatencies:
         """
         return self._table_version
 
+    def machine(self, name: str) -> str | None:
+        """Return the machine of an agent that has answered, in the form of keys."""
+        return self._machines.get(name)
+
     def clock(self, name: str) -> Clock | None:
         """Return the clock of an agent's machine, if it is known."""
         machine = self._machines.get(name)
