@@ -417,21 +417,25 @@ class Heartbeat:
     def _leave_those_over(self, now: float) -> None:
         """Leave the groups of tables that the RTPU has not had for `LINGER`."""
         for subsystem, group in list(self._groups.items()):
-            with self._joining:
-                if group.left is None or now - group.left <= LINGER:
-                    continue
-                with self._guard:
-                    del self._groups[subsystem]
-                    for name in list(self._agents):
-                        self._part(subsystem, name)
-                group.close()
-            goodbye = Beat(self._machine, round(now * 1e9), {}, leaves=True)
-            with contextlib.suppress(zenoh.ZError):
-                self._session.put(  # pyright: ignore[reportUnknownMemberType]
-                    key_expressions.beat(self._domain, subsystem, self._name),
-                    self._encoder.encode(goodbye),
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
+            with self._joining:  # it is joined again after the last sign, or not left
+                if group.left is not None and now - group.left > LINGER:
+                    with self._guard:
+                        del self._groups[subsystem]
+                        for name in list(self._agents):
+                            self._part(subsystem, name)
+                    group.close()
+                    self._say_goodbye(subsystem, now)
+
+    def _say_goodbye(self, subsystem: str, now: float) -> None:
+        """Give the last sign of life in a group, behind those before it."""
+        goodbye = Beat(self._machine, round(now * 1e9), {}, leaves=True)
+        with contextlib.suppress(zenoh.ZError):
+            self._session.put(  # pyright: ignore[reportUnknownMemberType]
+                key_expressions.beat(self._domain, subsystem, self._name),
+                self._encoder.encode(goodbye),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.REAL_TIME,
+            )
 
     def _beat(self) -> bytes:
         """Return a packed sign of life."""

@@ -70,6 +70,9 @@ AGAIN = 10
 """How often a report retries agents that are seen but cannot be asked."""
 PAUSE = 0.1
 """Seconds between such retries, while links are being restored."""
+FRESH_NS = 20_000_000_000
+"""How long what a round trip has shown is told. A neighbour that is asked once is known
+for longer."""
 LOST_TIME = 86400.0
 """Seconds for which an agent that is no longer seen is reported."""
 MOST_LOST = 64
@@ -91,6 +94,10 @@ class Peer:
     def best(self) -> RoundTrip | None:
         """The shortest of the last round trips."""
         return self.trips.best
+
+    def told(self, now_ns: int) -> bool:
+        """Return whether what was measured is still told."""
+        return self.best is None or now_ns - self.best.at_ns < FRESH_NS
 
     def add(self, info: m.AgentInfo, trip: RoundTrip) -> None:
         """Add a round trip; earlier ones to another machine are dropped."""
@@ -140,6 +147,8 @@ class PeerLatencies:
         """Agents whose tokens are seen."""
         self._missed: set[str] = set()
         """Agents among them that the last check of the tokens has not found."""
+        self._gone: set[str] = set()
+        """Agents whose tokens have gone since that check began."""
         self._watched: list[str] | None = []
         """See `watched_agents`; None: to be determined again."""
         self._turn = 0
@@ -300,6 +309,7 @@ class PeerLatencies:
         else:
             with self._guard:
                 self._alive.discard(name)
+                self._gone.add(name)
                 self._tried.discard(name)
                 self._watched = None
             for one in self._listeners:
@@ -316,10 +326,13 @@ class PeerLatencies:
         """Compare what the tokens' subscriber has told with all that are there.
 
         A search beside a subscriber may miss a token (`session.alive`), so one must be
-        missed twice.
+        missed twice; and it may find one that has gone meanwhile.
         """
+        with self._guard:
+            self._gone.clear()
         found = set(session.rtpus(self._session, self._me().domain))
         with self._guard:
+            found -= self._gone - self._alive
             missing = self._alive - found
             gone = missing & self._missed
             self._missed = missing
@@ -362,10 +375,11 @@ class PeerLatencies:
         me = self._me()
         others = self._measure_now(me.name) if measure else {}
         counts = dialling.links(self._session)
+        now_ns = time.monotonic_ns()
         with self._guard:
             peers = sorted((others | self._peers).items())
             alive = len(self._alive - {me.name})
-        ways = [_way(name, peer, me) for name, peer in peers]
+        ways = [_way(name, peer, me) for name, peer in peers if peer.told(now_ns)]
         names = {p.info.zid: name for name, p in peers if p.info is not None}
         double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
         unseen = sorted(
@@ -501,7 +515,7 @@ class PeerLatencies:
 
     def _apart(self) -> list[rtpu_messages.Apart]:
         """Return the offsets of other machines' clocks from this one's."""
-        mine = self._me().machine
+        mine, now_ns = self._me().machine, time.monotonic_ns()
         with self._guard:
             return [
                 rtpu_messages.Apart(
@@ -512,6 +526,7 @@ class PeerLatencies:
                 and info.machine != mine
                 and (best := peer.best) is not None
                 and not peer.error
+                and peer.told(now_ns)
             ]
 
     def _forget_lost(self, me: str) -> list[str]:
