@@ -445,7 +445,7 @@ class Agent:
         found: set[str] = set()
         if beats is not None and stops is not None:
             found |= beats.partners() | stops.awaited()
-        if (link := self._link) is not None:  # see `Heartbeat.silence`
+        if (link := self._link) is not None and link.info is not None:
             found |= {use.keeper for use in link.info.tables.values() if use.keeper}
         return found if links is None else found | links.partners()
 
