@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from pbonet.analysis.schedule import Kind, Mode
 from pbonet.errors import Severity
-from pbonet.node.wire import core_times
+from pbonet.node.wire import main_thread_times
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -56,7 +56,7 @@ def ready_ns(pid: int) -> int | None:
 
     None: the kernel does not count it, or the process is gone.
     """
-    times = core_times(pid)
+    times = main_thread_times(pid)
     return None if times is None else times.ready
 
 

@@ -14,8 +14,8 @@ from .clock_offsets import (
     round_trip as round_trip,
 )
 from .command_record import command as command
-from .core_wait import CoreWait as CoreWait, core_times as core_times
 from .core_times import CoreTimes as CoreTimes
+from .core_wait import CoreWait as CoreWait, main_thread_times as main_thread_times
 from .event_log import (
     EventLog as EventLog,
     LineBudget as LineBudget,

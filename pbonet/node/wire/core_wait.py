@@ -9,7 +9,7 @@ from typing import NamedTuple
 from .process_setup import stat
 
 
-class CoreTimes(NamedTuple):
+class MainThreadTimes(NamedTuple):
     """Times of a process's main thread that the kernel has counted, in nanoseconds."""
 
     ran: int
@@ -18,7 +18,7 @@ class CoreTimes(NamedTuple):
     """Time from being ready to running; what it waits now is not in it yet."""
 
 
-def core_times(pid: int) -> CoreTimes | None:
+def main_thread_times(pid: int) -> MainThreadTimes | None:
     """Return the times of a process's main thread.
 
     None: the kernel does not count them, or the process is gone.
@@ -28,7 +28,7 @@ def core_times(pid: int) -> CoreTimes | None:
         ran, ready, _ = map(int, text.split())
     except (OSError, ValueError):
         return None
-    return CoreTimes(ran, ready)
+    return MainThreadTimes(ran, ready)
 
 
 class CoreWait:
@@ -41,11 +41,11 @@ class CoreWait:
     def __init__(self, pid: int) -> None:
         self._pid = pid
         self._begun = time.monotonic_ns()
-        self._first = core_times(pid)
+        self._first = main_thread_times(pid)
 
     def seconds(self) -> float:
         """Return for how long it was ready and did not run; 0 if that is unknown."""
-        now = core_times(self._pid)
+        now = main_thread_times(self._pid)
         if self._first is None or now is None:
             return 0.0
         ready = now.ready - self._first.ready
