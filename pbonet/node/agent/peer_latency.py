@@ -71,8 +71,8 @@ AGAIN = 10
 PAUSE = 0.1
 """Seconds between such retries, while links are being restored."""
 FRESH_NS = 20_000_000_000
-"""How long what a round trip has shown is told. A neighbour that is asked once is known
-for longer."""
+"""How long an offset is recorded after its measurement. A neighbour that is asked once
+is known for longer."""
 LOST_TIME = 86400.0
 """Seconds for which an agent that is no longer seen is reported."""
 MOST_LOST = 64
@@ -94,10 +94,6 @@ class Peer:
     def best(self) -> RoundTrip | None:
         """The shortest of the last round trips."""
         return self.trips.best
-
-    def told(self, now_ns: int) -> bool:
-        """Return whether what was measured is still told."""
-        return self.best is None or now_ns - self.best.at_ns < FRESH_NS
 
     def add(self, info: m.AgentInfo, trip: RoundTrip) -> None:
         """Add a round trip; earlier ones to another machine are dropped."""
@@ -375,11 +371,10 @@ class PeerLatencies:
         me = self._me()
         others = self._measure_now(me.name) if measure else {}
         counts = dialling.links(self._session)
-        now_ns = time.monotonic_ns()
         with self._guard:
             peers = sorted((others | self._peers).items())
             alive = len(self._alive - {me.name})
-        ways = [_way(name, peer, me) for name, peer in peers if peer.told(now_ns)]
+        ways = [_way(name, peer, me) for name, peer in peers]
         names = {p.info.zid: name for name, p in peers if p.info is not None}
         double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
         unseen = sorted(
@@ -526,7 +521,7 @@ class PeerLatencies:
                 and info.machine != mine
                 and (best := peer.best) is not None
                 and not peer.error
-                and peer.told(now_ns)
+                and now_ns - best.at_ns < FRESH_NS
             ]
 
     def _forget_lost(self, me: str) -> list[str]:
