@@ -170,6 +170,8 @@ class PeerLatencies:
         self._new: set[str] = set()
         """Agents that have appeared since the last round trips."""
         self._table_version = LAYERS["table"].oldest
+        self._heard_by = 0.0
+        """When those of a group that was joined have been heard."""
         self._codec = codec.Codec()
         self._thread = threading.Thread(
             target=self._watch, name="pbonet ways", daemon=True
@@ -263,8 +265,14 @@ class PeerLatencies:
         self._wake.set()
 
     def expect_others(self) -> None:
-        """Send tables in the oldest version until those in the group are known."""
-        self._table_version = LAYERS["table"].oldest
+        """Send tables in the oldest version until those in the group are known.
+
+        They give their signs of life ten times a second, and are asked then. A packet
+        that one of them cannot read would raise its flag.
+        """
+        with self._guard:
+            self._heard_by = time.monotonic() + session.SILENT_MS * 1e-3
+            self._table_version = LAYERS["table"].oldest
 
     def need(self, name: str) -> None:
         """Ask an agent now, which is a partner; may be called from any thread."""
@@ -544,7 +552,7 @@ class PeerLatencies:
                     peer = self._peers.setdefault(name, Peer())
                 self._ask_once(name, peer)
         with self._guard:
-            if not self._new:  # those have not told their versions yet
+            if not self._new and time.monotonic() >= self._heard_by:  # all have told
                 infos = [peer.info for peer in self._peers.values()]
                 ranges = [i.understands("table") if i else None for i in infos]
                 self._table_version = spoken(LAYERS["table"], ranges)

@@ -80,6 +80,21 @@ def test_an_agent_that_was_out_of_sight_may_have_another_version(world):
     assert world.ways.table_version() == 2
 
 
+def test_one_that_joins_a_group_speaks_the_oldest_version_until_all_are_heard(
+    world, monkeypatch
+):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    world.measure()
+    assert world.ways.table_version() == 2
+    world.ways.expect_others()
+    world.measure()
+    assert world.ways.table_version() == 1, "an older one may not have been heard"
+    now[0] += session.SILENT_MS * 1e-3
+    world.measure()
+    assert world.ways.table_version() == 2
+
+
 def test_a_report_of_the_last_round_trips_sends_none(world):
     world.measure()
     world.there = []  # an answer would be missed
