@@ -90,8 +90,8 @@ class _Agent:
         self.heard = self.back = time.monotonic()
         self.seen = True
         self.back_without = False
-        """Whether it is out of sight, and its token has come again since then: it may
-        have started again, without a table."""
+        """Whether its token has come since its last sign of life: it may have started
+        again, without a table, even before the silence of the one before it is seen."""
         self.groups: set[str] = set()
         """Subsystems in whose groups it was heard."""
         self.sent_ns = 0
@@ -337,7 +337,7 @@ class Heartbeat:
         with self._guard:
             agent = self._agents.get(name)
             if agent is not None:
-                agent.back_without = not agent.seen
+                agent.back_without = True  # until its next sign of life
 
     def is_seen(self, name: str) -> bool:
         """Return whether an agent is in sight; one that was never heard is not."""

@@ -394,10 +394,9 @@ def test_the_machine_of_a_keeper_without_a_table_counts(now, link, leaves) -> No
 
 def test_one_that_starts_again_without_a_table_can_be_asked(beats, now) -> None:
     beats._note_beat(sample("arm1", "m"))
-    beats.token_came("arm1")
     now[0] += SILENT
     beats._check(now[0])
-    assert beats.is_silent("arm1"), "the token came before the silence"
+    assert beats.is_silent("arm1")
     beats.token_came("arm1")
     beats.token_came("nobody")
     assert not beats.is_silent("arm1")
@@ -406,6 +405,18 @@ def test_one_that_starts_again_without_a_table_can_be_asked(beats, now) -> None:
     now[0] += SILENT
     beats._check(now[0])
     assert beats.is_silent("arm1")
+
+
+def test_one_that_starts_again_within_the_time_of_silence_can_be_asked(
+    beats, now
+) -> None:
+    """Else it would not be given a stop for a minute."""
+    beats._note_beat(sample("arm1", "m"))
+    beats.token_came("arm1")
+    now[0] += SILENT
+    beats._check(now[0])
+    assert not beats.is_seen("arm1")
+    assert not beats.is_silent("arm1")
 
 
 def test_another_agent_of_the_keepers_machine_that_shares_the_table_counts(
