@@ -330,7 +330,8 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
     for error in errors:
         yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
     short = {n: one for n, one in reports.items() if not _sees_all(one, len(reports))}
-    pairs = _ways(reports, told_all=short)
+    few = len(reports) <= _FEW  # who knows all; a pair that is missing is not yet asked
+    pairs = _ways(reports, told_all=reports if few else short)
     doubtful = [one for (one, _), way in pairs if way is None or way.error]
     again = [*dict.fromkeys(doubtful)][:_AGAIN]
     measured, _ = client.call_all(

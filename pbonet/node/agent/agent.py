@@ -345,6 +345,7 @@ class Agent:
         beats = self._heartbeat = Heartbeat(
             *(link, self.info(), self._on_sight, stops.holds),
             met=self._on_first_sign,
+            machine_of=self._machine_of,
         )
         self._takeovers = Takeovers(
             self.name,
@@ -477,7 +478,14 @@ class Agent:
         found: set[str] = set()
         if beats is not None and stops is not None:
             found |= beats.partners() | stops.awaited()
+        if (link := self._link) is not None and link.info is not None:
+            found |= {use.keeper for use in link.info.tables.values() if use.keeper}
         return found if links is None else found | links.partners()
+
+    def _machine_of(self, name: str) -> str | None:
+        """Return the machine of an agent that has answered."""
+        ways = self._ways
+        return ways.machine(name) if ways is not None else None
 
     def _on_first_sign(self, name: str) -> None:
         """Have an agent asked that is heard for the first time."""

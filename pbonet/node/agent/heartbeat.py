@@ -90,8 +90,8 @@ class _Agent:
         self.heard = self.back = time.monotonic()
         self.seen = True
         self.back_without = False
-        """Whether it is out of sight, and its token has come again since then: it may
-        have started again, without a table."""
+        """Whether its token has come since its last sign of life: it may have started
+        again, without a table, even before the silence of the one before it is seen."""
         self.groups: set[str] = set()
         """Subsystems in whose groups it was heard."""
         self.sent_ns = 0
@@ -172,6 +172,8 @@ class Heartbeat:
             thread or in one of its own.
         holds: Returns whether a machine must carry out orders before it is answered.
         met: Called with an agent that is heard for the first time, in the same way.
+        machine_of: Returns the machine of an agent that has told it otherwise, in the
+            form used in keys.
     """
 
     def __init__(
@@ -180,10 +182,12 @@ class Heartbeat:
         me: AgentInfo,
         report: Callable[[Change], None],
         holds: Callable[[str], bool] = lambda _machine: False,
+        *,
         met: Callable[[str], None] = lambda _name: None,
+        machine_of: Callable[[str], str | None] = lambda _name: None,
     ) -> None:
         self._session, self._report, self._holds = link, report, holds
-        self._met = met
+        self._met, self._machine_of = met, machine_of
         self._domain, self._name = me.domain, me.name
         self._machine = key_expressions.machine(me.machine)
         self._decoder = msgspec.msgpack.Decoder(Beat)
@@ -295,6 +299,8 @@ class Heartbeat:
             lost = self._of_machine(name)
             if lost is None:
                 return math.inf
+            if name not in self._agents:
+                lost = {}  # others of its machine do not speak for one that has left
             group = self._groups.get(subsystem)
             last = [max(self._began, group.joined) if group is not None else now]
             last += [one.heard for one in lost.values()]
@@ -309,14 +315,16 @@ class Heartbeat:
         return now - max(last)
 
     def _of_machine(self, name: str) -> dict[str, _Agent] | None:
-        """Return the agents of an agent's machine; None if that is this machine."""
+        """Return the agents of an agent's machine; None if that is this machine.
+
+        The agent itself need not be among them: it has no table, or none any more.
+        """
         agent = self._agents.get(name)
-        if name == self._name or (agent is not None and agent.machine == self._machine):
+        machine = agent.machine if agent is not None else self._machine_of(name)
+        if name == self._name or machine == self._machine:
             return None
         return {
-            other: one
-            for other, one in self._agents.items()
-            if agent is not None and one.machine == agent.machine
+            other: one for other, one in self._agents.items() if one.machine == machine
         }
 
     def is_silent(self, name: str) -> bool:
@@ -329,7 +337,7 @@ class Heartbeat:
         with self._guard:
             agent = self._agents.get(name)
             if agent is not None:
-                agent.back_without = not agent.seen
+                agent.back_without = True  # until its next sign of life
 
     def is_seen(self, name: str) -> bool:
         """Return whether an agent is in sight; one that was never heard is not."""
@@ -409,21 +417,25 @@ class Heartbeat:
     def _leave_those_over(self, now: float) -> None:
         """Leave the groups of tables that the RTPU has not had for `LINGER`."""
         for subsystem, group in list(self._groups.items()):
-            with self._joining:
-                if group.left is None or now - group.left <= LINGER:
-                    continue
-                with self._guard:
-                    del self._groups[subsystem]
-                    for name in list(self._agents):
-                        self._part(subsystem, name)
-                group.close()
-            goodbye = Beat(self._machine, round(now * 1e9), {}, leaves=True)
-            with contextlib.suppress(zenoh.ZError):
-                self._session.put(  # pyright: ignore[reportUnknownMemberType]
-                    key_expressions.beat(self._domain, subsystem, self._name),
-                    self._encoder.encode(goodbye),
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
+            with self._joining:  # it is joined again after the last sign, or not left
+                if group.left is not None and now - group.left > LINGER:
+                    with self._guard:
+                        del self._groups[subsystem]
+                        for name in list(self._agents):
+                            self._part(subsystem, name)
+                    group.close()
+                    self._say_goodbye(subsystem, now)
+
+    def _say_goodbye(self, subsystem: str, now: float) -> None:
+        """Give the last sign of life in a group, behind those before it."""
+        goodbye = Beat(self._machine, round(now * 1e9), {}, leaves=True)
+        with contextlib.suppress(zenoh.ZError):
+            self._session.put(  # pyright: ignore[reportUnknownMemberType]
+                key_expressions.beat(self._domain, subsystem, self._name),
+                self._encoder.encode(goodbye),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=zenoh.Priority.REAL_TIME,
+            )
 
     def _beat(self) -> bytes:
         """Return a packed sign of life."""

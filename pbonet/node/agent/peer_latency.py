@@ -70,6 +70,9 @@ AGAIN = 10
 """How often a report retries agents that are seen but cannot be asked."""
 PAUSE = 0.1
 """Seconds between such retries, while links are being restored."""
+FRESH_NS = 20_000_000_000
+"""How long an offset is recorded after its measurement. A neighbour that is asked once
+is known for longer."""
 LOST_TIME = 86400.0
 """Seconds for which an agent that is no longer seen is reported."""
 MOST_LOST = 64
@@ -140,6 +143,8 @@ class PeerLatencies:
         """Agents whose tokens are seen."""
         self._missed: set[str] = set()
         """Agents among them that the last check of the tokens has not found."""
+        self._gone: set[str] = set()
+        """Agents whose tokens have gone since that check began."""
         self._watched: list[str] | None = []
         """See `watched_agents`; None: to be determined again."""
         self._turn = 0
@@ -165,6 +170,8 @@ class PeerLatencies:
         self._new: set[str] = set()
         """Agents that have appeared since the last round trips."""
         self._table_version = LAYERS["table"].oldest
+        self._heard_by = 0.0
+        """When those of a group that was joined have been heard."""
         self._codec = codec.Codec()
         self._thread = threading.Thread(
             target=self._watch, name="pbonet ways", daemon=True
@@ -258,8 +265,14 @@ class PeerLatencies:
         self._wake.set()
 
     def expect_others(self) -> None:
-        """Send tables in the oldest version until those in the group are known."""
-        self._table_version = LAYERS["table"].oldest
+        """Send tables in the oldest version until those in the group are known.
+
+        They give their signs of life ten times a second, and are asked then. A packet
+        that one of them cannot read would raise its flag.
+        """
+        with self._guard:
+            self._heard_by = time.monotonic() + session.SILENT_MS * 1e-3
+            self._table_version = LAYERS["table"].oldest
 
     def need(self, name: str) -> None:
         """Ask an agent now, which is a partner; may be called from any thread."""
@@ -300,6 +313,7 @@ class PeerLatencies:
         else:
             with self._guard:
                 self._alive.discard(name)
+                self._gone.add(name)
                 self._tried.discard(name)
                 self._watched = None
             for one in self._listeners:
@@ -316,10 +330,13 @@ class PeerLatencies:
         """Compare what the tokens' subscriber has told with all that are there.
 
         A search beside a subscriber may miss a token (`session.alive`), so one must be
-        missed twice.
+        missed twice; and it may find one that has gone meanwhile.
         """
+        with self._guard:
+            self._gone.clear()
         found = set(session.rtpus(self._session, self._me().domain))
         with self._guard:
+            found -= self._gone - self._alive
             missing = self._alive - found
             gone = missing & self._missed
             self._missed = missing
@@ -342,6 +359,10 @@ class PeerLatencies:
         It is the oldest of this agent's while one of them has not told its own.
         """
         return self._table_version
+
+    def machine(self, name: str) -> str | None:
+        """Return the machine of an agent that has answered, in the form of keys."""
+        return self._machines.get(name)
 
     def clock(self, name: str) -> Clock | None:
         """Return the clock of an agent's machine, if it is known."""
@@ -497,7 +518,7 @@ class PeerLatencies:
 
     def _apart(self) -> list[rtpu_messages.Apart]:
         """Return the offsets of other machines' clocks from this one's."""
-        mine = self._me().machine
+        mine, now_ns = self._me().machine, time.monotonic_ns()
         with self._guard:
             return [
                 rtpu_messages.Apart(
@@ -508,6 +529,7 @@ class PeerLatencies:
                 and info.machine != mine
                 and (best := peer.best) is not None
                 and not peer.error
+                and now_ns - best.at_ns < FRESH_NS
             ]
 
     def _forget_lost(self, me: str) -> list[str]:
@@ -530,7 +552,7 @@ class PeerLatencies:
                     peer = self._peers.setdefault(name, Peer())
                 self._ask_once(name, peer)
         with self._guard:
-            if not self._new:  # those have not told their versions yet
+            if not self._new and time.monotonic() >= self._heard_by:  # all have told
                 infos = [peer.info for peer in self._peers.values()]
                 ranges = [i.understands("table") if i else None for i in infos]
                 self._table_version = spoken(LAYERS["table"], ranges)

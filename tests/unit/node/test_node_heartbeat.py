@@ -369,12 +369,34 @@ def test_who_says_goodbye_is_not_out_of_sight(beats, now, changes) -> None:
     assert changes == []
 
 
+@pytest.mark.parametrize("leaves", [True, False])
+def test_the_machine_of_a_keeper_without_a_table_counts(now, link, leaves) -> None:
+    """Its RTPU process was lost, and nobody has given it the table again."""
+    me = SimpleNamespace(domain="d", name="arm0", machine="here")
+    machines = {"keep": "k", "near": "here"}
+    beats = Heartbeat(link, me, print, machine_of=machines.get)
+    beats.join(["t"])
+    for name, machine in machines.items() if leaves else ():
+        beats._note_beat(sample(name, machine))
+        beats._note_beat(sample(name, machine, leaves=True))
+    now[0] += 5.0
+    assert beats.silence("t", "keep") == 5.0, "nobody speaks for its machine"
+    beats._note_beat(sample("eye", "k", arm0=1004.5))
+    assert beats.silence("t", "keep") == pytest.approx(0.5)
+    assert beats.unanswered("keep") == pytest.approx(0.5)
+    assert beats.absence("t", "keep", "near") == 5.0, "it has no table"
+    assert beats.absence("t", "other", "keep") == 0.0, "just heard again"
+    now[0] += 0.3
+    assert beats.absence("t", "other", "keep") == pytest.approx(0.3)
+    assert beats.is_here("near")
+    assert beats.silence("t", "near") == 0.0, "never alone on its own machine"
+
+
 def test_one_that_starts_again_without_a_table_can_be_asked(beats, now) -> None:
     beats._note_beat(sample("arm1", "m"))
-    beats.token_came("arm1")
     now[0] += SILENT
     beats._check(now[0])
-    assert beats.is_silent("arm1"), "the token came before the silence"
+    assert beats.is_silent("arm1")
     beats.token_came("arm1")
     beats.token_came("nobody")
     assert not beats.is_silent("arm1")
@@ -383,6 +405,18 @@ def test_one_that_starts_again_without_a_table_can_be_asked(beats, now) -> None:
     now[0] += SILENT
     beats._check(now[0])
     assert beats.is_silent("arm1")
+
+
+def test_one_that_starts_again_within_the_time_of_silence_can_be_asked(
+    beats, now
+) -> None:
+    """Else it would not be given a stop for a minute."""
+    beats._note_beat(sample("arm1", "m"))
+    beats.token_came("arm1")
+    now[0] += SILENT
+    beats._check(now[0])
+    assert not beats.is_seen("arm1")
+    assert not beats.is_silent("arm1")
 
 
 def test_another_agent_of_the_keepers_machine_that_shares_the_table_counts(

@@ -10,6 +10,7 @@ import zenoh
 from pbonet.node.agent import peer_latency
 from pbonet.node.agent.peer_latency import (
     ASKED,
+    FRESH_NS,
     WATCHED,
     PeerLatencies,
     watched_agents,
@@ -79,6 +80,21 @@ def test_an_agent_that_was_out_of_sight_may_have_another_version(world):
     assert world.ways.table_version() == 2
 
 
+def test_one_that_joins_a_group_speaks_the_oldest_version_until_all_are_heard(
+    world, monkeypatch
+):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    world.measure()
+    assert world.ways.table_version() == 2
+    world.ways.expect_others()
+    world.measure()
+    assert world.ways.table_version() == 1, "an older one may not have been heard"
+    now[0] += session.SILENT_MS * 1e-3
+    world.measure()
+    assert world.ways.table_version() == 2
+
+
 def test_a_report_of_the_last_round_trips_sends_none(world):
     world.measure()
     world.there = []  # an answer would be missed
@@ -115,7 +131,7 @@ class Fleet:
         name = key_expressions.rtpu_name(key)
         self.asked.append(name)
         info = agent(name)
-        info.zid = f"z-{name}"
+        info.zid, info.machine = f"z-{name}", f"m-{name}"
         return info
 
     def token(self, name, kind=zenoh.SampleKind.PUT):
@@ -208,6 +224,29 @@ def test_a_neighbour_is_looked_for_until_it_is_known():
     assert len(fleet.second()) == ASKED, "each is asked once"
 
 
+def test_the_offset_of_one_round_trip_is_not_recorded_for_ever(monkeypatch):
+    """A clock drifts, and a neighbour that shares nothing is asked once."""
+    at = [10**9]
+    monkeypatch.setattr("time.monotonic_ns", lambda: at[0])
+    fleet = Fleet(())
+    fleet.second()
+    watched = watched_agents("arm0", fleet.names, WATCHED)
+    far = min({*fleet.names} - {*watched})
+    fleet.linked = [f"z-{far}"]
+    for _ in range(2):
+        fleet.second()
+
+    def recorded():
+        return {one.rtpu for one in fleet.ways._apart()}
+
+    assert recorded() == {*watched, far}
+    at[0] += FRESH_NS
+    for _ in range(WATCHED // ASKED):
+        fleet.second()
+    assert recorded() == {*watched}
+    assert far in fleet.ways._peers
+
+
 def test_a_token_must_be_missed_twice(monkeypatch):
     """A search beside a subscriber may miss one."""
     fleet = Fleet(())
@@ -218,3 +257,19 @@ def test_a_token_must_be_missed_twice(monkeypatch):
     assert fleet.ways._alive == {*fleet.names, "new"}
     fleet.ways._check_tokens()
     assert fleet.ways._alive == {*found}
+
+
+def test_an_agent_that_goes_while_tokens_are_sought_stays_gone(monkeypatch):
+    fleet = Fleet(())
+
+    def rtpus(*_):
+        fleet.token("b7", zenoh.SampleKind.DELETE)
+        return fleet.names
+
+    monkeypatch.setattr(session, "rtpus", rtpus)
+    fleet.ways._check_tokens()
+    assert fleet.ways._alive == {*fleet.names} - {"b7"}
+    fleet.token("b7")
+    monkeypatch.setattr(session, "rtpus", lambda *_: fleet.names)
+    fleet.ways._check_tokens()
+    assert fleet.ways._alive == {*fleet.names}

@@ -140,6 +140,20 @@ def test_of_many_agents_doctor_asks_those_again_that_do_not_see_all():
     ]
 
 
+def test_of_few_agents_doctor_proves_each_pair():
+    """Two that see each other have not asked each other yet, just after their start."""
+    known = {n: LinkReport(rtpu=n, ways=[], alive=1) for n in ("arm0", "arm1")}
+    way = Way(rtpu="arm1", trip=0.001)
+
+    def call_all(requests, *_, **__):
+        again = any(one.measure for one in requests.values())
+        measured = {"arm0": LinkReport(rtpu="arm0", ways=[way], alive=1)}
+        return measured if again else dict(known), []
+
+    found = [str(x) for x in doctor._pairs(SimpleNamespace(call_all=call_all), known)]
+    assert found == ["PASS arm0 - arm1: round trip 1 ms"]
+
+
 def test_doctor_tells_what_agents_say_of_their_links():
     """Of each pair once, by whichever of the two knows; what is amiss with a remedy."""
     unasked = "its agent is seen, but requests do not reach it"
