@@ -54,7 +54,7 @@ class FakeTask:
         self.fails_off = None
         self.fails_prepare = False
 
-    async def command(self, what, make, limit, *, last=False):
+    async def command(self, what, make, limit, *, last=False, **_more):
         assert limit > 0
         assert last is (what == "off")
         message = make(1)
@@ -353,7 +353,7 @@ def test_a_task_that_is_being_turned_on_when_it_is_replaced_does_not_stay_on(
     home.rank = lambda _task: None
     home.successors.withdraw = withdraw
 
-    async def command(what, _make, _limit):
+    async def command(what, _make, _limit, **_more):
         begun.append(what)
         started.set()
         if what == "on":
