@@ -56,7 +56,7 @@ def test_others_that_cannot_be_asked_now_are_asked_again(monkeypatch, error):
 def test_an_answer_may_come_as_late_as_a_busy_core_lets_it(monkeypatch):
     """The RTPU process waits up to three times the time limit of a signal."""
     state, asked = State(), []
-    state.subsystems["t"] = SimpleNamespace(stages={}, on={"a"}, epoch=1)
+    state.subsystems["t"] = SimpleNamespace(stages={"a": "lost"}, on={"a"}, epoch=1)
     node = SimpleNamespace(submit=lambda *_: None)
     restarts = TaskRestarts("arm0", state, None, node, note=print, mark="x")
     run = task_restarts._Run(restarts, "it was killed")
@@ -68,5 +68,5 @@ def test_an_answer_may_come_as_late_as_a_busy_core_lets_it(monkeypatch):
     monkeypatch.setattr(run, "_receive", received)
     request = m.Control(task="a", signal="on", timeout=5.0)
     with pytest.raises(task_restarts._OverError):
-        run._ask("t", request, m.TaskStatus)
+        run._ask("t", request, m.TaskStatus, "a")
     assert asked == [3 * 5.0 + task_restarts.MARGIN]
