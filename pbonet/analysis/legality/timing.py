@@ -280,15 +280,17 @@ def _overload(
     load: Load, tasks: dict[str, Task], configuration: Configuration
 ) -> Iterator[Problem]:
     limit = configuration.limit(load.rtpu)
+    over = load.utilization > limit * (1 + MAX_FAULT)
+    # soft tasks may miss, but under EDF and RM an overload may take all their cycles
+    spared = load.scheduler is Scheduler.MUF or not over
     late = [
         name
         for name in (*load.critical_set, *load.outside)
         if name not in load.guaranteed
         and not (load.unknown and load.scheduler is Scheduler.RM)
-        and not tasks[name].rmod.softness
+        and not (spared and tasks[name].rmod.softness)
     ]
     critical = [name for name in late if tasks[name].rmod.critical]
-    over = load.utilization > limit * (1 + MAX_FAULT)
     if (late or over) and (found := _too_large(load, tasks, configuration, late)):
         yield found
     elif critical:

@@ -509,7 +509,10 @@ class _Run:
             if not isinstance(request, m.Claim):
                 request.client = f"{self._all.name}-restarts"
             self._all.node.submit(request, answered.put)
-        limit = getattr(request, "timeout", TIME) + MARGIN
+        limit = getattr(request, "timeout", TIME)
+        if isinstance(request, m.Spawn | m.Control):
+            limit *= 1.0 + m.MOST_EXTRA
+        limit += MARGIN
         answer = self._codec.answer(self._receive(answered, limit))
         return read_result(self._all.name, answer, result)
 

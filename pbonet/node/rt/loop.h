@@ -93,6 +93,9 @@ static inline void rt_act(struct rt_table *t, const struct rt_event *e, int back
     case RT_RELEASE:
         atomic_fetch_add_explicit(&t->releases, 1, memory_order_relaxed);
         break;
+    case RT_EVENT:              /* the end of one has an even number */
+        atomic_fetch_add_explicit(&t->releases, e->arg & 1, memory_order_relaxed);
+        break;
     default:
         break;
     }

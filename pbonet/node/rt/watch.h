@@ -103,11 +103,12 @@ static inline void rt_fail(struct rt_table *t, int i, struct rt_state *s, int ki
 
 /* Count periods in a row in which a server uses up its capacity. If they last for
  * RT_WAIT_SPAN times `hang`, and are at least three, events come without end: beyond its
- * capacity the server then has no level, until a period in which some is left. */
+ * capacity the server then has no level, until a period in which some is left. One event
+ * that hangs is no event without end. */
 static inline void rt_count_spent(struct rt_state *s, int64_t now)
 {
     int64_t since = now - s->early_from_ns;
-    if (s->early && since < s->period / 2)
+    if ((s->early && since < s->period / 2) || (s->overrun == RT_HUNG && !s->flooded))
         return;
     if (!s->early || since > 3 * s->period)
         s->early = s->flooded = 0;

@@ -66,6 +66,8 @@ class CoreBudget:
 
     def __init__(self, probe: Probe, wanted: float | None, *, below: bool) -> None:
         self._share, self._reason = probe.share, probe.share_reason
+        if not below:
+            self._share, self._reason = 1.0, "timing is soft, and no throttle applies"
         if wanted is not None:
             self._share, self._reason = wanted, "core_share of agent.toml"
         self._below, self._measured = below, False

@@ -82,8 +82,8 @@ class Rtpu:
         forks: The fork server that its process began with; in virtual time None.
     """
 
-    obey: Callable[[Task, str, str], Coroutine[None, None, None]] | None = None
-    """Carries out a signal that a task's module sends to another task."""
+    obey: Callable[[Task, str, str], None] | None = None
+    """Carries out a signal that a task's module sends to another task; never waits."""
     _budget: ranking.CoreBudget | None = None
     """Of its core; None in virtual time."""
 
@@ -190,7 +190,7 @@ class Rtpu:
         below = self.dispatcher.backend == "fifo"
         wanted = self.config.core_share
         self._budget = ranking.CoreBudget(probe, wanted, below=below)
-        if wanted is not None and wanted > probe.share:
+        if below and wanted is not None and wanted > probe.share:
             self.limits.append(
                 f"core_share is {wanted:.1%}, but real-time tasks get {probe.share:.1%}"
                 f" of a core ({probe.share_reason}): the critical set is not kept above"
@@ -386,8 +386,7 @@ class Rtpu:
             notice.text = f"[{lost} notices lost before this one] {notice.text}"
         _remember(task, notice)
         if notice.order is not None and self.obey is not None:
-            chore = self.obey(task, *notice.order)
-            self.later(chore, name=f"order of {task.name}")
+            self.obey(task, *notice.order)
         if notice.code == "ENDING" and task.state is State.ON:
             self._leaves(task)
         if notice.code == "ENGAGED":

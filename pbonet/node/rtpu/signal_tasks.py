@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import time
+from collections import deque
 from typing import TYPE_CHECKING
 
 from pbonet.errors import (
@@ -34,6 +35,8 @@ TAKEOVER_TIME = 5.0
 """Seconds for the `on` of a task that takes over."""
 ORDER_TIME = 5.0
 """Seconds for a signal that a module sends to another task."""
+MOST_ORDERS = 16
+"""Signals of one task's module that wait for another task."""
 LEAST = 0.05
 """Seconds that each task gets for its `off`, however many there are."""
 
@@ -100,22 +103,51 @@ async def control(
     return []
 
 
-async def obey(rtpu: Rtpu, sender: Task, name: str, signal: str) -> None:
+def obey(rtpu: Rtpu, sender: Task, name: str, signal: str) -> None:
     """Carry out a signal of a module for another task (Stewart 1994, section 8.2.1).
 
-    No master has asked for it, so a refusal is an event of the task that sent it.
+    Those for one task are carried out one after the other. One that repeats the last
+    that waits, or is being carried out, is the same. No master has asked for them, so
+    a refusal is an event of the task that sent it.
     """
-    subsystem = sender.facts.subsystem
-    try:
-        await control(rtpu, rtpu.need(subsystem, name), signal, ORDER_TIME)
-    except PbonetError as error:
-        rtpu.events.add(
-            Severity.ERROR,
-            "SIGNAL_FAILED",
-            f"{signal} to {name} was refused: {error}",
-            subsystem=subsystem,
-            task=sender.name,
-        )
+    waiting = sender.orders.setdefault(name, deque())
+    if waiting and waiting[-1] == signal:
+        return
+    if len(waiting) >= MOST_ORDERS:
+        _refused(rtpu, sender, f"{signal} to {name}", f"{MOST_ORDERS} others wait")
+        return
+    waiting.append(signal)
+    if len(waiting) == 1:
+        chore = _carry_out(rtpu, sender, name, waiting)
+        rtpu.later(chore, name=f"orders of {sender.name} to {name}")
+
+
+async def _carry_out(rtpu: Rtpu, sender: Task, name: str, waiting: deque[str]) -> None:
+    """Carry out the signals of a module for another task until none waits."""
+    while waiting:
+        try:
+            task = rtpu.need(sender.facts.subsystem, name)
+            await control(rtpu, task, waiting[0], ORDER_TIME)
+        except PbonetError as error:
+            _refused(rtpu, sender, f"{waiting[0]} to {name}", str(error))
+        finally:
+            waiting.popleft()
+    sender.orders.pop(name, None)
+
+
+def _refused(rtpu: Rtpu, sender: Task, order: str, why: str) -> None:
+    """Report a signal of a module that was not carried out, unless there are many."""
+    subsystem, task = sender.facts.subsystem, sender.name
+    if not sender.budget.take(rtpu.now_ns()):
+        rtpu.events.count("SIGNAL_FAILED", subsystem=subsystem, task=task)
+        return
+    rtpu.events.add(
+        Severity.ERROR,
+        "SIGNAL_FAILED",
+        f"{order} was refused: {why}",
+        subsystem=subsystem,
+        task=task,
+    )
 
 
 async def _send(

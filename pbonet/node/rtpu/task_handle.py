@@ -35,6 +35,7 @@ from pbonet.xm.net import codec
 from .fork_client import ORPHANED
 
 if TYPE_CHECKING:
+    from collections import deque
     from collections.abc import Callable
 
     from pbonet.config import Rmod
@@ -50,6 +51,8 @@ END_TIME = 1.0
 _SLICE = 0.1
 """Seconds of a wait that a standstill of the machine may cost."""
 _DUMP_TIME = 0.1
+_LOOK = 0.02
+"""Seconds after which it is looked again whether a task waits for its core."""
 _MUCH_WAITED = 0.1
 """Of the time limit, what a wait for the core must take to be named."""
 
@@ -138,6 +141,8 @@ class Task:
         """How many notices of the module become events."""
         self.coming: list[asyncio.Event] = []
         """Set when requests to turn it on that are being carried out are done."""
+        self.orders: dict[str, deque[str]] = {}
+        """Signals of its module that wait or are carried out, by the other task."""
         self.gone = asyncio.Event()
         self._lock = asyncio.Lock()
         self._wake = wake
@@ -274,10 +279,11 @@ class Task:
         clock = asyncio.get_running_loop().time
         begun, core_wait = clock(), self.child.core_wait()
         waited = 0.0
-        remaining = left
+        remaining, look = left, _LOOK if extra and core_wait.known else math.inf
         while remaining > 0 and not answer.done():
-            await asyncio.wait({answer}, timeout=remaining)
-            waited = min(core_wait.seconds(), extra)
+            await asyncio.wait({answer}, timeout=min(remaining, look))
+            if look == _LOOK and not answer.done():
+                waited = min(core_wait.seconds(), extra)
             remaining = left + waited - (clock() - begun)
         if not answer.done():  # it may have come while this process did not run
             raise self._too_late(what, left if of is None else of, waited)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 LONGEST_TEXT = 5000
 """Characters that are sent of each text if a notice is too long."""
+MOST_OWED = 64
+"""Packets of which a module's signal to another task may be the last that is kept."""
 INTERRUPT = signal.SIGUSR2
 ORPHAN_SIGNAL = signal.SIGUSR1
 """Sent by the kernel when the parent has ended; handled in native code."""
@@ -59,7 +61,8 @@ class RtpuChannel:
 
     Answers wait until the RTPU process receives them. What a module sends within a
     cycle never waits: if there is no room it is dropped, counted, and reported later.
-    Reports of the task's state do not wait either, but are kept until there is room.
+    Reports of the task's state, and the first signals for other tasks, do not wait
+    either, but are kept until there is room.
 
     Args:
         sock: Sequenced packets to the RTPU process.
@@ -194,7 +197,8 @@ class RtpuChannel:
     def _post(self, notice: rtpu_messages.Notice) -> None:
         notice.lost = dict(self._lost)
         changed = notice.state not in {"", State.ON}
-        if self._offer(_packed(notice), owe=changed):
+        orders = notice.order is not None and len(self._owed) < MOST_OWED
+        if self._offer(_packed(notice), owe=changed or orders):
             self._lost.clear()
         else:
             self._lost[notice.code] += 1

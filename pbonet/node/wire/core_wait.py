@@ -40,17 +40,24 @@ class CoreWait:
 
     def __init__(self, pid: int) -> None:
         self._pid = pid
-        self._begun = time.monotonic_ns()
         self._first = main_thread_times(pid)
+        self._last, self._since = self._first, time.monotonic_ns()
+
+    @property
+    def known(self) -> bool:
+        """Whether the kernel counts it, and there is the process."""
+        return self._first is not None
 
     def seconds(self) -> float:
-        """Return for how long it was ready and did not run; 0 if that is unknown."""
-        now = main_thread_times(self._pid)
+        """Return for how long it was ready and did not run; 0 if that is unknown.
+
+        What passes until it runs is not counted by the kernel yet. It is counted here
+        from the first call on that has found it ready, so call this often.
+        """
+        ready = (process := stat(self._pid)) is not None and process.state == "R"
+        now, at = main_thread_times(self._pid), time.monotonic_ns()
+        if not ready or now != self._last:
+            self._last, self._since = now, at
         if self._first is None or now is None:
             return 0.0
-        ready = now.ready - self._first.ready
-        if (process := stat(self._pid)) is not None and process.state == "R":
-            # what passes until it runs is not counted yet
-            elapsed = time.monotonic_ns() - self._begun
-            ready = max(ready, elapsed - (now.ran - self._first.ran))
-        return ready * 1e-9
+        return (now.ready - self._first.ready + at - self._since) * 1e-9

@@ -51,6 +51,17 @@ def test_a_soft_task_may_miss() -> None:
     assert texts(figure_6_1("MUF", softness=0.3)) == []
 
 
+@pytest.mark.parametrize("scheduler", ["EDF", "RM"])
+def test_an_overload_of_soft_tasks_is_started_like_one_of_others(scheduler) -> None:
+    soft = [
+        structs.replace(one, rmod=structs.replace(one.rmod, softness=0.3))
+        for one in (task(name, freq=100, maxc=0.008) for name in "ab")
+    ]
+    config = configuration(*soft, rtpus=[rtpu(scheduler=scheduler)])
+    (problem,) = legality.check(config)
+    assert (problem.severity, problem.tasks) == ("warn", ("a", "b"))
+
+
 def test_edf_has_one_criticality_and_any_task_may_miss_in_an_overload() -> None:
     """It may be started once all times are known, unless ``STRICT`` refuses it."""
     config = figure_6_1("EDF")

@@ -51,6 +51,16 @@ def test_what_a_handler_put_right_is_a_warning_with_number_and_line(ends):
     assert (told.errnum, told.place, told.state) == (7, PLACE, "")
 
 
+def test_a_signal_to_another_task_waits_for_room_and_is_not_lost(ends):
+    to_rtpu, far = ends
+    while not to_rtpu._lost:
+        to_rtpu.put(HANDLED)
+    to_rtpu.put(Notice(0, "off to b", 0, 5, 0, order=("b", "off")))
+    heard(far)
+    assert to_rtpu.pay()
+    assert [one.order for one in heard(far)] == [("b", "off")]
+
+
 def test_an_error_is_told_with_number_and_line(ends):
     to_rtpu, far = ends
     error = MethodError("too hot", where="servo.cycle")

@@ -3,13 +3,17 @@
 import asyncio
 import os
 import socket
+import subprocess
+import sys
+import time
 from types import SimpleNamespace
 
 import pytest
 
 from pbonet.errors import NoAnswerError
 from pbonet.node.rtpu.task_handle import Task
-from pbonet.node.wire import CoreWait
+from pbonet.node.wire import CoreWait, core_wait
+from pbonet.node.wire.core_wait import MainThreadTimes, main_thread_times
 
 
 async def late(given):
@@ -58,3 +62,46 @@ def test_the_limit_that_was_given_is_told_not_what_was_left_of_it(monkeypatch):
     monkeypatch.setattr("pbonet.node.wire.rtpu_messages.encode", lambda _: b"off")
     error = asyncio.run(late(2.0))
     assert error.what == "the task did not finish 'off' within 2 s"
+
+
+ASLEEP_THEN_BUSY = """
+import sys
+sys.stdin.readline()
+print("busy", flush=True)
+while True:
+    pass
+"""
+
+
+def test_time_asleep_is_no_wait_for_the_core_of_a_process_that_computes_then():
+    with subprocess.Popen(
+        [sys.executable, "-c", ASLEEP_THEN_BUSY],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as process:
+        try:
+            wait = CoreWait(process.pid)
+            time.sleep(1.0)  # it waits for a line, and starts before that
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+            assert process.stdout.readline() == b"busy\n"
+            begun = time.monotonic()
+            told, counted = wait.seconds(), main_thread_times(process.pid).ready
+            later = max(wait.seconds() for _ in range(50))
+            assert later - told <= time.monotonic() - begun
+            assert told <= counted * 1e-9 + time.monotonic() - begun
+        finally:
+            process.kill()
+
+
+def test_a_ready_process_whose_counts_stand_still_waits_for_its_core(monkeypatch):
+    """Its wait is in the kernel's counts only when it runs again."""
+    counts = MainThreadTimes(ran=5, ready=7)
+    monkeypatch.setattr(core_wait, "main_thread_times", lambda _: counts)
+    monkeypatch.setattr(core_wait, "stat", lambda _: SimpleNamespace(state="R"))
+    clock = iter([10**9, 3 * 10**9, 4 * 10**9])
+    monkeypatch.setattr(core_wait.time, "monotonic_ns", lambda: next(clock))
+    wait = CoreWait(1)
+    assert wait.seconds() == 2.0
+    counts = MainThreadTimes(ran=6, ready=7 + 2 * 10**9)
+    assert wait.seconds() == 2.0

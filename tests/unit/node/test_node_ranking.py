@@ -122,6 +122,8 @@ def test_the_setting_goes_before_the_kernel_and_a_dispatcher_apart_costs_nothing
     assert not budget.update(counts(1, 0), 0)
     assert not budget.update(counts(1, 9999), 1_000_000_000)
     assert budget.share() == CoreShare(share=0.8, reason="core_share of agent.toml")
+    budget = CoreBudget(granted, None, below=False)
+    assert (budget.share().share, budget.share().dispatch) == (1.0, 0.0)
 
 
 def test_rm_goes_by_rate():

@@ -10,6 +10,7 @@ import zenoh
 
 from pbonet.errors import NoAnswerError
 from pbonet.node.restart import TaskRestarts, task_restarts
+from pbonet.xm.net import messages as m
 
 
 class State:
@@ -50,3 +51,22 @@ def test_others_that_cannot_be_asked_now_are_asked_again(monkeypatch, error):
     assert [note.code for note in notes] == ["NOT_SPAWNED"]
     assert not state.subsystems
     restarts.stop()
+
+
+def test_an_answer_may_come_as_late_as_a_busy_core_lets_it(monkeypatch):
+    """The RTPU process waits up to three times the time limit of a signal."""
+    state, asked = State(), []
+    state.subsystems["t"] = SimpleNamespace(stages={"a": "lost"}, on={"a"}, epoch=1)
+    node = SimpleNamespace(submit=lambda *_: None)
+    restarts = TaskRestarts("arm0", state, None, node, note=print, mark="x")
+    run = task_restarts._Run(restarts, "it was killed")
+
+    def received(_answers, given):
+        asked.append(given)
+        raise task_restarts._OverError
+
+    monkeypatch.setattr(run, "_receive", received)
+    request = m.Control(task="a", signal="on", timeout=5.0)
+    with pytest.raises(task_restarts._OverError):
+        run._ask("t", request, m.TaskStatus, "a")
+    assert asked == [3 * 5.0 + task_restarts.MARGIN]

@@ -20,6 +20,7 @@ class When(Params):
 
     fails: A[int, param("1", "cycle in which it fails", ge=0)] = 0
     off: A[str, param("none", "tasks that it turns off then")] = ""
+    again: A[int, param("1", "b is turned on again", ge=0)] = 0
 
 
 class Breaks(PortBasedObject[When]):
@@ -38,6 +39,9 @@ class Breaks(PortBasedObject[When]):
     def error(self, error: Exception) -> Answer:
         for task in self.params.off.split("+"):
             self.task.control(task, "off")
+            if task == "b" and self.params.again:
+                self.task.control(task, "off")
+                self.task.control(task, "on")
         return Answer.ERROR
 '''
 RMOD = (
@@ -48,7 +52,13 @@ SVAR = "NAME {}\nTYPE double\nDESC d\nUNITS none\nNELEM 1\n\n"
 
 
 @pytest.fixture
-def subsystem(tmp_path):
+def again():
+    """Return what is added to the parameters of `a`."""
+    return ""
+
+
+@pytest.fixture
+def subsystem(tmp_path, again):
     """Three tasks; `a` fails and turns `b`, on its RTPU, and `c`, on another, off."""
     (tmp_path / "breaks.py").write_text(MODULE)
     (tmp_path / "x.svar").write_text("".join(map(SVAR.format, "ABC")) + "EOF\n")
@@ -59,7 +69,7 @@ def subsystem(tmp_path):
         "JOB x\nDESC\nSBS x.sbs\nTASK a\nTASK b\nTASK c s\nEOF\n"
     )
     for name in "abc":
-        local = "FAILS 5\nOFF b+c" if name == "a" else ""
+        local = f"FAILS 5\nOFF b+c{again}" if name == "a" else ""
         text = RMOD.format(y=name.upper(), local=local)
         (tmp_path / f"{name}.rmod").write_text(text)
     with Subsystem(tmp_path / "x.job", libraries=[tmp_path], virtual=True) as opened:
@@ -76,6 +86,17 @@ def test_a_handler_of_errors_turns_another_task_off_without_the_master(subsystem
     assert [(one.task, one.text.partition(":")[0]) for one in events] == [
         ("a", "off to c was refused")
     ]
+
+
+@pytest.mark.parametrize("again", ["\nAGAIN 1"])
+def test_signals_to_one_task_are_carried_out_one_after_the_other(subsystem):
+    """The state that the second needs is there when the first is done."""
+    subsystem.wait(0.2)
+    assert {one.task: one.state for one in subsystem.status_all()}["b"] == "ON"
+    texts = [one.text for one in subsystem.events() if one.code == "SIGNAL_FAILED"]
+    assert [text.partition(":")[0] for text in texts] == ["off to c was refused"]
+    states = [e.text for e in subsystem.events() if (e.task, e.code) == ("b", "STATE")]
+    assert states[-2:] == ["off: OFF", "on: ON"]
 
 
 @pytest.mark.parametrize(("task", "signal"), [("b", "swap"), ("a", "off")])
