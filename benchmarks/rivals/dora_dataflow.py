@@ -81,7 +81,7 @@ def running(
         level: Of SCHED_FIFO, for all of its processes; 0: they have no priority.
 
     Raises:
-        RuntimeError: It did not start.
+        RuntimeError: It did not start, or did not come to its end.
     """
     for name, text in NODES.items():
         made = text.format(rate=rate, width=width, seconds=seconds)
@@ -110,7 +110,14 @@ def running(
                 raise RuntimeError(msg)
             time.sleep(0.02)
         yield
-        process.wait(seconds + END)
+        try:
+            process.wait(seconds + END)
+        except subprocess.TimeoutExpired:
+            msg = f"dora did not end within {END:g} s"
+            raise RuntimeError(msg) from None
+        if not (folder / "seen.npy").exists():
+            msg = "dora's last node ended without what it had seen"
+            raise RuntimeError(msg)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -334,7 +334,7 @@ def measure(rounds: int, seconds: float, told: Callable[[str], None]) -> Found:
                     told(f"{error}; skipped with {ARRAYS} x [{length}]")
             for number in range(rounds):
                 told(f"{ARRAYS} x [{length}], round {number + 1} of {rounds}")
-                _round(pairs, seconds, found)
+                _round(pairs, seconds, found, told)
         finally:
             for pair in pairs:
                 pair.close()
@@ -345,12 +345,30 @@ def _nobody(_: str) -> None:
     """Say nothing again."""
 
 
-def _round(pairs: list[Pair], seconds: float, found: Found) -> None:
+def _round(
+    pairs: list[Pair], seconds: float, found: Found, told: Callable[[str], None]
+) -> None:
+    """Measure each pair once in each mode; a rival that fails is left out from then on.
+
+    Raises:
+        RuntimeError: That of pbonet failed.
+        EOFError: The same: one of its processes has ended.
+    """
     for mode in ("warm", "cold", "late"):
-        for pair in pairs:
+        for pair in [*pairs]:
             if mode == "late" and isinstance(pair.rival, Sleeps):
                 continue
-            both = pair.measure(mode, seconds)
             key = (pair.rival.name, pair.rival.length)
+            try:
+                both = pair.measure(mode, seconds)
+            except (RuntimeError, EOFError, OSError) as error:
+                if isinstance(pair.rival, PbonetTable | Sleeps):
+                    raise
+                why = str(error) or "one of its processes ended"
+                told(f"{pair.rival.name}: skipped, {why}")
+                found.pop(key, None)
+                pairs.remove(pair)
+                pair.close()
+                continue
             figures = found.setdefault(key, Figures({}))
             figures.blocks.setdefault(mode, []).append(both)

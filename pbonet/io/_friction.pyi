@@ -32,7 +32,7 @@ def solve_with_friction(
         all_at_once: Rounds in which every wrong sign is corrected.
 
     Raises:
-        ValueError: There are more joints.
+        ValueError: There are more joints, or the sizes differ.
     """
 
 class FrictionStep:
@@ -49,7 +49,7 @@ class FrictionStep:
         upper: The other end stops.
 
     Raises:
-        ValueError: There are more than 32 joints.
+        ValueError: There are more than 32 joints, or the sizes differ.
     """
 
     def __init__(

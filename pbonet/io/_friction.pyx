@@ -105,6 +105,8 @@ def solve_with_friction(matrix, push, bounds, guess, int all_at_once=ALL_AT_ONCE
     cdef const double[::1] first = np.ascontiguousarray(guess, np.float64)
     cdef int i, k
     p.n = checked(load.shape[0])
+    must_be(m.shape[0] == m.shape[1] == pairs.shape[0] == first.shape[0] == p.n and
+            pairs.shape[1] == 2, p.n)
     for i in range(p.n):
         p.push[i], p.low[i], p.high[i] = load[i], pairs[i, 0], pairs[i, 1]
         for k in range(p.n):
@@ -121,6 +123,12 @@ cdef int checked(Py_ssize_t n) except -1:
     return <int>n
 
 
+cdef int must_be(bint fits, int n) except -1:
+    if not fits:
+        raise ValueError(f"the equations are not those of {n} joints")
+    return 0
+
+
 cdef class FrictionStep:
     cdef double[::1] q, qd, torque
     cdef const double[::1] viscous, down, up, lower, upper
@@ -128,16 +136,16 @@ cdef class FrictionStep:
 
     def __init__(self, q, qd, torque, *, viscous, down, up, lower, upper):
         self.n = checked(len(q))
+        numbers = [np.array(one, np.float64) for one in (viscous, down, up, lower, upper)]
+        must_be(all([np.shape(one) == (self.n,) for one in (q, qd, torque, *numbers)]), self.n)
         self.q, self.qd, self.torque = q, qd, torque
-        self.viscous, self.down, self.up, self.lower, self.upper = [
-            np.array(one, np.float64) for one in (viscous, down, up, lower, upper)]
+        self.viscous, self.down, self.up, self.lower, self.upper = numbers
 
     def advance(self, const double[:, :] mass, const double[:] bias, double h) -> None:
         cdef problem p
         cdef double velocity[MOST]
         cdef int i, k
-        if not mass.shape[0] == mass.shape[1] == bias.shape[0] == self.n:
-            raise ValueError(f"the equations are not those of {self.n} joints")
+        must_be(mass.shape[0] == mass.shape[1] == bias.shape[0] == self.n, self.n)
         p.n = self.n
         for i in range(self.n):
             p.push[i] = h * (self.torque[i] - bias[i])

@@ -8,7 +8,9 @@ underscores, with a letter first and no underscore last; ``Q^_MEZ`` is not valid
 * any other character becomes ``_xHH``, HH being its code in hexadecimal digits, and
   ``xHH`` at the beginning;
 * so does a character that would look like such a code: the underscore of ``A_X41``, and
-  the X of ``X41`` at the beginning.
+  the X of ``X41`` at the beginning;
+* and the first letter of a variable that would be called as a field of every message
+  (`OWN`) is: ``NUMBER`` is ``x4eumber``.
 
 ``Q_MEZ`` is ``q_mez``, and ``Q^_MEZ`` is ``q_x5e_mez``.
 """
@@ -16,7 +18,14 @@ underscores, with a letter first and no underscore last; ``Q^_MEZ`` is not valid
 from __future__ import annotations
 
 import re
+from typing import Final
 
+OWN: Final = frozenset({
+    *("cycle", "release_ns", "start_ns", "end_ns", "dt_ns", "cpu_ns", "register"),
+    *("number", "lost", "flags", "kind", "consumed", "inputs", "heard"),
+    "cycles_before",
+})
+"""Fields that a message of cycles has beside the variables."""
 _PLAIN = re.compile(r"[A-Z0-9]|_(?=[A-Z0-9])(?!X[0-9A-F]{2})")
 _FIRST = re.compile(r"(?!X[0-9A-F]{2})[A-Z]")
 _CODE = re.compile(r"(?:^|_)x([0-9a-f]{2})")
@@ -30,7 +39,8 @@ def field_name(variable: str) -> str:
         else f"{'_' if at else ''}x{ord(char):02x}"
         for at, char in enumerate(variable)
     ]
-    return "".join(parts)
+    name = "".join(parts)
+    return f"x{ord(variable[0]):02x}{name[1:]}" if name in OWN else name
 
 
 def variable_name(field: str) -> str:

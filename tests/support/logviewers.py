@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from pbonet.log import Log, field_name
+from pbonet.log.fields import OWN
 from pbonet.log.schema import StepSchema, head
 
 Channels = dict[str, list[dict[str, Any]]]
@@ -31,7 +32,9 @@ def ours(log: Log) -> Channels:
         arrays = life.schema.arrays(life.commits)
         rows = found.setdefault(topic, [])
         for n, message in enumerate(life.commits):
-            row: dict[str, Any] = {field_name(k): v[n] for k, v in _upper(arrays)}
+            row: dict[str, Any] = {
+                k if k in OWN else field_name(k): v[n] for k, v in arrays.items()
+            }
             parts = [np.frombuffer(one, "u1") for one in life.schema.rest(message)]
             rows.append(row | dict(zip(_BYTES, parts, strict=True)))
         steps = found.setdefault(f"{topic}/steps", [])
@@ -42,11 +45,6 @@ def ours(log: Log) -> Channels:
     for one in log.messages("json"):
         found.setdefault(one.topic, []).append(json.loads(one.data))
     return found
-
-
-def _upper(arrays):
-    """Names of variables are as they are; those of columns as a field's would be."""
-    return [(name.upper(), values) for name, values in arrays.items()]
 
 
 def by_mcap(path) -> Channels:

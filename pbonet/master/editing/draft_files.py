@@ -225,6 +225,8 @@ class DraftFiles(Files):
         """Note that a task gets another name, for the line of it in the job."""
         renamed = self.draft.renamed
         first = next((one for one, now in renamed.items() if now == task), task)
+        if renamed.get(first, task) != task:
+            return  # that line is of another task, which had this name before
         self.show(structs.replace(self.draft, renamed={**renamed, first: name}))
 
     def set_variables(self, variables: Iterable[Variable]) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pbonet.master.configuration import Place
     from pbonet.master.console import Reply
-    from pbonet.master.editing import FileChange
+    from pbonet.master.editing import DraftFiles, FileChange
 
 _ON = "ON"
 _NUMBER = re.compile(r"_\d+$")
@@ -97,42 +97,66 @@ def switch(editor: JobEditor, place: Place, *, dry_run: bool) -> list[Reply]:
         editor.save()
         if isinstance(error, PbonetError):
             error.add_note("the job's files are as they were before")
-            for note in _left(editor.files.path, copies, place):
+            for note in _left(editor.files, copies, place):
                 error.add_note(note)
         raise
     return replies
 
 
-def _left(path: Path, copies: Mapping[str, str], place: Place) -> list[str]:
+def _left(files: DraftFiles, copies: Mapping[str, str], place: Place) -> list[str]:
     """Return which copies a failed change has left, each with what to do.
 
     Args:
-        path: The subsystem's file.
+        files: The subsystem's files.
         copies: The copy of each task that was to move.
         place: Where the subsystem is.
     """
     try:
-        tasks = oneshot.run(path, "status", {}, place).data["tasks"]
+        data = oneshot.run(files.path, "status", {}, place).data
     except PbonetError as error:
         return [f"which tasks run is not known: {error}; 'pbonet status' shows it"]
-    states = {one["task"]: one["fields"]["state"] for one in tasks}
+    states = {one["task"]: one["fields"]["state"] for one in data["tasks"]}
+    answered = {one["rtpu"] for one in data["rtpus"]}
+    silent = [one.name for one in files.sbs.rtpus if one.name not in answered]
+    absent = f"is not known: {' and '.join(silent)} gave no answer"
     notes: list[str] = []
     for task, copy in copies.items():
-        if copy not in states:
-            continue
-        begin = f"its copy {copy} is {states[copy]}, and {task} "
-        former = states.get(task)
-        if former == _ON:
-            todo = f"is ON as before: remove the copy with 'pbonet kill {path} {copy}'"
-        elif former is None:
-            todo = f"does not exist: 'pbonet explain {path} {copy}' says why, or stop "
-            todo += "and start the job"
-        else:
-            again = f"swap {path} {copy}" if states[copy] == _ON else f"on {path}"
-            todo = f"is {former}: 'pbonet {again} {task}' continues with it, then "
-            todo += f"'pbonet kill {path} {copy}' removes the copy"
-        notes.append(f"{begin}{todo}")
+        former = states.get(task, "")
+        begin = f"its copy {copy} is {states.get(copy)}, and {task}"
+        if copy in states and (former or not silent):
+            todo = _todo(files.path, task, copy, former, states[copy])
+            notes.append(f"{begin} {todo}")
+        elif copy in states:
+            notes.append(f"{begin} {absent}")
+        elif silent:
+            notes.append(f"whether its copy {copy} was left {absent}")
+        elif former != _ON:
+            notes.append(f"no copy was left, and {task} is {former or 'not there'}")
     return notes or ["no copy was left: the tasks run as before"]
+
+
+def _todo(path: Path, task: str, copy: str, former: str, state: str) -> str:
+    """Return how it is with a task whose copy was left in a state, and what to do.
+
+    Args:
+        path: The subsystem's file.
+        task: The task.
+        copy: Its copy.
+        former: The task's state; empty: it does not exist.
+        state: The copy's state.
+    """
+    if former == _ON:
+        return f"is ON as before: remove the copy with 'pbonet kill {path} {copy}'"
+    if not former:
+        return (
+            f"does not exist: 'pbonet explain {path} {copy}' says why, or stop and "
+            "start the job"
+        )
+    again = f"swap {path} {copy}" if state == _ON else f"on {path}"
+    return (
+        f"is {former}: 'pbonet {again} {task}' continues with it, then "
+        f"'pbonet kill {path} {copy}' removes the copy"
+    )
 
 
 def _switch(editor: JobEditor, job: Path, place: Place, *, dry_run: bool) -> Reply:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from pbonet.config import rewrite_job
-from pbonet.errors import ConfigFileError, PbonetError
+from pbonet.errors import PbonetError
 from pbonet.master.console import oneshot
-from pbonet.master.editing import JobEditor
+from pbonet.master.editing import JobEditor, SavedFiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -46,17 +46,7 @@ def save_copy(editor: JobEditor) -> list[Path]:
         path = files.job_path.with_name(f"{stem}_{number}.job")
     job = structs.replace(files.draft.job, name=path.stem, file=str(path))
     text = rewrite_job(files.draft.texts[files.job_path], job).text
-    try:
-        with path.open("x", encoding="utf-8") as copy:
-            copy.write(text)
-    except OSError as error:
-        raise ConfigFileError(
-            "the copy of the job cannot be written",
-            where=str(path),
-            got=error.strerror or str(error),
-            remedy="allow writing in its folder, or use --write for the job itself",
-        ) from None
-    return [path]
+    return SavedFiles().save({path: text}, path)
 
 
 def set_rates(

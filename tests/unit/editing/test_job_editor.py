@@ -243,6 +243,15 @@ def test_a_line_of_a_renamed_task_keeps_its_place_and_its_comment(puma):
     assert "FREQ 250" in lines[at + 1]
     assert lines[at + 1].endswith("  # velocities")
     assert ["TASK", "qrdiff"] in [one.split()[:2] for one in lines]
+    editor.rename_task("qrdiff", "other")
+    editor.save()
+    kept, added = (
+        next(x for x in puma.read_text().splitlines() if x.split()[:2] == begin)
+        for begin in (["TASK", "rates"], ["TASK", "other"])
+    )
+    assert kept == lines[at + 1]
+    assert "#" not in added
+    editor.undo()
     editor.undo()
     editor.undo()
     editor.save()

@@ -10,10 +10,13 @@ import pytest
 from logviewers import by_mcap, by_rerun, must_agree, ours
 from made_logs import about, record, run
 from mcap.reader import make_reader
+from msgspec import structs
 
 from pbonet.config.model import Variable
 from pbonet.config.types import TYPES
 from pbonet.log import Log, LogWriter, Step, variable_name
+from pbonet.log.fields import OWN
+from pbonet.log.schema import TaskSchema
 from pbonet.svar.layout import group_of
 
 SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1e300, -1.5)
@@ -133,6 +136,20 @@ def test_every_channel_is_decoded_by_its_schema(path) -> None:
         statistics = make_reader(file).get_summary().statistics
     assert statistics.message_count < sum(map(len, mine.values())) - 300
     must_agree(by_mcap(path), mine)
+
+
+def test_variables_that_are_called_as_fields_are_told_apart(tmp_path) -> None:
+    names = [line.split()[1] for line in TaskSchema(about("a", [])).text().splitlines()
+             if "  # " in line]  # fmt: skip
+    assert set(names) == OWN
+    variables = [structs.replace(EACH[3], name=one.upper()) for one in sorted(OWN)]
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    pick = random.Random(5)
+    writer.add(writer.add_task(about("a", variables)), in_a_row("all", variables, pick))
+    writer.close()
+    mine = ours(Log(tmp_path / "run.mcap"))
+    assert len(mine["arm/a"]) == 149
+    must_agree(by_mcap(tmp_path / "run.mcap"), mine)
 
 
 def test_a_viewers_own_loader_reads_every_channel(path) -> None:

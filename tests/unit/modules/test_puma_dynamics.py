@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from newton_euler import G, newton_euler
 
-from pbonet.io._friction import solve_with_friction
+from pbonet.io._friction import FrictionStep, solve_with_friction
 from pbonet.io.arm import SimulatedArm
 from pbonet.io.chain import Chain
 from pbonet.io.puma560 import PUMA560
@@ -344,6 +344,25 @@ def test_friction_solver_says_how_many_joints_it_takes():
     none = np.zeros(33)
     with pytest.raises(ValueError, match="33 joints are not 1 to 32"):
         solve_with_friction(np.eye(33), none, [(0.0, 0.0)] * 33, none)
+
+
+def test_numbers_of_another_arm_are_refused():
+    """Native code reads no memory behind them."""
+    each, few = np.zeros(6), np.zeros(5)
+    fits = dict.fromkeys(("viscous", "down", "up", "lower", "upper"), each)
+    for name in fits:
+        with pytest.raises(ValueError, match="not those of 6 joints"):
+            FrictionStep(each, each, each, **fits | {name: few})
+    with pytest.raises(ValueError, match="not those of 6 joints"):
+        FrictionStep(each, few, each, **fits)
+    bounds = [(-1.0, 1.0)] * 6
+    for matrix, friction, guess in (
+        (np.eye(5), bounds, each),
+        (np.eye(6), bounds[1:], each),
+        (np.eye(6), bounds, few),
+    ):
+        with pytest.raises(ValueError, match="not those of 6 joints"):
+            solve_with_friction(matrix, each, friction, guess)
 
 
 def test_an_arm_that_begins_to_move_loads_nothing():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import resource
 import sys
 from types import SimpleNamespace
 
@@ -97,6 +98,20 @@ def test_a_copy_has_the_rates_and_the_job_stays(tmp_path):
         "b": 14.0,
     }
     assert check_file(copy).legal
+
+
+def test_a_copy_that_does_not_fit_leaves_no_part_of_it(tmp_path):
+    job = chain_job(tmp_path)
+    editor = apply_rates.draft(job, {"a": 28.5})
+    before = {path.name for path in tmp_path.iterdir()}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20, hard))
+    try:
+        with pytest.raises(ConfigFileError, match="cannot be written"):
+            apply_rates.save_copy(editor)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {path.name for path in tmp_path.iterdir()} == before
 
 
 def test_what_an_interrupt_ends_leaves_nothing(tmp_path, monkeypatch):
