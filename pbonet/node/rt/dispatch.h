@@ -506,9 +506,12 @@ static inline void rt_recover(struct rt_table *t)
     if (atomic_load_explicit(&t->journal_valid, memory_order_acquire) && i < RT_SLOTS)
         t->slots[i].state = t->journal;
     atomic_store(&t->journal_valid, 0);
-    for (i = 0; i < atomic_load(&t->high); i++)
-        if (t->slots[i].state.life & 1)
-            rt_publish(&t->slots[i]);
+    for (i = 0; i < atomic_load(&t->high); i++) {
+        struct rt_slot *slot = &t->slots[i];
+        /* Under a lease the task has written its release itself, and may not have read it. */
+        if ((slot->state.life & 1) && !atomic_load(&slot->grant.lease))
+            rt_publish(slot);
+    }
 }
 
 #endif
