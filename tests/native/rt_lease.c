@@ -204,6 +204,12 @@ static void overrun(void)
     turn(grid + PERIOD + 1000);
     require(state->missed && state->begun && state->failures[RT_DEADLINE], "and is a miss");
     finish();
+    begin(0, 0);                /* it has run past two releases: as two turns would count */
+    uint64_t missed = state->missed, failed = state->failures[RT_DEADLINE];
+    turn(grid + 2 * PERIOD + 1000);
+    require(state->missed == missed + 2, "both are missed");
+    require(state->failures[RT_DEADLINE] == failed + 2, "and both deadlines");
+    finish();
 }
 
 /* Nobody who is not alone, or has something to be told, gets a lease. */
