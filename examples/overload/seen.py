@@ -312,7 +312,7 @@ def _note(
 ) -> None:
     """Note releases and the deadlines that were not met by then.
 
-    A lone task takes releases itself; the turn that learns of them has an input of them.
+    A lone task takes releases itself; a turn learns of them by an input.
     """
     release = 0
     for record in records:
