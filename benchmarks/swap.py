@@ -160,6 +160,8 @@ class Trace:
                     self.turns.append((record.a, self._now))
             elif record.slot in self._slots and record.kind == Event.MISS:
                 self.misses.append((self._now, record.arg))
+            elif record.slot in self._slots and record.kind == Event.DONE:
+                self.released += record.arg  # of a lone task, by itself
 
     def close(self) -> None:
         """Let go of it."""

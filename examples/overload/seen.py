@@ -283,7 +283,7 @@ def history(
         if twin.turn(head.a, inputs) != (decisions, head.b):
             msg = f"turn at {head.a} ns: the rules do not decide so"
             raise ValueError(msg)
-        _note(found, twin, names, decisions)
+        _note(found, twin, names, [*inputs, *decisions])
         ready = sorted(
             (
                 (state.level, slot)
@@ -308,15 +308,23 @@ def _note(
     found: History,
     twin: Dispatcher,
     names: Mapping[int, str],
-    decisions: Sequence[Decision],
+    records: Sequence[Decision],
 ) -> None:
-    """Note releases, and the deadlines that were not met by then."""
+    """Note releases and the deadlines that were not met by then.
+
+    A lone task takes releases itself; a turn learns of them by an input.
+    """
     release = 0
-    for record in decisions:
+    for record in records:
         name = names.get(record.slot, "")
         if record.kind == Event.RELEASE:
             release = record.a
             found.releases.append((name, release))
+        elif record.kind == Event.DONE:
+            period = twin.slots[record.slot].period
+            found.releases += [
+                (name, record.a - back * period) for back in reversed(range(record.arg))
+            ]
         elif record.kind == Event.MISS:
             period = twin.slots[record.slot].period
             found.misses += [

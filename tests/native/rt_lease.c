@@ -141,6 +141,52 @@ static void interrupt(void)
     finish();
 }
 
+/* A leader is killed between two steps of a task that takes a release: its successor changes
+ * neither the release nor its deadline. */
+static void succeed(void)
+{
+    int64_t until, at = rt_now();
+    begin(0, 0);
+    done();
+    atomic_store(&task.slot->grant.lent_ns, at);            /* due now */
+    require(rt_take(&table, task.slot, &task.seq, &until), "taken");
+    rt_recover(&table);
+    require(rt_begin(&task) && task.rel_ns == at, "the release that it took");
+    require(task.dl_ns == at + PERIOD, "with its deadline");
+    turn(grid + PERIOD + 1000);
+    finish();
+}
+
+/* A task that was interrupted since it looked for a grant takes no later release before
+ * that; and none when it is OFF, though nobody has called its lease back. */
+static void wait_its_turn(void)
+{
+    int64_t until;
+    begin(0, 0);
+    atomic_store(&task.slot->grant.lent_ns, rt_now());      /* due now */
+    require(!rt_take(&table, task.slot, &task.seq, &until), "its grant comes first");
+    done();
+    atomic_fetch_and(&task.slot->post.word, ~UINT32_C(3));
+    require(!rt_take(&table, task.slot, &task.seq, &until), "it is OFF");
+    atomic_fetch_or(&task.slot->post.word, RT_ON);
+    finish();
+}
+
+/* Leases that follow one another without a grant: the number of the grant follows, so it
+ * is never 2^31 behind, which would be a grant. A damaged lease is called back, too. */
+static void follow(void)
+{
+    begin(0, 0);
+    done();
+    require(take(0), "taken");
+    turn(grid + PERIOD + 1000);
+    rt_lend(&table);
+    require(atomic_load(&task.slot->grant.seq) == task.seq, "the number follows");
+    state->taken = 3;
+    turn(grid + PERIOD + 2000);
+    finish();
+}
+
 /* Who slept through a release, or worked through one, leaves it to the dispatcher. */
 static void overrun(void)
 {
@@ -157,6 +203,12 @@ static void overrun(void)
     require(atomic_load(&table.mailbox) != mail, "a late end is told before it counts");
     turn(grid + PERIOD + 1000);
     require(state->missed && state->begun && state->failures[RT_DEADLINE], "and is a miss");
+    finish();
+    begin(0, 0);                /* it has run past two releases: as two turns would count */
+    uint64_t missed = state->missed, failed = state->failures[RT_DEADLINE];
+    turn(grid + 2 * PERIOD + 1000);
+    require(state->missed == missed + 2, "both are missed");
+    require(state->failures[RT_DEADLINE] == failed + 2, "and both deadlines");
     finish();
 }
 
@@ -194,6 +246,9 @@ int main(int argc, char **argv)
     for (int64_t round = atoll(argv[2]); round > 0; round--) {
         play();
         interrupt();
+        succeed();
+        wait_its_turn();
+        follow();
         overrun();
         others();
     }

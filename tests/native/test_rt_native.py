@@ -81,3 +81,20 @@ def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> 
         ROOT / "tests" / "native" / "rt_threads.c", "-o", program, "-lpthread",
     )  # fmt: skip
     run("env", "TSAN_OPTIONS=report_mutex_bugs=0", program, "500")
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("maxc_ns", [0, 200_000])
+def test_a_lone_task_and_turns_at_once(tmp_path, compiler, maxc_ns) -> None:
+    """Each release is run once or counted as missed, and nothing races."""
+    program = tmp_path / "rt_alone"
+    quiet = ["-Wno-tsan"] if compiler == "gcc" else []
+    run(
+        compiler, *STRICT, *quiet, "-O1", "-g", "-fsanitize=thread",
+        ROOT / "tests" / "native" / "rt_alone.c", "-o", program, "-lpthread",
+    )  # fmt: skip
+    command = ["env", "TSAN_OPTIONS=report_mutex_bugs=0", program, "601", str(maxc_ns)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode == 77:
+        pytest.skip("no real-time rights")
+    assert done.returncode == 0, done.stderr

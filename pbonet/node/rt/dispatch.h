@@ -306,6 +306,8 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     int64_t length = s->deadline ? s->deadline : s->period;
     int in_time = s->ready && s->rel_ns + length > now; /* it was released off the grid */
     int unmet = s->ready && !s->late && !in_time;
+    if (s->begun && !in_time)   /* deadlines at which nobody looked: of a lease, or a stall */
+        s->failures[RT_DEADLINE] += missed;
     missed += s->ready;
     s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;
     if (s->begun) {
@@ -506,9 +508,12 @@ static inline void rt_recover(struct rt_table *t)
     if (atomic_load_explicit(&t->journal_valid, memory_order_acquire) && i < RT_SLOTS)
         t->slots[i].state = t->journal;
     atomic_store(&t->journal_valid, 0);
-    for (i = 0; i < atomic_load(&t->high); i++)
-        if (t->slots[i].state.life & 1)
-            rt_publish(&t->slots[i]);
+    for (i = 0; i < atomic_load(&t->high); i++) {
+        struct rt_slot *slot = &t->slots[i];
+        /* Under a lease the task has written its release itself, and may not have read it. */
+        if ((slot->state.life & 1) && !atomic_load(&slot->grant.lease))
+            rt_publish(slot);
+    }
 }
 
 #endif

@@ -232,6 +232,8 @@ class Trace:
                 self._now = record.a
             elif period and record.kind == Event.RELEASE:
                 self.released += 1
+            elif period and record.kind == Event.DONE:
+                self.released += record.arg  # of a lone task, by itself
             elif period and record.kind == Event.MISS:
                 begin = self._now - (record.arg + 1) * period
                 self.misses.append((begin, self._now))

@@ -233,6 +233,8 @@ class Watch:
         own = state.rel_ns + length
         in_time = state.ready and own > now  # it was released off the grid
         unmet = state.ready and not state.late and not in_time
+        if state.begun and not in_time:
+            state.failures[DEADLINE] += missed
         missed += state.ready
         state.dl_ns = own if in_time and state.begun else release + length
         state.ready = True

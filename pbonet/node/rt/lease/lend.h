@@ -75,7 +75,8 @@ static inline int rt_recall(struct rt_slot *slot)
     uint64_t lease = atomic_load(&slot->grant.lease);
     if (!lease)
         return 1;
-    return (uint32_t)lease == slot->state.taken &&
+    uint32_t taken = (uint32_t)lease;
+    return (!taken || taken == slot->state.taken) &&
            atomic_compare_exchange_strong(&slot->grant.lease, &lease, 0);
 }
 
@@ -135,6 +136,8 @@ static inline void rt_lend(struct rt_table *t)
     atomic_store_explicit(&g->lent_check_ns, rt_first_check(s), memory_order_relaxed);
     atomic_store_explicit(&g->lent_metered, (uint32_t)rt_limited(s), memory_order_relaxed);
     atomic_store_explicit(&g->lent_seq, s->seq, memory_order_relaxed);
+    /* Of leases that follow one another without a grant: the task is never far ahead. */
+    atomic_store_explicit(&g->seq, s->seq, memory_order_relaxed);
     /* SYNC POINT: rt_take loads the lease with acquire before it reads the rest. */
     atomic_store(&g->lease, (uint64_t)(s->leases | 1u << 31) << 32);
     atomic_store(&t->sure_ns, end);

@@ -24,6 +24,17 @@ static inline struct rt_lent rt_lent(const struct rt_grant *g)
     return lent;
 }
 
+/* Whether the task is ON and has run all that comes before the lease's next release. It
+ * has not if a turn has granted a cycle since it looked, and is not ON if no dispatcher has
+ * seen it go OFF. */
+static inline int rt_is_next(const struct rt_slot *slot, struct rt_lent lent)
+{
+    uint32_t before = atomic_load_explicit(&slot->grant.lent_seq, memory_order_relaxed) +
+                      (uint32_t)lent.lease;
+    return atomic_load_explicit(&slot->post.done, memory_order_relaxed) == before &&
+           (atomic_load_explicit(&slot->post.word, memory_order_relaxed) & 3) == RT_ON;
+}
+
 /* Take the release that is due: 1, its grant is `*seq`. Otherwise 0; the task may sleep
  * until `*until` (0: until it is woken). A release that was slept through is the
  * dispatcher's, who counts what was missed. */
@@ -33,7 +44,7 @@ static inline int rt_take(struct rt_table *t, struct rt_slot *slot, uint32_t *se
     struct rt_grant *g = &slot->grant;
     struct rt_lent lent = rt_lent(g);
     *until = 0;
-    if (!lent.lease)
+    if (!lent.lease || !rt_is_next(slot, lent))
         return 0;
     int64_t late = rt_now() - lent.release_ns;
     if (late < 0) {
