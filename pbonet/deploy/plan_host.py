@@ -119,7 +119,9 @@ class Plan:
         what = "pbonet-agent@.service"
         if running and self.facts.text(steps.UNIT) != text:
             what += "; it holds for agents that are started from now on"
-        return self._file("unit", steps.UNIT, text, what, *self._read_units())
+        unread = any(unit.unread for unit in self.facts.units.values())
+        read = self._read_units()
+        return self._file("unit", steps.UNIT, text, what, *read, lacks=unread)
 
     def _read_units(self) -> tuple[Run, ...]:
         return (Run(("systemctl", "daemon-reload")),) if self.facts.systemd else ()
@@ -266,12 +268,17 @@ class Plan:
                 start = Run(("systemctl", "enable", "--now", unit), must=False)
                 state = "" if found is None else f", now {found.state}"
                 yield self._service(rtpu, f"is enabled and started{state}", (start,))
-            elif rtpu in self._reread:
+            elif rtpu in self._reread or self._is_behind(rtpu):
                 reload = Run(("systemctl", "reload", unit))
                 what = "reads its configuration and keys again; its tasks go on"
                 yield self._service(rtpu, what, (reload,))
             else:
                 yield self._service(rtpu, "runs", ())
+
+    def _is_behind(self, rtpu: str) -> bool:
+        """Return whether files were written, and then the connection was lost."""
+        keys = [f"{KEYS}/{name}" for name in credentials.FILES]
+        return self.facts.behind(rtpu, [steps.config_of(rtpu), *keys])
 
     def _service(self, rtpu: str, what: str, actions: tuple[Run, ...]) -> Step:
         state: steps.State = "change" if actions else "same"
@@ -311,6 +318,8 @@ def use(facts: Facts, name: str) -> Iterator[Run]:
     The one that is replaced stays, and can be used again.
     """
     before = facts.current
+    if before == name:
+        return
     if facts.folder:
         before = BEFORE
         target = f"{steps.RELEASES}/{BEFORE}"
