@@ -148,16 +148,16 @@ async def _collect(shell: Shell) -> Told:
     done = await shell.run(python, "-", data=program.encode())
     try:
         told = msgspec.json.decode(done.out, type=Told)
-        if all(_is_plain(one.path) for one in told.files):
-            return told
-        raise msgspec.DecodeError
     except msgspec.DecodeError:
+        told = None
+    if told is None or not all(_is_plain(one.path) for one in told.files):
         raise NodeError(
             f"{python} could not tell which files the machine has",
             where=shell.machine.name,
             got=done.said,
             remedy="name a Python that works there as python in the file of hosts",
-        ) from None
+        )
+    return told
 
 
 def _is_plain(path: str) -> bool:

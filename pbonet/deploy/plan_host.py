@@ -26,6 +26,11 @@ OLDEST: Final = (3, 11)
 BEFORE: Final = "before-deploy"
 """The name of a release that host-setup.sh installed."""
 INCOMING: Final = f"{steps.RELEASES}/incoming"
+ALONE: Final = ("flock", "/run/pbonet-install.lock")
+"""Waits for what still installs there: for somebody else, or since the connection was
+lost."""
+_CLEAR: Final = '[ -e "$1" ] || rm -rf "$(dirname "$1")"; rm -rf "$2"'
+"""Removes a release that is not complete, and wheels."""
 
 
 class Plan:
@@ -299,16 +304,17 @@ def install(machine: Machine, release: Release) -> Iterator[Put | Run]:
     """Yield what installs a release beside others; it is not used yet."""
     folder = f"{steps.RELEASES}/{release.name}"
     incoming = f"{INCOMING}/{release.name}"
-    yield Run(("rm", "-rf", folder, INCOMING))
+    complete = f"{folder}/{steps.COMPLETE}"
+    yield Run((*ALONE, "sh", "-c", _CLEAR, "sh", complete, INCOMING))
     for path in (release.wheel, *release.wheelhouse):
         yield Put(path=f"{incoming}/{path.name}", data=path.read_bytes())
-    yield Run((machine.host.python, "-m", "venv", folder))
+    yield Run((*ALONE, machine.host.python, "-m", "venv", folder))
     pip = (f"{folder}/bin/python", "-m", "pip", "install", "--quiet")
     quiet = ("--disable-pip-version-check", "--no-cache-dir")
     index = ("--no-index", f"--find-links={incoming}") if release.wheelhouse else ()
-    yield Run((*pip, *quiet, *index, f"{incoming}/{release.requirement}"))
+    yield Run((*ALONE, *pip, *quiet, *index, f"{incoming}/{release.requirement}"))
     yield Run((f"{folder}/bin/pbonet", "--version"))
-    yield Run(("touch", f"{folder}/{steps.COMPLETE}"))
+    yield Run(("touch", complete))
     yield Run(("rm", "-rf", INCOMING))
 
 

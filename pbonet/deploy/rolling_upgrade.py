@@ -227,7 +227,7 @@ class _Upgrade:
             )
 
     def _still_allowed(self, turn: Turn) -> Moves:
-        """Return what becomes of the tasks that are ON now, after other machines' turns.
+        """Return what becomes of the tasks that are ON now; others had their turn.
 
         Raises:
             NodeError: One came ON meanwhile, and nothing says that it may end.

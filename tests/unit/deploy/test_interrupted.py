@@ -11,7 +11,7 @@ from test_plan_host import KEYS, UNIT, after, machine, nothing, release, state
 
 from pbonet.deploy import backup, read_hosts, rolling_upgrade, running_tasks, steps
 from pbonet.deploy.host_facts import Unit
-from pbonet.deploy.plan_host import Plan, use
+from pbonet.deploy.plan_host import ALONE, Plan, install, use
 from pbonet.deploy.report import Report
 from pbonet.deploy.ssh import Done, Shell
 from pbonet.errors import NodeError
@@ -70,6 +70,22 @@ def test_systemd_reads_units_that_were_written_before(machine, release):
     plan = Plan(machine, facts, release, KEYS).steps()
     (step,) = [one for one in plan if one.state == "change"]
     assert step.actions == (steps.Run(("systemctl", "daemon-reload")),)
+
+
+def test_a_release_that_somebody_else_has_completed_is_not_removed(
+    machine, release, tmp_path
+):
+    """Nor is one removed in which a command is still at work."""
+    first, *_, venv, pip, _, _, _ = install(machine, release)
+    assert first.words[:2] == venv.words[:2] == pip.words[:2] == ALONE
+    there = [tmp_path / name for name in ("done", "half", "incoming")]
+    for path in there:
+        path.mkdir()
+    (there[0] / "complete").touch()
+    for path in there[:2]:
+        words = [*first.words[2:-2], path / "complete", there[2]]
+        subprocess.run(words, check=True)
+    assert [path.exists() for path in there] == [True, False, False]
 
 
 class Told:
