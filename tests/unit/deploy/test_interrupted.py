@@ -9,13 +9,21 @@ import pytest
 from msgspec import structs
 from test_plan_host import KEYS, UNIT, after, machine, nothing, release, state
 
-from pbonet.deploy import backup, read_hosts, rolling_upgrade, running_tasks, steps
+from pbonet.deploy import (
+    backup,
+    host_keys,
+    read_hosts,
+    rolling_upgrade,
+    running_tasks,
+    steps,
+)
 from pbonet.deploy.host_facts import Unit
 from pbonet.deploy.plan_host import ALONE, Plan, install, use
 from pbonet.deploy.report import Report
 from pbonet.deploy.ssh import Done, Shell
-from pbonet.errors import NodeError
+from pbonet.errors import ConfigFileError, NodeError
 from pbonet.master.configuration import Place
+from pbonet.xm.net import pki
 
 __all__ = ["machine", "release"]
 
@@ -86,6 +94,13 @@ def test_a_release_that_somebody_else_has_completed_is_not_removed(
         words = [*first.words[2:-2], path / "complete", there[2]]
         subprocess.run(words, check=True)
     assert [path.exists() for path in there] == [True, False, False]
+
+
+def test_keys_that_cannot_be_written_are_an_error_of_their_machine(machine, tmp_path):
+    pki.make_authority(tmp_path / "keys")
+    (tmp_path / "keys" / "pc").touch()
+    with pytest.raises(ConfigFileError, match=r"keys/pc: the keys .* be written"):
+        host_keys.make(tmp_path / "keys", machine)
 
 
 class Told:
