@@ -147,14 +147,25 @@ async def _collect(shell: Shell) -> Told:
     program = steps.packaged("files_on_host.py")
     done = await shell.run(python, "-", data=program.encode())
     try:
-        return msgspec.json.decode(done.out, type=Told)
+        told = msgspec.json.decode(done.out, type=Told)
     except msgspec.DecodeError:
+        told = None
+    if told is None or not all(_is_plain(one.path) for one in told.files):
         raise NodeError(
             f"{python} could not tell which files the machine has",
             where=shell.machine.name,
             got=done.said,
             remedy="name a Python that works there as python in the file of hosts",
-        ) from None
+        )
+    return told
+
+
+def _is_plain(path: str) -> bool:
+    """Return whether a path stays in the folder of its machine.
+
+    A machine in wrong hands could name one that leads out of it.
+    """
+    return path.startswith("/etc/") and ".." not in path.split("/")
 
 
 def _save_job(job: Path, folder: Path) -> None:

@@ -16,6 +16,7 @@ import pwd
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,10 @@ RELEASES = Path("/opt/pbonet-releases")
 COMPLETE = "complete"
 WANTS = Path("/etc/systemd/system/multi-user.target.wants")
 BEGIN, END = "pbonet-agent@", ".service"
+ASKED = (
+    *("ActiveState", "UnitFileState"),
+    *("StateChangeTimestampMonotonic", "NeedDaemonReload"),
+)
 
 
 def file(name: str, *, secret: bool) -> dict[str, Any] | None:
@@ -42,6 +47,7 @@ def file(name: str, *, secret: bool) -> dict[str, Any] | None:
         "mode": about.st_mode & 0o7777,
         "owner": owner,
         "text": "" if secret else data.decode("utf-8", "replace"),
+        "written": about.st_mtime,
     }
 
 
@@ -82,19 +88,21 @@ def releases() -> list[str]:
 
 
 def unit(name: str) -> dict[str, Any]:
-    """Return the state of a unit, such as active, and whether it is enabled."""
-    told = [
-        subprocess
-        .run(
-            ["systemctl", verb, name],  # noqa: S607 - where a machine has it
-            stdout=subprocess.PIPE,
-            check=False,
-        )
-        .stdout.decode()
-        .strip()
-        for verb in ("is-active", "is-enabled")
-    ]
-    return {"state": told[0], "enabled": told[1] == "enabled"}
+    """Return the state of a unit, since when, and whether systemd read its files."""
+    done = subprocess.run(
+        ["systemctl", "show", "--property", ",".join(ASKED), name],  # noqa: S607
+        stdout=subprocess.PIPE,
+        check=False,
+    )
+    lines = done.stdout.decode().splitlines()
+    told = dict(line.partition("=")[::2] for line in lines)
+    since = int(told.get(ASKED[2]) or 0) / 1e6
+    return {
+        "state": told.get(ASKED[0], ""),
+        "enabled": told.get(ASKED[1]) == "enabled",
+        "since": time.time() - time.monotonic() + since,
+        "unread": told.get(ASKED[3]) == "yes",
+    }
 
 
 def enabled() -> list[str]:

@@ -1,7 +1,7 @@
 """Prints the files by which a machine is configured, as JSON; run there, as root.
 
-It is sent over ssh, so it imports nothing of pbonet, and runs with Python 3.7. Private
-keys are described by their digest only.
+It is sent over ssh, so it imports nothing of pbonet, and runs with Python 3.7. A file
+with a private key, whatever its name, is described by its digest only.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 PATTERNS = (
     "etc/pbonet/*.toml",
+    "etc/pbonet/*.json5",
     "etc/pbonet/keys/*.pem",
     "etc/systemd/system/pbonet-*.service",
     "etc/systemd/system/pbonet-*.service.d/*.conf",
@@ -35,7 +36,7 @@ def described(path: Path) -> dict[str, Any]:
         owner = pwd.getpwuid(about.st_uid).pw_name
     except KeyError:
         owner = "root"
-    secret = path.name == "key.pem"
+    secret = path.name == "key.pem" or b"PRIVATE KEY" in data
     return {
         "path": str(path),
         "mode": about.st_mode & 0o777,

@@ -15,6 +15,8 @@ from . import steps
 from .hosts_file import KEYS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from .hosts_file import Machine
     from .ssh import Shell
 
@@ -31,6 +33,8 @@ class File(Struct, frozen=True):
     owner: str
     text: str
     """Its content; empty for private keys."""
+    written: float = 0.0
+    """When, in seconds since 1970."""
 
 
 class Unit(Struct, frozen=True):
@@ -39,6 +43,10 @@ class Unit(Struct, frozen=True):
     state: str
     """``active``, ``inactive``, ``failed`` and so on."""
     enabled: bool
+    since: float = 0.0
+    """When it was started or reloaded, or ended; seconds since 1970."""
+    unread: bool = False
+    """Whether systemd has not read its files since they were written."""
 
 
 class Facts(Struct, frozen=True, kw_only=True):
@@ -81,6 +89,12 @@ class Facts(Struct, frozen=True, kw_only=True):
         """Return whether an agent has started, and runs."""
         unit = self.units.get(steps.unit_of(rtpu))
         return unit is not None and unit.state in {"active", "reloading"}
+
+    def behind(self, rtpu: str, paths: Iterable[str]) -> bool:
+        """Return whether an agent has not read files since they were written."""
+        unit = self.units.get(steps.unit_of(rtpu))
+        found = [self.files.get(path) or self.secrets.get(path) for path in paths]
+        return unit is not None and any(f and f.written > unit.since for f in found)
 
     def text(self, path: str) -> str | None:
         """Return the text of a file; None if there is none."""

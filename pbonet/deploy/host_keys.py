@@ -74,9 +74,23 @@ def make(authority: Path, machine: Machine) -> HostKeys:
         ConfigFileError: The authority cannot be read, or a folder cannot be written.
         NodeError: A name or an address is malformed.
     """
+    folder = authority / machine.name
+    try:
+        _renew(authority, machine, folder)
+    except OSError as error:
+        raise ConfigFileError(
+            "the keys of a machine cannot be written",
+            where=str(error.filename or folder),
+            got=error.strerror or str(error),
+            remedy="deploy as the user whose authority it is, and see whether its disk "
+            "is full",
+        ) from None
+    return keys_of(authority, machine)
+
+
+def _renew(authority: Path, machine: Machine, folder: Path) -> None:
     from pbonet.xm.net import pki
 
-    folder = authority / machine.name
     with tempfile.TemporaryDirectory(dir=authority, prefix=".new-") as made:
         new = Path(made) / "keys"
         pki.issue(
@@ -89,4 +103,3 @@ def make(authority: Path, machine: Machine) -> HostKeys:
         folder.mkdir(mode=0o700, exist_ok=True)
         for name in (credentials.KEY, credentials.CERT, credentials.CA):
             shutil.move(new / name, folder / name)
-    return keys_of(authority, machine)

@@ -26,6 +26,11 @@ OLDEST: Final = (3, 11)
 BEFORE: Final = "before-deploy"
 """The name of a release that host-setup.sh installed."""
 INCOMING: Final = f"{steps.RELEASES}/incoming"
+ALONE: Final = ("flock", "/run/pbonet-install.lock")
+"""Waits for what still installs there: for somebody else, or since the connection was
+lost."""
+_CLEAR: Final = '[ -e "$1" ] || rm -rf "$(dirname "$1")"; rm -rf "$2"'
+"""Removes a release that is not complete, and wheels."""
 
 
 class Plan:
@@ -119,7 +124,9 @@ class Plan:
         what = "pbonet-agent@.service"
         if running and self.facts.text(steps.UNIT) != text:
             what += "; it holds for agents that are started from now on"
-        return self._file("unit", steps.UNIT, text, what, *self._read_units())
+        unread = any(unit.unread for unit in self.facts.units.values())
+        read = self._read_units()
+        return self._file("unit", steps.UNIT, text, what, *read, lacks=unread)
 
     def _read_units(self) -> tuple[Run, ...]:
         return (Run(("systemctl", "daemon-reload")),) if self.facts.systemd else ()
@@ -266,12 +273,17 @@ class Plan:
                 start = Run(("systemctl", "enable", "--now", unit), must=False)
                 state = "" if found is None else f", now {found.state}"
                 yield self._service(rtpu, f"is enabled and started{state}", (start,))
-            elif rtpu in self._reread:
+            elif rtpu in self._reread or self._is_behind(rtpu):
                 reload = Run(("systemctl", "reload", unit))
                 what = "reads its configuration and keys again; its tasks go on"
                 yield self._service(rtpu, what, (reload,))
             else:
                 yield self._service(rtpu, "runs", ())
+
+    def _is_behind(self, rtpu: str) -> bool:
+        """Return whether files were written, and then the connection was lost."""
+        keys = [f"{KEYS}/{name}" for name in credentials.FILES]
+        return self.facts.behind(rtpu, [steps.config_of(rtpu), *keys])
 
     def _service(self, rtpu: str, what: str, actions: tuple[Run, ...]) -> Step:
         state: steps.State = "change" if actions else "same"
@@ -292,16 +304,17 @@ def install(machine: Machine, release: Release) -> Iterator[Put | Run]:
     """Yield what installs a release beside others; it is not used yet."""
     folder = f"{steps.RELEASES}/{release.name}"
     incoming = f"{INCOMING}/{release.name}"
-    yield Run(("rm", "-rf", folder, INCOMING))
+    complete = f"{folder}/{steps.COMPLETE}"
+    yield Run((*ALONE, "sh", "-c", _CLEAR, "sh", complete, INCOMING))
     for path in (release.wheel, *release.wheelhouse):
         yield Put(path=f"{incoming}/{path.name}", data=path.read_bytes())
-    yield Run((machine.host.python, "-m", "venv", folder))
+    yield Run((*ALONE, machine.host.python, "-m", "venv", folder))
     pip = (f"{folder}/bin/python", "-m", "pip", "install", "--quiet")
     quiet = ("--disable-pip-version-check", "--no-cache-dir")
     index = ("--no-index", f"--find-links={incoming}") if release.wheelhouse else ()
-    yield Run((*pip, *quiet, *index, f"{incoming}/{release.requirement}"))
+    yield Run((*ALONE, *pip, *quiet, *index, f"{incoming}/{release.requirement}"))
     yield Run((f"{folder}/bin/pbonet", "--version"))
-    yield Run(("touch", f"{folder}/{steps.COMPLETE}"))
+    yield Run(("touch", complete))
     yield Run(("rm", "-rf", INCOMING))
 
 
@@ -311,6 +324,8 @@ def use(facts: Facts, name: str) -> Iterator[Run]:
     The one that is replaced stays, and can be used again.
     """
     before = facts.current
+    if before == name:
+        return
     if facts.folder:
         before = BEFORE
         target = f"{steps.RELEASES}/{BEFORE}"

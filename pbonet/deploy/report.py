@@ -43,6 +43,11 @@ class Report(Struct, kw_only=True):
         """Add a step that has no actions of its own."""
         self.steps.append(Shown(name=name, state=state, what=what))
 
+    def take(self, later: Report) -> None:
+        """Take over what became of the first steps, and an error."""
+        self.steps[: len(later.steps)] = later.steps
+        self.error = later.error
+
     def failed(self, error: PbonetError) -> None:
         """Take an error over."""
         self.error = str(error)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .hosts_file import HostsFile, Machine
     from .release import Release
     from .running_tasks import Moves
+    from .steps import Step
 
 BACK: Final = 60.0
 """Seconds after which a machine whose agents were started has not come back."""
@@ -55,6 +56,10 @@ class Turn(Struct, kw_only=True):
     now: dict[str, Range]
     """Versions of each layer that it understands now; empty: nothing is installed."""
     then: dict[str, Range]
+    todo: list[Step]
+    """Steps that install it."""
+    exchanged: bool = False
+    """Whether the link leads to that release by our doing."""
 
     @property
     def rtpus(self) -> list[str]:
@@ -67,9 +72,19 @@ class Turn(Struct, kw_only=True):
         return [rtpu for rtpu in self.rtpus if self.facts.serving(rtpu)]
 
     @property
-    def done(self) -> bool:
+    def idle(self) -> list[str]:
+        """RTPUs whose agents do not run."""
+        return [rtpu for rtpu in self.rtpus if not self.facts.serving(rtpu)]
+
+    @property
+    def linked(self) -> bool:
         """Whether it uses the release already."""
         return self.facts.current == self.target
+
+    @property
+    def done(self) -> bool:
+        """Whether its agents run with the release already."""
+        return self.linked and not self.idle
 
 
 def upgrade(
@@ -130,21 +145,21 @@ class _Upgrade:
             self._report(turn, moves)
         if self.apply:
             running_tasks.must_be_allowed(moves, yes=self.yes)
+            if not await self._install(machines, reports):
+                return reports
             for turn in ahead:
-                if not await self._take(turn, moves[turn.machine.name]):
+                if not await self._take(turn):
                     break
         return reports
 
     async def _prepare(self, machine: Machine, report: Report) -> None:
-        """Install the release beside the one in use, and read which versions meet."""
+        """Plan the installation of the release, and read which versions meet."""
         async with Shell(machine, self.file) as shell:
             facts = await host_facts.ask(shell, machine)
             plan = Plan(machine, facts, self.release, None)
             plan.check()
             todo = plan.install_steps()
             report.record(todo)
-            if self.apply:
-                await deploying.carry_out(shell, todo, report)
             now = (
                 await _layers(shell, steps.OPT)
                 if facts.current or facts.folder
@@ -170,11 +185,26 @@ class _Upgrade:
             version=version,
             now=now[1] if now else {},
             then=then,
+            todo=todo,
         )
+
+    async def _install(self, machines: list[Machine], reports: list[Report]) -> bool:
+        """Install the release beside the one in use; return whether all have it."""
+
+        async def one(machine: Machine, report: Report) -> None:
+            todo = self.turns[machine.name].todo
+            if any(step.state == "change" for step in todo):
+                async with Shell(machine, self.file) as shell:
+                    await deploying.carry_out(shell, todo, report)
+
+        done = await deploying.each(machines, one, fail_fast=False)
+        for report, new in zip(reports, done, strict=True):
+            report.take(new)
+        return all(one.state != "failed" for one in done)
 
     def _moves(self, turns: list[Turn]) -> dict[str, Moves]:
         """Return what becomes of the tasks that are ON, by machine."""
-        rtpus = {turn.machine.name: turn.running for turn in turns}
+        rtpus = {t.machine.name: [] if t.linked else t.running for t in turns}
         return running_tasks.moves(rtpus, self.file.homes, self.file.jobs, self.place)
 
     def _report(self, turn: Turn, moves: Mapping[str, Moves]) -> None:
@@ -187,17 +217,36 @@ class _Upgrade:
         old = turn.facts.current or "that of host-setup.sh"
         agents = f"the agents of {', '.join(turn.rtpus)} end and start"
         what = f"{turn.target} in place of {old}; {agents}"
+        if turn.linked:
+            what = f"{turn.target}; the agents of {', '.join(turn.idle)} start"
         report.add("in use", "change", what)
-        if idle := [rtpu for rtpu in turn.rtpus if rtpu not in turn.running]:
+        if turn.idle:
             report.warnings.append(
-                f"the agents of {', '.join(idle)} do not run, so their tasks are not "
-                "known: start their job afterwards (pbonet start)"
+                f"the agents of {', '.join(turn.idle)} do not run, so their tasks are "
+                "not known: start their job afterwards (pbonet start)"
             )
 
-    async def _take(self, turn: Turn, moves: Moves) -> bool:
+    def _still_allowed(self, turn: Turn) -> Moves:
+        """Return what becomes of the tasks that are ON now; others had their turn.
+
+        Raises:
+            NodeError: One came ON meanwhile, and nothing says that it may end.
+            PbonetError: As for `running_tasks.moves`.
+        """
+        found = self._moves([turn])
+        running_tasks.must_be_allowed(found, yes=self.yes)
+        moves = found[turn.machine.name]
+        told = {step.what for step in turn.report.steps}
+        for line in moves.lines():
+            if line not in told:
+                turn.report.add("tasks", "change", line)
+        return moves
+
+    async def _take(self, turn: Turn) -> bool:
         """Take a machine's turn; return whether it is back."""
-        name, report = turn.machine.name, turn.report
+        report = turn.report
         try:
+            moves = await asyncio.to_thread(self._still_allowed, turn)
             await asyncio.to_thread(running_tasks.move_away, moves, self.place)
             async with Shell(turn.machine, self.file) as shell:
                 await self._exchange(shell, turn)
@@ -210,18 +259,39 @@ class _Upgrade:
         report.settle()
         if report.state != "failed":
             return True
-        only = f"pbonet upgrade {self.file.path} --back --host {name} --apply"
-        hint = f"the other machines were not begun; '{only}' returns to what it used"
-        report.warnings.append(hint)
+        report.warnings.append(
+            f"the other machines were not begun; {self._way_on(turn)}"
+        )
         return False
+
+    def _way_on(self, turn: Turn) -> str:
+        """Return what to do with a machine that has not come back."""
+        name = turn.machine.name
+        if turn.linked or turn.exchanged:
+            back = f"pbonet upgrade {self.file.path} --back --host {name} --apply"
+            return f"'{back}' returns to what {name} used"
+        return (
+            f"the release of {name} was not exchanged: repeat the upgrade when this is "
+            "mended, which starts its agents too"
+        )
 
     async def _exchange(self, shell: Shell, turn: Turn) -> None:
         """Use the release, between the end of the agents and their start."""
+        facts = await host_facts.ask(shell, turn.machine)
+        if (facts.current, facts.previous) != (turn.facts.current, turn.facts.previous):
+            raise NodeError(
+                "somebody else has changed the machine meanwhile",
+                where=turn.machine.name,
+                expected=f"{turn.facts.current or 'no release'} in use",
+                got=f"{facts.current or 'none'}, before: {facts.previous or 'none'}",
+                remedy="agree on who upgrades, and repeat",
+            )
         units = [steps.unit_of(rtpu) for rtpu in turn.rtpus]
-        if units:
+        if units and not turn.linked:
             await shell.run("systemctl", "stop", *units)
-        for action in use(turn.facts, turn.target):
+        for action in use(facts, turn.target):
             await shell.run(*action.words)
+        turn.exchanged = True
         if units:
             await shell.run("systemctl", "reset-failed", *units, check=False)
             await shell.run("systemctl", "start", *units, check=False)

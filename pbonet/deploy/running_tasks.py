@@ -180,14 +180,16 @@ def _tasks(
 
 def must_be_allowed(found: Mapping[str, Moves], *, yes: bool) -> None:
     """Raise if tasks would be turned off without anybody having said that they may."""
-    asked = [
-        task for some in found.values() for task in some.tasks if not task.declared
-    ]
+    asked = {
+        name: tasks
+        for name, some in found.items()
+        if (tasks := [task for task in some.tasks if not task.declared])
+    }
     if asked and not yes:
         raise NodeError(
             "tasks that are ON would be turned off",
-            where=", ".join(found),
-            got="; ".join(map(str, asked)),
+            where=", ".join(asked),
+            got="; ".join(str(task) for tasks in asked.values() for task in tasks),
             remedy="repeat it with --yes, turn them off or swap them first, or say "
             "RESTART on, or a FALLBACK on another machine, in the job",
         )

@@ -110,11 +110,11 @@ class Shell:
         """
         script = (
             'mkdir -p "$(dirname "$1")"; umask 077; cat > "$1.new" '
+            '&& [ "$(wc -c < "$1.new")" -eq "$4" ] '  # else the connection was lost
             '&& chown "$3:" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1"'
         )
-        await self.run(
-            *("sh", "-ec", script, "sh", path, f"{mode:04o}", owner), data=data
-        )
+        words = ("sh", "-ec", script, "sh", path, f"{mode:04o}", owner, str(len(data)))
+        await self.run(*words, data=data)
 
     async def _run(self, *words: str, data: bytes = b"") -> Done:
         assert self._connection is not None, "the connection was not opened"  # noqa: S101

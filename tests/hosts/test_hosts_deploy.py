@@ -210,6 +210,8 @@ def test_machines_are_upgraded_while_others_run_and_restored(laboratory, tmp_pat
     up = ("upgrade", "lab.toml", *operator.reach(), "--wheel")
     said = operator.run(*up, far, "--apply", status=1)
     assert "no common version of commands" in said
+    releases = operator.hosts["arm-pc"].inside("ls", "/opt/pbonet-releases")
+    assert "0.3.0" not in releases
 
     # One whose agent does not start stops the upgrade, and the way back is told.
     bad = make_wheel(tmp_path, "0.1.9", node__agent__agent_main=BROKEN)
@@ -251,4 +253,11 @@ def test_machines_are_upgraded_while_others_run_and_restored(laboratory, tmp_pat
     told = operator.hosts_told("restore", "lab.toml", "saved", "--apply")
     assert told["arm-pc"]["state"] == "changed"
     assert "grace" not in operator.hosts["arm-pc"].inside("cat", config)
+
+    # What was written, and not read as the connection was lost then, is read.
+    operator.hosts["arm-pc"].inside("touch", config)
+    again = ("deploy", "lab.toml", "--host", "arm-pc", "--apply")
+    for expected in ("changed", "same"):
+        told = operator.hosts_told(*again)
+        assert states(told, "service") == {"arm-pc": [expected]}, told
     assert operator.on() == {"src", "mid"}

@@ -200,12 +200,9 @@ class Agent:
         """
         survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
-        self._rank = client_of_router.rank_of(
-            self.config.domain, self.name, routed=bool(self.config.routers)
+        self._lock, self._rank = client_of_router.take_place(
+            self.places, text, routed=bool(self.config.routers), patience=LOCK_TIME
         )
-        if self._rank:
-            text += f", rank {self._rank}"
-        self._lock = run_folder.NameLock(self.places.lock, text, patience=LOCK_TIME)
         try:
             self._open()
         except BaseException:
@@ -364,6 +361,7 @@ class Agent:
             partners=self._partners,
             knows_all=self._key_folder is not None
             and credentials.role(self._key_folder) is credentials.Role.GATEWAY,
+            by_router=self._rank > 0,
         )
         ways.start()
         taken_over = self._link is not None and self._link.taken_over

@@ -116,6 +116,7 @@ class PeerLatencies:
         token_came: Called when an agent's token has appeared.
         partners: Returns the agents that are asked every second.
         knows_all: Watch all agents: commands of masters pass through this one.
+        by_router: Its links lead to routers, which are no agents and answer nothing.
     """
 
     def __init__(
@@ -130,6 +131,7 @@ class PeerLatencies:
         token_came: Callable[[str], None] = lambda _name: None,
         partners: Callable[[], set[str]] = set,
         knows_all: bool = False,
+        by_router: bool = False,
     ) -> None:
         self._session = link
         self._me = me
@@ -139,6 +141,7 @@ class PeerLatencies:
         self._silent, self._token_came = silent, token_came
         self._partners = partners
         self._most = None if knows_all else WATCHED
+        self._by_router = by_router
         self._alive: set[str] = set()
         """Agents whose tokens are seen."""
         self._missed: set[str] = set()
@@ -470,7 +473,7 @@ class PeerLatencies:
 
         Each is asked once; one that is no neighbour is dropped again.
         """
-        if not self._watchdog.unknown():
+        if self._by_router or not self._watchdog.unknown():
             return set()
         with self._guard:
             left = self._alive - self._tried - self._peers.keys() - {me}

@@ -62,6 +62,31 @@ def rank_of(domain: str, name: str, *, routed: bool) -> int:
     return greatest + 1 if routed or greatest else 0
 
 
+def take_place(
+    places: run_folder.Places, text: str, *, routed: bool, patience: float = 0.0
+) -> tuple[run_folder.NameLock, int]:
+    """Take an agent's name on this machine, and its rank; return both.
+
+    Agents that start at one time, as they do with a machine, do it one after the other:
+    none finds another one whose rank is not known yet, and no two have the same.
+
+    Args:
+        places: The agent's files.
+        text: Description of the agent, for the error of a second one.
+        routed: Whether it has routers.
+        patience: Seconds to wait for the end of the one that has the name.
+
+    Raises:
+        DuplicateNameError: Another process has the name.
+        NodeError: As for `rank_of`.
+    """
+    with run_folder.turn(places.domain):
+        rank = rank_of(places.domain, places.name, routed=routed)
+        if rank:
+            text += f", rank {rank}"
+        return run_folder.NameLock(places.lock, text, patience=patience), rank
+
+
 def open_session(
     places: run_folder.Places,
     routers: Sequence[str],
@@ -106,4 +131,4 @@ def goes_by_neighbour(link: zenoh.Session) -> bool:
     return any(hub.fullmatch(str(one.dst)) for one in link.info.links())
 
 
-__all__ = ["MESH", "goes_by_neighbour", "open_session", "rank_of"]
+__all__ = ["MESH", "goes_by_neighbour", "open_session", "rank_of", "take_place"]

@@ -15,6 +15,7 @@ Nothing here imports zenoh, because the RTPU process uses it too.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import re
@@ -22,9 +23,13 @@ import stat
 import struct
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pbonet import shm
 from pbonet.errors import DuplicateNameError, NodeError
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
@@ -226,6 +231,17 @@ class NameLock:
             self.path.unlink(missing_ok=True)
             os.close(self._fd)
             self._fd = -1
+
+
+@contextlib.contextmanager
+def turn(domain: str) -> Generator[None]:
+    """Wait until no other agent of `domain` is taking its place on this machine."""
+    fd = os.open(folder() / check_name("a domain", domain), os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(fd)
 
 
 def is_held(path: Path) -> bool:

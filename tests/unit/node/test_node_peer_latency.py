@@ -247,6 +247,14 @@ def test_the_offset_of_one_round_trip_is_not_recorded_for_ever(monkeypatch):
     assert far in fleet.ways._peers
 
 
+def test_who_is_a_client_of_a_router_looks_for_no_neighbour():
+    """A router is no agent, and nobody's answer would make it known."""
+    fleet = Fleet((), by_router=True)
+    fleet.linked = ["a router that is no agent"]
+    fleet.second()
+    assert len(fleet.second()) == ASKED
+
+
 def test_a_token_must_be_missed_twice(monkeypatch):
     """A search beside a subscriber may miss one."""
     fleet = Fleet(())

@@ -3,6 +3,8 @@
 import json
 import re
 import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import zenoh
@@ -29,9 +31,8 @@ def opened(_folder):
     kept = {}
 
     def start(name, *, routed=True):
-        rank = client_of_router.rank_of("d", name, routed=routed)
         places = run_folder.Places("d", name)
-        lock = run_folder.NameLock(places.lock, f"agent {name}, process 1, rank {rank}")
+        lock, rank = client_of_router.take_place(places, "agent", routed=routed)
         link = client_of_router.open_session(places, [ROUTER], rank=rank)
         key = f"pbonet/d/rtpu/{name}/alive"
         token = link.liveliness().declare_token(key)
@@ -93,6 +94,23 @@ def test_one_without_routers_joins(opened):
     opened("a")
     assert opened("b", routed=False) == 2
     all_see(opened, *"ab")
+
+
+@pytest.mark.usefixtures("_folder")
+def test_agents_that_start_at_one_time_have_different_ranks():
+    """As they do with their machine: of equal rank they would not see each other."""
+    places = [run_folder.Places("d", f"a{number}") for number in range(16)]
+    together = threading.Barrier(len(places))
+
+    def start(place):
+        together.wait()
+        return client_of_router.take_place(place, "agent", routed=True)
+
+    with ThreadPoolExecutor(len(places)) as pool:
+        taken = list(pool.map(start, places))
+    for lock, _ in taken:
+        lock.release()
+    assert sorted(rank for _, rank in taken) == list(range(1, len(places) + 1))
 
 
 @pytest.mark.usefixtures("_folder")

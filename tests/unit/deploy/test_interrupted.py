@@ -1,0 +1,199 @@
+"""What is interrupted leaves no half file, and is completed when it is repeated."""
+
+import asyncio
+import getpass
+import json
+import subprocess
+
+import pytest
+from msgspec import structs
+from test_plan_host import KEYS, UNIT, after, machine, nothing, release, state
+
+from pbonet.deploy import (
+    backup,
+    host_keys,
+    read_hosts,
+    rolling_upgrade,
+    running_tasks,
+    steps,
+)
+from pbonet.deploy.host_facts import Unit
+from pbonet.deploy.plan_host import ALONE, Plan, install, use
+from pbonet.deploy.report import Report
+from pbonet.deploy.ssh import Done, Shell
+from pbonet.errors import ConfigFileError, NodeError
+from pbonet.master.configuration import Place
+from pbonet.xm.net import pki
+
+__all__ = ["machine", "release"]
+
+
+@pytest.fixture
+def hosts(machine, tmp_path):  # noqa: ARG001 - it writes the file
+    return read_hosts(tmp_path / "lab.toml")
+
+
+class Cut(Shell):
+    """A shell on this machine that transmits the first bytes, and then is closed."""
+
+    left = 1 << 20
+
+    async def run(self, *words, data=b"", check=True):  # noqa: ARG002
+        done = subprocess.run(words, input=data[: self.left], check=False)  # noqa: ASYNC221
+        return Done(done.returncode, "", "")
+
+
+def test_a_file_that_came_in_part_is_not_used(hosts, tmp_path):
+    """sshd closes the input of a command whose connection is lost, as at its end."""
+    shell = Cut(hosts.machines[0], hosts)
+    path, user = tmp_path / "etc" / "arm0.toml", getpass.getuser()
+    asyncio.run(shell.put(str(path), b"core = 1\n", 0o640, user))
+    assert path.read_bytes() == b"core = 1\n"
+    assert path.stat().st_mode & 0o777 == 0o640
+    shell.left = 7
+    asyncio.run(shell.put(str(path), b'core = 2\nkeys = "k"\n', 0o640, user))
+    assert path.read_bytes() == b"core = 1\n"
+
+
+@pytest.mark.parametrize("path", ["etc/pbonet/arm0.toml", "etc/pbonet/keys/key.pem"])
+def test_agents_read_what_was_written_before_the_connection_was_lost(
+    machine, release, path
+):
+    done = after(machine, nothing(machine), release)
+    there = {**done.files, **done.secrets}
+    there[f"/{path}"] = structs.replace(there[f"/{path}"], written=20.0)
+    facts = structs.replace(done, files=there, secrets=there)
+    for since, expected in ((10.0, "change"), (21.0, "same")):
+        unit = Unit("active", enabled=True, since=since)
+        facts = structs.replace(facts, units={UNIT: unit})
+        plan = Plan(machine, facts, release, KEYS).steps()
+        assert state(plan, "service") == [expected]
+        assert state(plan, "keys") == state(plan, "arm0")[:1] == ["same"]
+
+
+def test_systemd_reads_units_that_were_written_before(machine, release):
+    done = after(machine, nothing(machine), release)
+    unread = Unit("active", enabled=True, unread=True)
+    facts = structs.replace(done, units={UNIT: unread})
+    plan = Plan(machine, facts, release, KEYS).steps()
+    (step,) = [one for one in plan if one.state == "change"]
+    assert step.actions == (steps.Run(("systemctl", "daemon-reload")),)
+
+
+def test_a_release_that_somebody_else_has_completed_is_not_removed(
+    machine, release, tmp_path
+):
+    """Nor is one removed in which a command is still at work."""
+    first, *_, venv, pip, _, _, _ = install(machine, release)
+    assert first.words[:2] == venv.words[:2] == pip.words[:2] == ALONE
+    there = [tmp_path / name for name in ("done", "half", "incoming")]
+    for path in there:
+        path.mkdir()
+    (there[0] / "complete").touch()
+    for path in there[:2]:
+        words = [*first.words[2:-2], path / "complete", there[2]]
+        subprocess.run(words, check=True)
+    assert [path.exists() for path in there] == [True, False, False]
+
+
+def test_keys_that_cannot_be_written_are_an_error_of_their_machine(machine, tmp_path):
+    pki.make_authority(tmp_path / "keys")
+    (tmp_path / "keys" / "pc").touch()
+    with pytest.raises(ConfigFileError, match=r"keys/pc: the keys .* be written"):
+        host_keys.make(tmp_path / "keys", machine)
+
+
+class Told:
+    """A shell whose machine gives one answer."""
+
+    def __init__(self, machine, answer):
+        self.machine, self.answer = machine, answer
+
+    async def run(self, *_words, **_how):
+        return Done(0, json.dumps(self.answer), "")
+
+
+@pytest.mark.parametrize("path", ["/etc/../root/.profile", "/home/anna/.profile"])
+def test_a_machine_writes_nothing_out_of_its_folder_of_a_backup(machine, path):
+    one = {"path": path, "mode": 420, "owner": "root", "digest": "", "data": "eA=="}
+    answer = {"files": [one], "enabled": [], "release": ""}
+    with pytest.raises(NodeError, match="could not tell which files"):
+        asyncio.run(backup._collect(Told(machine, answer)))
+
+
+def test_private_keys_are_not_copied_whatever_their_name(tmp_path):
+    from pbonet.deploy import files_on_host
+
+    old = tmp_path / "old.pem"
+    old.write_text("-----BEGIN PRIVATE KEY-----\n")
+    assert files_on_host.described(old)["data"] == ""
+
+
+class Upgrade(rolling_upgrade._Upgrade):
+    """An upgrade of one machine, whose commands are kept."""
+
+    def __init__(self, hosts, facts, monkeypatch, current="new"):
+        super().__init__(hosts, None, Place(domain="d"), apply=True, yes=False)
+        self.words = []
+        self.facts = structs.replace(facts, current=current, previous="old")
+        self.turn = rolling_upgrade.Turn(
+            machine=hosts.machines[0],
+            report=Report(host="pc"),
+            facts=self.facts,
+            target="new",
+            version="0.2.0",
+            now={},
+            then={},
+            todo=[],
+        )
+
+        async def ask(*_):
+            return self.facts
+
+        monkeypatch.setattr(rolling_upgrade.host_facts, "ask", ask)
+
+    async def run(self, *words, **_how):
+        self.words.append(" ".join(words[:2]))
+
+
+def test_agents_that_ended_are_started_when_an_upgrade_is_repeated(
+    hosts, machine, release, monkeypatch
+):
+    facts = after(machine, nothing(machine), release)
+    assert not [*use(structs.replace(facts, current="new"), "new")]
+    idle = structs.replace(facts, units={UNIT: Unit("inactive", enabled=True)})
+    both = Upgrade(hosts, facts, monkeypatch).turn, Upgrade(hosts, idle, monkeypatch)
+    assert both[0].done
+    assert not both[1].turn.done
+    asyncio.run(both[1]._exchange(both[1], both[1].turn))
+    assert both[1].words == ["systemctl reset-failed", "systemctl start"]
+
+
+def test_a_release_that_somebody_else_has_set_is_not_replaced(
+    hosts, machine, release, monkeypatch
+):
+    facts = after(machine, nothing(machine), release)
+    up = Upgrade(hosts, facts, monkeypatch, current="mine")
+    up.facts = structs.replace(up.facts, current="hers")
+    with pytest.raises(NodeError, match="somebody else has changed"):
+        asyncio.run(up._exchange(up, up.turn))
+    assert not up.words
+
+
+def test_a_task_that_came_on_meanwhile_is_asked_for(
+    hosts, machine, release, monkeypatch
+):
+    """While other machines had their turn; the way back is not that of an exchange."""
+    facts = after(machine, nothing(machine), release)
+    up = Upgrade(hosts, facts, monkeypatch, current="mine")
+    task = running_tasks.Task(
+        name="arm", subsystem="cell", rtpu="arm0", job=None, restart="off", fallback=""
+    )
+    found = {"pc": running_tasks.Moves(tasks=[task])}
+    monkeypatch.setattr(running_tasks, "moves", lambda *_: found)
+    assert not asyncio.run(up._take(up.turn))
+    assert "would be turned off" in up.turn.report.error
+    assert not up.words
+    assert "the release of pc was not exchanged" in up.turn.report.warnings[-1]
+    up.turn.exchanged = True
+    assert "--back --host pc" in up._way_on(up.turn)
