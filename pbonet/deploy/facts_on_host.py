@@ -95,7 +95,8 @@ def unit(name: str) -> dict[str, Any]:
         check=False,
     )
     lines = done.stdout.decode().splitlines()
-    told = dict(line.partition("=")[::2] for line in lines)
+    pairs = [line.partition("=") for line in lines]
+    told = {name: value for name, _, value in pairs}
     since = int(told.get(ASKED[2]) or 0) / 1e6
     return {
         "state": told.get(ASKED[0], ""),
