@@ -306,7 +306,7 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     int64_t length = s->deadline ? s->deadline : s->period;
     int in_time = s->ready && s->rel_ns + length > now; /* it was released off the grid */
     int unmet = s->ready && !s->late && !in_time;
-    if (s->begun && !in_time)   /* deadlines at which nobody looked: of a lease, or a stall */
+    if (s->begun && !in_time)   /* and the deadlines at which no turn came: of a lease, or a stall */
         s->failures[RT_DEADLINE] += missed;
     missed += s->ready;
     s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;

@@ -109,8 +109,8 @@ def test_a_new_period_takes_effect_at_the_next_release(host) -> None:
 def test_commands_come_between_cycles(host) -> None:
     task = host.spawn("busy", {"ns": MS}, order={"commands": 40}, period_ns=4 * MS)
     for _ in range(39):
-        before = task.status()["cycles"]
         task.request()
+        before = task.status()["cycles"]  # not earlier: the request may take a while
         task.until("cycles", before + 2)  # it has been obeyed by then
     notes = task.end()
     assert len(notes["levels"]) == 40
