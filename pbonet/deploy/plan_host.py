@@ -27,7 +27,7 @@ BEFORE: Final = "before-deploy"
 """The name of a release that host-setup.sh installed."""
 INCOMING: Final = f"{steps.RELEASES}/incoming"
 ALONE: Final = ("flock", "/run/pbonet-install.lock")
-"""Waits for what still installs there: for somebody else, or since the connection was
+"""Waits for what still installs there: another operator, or a pip whose connection was
 lost."""
 _CLEAR: Final = '[ -e "$1" ] || rm -rf "$(dirname "$1")"; rm -rf "$2"'
 """Removes a release that is not complete, and wheels."""

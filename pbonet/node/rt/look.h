@@ -31,6 +31,7 @@ struct rt_look {
  * again until there is another leader. The slot says whether the task has it. */
 static inline int rt_look_fd(struct rt_look *look, struct rt_table *t, struct rt_slot *slot)
 {
+    /* SYNC POINT: the leader stores its descriptor before look_life. */
     uint32_t life = atomic_load_explicit(&t->look_life, memory_order_acquire);
     if (look->life == life)
         return look->fd;

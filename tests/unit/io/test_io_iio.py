@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import shutil
 from pathlib import Path
@@ -96,6 +97,7 @@ def test_values_are_written_with_the_sign_of_their_channel(folder):
     ],
 )
 def test_what_cannot_be_is_refused_at_open(folder, settings, how, told):
+    gc.collect()  # what tests before this one left open is not counted
     fds = len(list(Path("/proc/self/fd").iterdir()))
     with device(folder, **settings), pytest.raises(DeviceError) as caught:
         open_device(**({"name": "x", "mode": Mode.READ} | how))
