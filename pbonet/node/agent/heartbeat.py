@@ -373,6 +373,9 @@ class Heartbeat:
                 answered = beat.heard.get(self._name, 0) * 1e-9
                 agent.answered = max(agent.answered, min(answered, now))
         if new:
+            # It joined later, so it has not heard this one; and its link may be new.
+            self._next_beat = self._next_find = now
+            self._wake.set()
             self._met(name)
         elif back:
             self._report(Change(name, agent.machine, seen=True, last=False))

@@ -293,6 +293,7 @@ def test_only_groups_get_signs_of_life_of_those_that_are_heard(
     beats._note_beat(sample("arm2", "m", group="other"))
     assert met == ["arm1"], "once, and nobody of another subsystem"
     assert beats.partners() == {"arm1"}
+    assert turn(beats, now, PERIOD / 2) == [(MINE, {"arm1": 3 * 10**9})]
     assert turn(beats, now, PERIOD / 2) == [], "not yet"
     assert turn(beats, now) == [(MINE, {"arm1": 3 * 10**9})]
 
@@ -320,6 +321,20 @@ def test_one_that_joins_gives_a_sign_at_once_and_counts_silence_from_then(
     assert beats.absence("u", "lost", "arm0") == 1.5
     assert beats.silence("t", "keep") > 3600.0
     assert beats.unanswered("keep") == math.inf
+
+
+def test_the_first_sign_of_an_agent_is_answered_at_once(beats, now, link) -> None:
+    """It joined later and has heard none: if this one is lost now, it must know soon."""
+    turn(beats, now)
+    link.sent.clear()
+    beats._turn(now[0])
+    assert not link.sent
+    beats._note_beat(sample("arm1", "m", 3.0))
+    beats._turn(now[0])
+    assert link.sent == [(MINE, {"arm1": 3 * 10**9})]
+    beats._note_beat(sample("arm1", "m", 3.1))
+    beats._turn(now[0])
+    assert len(link.sent) == 1, "only the first one"
 
 
 def test_an_agent_that_takes_over_has_no_answer_of_the_one_before_it(now, link) -> None:
