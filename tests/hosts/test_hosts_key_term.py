@@ -15,6 +15,9 @@ from pbonet.errors import PbonetError
 from pbonet.xm.net import messages as m, pki
 from pbonet.xm.net.credentials import FILES, Role
 
+GRACE = 30.0
+"""An agent that starts again may end its links slowly; its tasks wait for it."""
+
 SHORT = 20.0 / 86400
 """Days of a certificate that runs out in a test: some seconds behind the start."""
 
@@ -98,8 +101,8 @@ def begin(lab, keys, short):
     for host in "ab":
         more = {"days": SHORT} if host == short else {}
         keys.agent(host, lab.keys[host], **more)
-    lab.start("arm0", "a")
-    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")])
+    lab.start("arm0", "a", grace=GRACE)
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=GRACE)
     lab.wait_all()
     cell = Desk(lab, "cell", ("arm0", "arm1"), host="b")
     cell.spawn("arm0", "src", "counts", out="Z0")
@@ -158,8 +161,8 @@ def test_another_authority_in_place_of_the_old(lab, keys):
     for host in "ab":
         keys.agent(host, lab.keys[host])
     old = pki.issue(keys.authority, Role.MASTER, "anna")
-    lab.start("arm0", "a")
-    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")])
+    lab.start("arm0", "a", grace=GRACE)
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=GRACE)
     lab.wait_all()
     keys.found("new")
     before = lab.info("arm0").zid

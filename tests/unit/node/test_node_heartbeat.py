@@ -324,7 +324,7 @@ def test_one_that_joins_gives_a_sign_at_once_and_counts_silence_from_then(
 
 
 def test_the_first_sign_of_an_agent_is_answered_at_once(beats, now, link) -> None:
-    """It joined later and has heard none: if this one is lost now, it must know soon."""
+    """It joined later, has heard none, and must know soon if this one is lost now."""
     turn(beats, now)
     link.sent.clear()
     beats._turn(now[0])
