@@ -69,7 +69,7 @@ nodes:
 
 @contextlib.contextmanager
 def running(
-    folder: Path, rate: int, width: int, seconds: float, level: int = 0
+    folder: Path, rate: int, width: int, seconds: float
 ) -> Generator[None, None, None]:
     """Run the dataflow; ``seen.npy`` then holds age (ns) and number of each set.
 
@@ -78,7 +78,6 @@ def running(
         rate: Sets in a second.
         width: Numbers in a set.
         seconds: How long the source sends.
-        level: Of SCHED_FIFO, for all of its processes; 0: they have no priority.
 
     Raises:
         RuntimeError: It did not start, or did not come to its end.
@@ -92,8 +91,6 @@ def running(
     path = os.pathsep.join([here, os.environ.get("PATH", "")])
     command = [shutil.which("dora", path=path) or "dora", "run", str(flow)]
     command += ["--log-level", "error"]
-    if level:
-        command = ["chrt", "-f", str(level), *command]
     process = subprocess.Popen(
         command,
         env=os.environ | {"PATH": path},

@@ -7,10 +7,8 @@ a contestant starts, its daemons and agents too, and what sleeping costs is in i
 
 from __future__ import annotations
 
-import functools
 import os
 import secrets
-import shutil
 import tempfile
 import time
 from pathlib import Path
@@ -20,7 +18,6 @@ import numpy as np
 
 from benchmarks.rivals import dora_dataflow, pbonet_tasks
 from benchmarks.rivals.rival import installed
-from pbonet.node import rt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,8 +31,7 @@ RATE, WIDTH = 1000, 36
 SETTLE = 1.0
 MARK = "PBONET_RIVALS_RUN"
 """A word in the environment of all processes of a run, by which they are found."""
-FIFO = 50
-OURS, DORA, DORA_FIFO = "pbonet", "dora", "dora, all under SCHED_FIFO"
+OURS, DORA = "pbonet", "dora"
 
 
 class Block(NamedTuple):
@@ -71,10 +67,6 @@ def contestants(told: Callable[[str], None]) -> dict[str, Run]:
         told(f"dora: skipped, {missing[0]} is not installed")
         return there
     there[DORA] = dora_dataflow.running
-    if rt.probe().fifo and shutil.which("chrt"):
-        there[DORA_FIFO] = functools.partial(dora_dataflow.running, level=FIFO)
-    else:
-        told(f"{DORA_FIFO}: skipped, SCHED_FIFO or chrt is not available")
     return there
 
 
