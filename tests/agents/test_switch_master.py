@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ import pytest
 import tool_constants
 from watching import causes, states, wait_for
 
+from pbonet.errors import ClaimError
 from pbonet.master.subsystem.subsystem import Subsystem
 
 MASTER = """
@@ -87,8 +89,16 @@ def killed(nodes, files, gate):
             warned=lambda _text: None,
             record="off",
         )
+
+        def opens():
+            with contextlib.suppress(ClaimError):  # its agent has not seen the loss yet
+                arm.open()
+                return True
+            return False
+
+        wait_for(opens, "the end of the killed master's claim")
         opened.append(arm)
-        return arm.open()
+        return arm
 
     yield kill
     for arm in opened:
