@@ -8,19 +8,12 @@
 #include "slot.h"
 #include "loop.h"
 #include "view.h"
+#include "rt_rig.h"
 
 enum { PERIOD = 1000000 };
 static struct rt_table *table;
 static int64_t wanted, lost, taken;
 static _Atomic int left = 1;
-
-static void require(int good, const char *what)
-{
-    if (!good) {
-        fprintf(stderr, "broken: %s\n", what);
-        _exit(1);
-    }
-}
 
 /* Whether the task ran a release of a lease. */
 static void count_taken(const struct rt_task *task)

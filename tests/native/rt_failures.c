@@ -10,6 +10,7 @@
 #include "guard.h"
 #include "ring.h"
 #include "view.h"
+#include "rt_rig.h"
 
 static volatile sig_atomic_t interrupts;
 
@@ -18,14 +19,6 @@ static int interrupt(int signal)
     (void)signal;
     interrupts++;
     return 0;
-}
-
-static void require(int good, const char *what)
-{
-    if (!good) {
-        fprintf(stderr, "broken: %s\n", what);
-        exit(1);
-    }
 }
 
 /* As the dispatcher tells of a failure: the word first, then the signal. */

@@ -6,6 +6,7 @@
  */
 #include "slot.h"
 #include "loop.h"
+#include "rt_rig.h"
 
 enum { PERIOD = 20000000 };
 
@@ -13,22 +14,6 @@ static struct rt_table table;
 static struct rt_task task = {.table = &table, .slot = &table.slots[0]};
 static struct rt_state *state = &table.slots[0].state;
 static int64_t grid;            /* the release that the first turn of a round grants */
-static uint64_t seed;
-
-static uint32_t pick(uint32_t n)
-{
-    seed = seed * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
-    return (uint32_t)(seed >> 33) % n;
-}
-
-static void require(int good, const char *what)
-{
-    if (!good) {
-        fprintf(stderr, "broken: %s\n", what);
-        exit(1);
-    }
-}
-
 static int64_t no_cpu(const struct rt_slot *slot, int main)
 {
     (void)slot, (void)main;

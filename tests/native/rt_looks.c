@@ -4,17 +4,10 @@
  */
 #include "looker.h"
 #include "slot.h"
+#include "rt_rig.h"
 
 static struct rt_table table;
 static struct rt_looker looker = {.table = &table};
-
-static void require(int good, const char *what)
-{
-    if (!good) {
-        fprintf(stderr, "broken: %s\n", what);
-        exit(1);
-    }
-}
 
 static int set(void)
 {

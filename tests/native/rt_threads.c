@@ -8,6 +8,7 @@
 #include "guard.h"
 #include "ring.h"
 #include "view.h"
+#include "rt_rig.h"
 
 enum { TASKS = 4 };
 static struct rt_table *table;
@@ -15,14 +16,6 @@ static struct ring *rings[TASKS];
 static int64_t wanted;
 static _Atomic int left = TASKS;
 static int member;
-
-static void require(int good, const char *what)
-{
-    if (!good) {
-        fprintf(stderr, "broken: %s\n", what);
-        _exit(1);
-    }
-}
 
 static void *task_main(void *arg)
 {

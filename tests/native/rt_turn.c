@@ -10,22 +10,7 @@
 #include "guard.h"
 #include "ring.h"
 #include "view.h"
-
-static uint64_t seed;
-
-static uint32_t pick(uint32_t n)
-{
-    seed = seed * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
-    return (uint32_t)(seed >> 33) % n;
-}
-
-static void require(int good, const char *what)
-{
-    if (!good) {
-        fprintf(stderr, "broken: %s\n", what);
-        exit(1);
-    }
-}
+#include "rt_rig.h"
 
 static void play(struct rt_table *t, int i, int mode, int begun, int done)
 {

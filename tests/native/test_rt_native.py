@@ -13,12 +13,24 @@ RT, RING = (ROOT / "pbonet" / "node" / room for room in ("rt", "ring"))
 HEADERS = sorted(path.name for path in RT.glob("*.h"))
 STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 STRICT += [f"-I{RT}", f"-I{RING}"]
+MEMORY = "-fsanitize=address,undefined"
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 
 
 def run(*command: str | Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def built(folder: Path, name: str, compiler: str, sanitizer: str) -> Path:
+    """Compile a program of this folder with a sanitizer that ends it at a finding."""
+    program = folder / name
+    quiet = ["-Wno-tsan"] if compiler == "gcc" and sanitizer != MEMORY else []
+    run(
+        compiler, *STRICT, *quiet, "-O1", "-g", sanitizer, "-fno-sanitize-recover=all",
+        ROOT / "tests" / "native" / f"{name}.c", "-o", program, "-lpthread",
+    )  # fmt: skip
+    return program
 
 
 def test_every_header_is_named_as_a_dependency() -> None:
@@ -30,56 +42,31 @@ def test_every_header_is_named_as_a_dependency() -> None:
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_random_histories_under_the_sanitizers(tmp_path, compiler, seed) -> None:
-    program = tmp_path / "rt_turn"
-    run(
-        compiler, *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
-        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_turn.c",
-        "-o", program, "-lpthread",
-    )  # fmt: skip
+    program = built(tmp_path, "rt_turn", compiler, MEMORY)
     run(program, str(seed), "150")
 
 
 def test_a_failure_reaches_its_cycle_whenever_its_signal_comes(tmp_path) -> None:
-    program = tmp_path / "rt_failures"
-    run(
-        COMPILERS[0], *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
-        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_failures.c",
-        "-o", program, "-lpthread",
-    )  # fmt: skip
+    program = built(tmp_path, "rt_failures", COMPILERS[0], MEMORY)
     run(program)
 
 
 def test_the_last_cycle_s_end_takes_a_look_back(tmp_path) -> None:
-    program = tmp_path / "rt_looks"
-    run(
-        COMPILERS[0], *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
-        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_looks.c",
-        "-o", program, "-lpthread",
-    )  # fmt: skip
+    program = built(tmp_path, "rt_looks", COMPILERS[0], MEMORY)
     if subprocess.run([program], check=False).returncode == 77:
         pytest.skip("the kernel refuses pidfd_getfd")
     run(program)
 
 
 def test_a_lone_task_takes_every_release_once_and_every_turn_knows(tmp_path) -> None:
-    program = tmp_path / "rt_lease"
-    run(
-        COMPILERS[0], *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
-        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_lease.c",
-        "-o", program, "-lpthread",
-    )  # fmt: skip
+    program = built(tmp_path, "rt_lease", COMPILERS[0], MEMORY)
     run(program, "1", "200")
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> None:
     """It knows neither fences, which order atomics here, nor mutexes with a clock."""
-    program = tmp_path / "rt_threads"
-    quiet = ["-Wno-tsan"] if compiler == "gcc" else []
-    run(
-        compiler, *STRICT, *quiet, "-O1", "-g", "-fsanitize=thread",
-        ROOT / "tests" / "native" / "rt_threads.c", "-o", program, "-lpthread",
-    )  # fmt: skip
+    program = built(tmp_path, "rt_threads", compiler, "-fsanitize=thread")
     run("env", "TSAN_OPTIONS=report_mutex_bugs=0", program, "500")
 
 
@@ -87,12 +74,7 @@ def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> 
 @pytest.mark.parametrize("maxc_ns", [0, 200_000])
 def test_a_lone_task_and_turns_at_once(tmp_path, compiler, maxc_ns) -> None:
     """Each release is run once or counted as missed, and nothing races."""
-    program = tmp_path / "rt_alone"
-    quiet = ["-Wno-tsan"] if compiler == "gcc" else []
-    run(
-        compiler, *STRICT, *quiet, "-O1", "-g", "-fsanitize=thread",
-        ROOT / "tests" / "native" / "rt_alone.c", "-o", program, "-lpthread",
-    )  # fmt: skip
+    program = built(tmp_path, "rt_alone", compiler, "-fsanitize=thread")
     command = ["env", "TSAN_OPTIONS=report_mutex_bugs=0", program, "601", str(maxc_ns)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == 77:
