@@ -1,8 +1,8 @@
 from . import (
     backup as backup,
-    deploying as deploying,
-    report as report,
+    host_reports as host_reports,
     rolling_upgrade as rolling_upgrade,
+    set_up_hosts as set_up_hosts,
     steps as steps,
 )
 from .hosts_file import HostsFile as HostsFile, read_hosts as read_hosts

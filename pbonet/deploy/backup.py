@@ -20,9 +20,9 @@ from msgspec import Struct
 from pbonet.errors import ConfigFileError, NodeError
 from pbonet.xm.net import credentials
 
-from . import deploying, steps
+from . import set_up_hosts, steps
+from .host_reports import Report
 from .hosts_file import KEYS
-from .report import Report
 from .ssh import Shell
 from .steps import Put, Run, Step
 
@@ -110,7 +110,7 @@ def save(file: HostsFile, folder: Path) -> list[Report]:
         count = sum(bool(one.data) for one in told.files)
         report.add("backup", "changed", f"{count} files, release {told.release or '-'}")
 
-    return asyncio.run(deploying.each(file.machines, one, fail_fast=False))
+    return asyncio.run(set_up_hosts.each(file.machines, one, fail_fast=False))
 
 
 def restore(file: HostsFile, folder: Path, *, apply: bool) -> list[Report]:
@@ -132,19 +132,19 @@ def restore(file: HostsFile, folder: Path, *, apply: bool) -> list[Report]:
             plan = [*_plan(folder / machine.name, saved, told)]
             report.record(plan)
             if apply:
-                await deploying.carry_out(shell, plan, report)
+                await set_up_hosts.carry_out(shell, plan, report)
             if saved.release != told.release:
                 report.warnings.append(
                     f"the backup was made with release {saved.release or '-'}, and "
                     f"{told.release or 'none'} is in use: see pbonet upgrade"
                 )
 
-    return asyncio.run(deploying.each(file.machines, one, fail_fast=False))
+    return asyncio.run(set_up_hosts.each(file.machines, one, fail_fast=False))
 
 
 async def _collect(shell: Shell) -> Told:
     python = shell.machine.host.python
-    program = steps.packaged("files_on_host.py")
+    program = steps.packaged("print_config_files.py")
     done = await shell.run(python, "-", data=program.encode())
     try:
         told = msgspec.json.decode(done.out, type=Told)

@@ -118,7 +118,7 @@ async def ask(shell: Shell, machine: Machine) -> Facts:
         NodeError: It has no Python that can tell, or told nonsense.
         UnreachableError: The connection was lost.
     """
-    program = steps.packaged("facts_on_host.py").encode()
+    program = steps.packaged("print_facts.py").encode()
     lists = (
         paths_of(machine),
         [f"{KEYS}/{credentials.KEY}"],

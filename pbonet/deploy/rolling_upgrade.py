@@ -17,10 +17,10 @@ from msgspec import Struct
 from pbonet.errors import NodeError, PbonetError
 from pbonet.versions import Range, mismatches
 
-from . import deploying, host_facts, running_tasks, steps
+from . import host_facts, running_tasks, set_up_hosts, steps
+from .host_reports import Report
 from .hosts_file import keepers
 from .plan_host import Plan, use
-from .report import Report
 from .ssh import Shell
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class _Upgrade:
 
     async def run(self) -> list[Report]:
         machines = _ordered(self.file)
-        reports = await deploying.each(machines, self._prepare, fail_fast=False)
+        reports = await set_up_hosts.each(machines, self._prepare, fail_fast=False)
         if any(one.state == "failed" for one in reports):
             return reports
         turns = [self.turns[machine.name] for machine in machines]
@@ -195,9 +195,9 @@ class _Upgrade:
             todo = self.turns[machine.name].todo
             if any(step.state == "change" for step in todo):
                 async with Shell(machine, self.file) as shell:
-                    await deploying.carry_out(shell, todo, report)
+                    await set_up_hosts.carry_out(shell, todo, report)
 
-        done = await deploying.each(machines, one, fail_fast=False)
+        done = await set_up_hosts.each(machines, one, fail_fast=False)
         for report, new in zip(reports, done, strict=True):
             report.take(new)
         return all(one.state != "failed" for one in done)
@@ -250,7 +250,7 @@ class _Upgrade:
             await asyncio.to_thread(running_tasks.move_away, moves, self.place)
             async with Shell(turn.machine, self.file) as shell:
                 await self._exchange(shell, turn)
-                await deploying.check(shell, report)
+                await set_up_hosts.check(shell, report)
             if report.state != "failed":
                 await asyncio.to_thread(self._come_back, turn, moves)
                 report.add("tasks", "changed", moves.back())

@@ -9,7 +9,7 @@ import threading
 import asyncssh
 import pytest
 
-from pbonet.deploy import deploying, read_hosts, report
+from pbonet.deploy import host_reports, read_hosts, set_up_hosts
 
 HOSTS = """
 known_hosts = "known"
@@ -97,12 +97,12 @@ def test_a_machine_that_refuses_says_what_to_do(machine, tmp_path, user, said):
     file = tmp_path / "lab.toml"
     file.write_text(HOSTS.format(port=machine, user=user, closed=closed))
     hosts = read_hosts(file)
-    reports = deploying.deploy(hosts, None, apply=True)
+    reports = set_up_hosts.deploy(hosts, None, apply=True)
     assert [one.state for one in reports] == ["failed", "failed"]
-    assert report.status(reports) == 1
+    assert host_reports.status(reports) == 1
     assert said in reports[0].error
     assert "cannot be reached over ssh" in reports[1].error
     assert all("; " in one.error for one in reports), "with what to do"
-    first, second = deploying.deploy(hosts, None, apply=True, fail_fast=True)
+    first, second = set_up_hosts.deploy(hosts, None, apply=True, fail_fast=True)
     assert first.state == "failed"
     assert second.state == "waits"

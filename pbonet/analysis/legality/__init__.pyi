@@ -52,8 +52,8 @@ from .timing import (
     Load as Load,
     criticalities as criticalities,
     loads as loads,
-    traffic as traffic,
 )
+from .traffic import bytes_per_second as bytes_per_second
 from .units import (
     conversion as conversion,
     factor as factor,

@@ -46,9 +46,8 @@ from .timing import (
     criticalities,
     load_without_servers,
     loads,
-    read_sizes,
-    traffic,
 )
+from .traffic import bytes_per_second, read_sizes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -155,7 +154,7 @@ class RtpuReport(Struct, frozen=True, kw_only=True):
 
 def report(configuration: Configuration) -> list[RtpuReport]:
     """Return what the analysis finds about each RTPU, for the tasks that are ON."""
-    moved = traffic(configuration)
+    moved = bytes_per_second(configuration)
     refused = {
         rtpu
         for problem in check_loads(configuration)

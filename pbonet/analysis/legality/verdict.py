@@ -26,7 +26,8 @@ from .safety import check_safety
 from .shapes import check_shapes
 from .takeover import check_standbys
 from .times import check_times
-from .timing import check_loads, check_traffic
+from .timing import check_loads
+from .traffic import check_traffic
 from .wiring import check_constants, check_readers, check_writers
 
 if TYPE_CHECKING:

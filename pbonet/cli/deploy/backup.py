@@ -33,6 +33,8 @@ def command(
     hosts = deploy.read_hosts(file, host or ())
     reports = deploy.backup.save(hosts, folder)
     options.show(
-        deploy.report.text(reports), deploy.report.data(reports), as_data=json_
+        deploy.host_reports.text(reports),
+        deploy.host_reports.data(reports),
+        as_data=json_,
     )
-    return deploy.report.status(reports)
+    return deploy.host_reports.status(reports)

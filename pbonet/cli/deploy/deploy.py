@@ -37,7 +37,9 @@ def command(
 
     hosts = deploy.read_hosts(file, host or ())
     release = shared.release_of(hosts, wheel, wheelhouse, build=build)
-    reports = deploy.deploying.deploy(hosts, release, apply=apply, fail_fast=fail_fast)
-    text = deploy.report.text(reports, "Nothing was done. Do it with --apply.")
-    options.show(text, deploy.report.data(reports), as_data=json_)
-    return deploy.report.status(reports)
+    reports = deploy.set_up_hosts.deploy(
+        hosts, release, apply=apply, fail_fast=fail_fast
+    )
+    text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
+    options.show(text, deploy.host_reports.data(reports), as_data=json_)
+    return deploy.host_reports.status(reports)

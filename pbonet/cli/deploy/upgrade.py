@@ -44,6 +44,6 @@ def command(
     reports = deploy.rolling_upgrade.upgrade(
         hosts, release, place, apply=apply, yes=yes
     )
-    text = deploy.report.text(reports, "Nothing was done. Do it with --apply.")
-    options.show(text, deploy.report.data(reports), as_data=json_)
-    return deploy.report.status(reports)
+    text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
+    options.show(text, deploy.host_reports.data(reports), as_data=json_)
+    return deploy.host_reports.status(reports)

@@ -261,7 +261,7 @@ def test_the_traffic_of_equations_6_and_7() -> None:
     )
     table = [Variable(name=name, type="double", nelem=6) for name in ("Q", "QD", "T")]
     config = configuration(*tasks, variables=table)
-    assert legality.traffic(config) == {
+    assert legality.bytes_per_second(config) == {
         "pid": 3 * 48 * 500,
         "arm": 3 * 48 * 1000,
         "idle": 0,

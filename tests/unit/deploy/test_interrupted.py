@@ -18,8 +18,8 @@ from pbonet.deploy import (
     steps,
 )
 from pbonet.deploy.host_facts import Unit
+from pbonet.deploy.host_reports import Report
 from pbonet.deploy.plan_host import ALONE, Plan, install, use
-from pbonet.deploy.report import Report
 from pbonet.deploy.ssh import Done, Shell
 from pbonet.errors import ConfigFileError, NodeError
 from pbonet.master.configuration import Place
@@ -122,11 +122,11 @@ def test_a_machine_writes_nothing_out_of_its_folder_of_a_backup(machine, path):
 
 
 def test_private_keys_are_not_copied_whatever_their_name(tmp_path):
-    from pbonet.deploy import files_on_host
+    from pbonet.deploy import print_config_files
 
     old = tmp_path / "old.pem"
     old.write_text("-----BEGIN PRIVATE KEY-----\n")
-    assert files_on_host.described(old)["data"] == ""
+    assert print_config_files.described(old)["data"] == ""
 
 
 class Upgrade(rolling_upgrade._Upgrade):

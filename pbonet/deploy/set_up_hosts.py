@@ -15,8 +15,8 @@ from msgspec import Struct
 from pbonet.errors import PbonetError
 
 from . import host_facts, host_keys, steps
+from .host_reports import Report
 from .plan_host import Plan
-from .report import Report
 from .ssh import Shell
 from .steps import Put, Step
 
