@@ -60,8 +60,8 @@ RIGHTS = """[Service]
 CapabilityBoundingSet=CAP_SYS_NICE CAP_IPC_LOCK
 AmbientCapabilities=CAP_SYS_NICE CAP_IPC_LOCK
 """
-"""What LimitRTPRIO and LimitMEMLOCK of the agent's unit cannot give in a container whose
-root may not raise limits; whatever else the unit closes is closed."""
+"""What the limits of the agent's unit cannot give in a container whose root may not
+raise them; whatever else the unit closes is closed."""
 BOOT = """
 mount --make-rprivate /
 mount -t tmpfs -o mode=755 layers {0}/layers
