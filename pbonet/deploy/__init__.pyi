@@ -6,4 +6,4 @@ from . import (
     steps as steps,
 )
 from .hosts_file import HostsFile as HostsFile, read_hosts as read_hosts
-from .release import Release as Release, built as built, release_of as release_of
+from .release import Release as Release, built as built, releases_of as releases_of

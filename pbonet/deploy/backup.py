@@ -43,7 +43,10 @@ class Copied(Struct, frozen=True, kw_only=True):
     path: str
     mode: int
     owner: str
+    """The user; a number where the machine has no name for it."""
     digest: str
+    group: str = ""
+    """The group; empty, in backups of earlier releases: the user's own."""
 
 
 class Content(Copied, frozen=True, kw_only=True):
@@ -183,7 +186,7 @@ def _write(folder: Path, told: Told) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(base64.b64decode(one.data))
     files = [
-        Copied(path=f.path, mode=f.mode, owner=f.owner, digest=f.digest)
+        Copied(path=f.path, mode=f.mode, owner=f.owner, digest=f.digest, group=f.group)
         for f in told.files
     ]
     saved = Saved(
@@ -243,21 +246,36 @@ def _plan(folder: Path, saved: Saved, told: Told) -> Iterator[Step]:
 
 
 def _file_step(folder: Path, one: Copied, there: Content | None) -> Step:
-    data = (folder / one.path.lstrip("/")).read_bytes()
-    if there is not None and there.digest == one.digest:
+    put = Put(
+        path=one.path,
+        data=(folder / one.path.lstrip("/")).read_bytes(),
+        mode=one.mode,
+        owner=one.owner,
+        group=one.group,
+    )
+    changed = "" if there is None else _rights_changed(put, there)
+    if there is not None and there.digest == one.digest and not changed:
         return Step(name="file", state="same", what=one.path)
+    what = f"{one.path}: {changed}" if changed else one.path
     before = b"" if there is None else base64.b64decode(there.data)
     lines = difflib.unified_diff(
         before.decode("utf-8", "replace").splitlines(),
-        data.decode("utf-8", "replace").splitlines(),
+        put.data.decode("utf-8", "replace").splitlines(),
         one.path,
         one.path,
         lineterm="",
         n=1,
     )
-    put = Put(path=one.path, data=data, mode=one.mode, owner=one.owner)
     diff = "" if there is None else "\n".join(lines)
-    return Step(name="file", state="change", what=one.path, diff=diff, actions=(put,))
+    return Step(name="file", state="change", what=what, diff=diff, actions=(put,))
+
+
+def _rights_changed(put: Put, there: Copied) -> str:
+    """Return how a file's rights change; empty: they are as they were."""
+    was = f"{there.owner}:{there.group} {there.mode:04o}"
+    group = put.group or there.group
+    new = f"{put.owner}:{group} {put.mode:04o}"
+    return "" if was == new else f"{was} becomes {new}"
 
 
 def _rtpus_of(path: str, rtpus: Sequence[str]) -> set[str]:

@@ -52,7 +52,7 @@ class Host(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class _File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     hosts: dict[str, Host]
     authority: str = ""
-    wheel: str = ""
+    wheel: str | tuple[str, ...] = ()
     wheelhouse: str = ""
     extras: tuple[str, ...] = ()
     jobs: tuple[str, ...] = ()
@@ -90,7 +90,8 @@ class HostsFile(Struct, frozen=True, kw_only=True):
     machines: list[Machine]
     authority: Path | None
     """The folder of the certificate authority; None: agents have no keys of ours."""
-    wheel: Path | None
+    wheels: list[Path]
+    """Wheels of a release of pbonet, for several kinds of machines."""
     wheelhouse: Path | None
     extras: tuple[str, ...]
     jobs: list[Path]
@@ -119,6 +120,7 @@ def read_hosts(path: str | Path, only: Sequence[str] = ()) -> HostsFile:
     def at(name: str) -> Path | None:
         return folder / Path(name).expanduser() if name else None
 
+    wheels = (found.wheel,) if isinstance(found.wheel, str) else found.wheel
     authority = at(found.authority)
     machines = [
         _machine(name, host, path, keys=authority is not None)
@@ -129,7 +131,7 @@ def read_hosts(path: str | Path, only: Sequence[str] = ()) -> HostsFile:
         machines=_chosen(machines, only, path),
         homes={rtpu: one.name for one in machines for rtpu in one.configs},
         authority=authority,
-        wheel=at(found.wheel),
+        wheels=[folder / Path(name).expanduser() for name in wheels],
         wheelhouse=at(found.wheelhouse),
         extras=tuple(sorted(found.extras)),
         jobs=[folder / Path(name).expanduser() for name in found.jobs],

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from .hosts_file import Machine
     from .release import Release
 
-OLDEST: Final = (3, 11)
-"""The oldest Python that pbonet runs with."""
 BEFORE: Final = "before-deploy"
 """The name of a release that host-setup.sh installed."""
 INCOMING: Final = f"{steps.RELEASES}/incoming"
@@ -90,8 +88,12 @@ class Plan:
                 where=self.machine.name,
                 remedy="docs/deployment.md says what an agent needs without it",
             )
-        if self.release is not None:
-            _check_python(self.machine, facts, self.release)
+        if self.release is not None and not facts.venv:
+            raise NodeError(
+                f"{self.machine.host.python} makes no environments there",
+                where=self.machine.name,
+                remedy="apt-get install python3-venv on the machine",
+            )
 
     # -- what every machine has ---
 
@@ -236,6 +238,8 @@ class Plan:
             yield step
             if rtpu in self.machine.cores:
                 yield self._cores(rtpu)
+            elif self.facts.text(steps.cores_of(rtpu)) is not None:
+                yield self._no_cores(rtpu)
 
     def _cores(self, rtpu: str) -> Step:
         own = self.machine.cores[rtpu]
@@ -256,6 +260,16 @@ class Plan:
         )
         what = f"cores of RTPU {rtpu}: {own}, and {' '.join(others) or 'no other'}"
         return self._file(rtpu, steps.cores_of(rtpu), text, what, *self._read_units())
+
+    def _no_cores(self, rtpu: str) -> Step:
+        """Return the step for an RTPU that names no core any more."""
+        path = steps.cores_of(rtpu)
+        what = f"cores of RTPU {rtpu}: all, as it names none"
+        if self.facts.running(rtpu):
+            what += "; it holds when its agent is started again"
+        diff = _diff(path, self.facts.text(path) or "", "")
+        actions = (Run(("rm", "-f", path)), *self._read_units())
+        return Step(name=rtpu, state="change", what=what, diff=diff, actions=actions)
 
     # -- services ---
 
@@ -337,32 +351,6 @@ def use(facts: Facts, name: str) -> Iterator[Run]:
     new = f"{steps.OPT}.new"
     yield Run(("ln", "-sfnT", f"{steps.RELEASES}/{name}", new))
     yield Run(("mv", "-fT", new, steps.OPT))
-
-
-def _check_python(machine: Machine, facts: Facts, release: Release) -> None:
-    said = ".".join(map(str, facts.python))
-    if facts.python < OLDEST or said != release.python:
-        raise NodeError(
-            f"the machine's {machine.host.python} is Python {said}",
-            where=machine.name,
-            expected=f"Python {release.python}, for which {release.wheel.name} is",
-            remedy='name another one of the machine as python = "...", or give a wheel '
-            "that was built for it with --wheel",
-        )
-    if facts.machine != release.machine:
-        raise NodeError(
-            f"the machine's processor is {facts.machine}",
-            where=machine.name,
-            expected=f"{release.machine}, for which {release.wheel.name} is",
-            remedy="give a wheel that was built on such a machine with --wheel, and "
-            "name the machines that it is for with --host",
-        )
-    if not facts.venv:
-        raise NodeError(
-            f"{machine.host.python} makes no environments there",
-            where=machine.name,
-            remedy="apt-get install python3-venv on the machine",
-        )
 
 
 def _check_room(machine: Machine, facts: Facts, release: Release) -> None:

@@ -7,6 +7,8 @@ with a private key, whatever its name, is described by its digest only.
 from __future__ import annotations
 
 import base64
+import contextlib
+import grp
 import hashlib
 import json
 import pwd
@@ -32,15 +34,17 @@ OPT = Path("/opt/pbonet")
 def described(path: Path) -> dict[str, Any]:
     """Return a file: its rights, its digest, and what is in it."""
     about, data = path.stat(), path.read_bytes()
-    try:
+    owner, group = str(about.st_uid), str(about.st_gid)
+    with contextlib.suppress(KeyError):
         owner = pwd.getpwuid(about.st_uid).pw_name
-    except KeyError:
-        owner = "root"
+    with contextlib.suppress(KeyError):
+        group = grp.getgrgid(about.st_gid).gr_name
     secret = path.name == "key.pem" or b"PRIVATE KEY" in data
     return {
         "path": str(path),
-        "mode": about.st_mode & 0o777,
+        "mode": about.st_mode & 0o7777,
         "owner": owner,
+        "group": group,
         "digest": hashlib.sha256(data).hexdigest(),
         "data": "" if secret else base64.b64encode(data).decode(),
     }

@@ -1,4 +1,4 @@
-"""A release of pbonet: its wheel, those of what it needs, and a name made of both."""
+"""Releases of pbonet: a wheel, those of what it needs, and a name made of all."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import hashlib
 import re
 import subprocess
 import sys
+import tempfile
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,11 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 import pbonet
-from pbonet.errors import ConfigFileError, NodeError
+from pbonet.errors import ConfigError, ConfigFileError, NodeError
 from pbonet.versions import Range
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+
+    from .host_facts import Facts
+    from .hosts_file import Machine
 
 _WHEEL: Final = re.compile(
     r"pbonet-(?P<version>[^-]+)(-\d[^-]*)?-(?P<python>[^-]+)-[^-]+-(?P<platform>[^-]+)"
@@ -25,6 +29,8 @@ _WHEEL: Final = re.compile(
 )
 _PLATFORM: Final = re.compile(r"(?:many|musl)?linux(?:\d+|_\d+_\d+)?_(\w+)")
 _CPYTHON: Final = re.compile(r"cp3(\d+)")
+_ANY: Final = "any"
+"""The platform of a wheel that fits every processor."""
 UNPACKED: Final = 4
 """Bytes on disk of an installed wheel's byte; compressed ones have 2.5 to 4."""
 BY_PIP: Final = 600 << 20
@@ -74,6 +80,78 @@ class Release(Struct, frozen=True, kw_only=True):
         return UNPACKED * packed
 
 
+def releases_of(
+    wheels: Sequence[Path], extras: Iterable[str] = (), wheelhouse: Path | None = None
+) -> list[Release]:
+    """Return the releases that wheels are: one version, for several kinds of machines.
+
+    Args:
+        wheels: Wheels of pbonet.
+        extras: Extras of pbonet that are installed with it.
+        wheelhouse: A folder with the wheels of all that they need.
+
+    Raises:
+        ConfigFileError: A file is missing, or is no wheel of pbonet.
+        ConfigError: They differ in version, or two are for one kind of machine.
+    """
+    found = [release_of(wheel, extras, wheelhouse) for wheel in wheels]
+    if len({one.version for one in found}) > 1:
+        raise ConfigError(
+            "the wheels are of several versions",
+            expected="wheels of one version, each for another kind of machine",
+            got=", ".join(one.wheel.name for one in found),
+            remedy="name those of one version; machines that are to have another one "
+            "are chosen with --host",
+        )
+    if len({(one.python, one.machine) for one in found}) < len(found):
+        raise ConfigError(
+            "two wheels are for one kind of machine",
+            expected="each for another Python or processor",
+            got=", ".join(one.wheel.name for one in found),
+            remedy="leave one of them out",
+        )
+    return found
+
+
+def fitting(
+    machine: Machine, facts: Facts, releases: Iterable[Release]
+) -> Release | None:
+    """Return the release that fits a machine's Python and processor.
+
+    Args:
+        machine: The machine.
+        facts: What it has.
+        releases: One version, for several kinds of machines; none: nothing is
+            installed.
+
+    Raises:
+        NodeError: None of them fits.
+    """
+    every = list(releases)
+    if not every:
+        return None
+    same = [one for one in every if one.machine == facts.machine]
+    python = ".".join(map(str, facts.python))
+    for one in same:
+        if one.python == python:
+            return one
+    named = ", ".join(one.wheel.name for one in same or every)
+    if same:
+        raise NodeError(
+            f"the machine's {machine.host.python} is Python {python}",
+            where=machine.name,
+            expected=f"Python {' or '.join(one.python for one in same)}, for {named}",
+            remedy='name another one of the machine as python = "...", or give a wheel '
+            "that was built for it with a further --wheel",
+        )
+    raise NodeError(
+        f"the machine's processor is {facts.machine}",
+        where=machine.name,
+        expected=f"{' or '.join(one.machine for one in every)}, for {named}",
+        remedy="give a wheel that was built on such a machine with a further --wheel",
+    )
+
+
 def release_of(
     wheel: Path, extras: Iterable[str] = (), wheelhouse: Path | None = None
 ) -> Release:
@@ -82,7 +160,8 @@ def release_of(
     Args:
         wheel: The wheel of pbonet.
         extras: Extras of pbonet that are installed with it.
-        wheelhouse: A folder with the wheels of all that it needs.
+        wheelhouse: A folder with the wheels of all that it needs; those for other
+            processors are left out.
 
     Raises:
         ConfigFileError: A file is missing, or is no wheel of pbonet.
@@ -97,26 +176,38 @@ def release_of(
             remedy="build one with --build, or pip wheel --no-deps FOLDER",
         )
     extras = tuple(sorted(extras))
-    others: tuple[Path, ...] = ()
-    if wheelhouse is not None:
-        others = tuple(sorted(wheelhouse.glob("*.whl")))
-        if not others:
-            raise ConfigFileError(
-                "the folder has no wheels",
-                where=str(wheelhouse),
-                expected="the wheels of all that pbonet needs",
-                remedy=f"pip download --dest {wheelhouse} {wheel}",
-            )
-    record = [_record(wheel), *extras]
+    processor = _processor(found["platform"])
+    others = () if wheelhouse is None else _needed(wheelhouse, processor, wheel)
+    record = [_record(wheel), *extras, *map(_record, others)]
     return Release(
         wheel=wheel,
         version=found["version"],
         python=f"3.{python[1]}",
-        machine=_processor(found["platform"]),
+        machine=processor,
         extras=extras,
         wheelhouse=others,
         digest=hashlib.sha256("\n".join(record).encode()).hexdigest()[:8],
     )
+
+
+def _needed(wheelhouse: Path, processor: str, wheel: Path) -> tuple[Path, ...]:
+    """Return the wheels of a folder that a machine with that processor may need."""
+    every = sorted(wheelhouse.glob("*.whl"))
+    platforms = {path: path.stem.rpartition("-")[2].split(".") for path in every}
+    found = [
+        path
+        for path in every
+        if any(_processor(one) in {_ANY, processor} for one in platforms[path])
+    ]
+    if not found:
+        raise ConfigFileError(
+            "the folder has no wheels",
+            where=str(wheelhouse),
+            expected=f"the wheels of all that pbonet needs, for {processor}",
+            remedy=f"pip download --dest {wheelhouse} {wheel}, on a machine like those "
+            "that get them",
+        )
+    return tuple(found)
 
 
 def _processor(platform: str) -> str:
@@ -161,24 +252,20 @@ def built(folder: Path) -> Path:
         )
     folder.mkdir(parents=True, exist_ok=True)
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
-    done = subprocess.run(
-        [*pip, "--wheel-dir", str(folder), str(source)],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    wheel = folder / _newest(folder) if done.returncode == 0 else None
-    if wheel is None:
-        lines = done.stderr.strip().splitlines()
-        raise NodeError(
-            "the wheel could not be built",
-            where=str(source),
-            got=lines[-1] if lines else f"status {done.returncode}",
-            remedy=f"see what pip says: pip wheel --no-deps {source}",
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as new:
+        done = subprocess.run(
+            [*pip, "--wheel-dir", new, str(source)],
+            check=False,
+            capture_output=True,
+            text=True,
         )
-    return wheel
-
-
-def _newest(folder: Path) -> str:
-    wheels = folder.glob(f"pbonet-{pbonet.__version__}-*.whl")
-    return max(wheels, key=lambda path: path.stat().st_mtime_ns).name
+        made = [*Path(new).glob("pbonet-*.whl")]
+        if done.returncode or not made:
+            lines = done.stderr.strip().splitlines()
+            raise NodeError(
+                "the wheel could not be built",
+                where=str(source),
+                got=lines[-1] if lines else f"status {done.returncode}",
+                remedy=f"see what pip says: pip wheel --no-deps {source}",
+            )
+        return made[0].replace(folder / made[0].name)

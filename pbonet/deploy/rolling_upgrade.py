@@ -21,10 +21,11 @@ from . import host_facts, running_tasks, set_up_hosts, steps
 from .host_reports import Report
 from .hosts_file import keepers
 from .plan_host import Plan, use
+from .release import fitting
 from .ssh import Shell
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pbonet.master.configuration import Place
 
@@ -89,7 +90,7 @@ class Turn(Struct, kw_only=True):
 
 def upgrade(
     file: HostsFile,
-    release: Release | None,
+    releases: Sequence[Release],
     place: Place,
     *,
     apply: bool,
@@ -99,7 +100,8 @@ def upgrade(
 
     Args:
         file: The machines, and the jobs that are started again.
-        release: The release; None: the one that each machine used before.
+        releases: The release, for several kinds of machines; none: the one that each
+            machine used before.
         place: How agents are reached.
         apply: Whether it is done; else it is only planned.
         yes: Whether tasks may be turned off that nothing declares to be.
@@ -112,21 +114,21 @@ def upgrade(
             turned off.
         PbonetError: A file is wrong, or no agent can be reached.
     """
-    return asyncio.run(_Upgrade(file, release, place, apply=apply, yes=yes).run())
+    return asyncio.run(_Upgrade(file, releases, place, apply=apply, yes=yes).run())
 
 
 class _Upgrade:
     def __init__(
         self,
         file: HostsFile,
-        release: Release | None,
+        releases: Sequence[Release],
         place: Place,
         *,
         apply: bool,
         yes: bool,
     ) -> None:
         self.file = file
-        self.release = release
+        self.releases = releases
         self.place = place
         self.apply = apply
         self.yes = yes
@@ -156,7 +158,8 @@ class _Upgrade:
         """Plan the installation of the release, and read which versions meet."""
         async with Shell(machine, self.file) as shell:
             facts = await host_facts.ask(shell, machine)
-            plan = Plan(machine, facts, self.release, None)
+            release = fitting(machine, facts, self.releases)
+            plan = Plan(machine, facts, release, None)
             plan.check()
             todo = plan.install_steps()
             report.record(todo)
@@ -165,7 +168,7 @@ class _Upgrade:
                 if facts.current or facts.folder
                 else None
             )
-            if self.release is None:
+            if release is None:
                 if not facts.previous:
                     raise NodeError(
                         "the machine has no earlier release",
@@ -175,8 +178,8 @@ class _Upgrade:
                 target = facts.previous
                 version, then = await _layers(shell, f"{steps.RELEASES}/{target}")
             else:
-                target, version = self.release.name, self.release.version
-                then = self.release.layers
+                target, version = release.name, release.version
+                then = release.layers
         self.turns[machine.name] = Turn(
             machine=machine,
             report=report,

@@ -17,6 +17,7 @@ from pbonet.errors import PbonetError
 from . import host_facts, host_keys, steps
 from .host_reports import Report
 from .plan_host import Plan
+from .release import fitting
 from .ssh import Shell
 from .steps import Put, Step
 
@@ -46,13 +47,18 @@ class _Finding(Struct):
 
 
 def deploy(
-    file: HostsFile, release: Release | None, *, apply: bool, fail_fast: bool = False
+    file: HostsFile,
+    releases: Sequence[Release],
+    *,
+    apply: bool,
+    fail_fast: bool = False,
 ) -> list[Report]:
     """Plan what every machine needs, and do it.
 
     Args:
         file: The machines.
-        release: What is to be installed; None: what is there stays.
+        releases: What is to be installed: a version, for several kinds of machines;
+            none: what is there stays.
         apply: Whether it is done; else it is only planned.
         fail_fast: Work on one machine after the other, and leave the others alone when
             one fails.
@@ -63,7 +69,7 @@ def deploy(
 
     async def one(machine: Machine, report: Report) -> None:
         async with Shell(machine, file) as shell:
-            await _set_up(shell, file, release, report, apply=apply)
+            await _set_up(shell, file, releases, report, apply=apply)
 
     return asyncio.run(each(file.machines, one, fail_fast=fail_fast))
 
@@ -98,7 +104,7 @@ async def each(
 async def _set_up(
     shell: Shell,
     file: HostsFile,
-    release: Release | None,
+    releases: Sequence[Release],
     report: Report,
     *,
     apply: bool,
@@ -106,6 +112,7 @@ async def _set_up(
     machine = shell.machine
     keys = _keys(file, machine, apply=apply)
     facts = await host_facts.ask(shell, machine)
+    release = fitting(machine, facts, releases)
     plan = Plan(machine, facts, release, keys).steps()
     report.record(plan)
     if apply:
@@ -142,7 +149,7 @@ async def act(shell: Shell, step: Step) -> None:
     """Do what a step says."""
     for action in step.actions:
         if isinstance(action, Put):
-            await shell.put(action.path, action.data, action.mode, action.owner)
+            await shell.put(action)
         else:
             await shell.run(*action.words, check=action.must)
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from .hosts_file import HostsFile, Machine
+    from .steps import Put
 
 CONNECT: Final = 15.0
 """Seconds after which a machine that does not answer is given up."""
@@ -102,7 +103,7 @@ class Shell:
             )
         return done
 
-    async def put(self, path: str, data: bytes, mode: int, owner: str) -> None:
+    async def put(self, file: Put) -> None:
         """Write a file, in one step for its readers; its folder is made if needed.
 
         Raises:
@@ -111,10 +112,10 @@ class Shell:
         script = (
             'mkdir -p "$(dirname "$1")"; umask 077; cat > "$1.new" '
             '&& [ "$(wc -c < "$1.new")" -eq "$4" ] '  # else the connection was lost
-            '&& chown "$3:" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1"'
+            '&& chown "$3" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1"'
         )
-        words = ("sh", "-ec", script, "sh", path, f"{mode:04o}", owner, str(len(data)))
-        await self.run(*words, data=data)
+        about = (f"{file.mode:04o}", f"{file.owner}:{file.group}", str(len(file.data)))
+        await self.run("sh", "-ec", script, "sh", file.path, *about, data=file.data)
 
     async def _run(self, *words: str, data: bytes = b"") -> Done:
         assert self._connection is not None, "the connection was not opened"  # noqa: S101

@@ -33,6 +33,8 @@ class Put(Struct, frozen=True, kw_only=True):
     data: bytes
     mode: int = 0o644
     owner: str = "root"
+    group: str = ""
+    """Its group; empty: the owner's own."""
 
 
 class Run(Struct, frozen=True):

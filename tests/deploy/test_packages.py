@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+import pbonet
+from pbonet import deploy
+from pbonet.versions import LAYERS
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
@@ -67,9 +72,15 @@ def sdist(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def wheel(sdist, tmp_path_factory):
-    """A wheel that was built from the sdist alone."""
+    """A wheel that `pbonet deploy --build` has built, from the sdist alone."""
     source = unpacked(sdist, tmp_path_factory.mktemp("unpacked"))
-    return build("wheel", source, tmp_path_factory.mktemp("wheel") / "dist")
+    folder = tmp_path_factory.mktemp("wheel") / "wheels"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pbonet, "__file__", str(source / "pbonet" / "__init__.py"))
+        patch.setenv("PIP_NO_BUILD_ISOLATION", "0")  # what pip reads as true
+        made = deploy.built(folder)
+    assert [*folder.iterdir()] == [made]
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +96,14 @@ def installed(wheel, tmp_path_factory):
     ours |= {path for path in sys.path if path.endswith("site-packages")}
     (site / "needs.pth").write_text("\n".join(sorted(ours)) + "\n")
     return folder
+
+
+def test_what_deploy_builds_is_a_release_for_this_machine(wheel):
+    (release,) = deploy.releases_of([wheel])
+    assert release.version == pbonet.__version__
+    assert release.machine == platform.machine()
+    assert release.python == ".".join(map(str, sys.version_info[:2]))
+    assert release.layers == LAYERS
 
 
 def test_a_wheel_carries_stubs_data_and_native_parts(wheel):

@@ -29,7 +29,12 @@ from watching import wait_for
 import pbonet
 
 PORT = 2222
-TOOLS = ("unshare", "nsenter", "/usr/sbin/sshd", "/lib/systemd/systemd", "ssh-keygen")
+TOOLS = (
+    *("unshare", "nsenter", "/usr/sbin/sshd", "/lib/systemd/systemd", "ssh-keygen"),
+    "sudo",
+)
+OPERATOR = "anna"
+"""A user who may become root there by sudo, without a password."""
 PYTHON = "/usr/local/pbonet-test/python"
 PACKAGES = "/usr/local/pbonet-test/packages"
 MODULES = "/usr/local/pbonet-test/modules"
@@ -51,6 +56,12 @@ ExecStart=/usr/sbin/sshd -D -e -f {config}
 [Install]
 WantedBy=multi-user.target
 """
+RIGHTS = """[Service]
+CapabilityBoundingSet=CAP_SYS_NICE CAP_IPC_LOCK
+AmbientCapabilities=CAP_SYS_NICE CAP_IPC_LOCK
+"""
+"""What the limits of the agent's unit cannot give in a container whose root may not
+raise them; whatever else the unit closes is closed."""
 BOOT = """
 mount --make-rprivate /
 mount -t tmpfs -o mode=755 layers {0}/layers
@@ -66,6 +77,10 @@ ln -s ../systemd-journald.service $units/sysinit.target.wants
 : > etc/machine-id
 cp {0}/sshd.service etc/systemd/system
 ln -s ../sshd.service etc/systemd/system/multi-user.target.wants
+if ! prlimit --rtprio=95 true 2> /dev/null; then
+  mkdir etc/systemd/system/pbonet-agent@.service.d
+  cp {0}/rights.conf etc/systemd/system/pbonet-agent@.service.d
+fi
 for bind in {binds}; do
   mkdir -p ".${{bind#*:}}"
   mount --bind "${{bind%%:*}}" ".${{bind#*:}}"
@@ -87,6 +102,8 @@ mount -t tmpfs -o mode=755 run run
 mount -t tmpfs -o mode=1777 tmp tmp
 hostname {1}
 echo {1} > etc/hostname
+chroot . useradd --create-home --shell /bin/sh --password '*' {2}
+echo '{2} ALL=(ALL) NOPASSWD: ALL' > etc/sudoers.d/{2}
 exec chroot . /usr/bin/env -i container=test PATH=/usr/sbin:/usr/bin:/sbin:/bin \
   /lib/systemd/systemd --log-target=journal --show-status=no
 """
@@ -110,7 +127,7 @@ def missing():
     """Return why there can be no such hosts; empty if there can."""
     lacks = [name for name in TOOLS if not shutil.which(name)]
     if lacks:
-        return f"hosts over ssh need {' '.join(lacks)} (openssh-server, systemd)"
+        return f"hosts over ssh need {' '.join(lacks)} (openssh-server, systemd, sudo)"
     return "" if groups() else "no control groups of version 2"
 
 
@@ -147,6 +164,7 @@ class SshHost:
                 port=PORT, key=inside / key.name, authorized=inside / "authorized"
             )
         )
+        (folder / "rights.conf").write_text(RIGHTS)
         (folder / "sshd.service").write_text(UNIT.format(config=inside / config.name))
         binds = [
             f"{sys.base_prefix}:{PYTHON}",
@@ -155,7 +173,7 @@ class SshHost:
             f"{folder}:{inside}",
         ]
         boot = BOOT.format(
-            folder, host.hostname, binds=" ".join(binds), library=library()
+            folder, host.hostname, OPERATOR, binds=" ".join(binds), library=library()
         )
         self.group.mkdir()
         own = ("sh", "-ec", OWN.format(self.group), "sh", boot)

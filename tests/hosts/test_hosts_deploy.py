@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -12,6 +13,8 @@ import sshhosts
 from nodekit import rmod, svar
 from sshhosts import MODULES, PYTHON, SshHost, make_wheel, make_wheelhouse
 from watching import wait_for
+
+from pbonet.node import rt
 
 HOSTS = {"arm-pc": ("b", "arm0"), "cam-pc": ("c", "arm1"), "desk": ("a", "arm2")}
 NEXT = "LAYERS.update(table=Range(1, 2), commands=Range(1, 2))\n"
@@ -60,7 +63,8 @@ class Operator:
             role = "gateway" if name == "desk" else "agent"
             others = [self.lan["a"].address(at)] if name != "desk" else ["10.77.3.1"]
             lines += [f"[hosts.{name}]", f'address = "{self.address(name)}"']
-            lines += [f"port = {sshhosts.PORT}", 'user = "root"', f'role = "{role}"']
+            user = sshhosts.OPERATOR if name == "cam-pc" else "root"
+            lines += [f"port = {sshhosts.PORT}", f'user = "{user}"', f'role = "{role}"']
             lines += [f"names = {json.dumps(others if name == 'desk' else [])}"]
             lines += [f'python = "{PYTHON}/bin/python3"']
             lines += [f"[hosts.{name}.rtpus.{rtpu}]"]
@@ -199,7 +203,15 @@ def laboratory(operator, tmp_path):
     assert all_are(operator.hosts_told(*deploy), "same")
 
     operator.start()
+    must_have_real_time(operator.hosts["arm-pc"], "src")
     return operator
+
+
+def must_have_real_time(host, task):
+    """Judge that a task of an agent under the unit has SCHED_FIFO, if root may."""
+    if rt.probe().fifo:
+        threads = host.inside("ps", "-eLo", "comm=,cls=,rtprio=")
+        assert re.search(rf"^{task} +FF +\d+$", threads, re.MULTILINE), threads
 
 
 @pytest.mark.timeout(900)  # twelve environments are made, on a machine that may be busy
@@ -242,17 +254,20 @@ def test_machines_are_upgraded_while_others_run_and_restored(laboratory, tmp_pat
     kept = {path.name for path in (tmp_path / "saved").rglob("*") if path.is_file()}
     assert {"hosts.toml", "run.job", "arm0.toml", "cert.pem"} <= kept
     assert "key.pem" not in kept
-    config = "/etc/pbonet/arm0.toml"
+    config, users = "/etc/pbonet/arm0.toml", "/etc/sysusers.d/pbonet.conf"
     shell = f"echo grace = 9.0 >> {config}; rm /etc/security/limits.d/pbonet.conf"
+    shell += f"; chown pbonet:users {users}; chmod 600 {users}"
     operator.hosts["arm-pc"].inside("sh", "-ec", shell)
     told = operator.hosts_told("restore", "lab.toml", "saved")
     changes = [s for s in told["arm-pc"]["steps"] if s["state"] == "change"]
-    assert [s["name"] for s in changes] == ["file", "file", "service"]
+    assert [s["name"] for s in changes] == ["file", "file", "file", "service"]
     assert "-grace = 9.0" in changes[0]["diff"]
     assert told["cam-pc"]["state"] == told["desk"]["state"] == "same"
     told = operator.hosts_told("restore", "lab.toml", "saved", "--apply")
     assert told["arm-pc"]["state"] == "changed"
     assert "grace" not in operator.hosts["arm-pc"].inside("cat", config)
+    stat = ("stat", "-c", "%U:%G %a", users)
+    assert operator.hosts["arm-pc"].inside(*stat) == "root:root 644\n"
 
     # What was written, and not read as the connection was lost then, is read.
     operator.hosts["arm-pc"].inside("touch", config)

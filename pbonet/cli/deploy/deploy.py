@@ -36,9 +36,9 @@ def command(
     from pbonet import deploy
 
     hosts = deploy.read_hosts(file, host or ())
-    release = shared.release_of(hosts, wheel, wheelhouse, build=build)
+    releases = shared.releases_of(hosts, wheel, wheelhouse, build=build)
     reports = deploy.set_up_hosts.deploy(
-        hosts, release, apply=apply, fail_fast=fail_fast
+        hosts, releases, apply=apply, fail_fast=fail_fast
     )
     text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
     options.show(text, deploy.host_reports.data(reports), as_data=json_)

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 Hosts = A[Path, Argument("The file of machines (docs/operations.md).", "HOSTS.toml")]
 Host = A[list[str] | None, Option("Only this machine of the file.", "NAME")]
 Apply = A[bool, Option("Do it; else the plan is printed and nothing is done.")]
-Wheel = A[Path | None, Option("The wheel of pbonet that is installed.", "FILE")]
+Wheel = A[
+    list[Path] | None,
+    Option("The wheel of pbonet that is installed; one for each processor.", "FILE"),
+]
 Wheelhouse = A[
     Path | None,
     Option("Wheels of all that it needs, for machines without internet.", "FOLDER"),
@@ -21,32 +24,31 @@ Wheelhouse = A[
 Build = A[bool, Option("Build the wheel of this checkout, into wheels/.")]
 
 
-def release_of(
-    file: HostsFile, wheel: Path | None, wheelhouse: Path | None, *, build: bool
-) -> Release | None:
-    """Return the release that the words and the file name; None if they name none."""
+def releases_of(
+    file: HostsFile, wheels: list[Path] | None, wheelhouse: Path | None, *, build: bool
+) -> list[Release]:
+    """Return the release that the words or the file name, by kinds of machines."""
     from pbonet import deploy
 
     if build:
-        wheel = deploy.built(file.path.absolute().parent / "wheels")
-    found = wheel or file.wheel
-    if found is None:
-        return None
-    return deploy.release_of(found, file.extras, wheelhouse or file.wheelhouse)
+        made = deploy.built(file.path.absolute().parent / "wheels")
+        wheels = [made, *(wheels or ())]
+    found = wheels or file.wheels
+    return deploy.releases_of(found, file.extras, wheelhouse or file.wheelhouse)
 
 
-def needed_release(
-    file: HostsFile, wheel: Path | None, wheelhouse: Path | None, *, build: bool
-) -> Release:
-    """Return the release that the words and the file name.
+def needed_releases(
+    file: HostsFile, wheels: list[Path] | None, wheelhouse: Path | None, *, build: bool
+) -> list[Release]:
+    """Return the release that the words or the file name, by kinds of machines.
 
     Raises:
         ConfigError: They name none.
     """
     from pbonet.errors import ConfigError
 
-    found = release_of(file, wheel, wheelhouse, build=build)
-    if found is None:
+    found = releases_of(file, wheels, wheelhouse, build=build)
+    if not found:
         raise ConfigError(
             "no release is named",
             where=str(file.path),

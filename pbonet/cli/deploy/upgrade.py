@@ -38,11 +38,11 @@ def command(
     from pbonet import deploy
 
     hosts = deploy.read_hosts(file, host or ())
-    release = None
-    if not back:
-        release = shared.needed_release(hosts, wheel, wheelhouse, build=build)
+    releases = (
+        [] if back else shared.needed_releases(hosts, wheel, wheelhouse, build=build)
+    )
     reports = deploy.rolling_upgrade.upgrade(
-        hosts, release, place, apply=apply, yes=yes
+        hosts, releases, place, apply=apply, yes=yes
     )
     text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
     options.show(text, deploy.host_reports.data(reports), as_data=json_)

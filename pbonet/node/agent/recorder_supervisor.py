@@ -17,8 +17,8 @@ import msgspec
 
 from pbonet.config import agent_text
 from pbonet.errors import Severity
-from pbonet.node.rtpu import describe_end, orphaned_rings
-from pbonet.node.wire import command, process_setup, rtpu_messages
+from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.wire import command, describe_end, process_setup, rtpu_messages
 
 from .recorder_pipe import RecorderPipe
 

@@ -23,7 +23,7 @@ import msgspec
 import pbonet
 from pbonet.errors import NodeError, ProtocolError
 from pbonet.node.rtpu import SnapshotChanges, cleanup
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import describe_end, rtpu_messages
 from pbonet.xm.net import run_folder
 
 from . import start_rtpu
@@ -516,8 +516,6 @@ class RtpuLink:
                 self._lacks(error)
         if orderly:
             return reason
-        from pbonet.node.rtpu import describe_end
-
         code = self._process.returncode if self._process else None
         how = describe_end(code) if code is not None else reason
         said = start_rtpu.log_tail(self._places)

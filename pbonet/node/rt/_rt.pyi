@@ -509,15 +509,22 @@ def drop_rights() -> None:
     """
 
 def prefault_stack(size: int = 1 << 19) -> None: ...
-def populate_pages(whole: int = 1 << 24) -> int:
-    """Make private writable pages present, which undoes the sharing after fork.
+def populate_pages(spare: int = 1 << 20, whole: int = 1 << 24) -> int:
+    """Make private writable pages present that are not: what `init` has allocated.
+
+    Pages that are shared with the fork server stay so until they are written: most of
+    them are code and descriptions of Python's objects, which no cycle touches.
 
     Args:
-        whole: Bytes. Of larger areas only those pages that are present already: such
-            are buffers of which little is used.
+        spare: Bytes of the heap that are free for the temporaries of cycles.
+        whole: Bytes. Larger areas are left alone: such are buffers of which little is
+            used. OpenBLAS has one of 32 MB in each process.
 
     Returns:
-        Bytes populated.
+        Bytes that were made present.
+
+    Raises:
+        MemoryError: The heap cannot have so many spare bytes.
     """
 
 def see_interrupt(signal: int) -> None:

@@ -59,23 +59,19 @@ def prefault_stack(size_t size=1 << 19) -> None:
     rt_prefault_stack(size if size < 1 << 22 else 1 << 22)
 
 
-def populate_pages(size_t whole=1 << 24) -> int:
-    """Ask the kernel for the private writable pages at once (madvise).
-
-    Of areas larger than `whole` bytes only those that are present: such are buffers of
-    which little is used. OpenBLAS has one of 32 MB in each process.
-    """
+def populate_pages(size_t spare=1 << 20, size_t whole=1 << 24) -> int:
+    """Ask the kernel for the private writable pages that are not there (madvise)."""
     total = 0
+    if rt_spare_heap(spare):
+        raise MemoryError
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
         lines = maps.readlines()
     for line in lines:
         place, rights = line.split()[:2]
         low, high = (int(text, 16) for text in place.split("-"))
         if rights.startswith("rw") and rights.endswith("p") and "[v" not in line:
-            if high - low > whole:
-                total += rt_populate_present(low, high - low)
-            elif not rt_populate(low, high - low):
-                total += high - low
+            if high - low <= whole:
+                total += rt_populate_absent(low, high - low)
     return total
 
 

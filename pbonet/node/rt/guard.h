@@ -147,15 +147,10 @@ static inline void rt_timer_slack(unsigned long ns)
     prctl(PR_SET_TIMERSLACK, ns);
 }
 
-/* Make pages present for writing; not every kernel and mapping supports it. */
-static inline int rt_populate(size_t at, size_t size)
-{
-    return madvise((void *)at, size, 23 /* MADV_POPULATE_WRITE, Linux 5.14 */);
-}
-
-/* The same for those pages only that are present: a page which is shared with the parent
- * process becomes the caller's own. Returns how many bytes that are. */
-static inline size_t rt_populate_present(size_t at, size_t size)
+/* Make pages present for writing that are not there; not every kernel and mapping
+ * supports it. Those that are there may be shared with the parent process, and stay so.
+ * Returns how many bytes are made present. */
+static inline size_t rt_populate_absent(size_t at, size_t size)
 {
     enum { MOST = 1024 };
     const size_t page = (size_t)sysconf(_SC_PAGESIZE), end = at + size;
@@ -168,12 +163,23 @@ static inline size_t rt_populate_present(size_t at, size_t size)
         for (size_t first = 0, last; first < pages; first = last) {
             for (last = first + 1; last < pages && !((present[first] ^ present[last]) & 1);)
                 last++;
-            if ((present[first] & 1) && !rt_populate(here + first * page, (last - first) * page))
+            if (!(present[first] & 1) &&
+                !madvise((void *)(here + first * page), (last - first) * page,
+                         23 /* MADV_POPULATE_WRITE, Linux 5.14 */))
                 done += (last - first) * page;
         }
         here += pages * page;
     }
     return done;
+}
+
+/* Have at least `size` bytes of the heap free in one piece. Nothing is given back to the
+ * kernel: M_TRIM_THRESHOLD is set before exec (process_setup.py). */
+static inline int rt_spare_heap(size_t size)
+{
+    void *volatile piece = malloc(size);
+    free(piece);
+    return piece ? 0 : ENOMEM;
 }
 
 /* Touch `size` bytes of stack below the caller, so that no cycle faults there. */

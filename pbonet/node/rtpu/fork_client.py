@@ -16,15 +16,13 @@ import msgspec
 
 from pbonet.errors import NodeError
 from pbonet.node.task import PIPE_BYTES
-from pbonet.node.wire import CoreWait, process_setup, rtpu_messages
+from pbonet.node.wire import ORPHANED, CoreWait, process_setup, rtpu_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 F_SETPIPE_SZ = 1031
 FORK_TIME = 10.0
-ORPHANED = 256
-"""Exit code of a child that outlived the fork server: the real one is unknown."""
 END_TIME = 1.0
 """Seconds in which a fork server ends, and reports the end of a child."""
 LARGEST_CROWD = 128

@@ -18,6 +18,7 @@ from pbonet.node import rt
 from pbonet.node.task import INTERRUPT, own_place, placed
 from pbonet.node.wire import (
     cpu_idle_states,
+    describe_end,
     lifecycle,
     process_setup,
     rtpu_messages,
@@ -39,7 +40,7 @@ from .orphaned_rings import let_ring_go, ring_damage
 from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
-from .task_handle import crash_place, describe_end
+from .task_handle import crash_place
 from .task_signals import RepeatedWarnings, Signals
 from .timing_failure_events import TimingFailureEvents
 from .waiting_cycles import WaitingCycles

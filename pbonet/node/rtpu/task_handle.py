@@ -28,11 +28,9 @@ from pbonet.errors import (
     TaskError,
 )
 from pbonet.node.task import Lines
-from pbonet.node.wire import LineBudget, rtpu_messages
+from pbonet.node.wire import LineBudget, describe_end, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import codec
-
-from .fork_client import ORPHANED
 
 if TYPE_CHECKING:
     from collections import deque
@@ -482,28 +480,6 @@ def crash_place(trace: str) -> str:
 
 
 _FRAME = re.compile(r'File "([^"]+)", line (\d+) in (.+)')
-
-
-def describe_end(code: int) -> str:
-    """Return an exit code in words."""
-    if code == ORPHANED:
-        return "its fork server has ended"
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = str(-code)
-    words = {
-        "SIGSEGV": " (segmentation fault)",
-        "SIGKILL": " (killed)",
-        "SIGABRT": " (abort)",
-        "SIGBUS": " (bus error)",
-        "SIGILL": " (illegal instruction)",
-        "SIGFPE": " (arithmetic fault in native code)",
-        "SIGALRM": " (did not turn itself off in time)",
-    }
-    return f"signal {name}{words.get(name, '')}"
 
 
 async def rest(core: rt.CoreTable, task: Task) -> None:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import PbonetError, Severity
 from pbonet.io.spp import ExecutiveConfig, Started, channel
-from pbonet.node.rtpu import describe_end
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import describe_end, rtpu_messages
 from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:

@@ -22,6 +22,7 @@ from .event_log import (
     by_task as by_task,
     severity as severity,
 )
+from .exit_codes import ORPHANED as ORPHANED, describe_end as describe_end
 from .lifecycle import (
     NOT_MADE as NOT_MADE,
     RULES as RULES,

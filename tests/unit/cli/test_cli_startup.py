@@ -65,3 +65,15 @@ def test_status_asks_over_the_network():
     """Else the case above would show nothing."""
     modules = loaded(CASES["status"][0])
     assert {"zenoh", "pbonet.xm.net.rpc"} <= modules
+
+
+@pytest.mark.slow
+def test_an_agent_loads_nothing_that_only_its_rtpu_process_needs():
+    """Each machine has one for each RTPU, and 3 MB more for asyncio and TLS."""
+    code = "import pbonet.node.agent.agent_main, sys; print('\\n'.join(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    modules = set(done.stdout.splitlines())
+    assert "pbonet.node.agent.rtpu_link" in modules
+    assert not modules & {"asyncio", "ssl", "pbonet.node.rtpu.rtpu_state"}

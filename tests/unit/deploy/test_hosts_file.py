@@ -48,6 +48,14 @@ def test_machines_with_configurations_and_addresses(read, tmp_path):
     assert desk.configs == {"desk": "core = 1 # mine\n"}
     assert file.authority == tmp_path / "keys"
     assert file.extras == ("files", "robot")
+    assert [one.name for one in file.wheels] == [
+        "pbonet-0.2.0-cp311-cp311-linux_x86_64.whl"
+    ]
+    both = GOOD.replace('wheel = "', 'wheel = ["other.whl", "').replace(
+        '.whl"\n', '.whl"]\n'
+    )
+    assert [one.name for one in read(both).wheels] == ["other.whl", file.wheels[0].name]
+    assert read(GOOD.partition("extras")[2].partition("\n")[2]).wheels == []
     assert file.homes == {"arm0": "arm-pc", "desk": "desk"}
     assert [one.name for one in read(GOOD, "desk").machines] == ["desk"]
 

@@ -47,11 +47,16 @@ def test_a_file_that_came_in_part_is_not_used(hosts, tmp_path):
     """sshd closes the input of a command whose connection is lost, as at its end."""
     shell = Cut(hosts.machines[0], hosts)
     path, user = tmp_path / "etc" / "arm0.toml", getpass.getuser()
-    asyncio.run(shell.put(str(path), b"core = 1\n", 0o640, user))
+
+    def put(data):
+        file = steps.Put(path=str(path), data=data, mode=0o640, owner=user)
+        asyncio.run(shell.put(file))
+
+    put(b"core = 1\n")
     assert path.read_bytes() == b"core = 1\n"
     assert path.stat().st_mode & 0o777 == 0o640
     shell.left = 7
-    asyncio.run(shell.put(str(path), b'core = 2\nkeys = "k"\n', 0o640, user))
+    put(b'core = 2\nkeys = "k"\n')
     assert path.read_bytes() == b"core = 1\n"
 
 
@@ -133,7 +138,7 @@ class Upgrade(rolling_upgrade._Upgrade):
     """An upgrade of one machine, whose commands are kept."""
 
     def __init__(self, hosts, facts, monkeypatch, current="new"):
-        super().__init__(hosts, None, Place(domain="d"), apply=True, yes=False)
+        super().__init__(hosts, [], Place(domain="d"), apply=True, yes=False)
         self.words = []
         self.facts = structs.replace(facts, current=current, previous="old")
         self.turn = rolling_upgrade.Turn(

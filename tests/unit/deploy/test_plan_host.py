@@ -5,10 +5,11 @@ import hashlib
 import pytest
 from msgspec import structs
 
-from pbonet.deploy import read_hosts, release_of, steps
+from pbonet.deploy import read_hosts, steps
 from pbonet.deploy.host_facts import Facts, File, Unit, paths_of
 from pbonet.deploy.host_keys import HostKeys
 from pbonet.deploy.plan_host import Plan
+from pbonet.deploy.release import fitting, release_of
 from pbonet.errors import NodeError
 
 TEXT = """
@@ -150,7 +151,10 @@ def test_an_rtpu_that_nobody_names_is_told_and_left_alone(machine, release):
     [
         ({"python": (3, 9)}, r"is Python 3\.9 .*python = "),
         ({"python": (3, 13)}, r"is Python 3\.13 \(expected Python 3\.11"),
-        ({"machine": "aarch64"}, "processor is aarch64 .*--host"),
+        (
+            {"machine": "aarch64"},
+            r"processor is aarch64 \(expected x86_64, for pbonet.*--wheel",
+        ),
         ({"venv": False}, "apt-get install python3-venv"),
         ({"systemctl": False}, "has no systemd"),
         ({"free": 1 << 10}, "no room for another release .*remove"),
@@ -160,4 +164,35 @@ def test_an_rtpu_that_nobody_names_is_told_and_left_alone(machine, release):
 def test_a_machine_that_cannot_take_it_says_why(machine, release, change, said):
     facts = structs.replace(nothing(machine), **change)
     with pytest.raises(NodeError, match=said):
-        Plan(machine, facts, release, None).steps()
+        Plan(machine, facts, fitting(machine, facts, [release]), None).steps()
+
+
+def test_each_machine_gets_the_wheel_for_its_processor(machine, release, make_wheel):
+    arm = release_of(make_wheel(tag="cp311-cp311-manylinux_2_17_aarch64"))
+    newer = release_of(make_wheel(tag="cp312-cp312-linux_x86_64"))
+    facts = nothing(machine)
+    for change, expected in (
+        ({}, release),
+        ({"machine": "aarch64"}, arm),
+        ({"python": (3, 12)}, newer),
+    ):
+        one = structs.replace(facts, **change)
+        assert fitting(machine, one, [arm, newer, release]) is expected
+    assert fitting(machine, facts, []) is None
+
+
+def test_an_rtpu_that_names_no_core_any_more_may_use_all(machine, release, tmp_path):
+    done = after(machine, nothing(machine), release)
+    (tmp_path / "lab.toml").write_text(TEXT.replace("core = 1", ""))
+    (free,) = read_hosts(tmp_path / "lab.toml").machines
+    plan = Plan(free, done, release, KEYS).steps()
+    (step,) = [one for one in plan if "cores.conf" in str(one.actions)]
+    remove, read = step.actions
+    assert remove.words == ("rm", "-f", steps.cores_of("arm0"))
+    assert read.words == ("systemctl", "daemon-reload")
+    assert "-CPUAffinity=0 3 1" in step.diff
+    assert "when its agent is started again" in step.what
+    files = {**done.files, steps.cores_of("arm0"): None}
+    files[steps.config_of("arm0")] = file(free.configs["arm0"].encode())
+    again = Plan(free, structs.replace(done, files=files), release, KEYS).steps()
+    assert {step.state for step in again} == {"same"}

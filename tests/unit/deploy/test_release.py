@@ -4,8 +4,9 @@ import os
 
 import pytest
 
-from pbonet.deploy import release_of
-from pbonet.errors import ConfigFileError
+from pbonet.deploy import releases_of
+from pbonet.deploy.release import release_of
+from pbonet.errors import ConfigError, ConfigFileError
 
 
 def test_a_release_is_named_by_what_is_in_it(make_wheel):
@@ -30,3 +31,33 @@ def test_what_is_no_release_is_refused(make_wheel, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigFileError, match=r"has no wheels.*pip download"):
         release_of(make_wheel(), (), tmp_path / "empty")
+
+
+def test_the_wheels_of_what_it_needs_are_part_of_its_name(make_wheel, tmp_path):
+    wheel, house = make_wheel(), tmp_path / "house"
+    house.mkdir()
+    any_, arm = (
+        "py3-none-any",
+        "cp311-cp311-manylinux2014_aarch64.manylinux_2_17_aarch64",
+    )
+    for tag in (any_, arm):
+        make_wheel(tag=tag).rename(house / f"numpy-2.0.0-{tag}.whl")
+    first = release_of(wheel, (), house)
+    assert [one.name for one in first.wheelhouse] == [f"numpy-2.0.0-{any_}.whl"]
+    assert first.name != release_of(wheel).name
+    make_wheel(tag=any_, record="b").rename(house / f"numpy-2.0.0-{any_}.whl")
+    assert release_of(wheel, (), house).name != first.name
+    away = release_of(make_wheel(tag="cp311-cp311-linux_aarch64"), (), house)
+    assert len(away.wheelhouse) == 2
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        ({"version": "0.3.0"}, "of several versions"),
+        ({"tag": "cp311-cp311-linux_x86_64"}, "two wheels are for one kind of machine"),
+    ],
+)
+def test_wheels_are_of_one_version_for_different_machines(make_wheel, other, said):
+    with pytest.raises(ConfigError, match=said):
+        releases_of([make_wheel(), make_wheel(**other)])

@@ -18,7 +18,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from pbonet.config import parse_agent
 from pbonet.errors import ConfigError, NodeError, SvarError
 from pbonet.node.metrics import MetricsServer, check_address, scrape_server
-from pbonet.node.metrics.rtpu_collector import FAMILIES, PREFIX, RtpuCollector
+from pbonet.node.metrics.rtpu_collector import FAMILIES, RtpuCollector
 from pbonet.xm.net import (
     AgentInfo,
     RtpuStatus,
@@ -176,21 +176,61 @@ def test_names_and_units_follow_the_conventions(family):
     assert family.help.endswith(".")
 
 
-def test_the_dashboard_names_only_metrics_that_exist():
+WORDS = {"rate", "sum", "topk", "by", "and"}
+"""Functions and operators of PromQL in the dashboard."""
+
+
+def exported(figures):
+    """Return the kind and the labels of each sample of a scrape, by its name."""
+    registry = CollectorRegistry()
+    registry.register(RtpuCollector("arm0", figures))
+    text = generate_latest(registry).decode()
+    return {
+        sample.name: (family.type, {*sample.labels})
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def dashboard():
     text = (ROOT / "deploy" / "grafana-dashboard.json").read_text("utf-8")
-    known = {PREFIX + one.name: one for one in FAMILIES}
-    named = set()
-    for panel in json.loads(text)["panels"]:
-        for target in panel["targets"]:
-            for name, braces in re.findall(r"(pbonet_\w+)\{([^}]*)\}", target["expr"]):
-                named.add(name)
-                labels = set(re.findall(r"(\w+)[!=]", braces))
-                assert labels <= {"rtpu", *known[name].labels}, name
-            shown = set(re.findall(r"\{\{(\w+)\}\}", target["legendFormat"]))
-            (first, *_) = re.findall(r"pbonet_\w+", target["expr"])
-            assert shown <= {"rtpu", *known[first].labels}
-    assert named == set(re.findall(r"pbonet_\w+", text)) - {"pbonet_agent_info"}
-    assert len(named) > 15
+    return json.loads(text)
+
+
+QUERIES = [
+    (panel["title"], target["expr"], target["legendFormat"])
+    for panel in dashboard()["panels"]
+    for target in panel["targets"]
+]
+
+
+@pytest.mark.parametrize(("title", "query", "legend"), QUERIES)
+def test_the_dashboard_asks_for_what_a_scrape_has(figures, title, query, legend):
+    there = exported(figures)
+    parts = r"(pbonet_\w+)(?:\{([^}]*)\})?(\[\w+\])?"
+    asked = re.findall(parts, query)
+    assert asked, title
+    for name, selected, span in asked:
+        kind, labels = there[name]
+        assert {*re.findall(r"(\w+)[!=]=?~?\"", selected)} <= labels
+        assert bool(span) == (kind == "counter"), f"{name} is a {kind}"
+    grouped = {*re.findall(r"\w+", "".join(re.findall(r"by \(([^)]*)\)", query)))}
+    labels = there[asked[0][0]][1]
+    assert grouped <= labels
+    assert {*re.findall(r"\{\{(\w+)\}\}", legend)} <= (grouped or labels)
+    bare = re.sub(r"\{[^}]*\}|\[\w+\]", "", query)
+    assert {*re.findall(r"[A-Za-z_]\w*", bare)} <= {*there} | WORDS | grouped
+    assert bare.count("(") == bare.count(")")
+
+
+def test_the_dashboard_chooses_among_the_rtpus_that_there_are(figures):
+    there = exported(figures)
+    chosen = [one for one in dashboard()["templating"]["list"] if one["name"] == "rtpu"]
+    for name, label in re.findall(r"label_values\((\w+), (\w+)\)", json.dumps(chosen)):
+        assert label in there[name][1]
+    assert (
+        len({name for _, query, _ in QUERIES for name in there if name in query}) > 15
+    )
 
 
 # -- the server ------------------------------------------------------------------------

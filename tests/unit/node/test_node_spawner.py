@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from pbonet.errors import NodeError
-from pbonet.node.rtpu.fork_client import ORPHANED, Child, Server, Spawner
+from pbonet.node.rtpu.fork_client import Child, Server, Spawner
 from pbonet.node.task import fork_server
+from pbonet.node.wire import ORPHANED
 
 
 def test_a_child_that_is_gone_before_it_is_held():

@@ -1,0 +1,73 @@
+"""What a backup has, and what is given back of it."""
+
+import base64
+import hashlib
+import os
+import pwd
+
+import pytest
+from msgspec import structs
+
+from pbonet.deploy import backup, print_config_files, steps
+from pbonet.deploy.backup import Content, Told
+
+CONFIG = steps.config_of("arm0")
+
+
+def content(data=b"core = 1\n", **rights):
+    """What a machine tells of a file."""
+    given = {"mode": 0o640, "owner": "root", "group": "pbonet", **rights}
+    return Content(
+        path=CONFIG,
+        digest=hashlib.sha256(data).hexdigest(),
+        data=base64.b64encode(data).decode(),
+        **given,
+    )
+
+
+def told(*files):
+    return Told(files=[*files], enabled=["arm0"], release="r")
+
+
+@pytest.fixture
+def plan(tmp_path):
+    """Back a file up, and plan how a machine that has another one gets it back."""
+
+    def one(saved, there):
+        backup._write(tmp_path, told(saved))
+        return [*backup._plan(tmp_path, backup._read(tmp_path), told(there))]
+
+    return one
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"mode": 0o666}, {"owner": "anna"}, {"group": "users"}, {"owner": "1234"}],
+)
+def test_rights_are_given_back_as_contents_are(plan, change):
+    first, *rest = plan(content(), content(**change))
+    assert (first.state, first.diff) == ("change", "")
+    assert first.what.endswith("becomes root:pbonet 0640")
+    (put,) = first.actions
+    assert (put.mode, put.owner, put.group) == (0o640, "root", "pbonet")
+    assert [step.name for step in rest] == ["service"]
+    (same,) = plan(content(), content())
+    assert same.state == "same"
+
+
+def test_backups_of_earlier_releases_have_no_groups(plan):
+    (same,) = plan(content(group=""), content())
+    assert same.state == "same"
+    first = plan(content(group=""), content(mode=0o600))[0]
+    assert first.actions[0].group == ""
+    assert structs.asdict(first.actions[0])["mode"] == 0o640
+
+
+def test_a_machine_tells_owner_group_and_mode(tmp_path):
+    path = tmp_path / "arm0.toml"
+    path.write_text("core = 1\n")
+    path.chmod(0o4750)
+    found = print_config_files.described(path)
+    assert found["mode"] == 0o4750
+    assert found["owner"] == pwd.getpwuid(os.getuid()).pw_name
+    assert found["group"]
