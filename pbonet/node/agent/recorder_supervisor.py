@@ -17,7 +17,7 @@ import msgspec
 
 from pbonet.config import agent_text
 from pbonet.errors import Severity
-from pbonet.node.rtpu import describe_end, orphaned_rings
+from pbonet.node.rtpu import orphaned_rings
 from pbonet.node.wire import command, process_setup, rtpu_messages
 
 from .recorder_pipe import RecorderPipe
@@ -172,7 +172,7 @@ class _Child:
         self._lost = [t for t in self._lost if now - t < WINDOW] + [now]
         again = len(self._lost) <= RESTARTS
         what = "another one continues" if again else "recording has stopped"
-        self._died(f"ended: {describe_end(code)}; {what}")
+        self._died(f"ended: {process_setup.describe_end(code)}; {what}")
         self._tell(rtpu_messages.Recorder(subsystem=self.wanted.subsystem))
         if again and self._started_again():
             return True

@@ -21,4 +21,4 @@ from .tables import (
     remove_unused as remove_unused,
     table_name as table_name,
 )
-from .task_handle import Task as Task, describe_end as describe_end
+from .task_handle import Task as Task

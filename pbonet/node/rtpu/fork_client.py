@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 F_SETPIPE_SZ = 1031
 FORK_TIME = 10.0
-ORPHANED = 256
-"""Exit code of a child that outlived the fork server: the real one is unknown."""
 END_TIME = 1.0
 """Seconds in which a fork server ends, and reports the end of a child."""
 LARGEST_CROWD = 128
@@ -44,7 +42,7 @@ class Child:
         sock: The near end of its socket, non-blocking.
         out: The reading end of what it prints, non-blocking.
         exited: Resolves to its exit code, to minus the signal that ended it, or to
-            `ORPHANED`.
+            `process_setup.ORPHANED`.
     """
 
     def __init__(
@@ -110,7 +108,7 @@ class Child:
     def ended_unreported(self) -> None:
         """Resolve `exited` without the code, which only its parent has known."""
         if not self.exited.done():
-            self.exited.set_result(ORPHANED)
+            self.exited.set_result(process_setup.ORPHANED)
 
     def close(self) -> None:
         """Close all files of the child; it should have ended."""

@@ -10,7 +10,7 @@ import msgspec
 
 from pbonet.errors import ModuleLoadError, PbonetError, ProtocolError
 from pbonet.node.task import Inspected
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import process_setup, rtpu_messages
 
 if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
@@ -93,10 +93,8 @@ async def _result(child: Child, name: str | None) -> Inspected:
             debug=child.crash_text(),
         ) from None
     if code != 0:
-        from .task_handle import describe_end
-
         raise ModuleLoadError(
-            f"loading {what} ended the process: {describe_end(code)}",
+            f"loading {what} ended the process: {process_setup.describe_end(code)}",
             remedy="check native code that a module imports",
             debug=child.crash_text(),
         )

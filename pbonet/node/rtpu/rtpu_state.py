@@ -39,7 +39,7 @@ from .orphaned_rings import let_ring_go, ring_damage
 from .scheduling_check import SchedulingCheck
 from .successors import Successors
 from .tables import Tables
-from .task_handle import crash_place, describe_end
+from .task_handle import crash_place
 from .task_signals import RepeatedWarnings, Signals
 from .timing_failure_events import TimingFailureEvents
 from .waiting_cycles import WaitingCycles
@@ -495,7 +495,7 @@ class Rtpu:
 
     def _died(self, task: Task, code: int, slot: SlotStatus) -> None:
         """Report a task that ended unasked, and remember its last status."""
-        text = f"the task ended by itself: {describe_end(code)}"
+        text = f"the task ended by itself: {process_setup.describe_end(code)}"
         if code == -signal.SIGBUS:
             if damage := self.tables.damage(task.facts.subsystem):
                 text = f"the task ended with its table: {damage}"
@@ -563,8 +563,8 @@ class Rtpu:
         self.events.add(
             Severity.ERROR,
             "FORK_SERVER_DIED",
-            f"the fork server ended: {describe_end(code)}; every task turns itself "
-            "off and ends",
+            f"the fork server ended: {process_setup.describe_end(code)}; every task "
+            "turns itself off and ends",
         )
         for task in self.tasks.values():
             if task.facts.rmod.tasktype is not TaskType.PERIODIC:

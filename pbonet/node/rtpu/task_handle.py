@@ -28,11 +28,9 @@ from pbonet.errors import (
     TaskError,
 )
 from pbonet.node.task import Lines
-from pbonet.node.wire import LineBudget, rtpu_messages
+from pbonet.node.wire import LineBudget, process_setup, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import codec
-
-from .fork_client import ORPHANED
 
 if TYPE_CHECKING:
     from collections import deque
@@ -441,8 +439,9 @@ class Task:
 
     def death(self, code: int) -> TaskDiedError:
         """Return the error that says how the task ended."""
+        how = process_setup.describe_end(code)
         return TaskDiedError(
-            self.ending or f"the task ended by itself: {describe_end(code)}",
+            self.ending or f"the task ended by itself: {how}",
             where=self.name,
             remedy="spawn it again when the cause is gone",
             debug=self.child.crash_text(),
@@ -482,28 +481,6 @@ def crash_place(trace: str) -> str:
 
 
 _FRAME = re.compile(r'File "([^"]+)", line (\d+) in (.+)')
-
-
-def describe_end(code: int) -> str:
-    """Return an exit code in words."""
-    if code == ORPHANED:
-        return "its fork server has ended"
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = str(-code)
-    words = {
-        "SIGSEGV": " (segmentation fault)",
-        "SIGKILL": " (killed)",
-        "SIGABRT": " (abort)",
-        "SIGBUS": " (bus error)",
-        "SIGILL": " (illegal instruction)",
-        "SIGFPE": " (arithmetic fault in native code)",
-        "SIGALRM": " (did not turn itself off in time)",
-    }
-    return f"signal {name}{words.get(name, '')}"
 
 
 async def rest(core: rt.CoreTable, task: Task) -> None:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import PbonetError, Severity
 from pbonet.io.spp import ExecutiveConfig, Started, channel
-from pbonet.node.rtpu import describe_end
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import process_setup, rtpu_messages
 from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:
@@ -187,7 +186,7 @@ class _Watched:
         if error:
             self._stays_down(str(PbonetError.from_wire(error)))  # type: ignore[arg-type]
             return False
-        how = describe_end(code)
+        how = process_setup.describe_end(code)
         if code == -signal.SIGALRM:
             how = f"a batch took more than {self._config.entry.longest:g} s"
         now = time.monotonic()

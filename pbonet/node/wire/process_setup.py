@@ -32,6 +32,8 @@ PR_SET_CHILD_SUBREAPER = 36
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
+ORPHANED = 256
+"""Exit code of a child that outlived its parent: the real one is unknown."""
 CONTINUE_PERIOD = 0.2
 """Seconds between signals that continue a process whose parent has ended."""
 EXEC_ENVIRONMENT = {
@@ -210,6 +212,28 @@ def start_time(pid: int) -> int:
         return 0
     gone = found.state == "Z" and found.threads <= 1
     return 0 if gone else found.started
+
+
+def describe_end(code: int) -> str:
+    """Return an exit code in words."""
+    if code == ORPHANED:
+        return "its fork server has ended"
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = str(-code)
+    words = {
+        "SIGSEGV": " (segmentation fault)",
+        "SIGKILL": " (killed)",
+        "SIGABRT": " (abort)",
+        "SIGBUS": " (bus error)",
+        "SIGILL": " (illegal instruction)",
+        "SIGFPE": " (arithmetic fault in native code)",
+        "SIGALRM": " (did not turn itself off in time)",
+    }
+    return f"signal {name}{words.get(name, '')}"
 
 
 class Idle:

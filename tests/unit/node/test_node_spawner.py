@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import gc
 import os
 import signal
 import socket
@@ -12,8 +13,15 @@ from pathlib import Path
 import pytest
 
 from pbonet.errors import NodeError
-from pbonet.node.rtpu.fork_client import ORPHANED, Child, Server, Spawner
+from pbonet.node.rtpu.fork_client import Child, Server, Spawner
 from pbonet.node.task import fork_server
+from pbonet.node.wire.process_setup import ORPHANED
+
+
+@pytest.fixture(autouse=True)
+def _no_garbage():
+    """Close the files of earlier tests, because these tests count files."""
+    gc.collect()
 
 
 def test_a_child_that_is_gone_before_it_is_held():
