@@ -2,7 +2,8 @@
 
 Ranking ready tasks and handing levels out (sort and assign), one of them with a new
 deadline; one sched_setscheduler call, beside it; the accounting of a cycle (goal: 1.5
-microseconds); all timed in C, on the project's own headers. Then, within the cycles of
+microseconds); a signal to its handler, in a loop and after a sleep; all timed in C, on
+the project's own headers. Then, within the cycles of
 a real task, at its level and on its core: `with self.task.critical()`, and `with
 self.task.timed(...)`, each beside an empty `with` of a context manager written in
 Python, and beside two calls of `time.thread_time_ns`.

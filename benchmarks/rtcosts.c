@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <sys/wait.h>
 
-enum { ROUNDS = 20000, TASKS = 64, NAPS = 300 };
+enum { ROUNDS = 20000, TASKS = 64, NAPS = 300, SIGNALS = 50 };
 
 static uint64_t seed = 7;
 static volatile int64_t sink;
@@ -138,6 +138,34 @@ static void timers(void)
     say("stop it", stopping, NAPS);
 }
 
+static void on_signal(int number)
+{
+    (void)number;
+    sink = rt_now();
+}
+
+/* Send oneself the signal of a failure, and reach its handler: again and again, and each
+ * time after a sleep, as a task that rarely fails does. */
+static void signals(void)
+{
+    static const struct timespec nap = {.tv_nsec = 5000000};
+    struct sigaction action = {.sa_handler = on_signal}, before;
+    sigaction(RT_FAIL_SIGNAL, &action, &before);
+    for (int naps = 0; naps < 2; naps++) {
+        int64_t took = 0;
+        for (int round = 0; round < SIGNALS; round++) {
+            if (naps)
+                nanosleep(&nap, NULL);
+            int64_t at = rt_now();
+            syscall(SYS_tgkill, getpid(), getpid(), RT_FAIL_SIGNAL);
+            took += sink - at;
+        }
+        say(naps ? "a signal to its handler, after a sleep of 5 ms"
+                 : "a signal to its handler, in a loop", took, SIGNALS);
+    }
+    sigaction(RT_FAIL_SIGNAL, &before, NULL);
+}
+
 int main(int argc, char **argv)
 {
     static struct rt_table table;
@@ -151,6 +179,7 @@ int main(int argc, char **argv)
             fprintf(stderr, "SCHED_FIFO is refused: no change of levels\n");
         accounting(&task);
         timers();
+        signals();
         fflush(stdout);
     }
     return 0;

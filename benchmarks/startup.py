@@ -1,6 +1,9 @@
 """How fast a verb starts: whole commands, each beside a program that does the least.
 
-All are run in turn, in every round, while a job of four tasks runs on two RTPUs:
+First `run` of the PUMA's job, without agents, from the start of the command as a
+process to the first cycle of each task, which the log of the run has.
+
+The others are run in turn, in every round, while a job of four tasks runs on two RTPUs:
 ``--version`` beside an empty program, `status` beside one that imports what no status
 can do without, `check` of a job, and what bash is offered for a word. The medians are
 judged. Status 3: a goal was missed.
@@ -25,6 +28,7 @@ from typing import TYPE_CHECKING
 
 from benchmarks import rtbench
 from pbonet.cli.completing import SCRIPTS
+from pbonet.log import Log, last_run
 from pbonet.xm.net import messages, rpc, session
 
 if TYPE_CHECKING:
@@ -42,6 +46,9 @@ CHECK_CPU = 0.35
 """Seconds of CPU time."""
 COMPLETION_TIME = 0.15
 """Seconds."""
+RUN = "pbonet run puma.job to the first cycle of "
+FIRST_CYCLE = 1.0
+"""Seconds until every task has begun a cycle."""
 
 
 def commands(folder: Path) -> dict[str, list[str]]:
@@ -63,6 +70,27 @@ def commands(folder: Path) -> dict[str, list[str]]:
         STATUS: [str(program), "status", str(JOB), "--domain", DOMAIN],
         CHECK: [str(program), "check", str(JOB)],
         COMPLETION: ["bash", "-c", asked],
+    }
+
+
+def first_cycles(program: str, folder: Path) -> list[float]:
+    """Return the seconds from the start of `run` to each task's first cycle, sorted."""
+    words = ("--domain", f"{DOMAIN}-run", "--seconds", "0.2", "--runs", str(folder))
+    begin = time.monotonic_ns()
+    timed([program, "run", str(JOB), *words])
+    log = Log(last_run(folder))
+    starts = [int(log.arrays(task)["start_ns"][0]) for task in log.tasks]
+    return sorted((start - begin) * 1e-9 for start in starts)
+
+
+def runs(rounds: int, folder: Path) -> dict[str, list[float]]:
+    """Return the seconds of `run` to the first and to the last task's first cycle."""
+    program = commands(folder)[VERSION][0]
+    first_cycles(program, folder / "compiled")
+    found = [first_cycles(program, folder / f"run{k}") for k in range(rounds)]
+    return {
+        f"{RUN}the first task": [one[0] for one in found],
+        f"{RUN}the last task": [one[-1] for one in found],
     }
 
 
@@ -136,17 +164,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="pbonet-", dir="/tmp") as folder:
         os.environ["PBONET_RUN_DIR"] = folder
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as for a user's program
+        started = runs(args.rounds, Path(folder))
         wall, cpu, trip = measure(args.rounds, Path(folder))
     print(rtbench.machine())
-    print(f"{'ms, median':48}{'wall':>8}{'longest':>9}{'CPU':>8}")
+    print(f"{'ms, median':52}{'wall':>8}{'longest':>9}{'CPU':>8}")
+    for name, times in started.items():
+        wall_ms = statistics.median(times) * 1e3
+        print(f"{name:52}{wall_ms:8.0f}{max(times) * 1e3:9.0f}")
     middle = {name: statistics.median(times) for name, times in wall.items()}
     for name, times in wall.items():
         used = statistics.median(cpu[name])
         row = f"{middle[name] * 1e3:8.0f}{max(times) * 1e3:9.0f}{used * 1e3:8.0f}"
-        print(f"{name:48}{row}")
-    print(f"{'one round trip to an RTPU':48}{trip * 1e3:8.1f}")
+        print(f"{name:52}{row}")
+    print(f"{'one round trip to an RTPU':52}{trip * 1e3:8.1f}")
     if args.json:
-        found = {"wall": wall, "cpu": cpu, "round trip": trip}
+        found = {"run": started, "wall": wall, "cpu": cpu, "round trip": trip}
         args.json.write_text(json.dumps(found, indent=1))
     of_version = middle[VERSION] / middle[BARE]
     of_status = (middle[STATUS] - trip) / middle[LEAST]
@@ -158,6 +190,10 @@ def main() -> None:
         rtbench.verdict(f"{STATUS}, times {LEAST}", of_status, GOALS[STATUS]),
         rtbench.verdict(f"{CHECK}, s of CPU time", checked, CHECK_CPU),
         rtbench.verdict(f"{COMPLETION}, s", middle[COMPLETION], COMPLETION_TIME),
+        *(
+            rtbench.verdict(f"{name}, s", statistics.median(times), FIRST_CYCLE)
+            for name, times in started.items()
+        ),
     ])
 
 

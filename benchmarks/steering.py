@@ -3,7 +3,7 @@
 A real agent, a real master over zenoh, one task of 1 kHz made of the library's `sine`.
 When a cycle began is read from the task's own ring, on the clock that timed the
 command. Status 3: a goal was missed. The goals are our own: an operator notices no
-delay, and about twice what was measured.
+delay, and about twice what was measured; a spawn is to take 25 ms.
 
     python -m benchmarks.steering [--rounds 30] [--json FILE]
 """
@@ -26,7 +26,7 @@ from pbonet.node.ring._ring import Record, Ring
 
 RATE = 1000.0
 GOALS = {
-    "spawn: command to OFF": 100.0,
+    "spawn: command to OFF": 25.0,
     "on: command to first cycle": 10.0,
     "off: command to last cycle": 10.0,
     "kill: command to NOT-CREATED": 50.0,

@@ -68,6 +68,11 @@ def command(
         Run a program of jobs:
         pbonet run carry.seq
     """
+    agents = None
+    if embed and not sim and wait is None:
+        from pbonet.master.console import launch_agents  # while the rest is loaded
+
+        agents = launch_agents(file, place, runs=runs)
     from pbonet.master.console import run
 
     outcome = run(
@@ -82,6 +87,7 @@ def command(
         profile=profile,
         quiet=json_,
         strict=strict,
+        agents=agents,
     )
     outcome.recording = None
     options.show("", outcome, as_data=json_)

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 _OURS = ("pbonet.modules", "pbonet.io")
 """Packages of pbonet that count as a module's code; the rest is the runtime."""
 
+_BLOCKS = ("body", "orelse", "handlers", "finalbody", "cases")
+"""Fields of a node that hold statements, or what holds statements."""
+
 
 def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
     """Return the files with modules' code, their own first, with their hashes.
@@ -46,7 +49,7 @@ def _imported(file: Path, source: bytes) -> Iterator[Path]:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):
         return
-    for node in ast.walk(tree):
+    for node in _statements(tree):
         if isinstance(node, ast.ImportFrom) and node.level == 1:
             names = [node.module] if node.module else [one.name for one in node.names]
             for name in names:
@@ -58,6 +61,15 @@ def _imported(file: Path, source: bytes) -> Iterator[Path]:
         elif isinstance(node, ast.Import):
             for one in node.names:
                 yield from _of_pbonet(one.name)
+
+
+def _statements(node: ast.AST) -> Iterator[ast.stmt]:
+    """Yield all statements of a tree; most of its nodes are expressions."""
+    for field in _BLOCKS:
+        for one in getattr(node, field, ()):
+            if isinstance(one, ast.stmt):
+                yield one
+            yield from _statements(one)
 
 
 def _beside(folder: Path, name: str) -> Iterator[Path]:

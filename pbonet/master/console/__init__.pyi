@@ -31,5 +31,6 @@ from .follow_events import Follower as Follower
 from .interfaces import serve as serve
 from .network_interface import Port as Port
 from .program import Subsystem as Subsystem
+from .run_agents import launch_agents as launch_agents
 from .run_end import Interrupts as Interrupts
 from .run_job import run as run

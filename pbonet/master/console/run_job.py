@@ -56,6 +56,7 @@ class Run:
         record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
         runs: Folder of the logs of embedded agents; None for theirs.
         profile: Save the tasks' execution profiles at the end.
+        agents: Those that start already; None: none do.
 
     Raises:
         ConfigError: A file is missing or wrong.
@@ -73,6 +74,7 @@ class Run:
         record: str | None = None,
         runs: str | Path | None = None,
         profile: bool = False,
+        agents: Embedded | None = None,
     ) -> None:
         self._path = path
         self._place = place
@@ -94,7 +96,7 @@ class Run:
         self.name = self.files.recorded_job().name
         self._seconds = None if self.files.seq else seconds
         self._sequence: SequenceThread | None = None
-        self._agents = Embedded(
+        self._agents = agents or Embedded(
             place.domain,
             libraries=[*map(str, self.files.library.folders)],
             connect=place.connect,
@@ -139,10 +141,10 @@ class Run:
         return outcome
 
     def _start_agents(self, agents: Embedded, names: list[str]) -> None:
-        missing = agents.missing(names)
-        if missing:
-            cores = agents.start(missing)
-            for rtpu, core in cores.items():
+        if not agents.launched:
+            agents.launch(agents.missing(names))
+        if agents.children:
+            for rtpu, core in agents.wait().items():
                 self._view.say(f"{rtpu} has no agent: started one on core {core}")
 
     def _steer(self) -> Outcome:
@@ -402,6 +404,7 @@ def run(
     profile: bool = False,
     quiet: bool = False,
     strict: bool = False,
+    agents: Embedded | None = None,
 ) -> Outcome:
     """Run a job or a sequence in real or virtual time, and return the result.
 
@@ -418,6 +421,7 @@ def run(
         profile: Save the tasks' execution profiles at the end, in real time.
         quiet: Leave standard output to the caller.
         strict: Give an outcome that lacks something an exit status of its own.
+        agents: As `launch_agents` returns them; None: they are started now.
 
     Raises:
         PbonetError: The job could not be started.
@@ -453,6 +457,7 @@ def run(
             record=record,
             runs=runs,
             profile=profile,
+            agents=agents,
         ).run()
     outcome.strict = strict
     what = "sequence" if outcome.sequence is not None else "job"

@@ -89,6 +89,8 @@ class Embedded:
         self._libraries = libraries
         self._connect = connect
         self.children: list[Child] = []
+        self.launched = False
+        """Whether those that are missing have been started."""
 
     def missing(self, rtpus: Sequence[str]) -> list[str]:
         """Return which of the RTPUs have no agent that can be reached."""
@@ -152,15 +154,35 @@ class Embedded:
         Raises:
             NodeError: One of them ended, or did not come up; the others were ended.
         """
-        cores = assign_cores(rtpus, os.sched_getaffinity(0))
+        self.launch(rtpus)
+        return self.wait()
+
+    def launch(self, rtpus: Sequence[str]) -> None:
+        """Start an agent for each RTPU; `wait` follows.
+
+        Raises:
+            OSError: The system cannot create a process; the others were ended.
+        """
+        self.launched = True
         try:
-            for rtpu, core in cores.items():
+            for rtpu, core in assign_cores(rtpus, os.sched_getaffinity(0)).items():
                 self.children.append(self._launch(rtpu, core))
+        except BaseException:
+            self.stop()
+            raise
+
+    def wait(self) -> dict[str, int]:
+        """Wait until all that were started can be reached; return the core of each.
+
+        Raises:
+            NodeError: One of them ended, or did not come up; the others were ended.
+        """
+        try:
             self._wait()
         except BaseException:
             self.stop()
             raise
-        return cores
+        return {child.rtpu: child.core for child in self.children}
 
     def ended(self) -> list[str]:
         """Return the RTPUs whose agent has ended unasked, with how it ended."""

@@ -253,10 +253,11 @@ class Agent:
         return [] if one_is_linked else found
 
     def _open(self) -> None:
+        self._link = RtpuLink(self.places, self._rtpu_config, self)
+        self._link.begin()  # it starts while the session is opened
         self._session = self._open_session()
         self._refuse_duplicate()
         damage = self._desired.load()
-        self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
         self._executives.start([info.core, *used_cores(self.places.folder.parent)])
         self._desired.begin(taken_over=self._link.taken_over)

@@ -107,6 +107,8 @@ class RtpuLink:
         self._places = places
         self._config = config
         self._listener = listener
+        self._starting: start_rtpu.Starting | None = None
+        self._cleaned: list[str] = []
         self._process: subprocess.Popen[bytes] | None = None
         self._sock: socket.socket | None = None
         self._write_lock = threading.Lock()
@@ -125,6 +127,15 @@ class RtpuLink:
         self.taken_over = False
         self.info: rtpu_messages.RtpuInfo | None = None
 
+    def begin(self) -> None:
+        """Start an RTPU process if there is none; `open` waits until it is ready.
+
+        Raises:
+            OSError: The system cannot create a process.
+        """
+        if not run_folder.is_held(self._places.ctl_lock):
+            self._starting = self._start()
+
     def open(
         self, given_up: Callable[[], bool] = lambda: False
     ) -> rtpu_messages.RtpuInfo:
@@ -136,12 +147,11 @@ class RtpuLink:
         Raises:
             NodeError: It cannot be started, or is of another version or core.
         """
-        info = self._find()
+        info = self._find() if self._starting is None else None
         self.taken_over = info is not None
-        cleaned: list[str] = []
         if info is None:
-            cleaned = cleanup.clean_after(self._places)
-            self._process = start_rtpu.start(self._places, self._config, given_up)
+            starting, self._starting = self._starting or self._start(), None
+            self._process = starting.wait(given_up)
             self._sock = self._connect()
             if self._sock is None:
                 raise NodeError(
@@ -157,9 +167,13 @@ class RtpuLink:
             target=self._live, args=(self._sock,), name="pbonet rtpu link", daemon=True
         )
         self._thread.start()
-        for text in cleaned:
+        for text in self._cleaned:
             self.send(rtpu_messages.Note(30, "CLEANED", text))
         return info
+
+    def _start(self) -> start_rtpu.Starting:
+        self._cleaned = cleanup.clean_after(self._places)
+        return start_rtpu.Starting(self._places, self._config)
 
     def send(self, message: msgspec.Struct) -> None:
         """Send a message.
@@ -204,6 +218,8 @@ class RtpuLink:
     def shut_down(self, timeout: float) -> bool:
         """Let all tasks be turned OFF in order; return whether it ended by itself."""
         self._closing = True
+        if self._starting is not None:
+            self._starting.end()
         with contextlib.suppress(NodeError):
             self.send(rtpu_messages.Shutdown(timeout))
         by_itself = self._ended(timeout + 3.0, kill=True)

@@ -25,34 +25,34 @@ if TYPE_CHECKING:
 
 START_TIME = 30.0
 """Seconds in which an RTPU process must start, even on a busy machine."""
+END_TIME = 5.0
+"""Seconds in which one that is not wanted any more must end."""
 GIVE_UP_PERIOD = 0.05
 """Seconds between two looks whether a start was given up."""
 LOG_TAIL = 4000
 
 
-def start(
-    places: run_folder.Places,
-    config: rtpu_messages.RtpuConfig,
-    given_up: Callable[[], bool],
-) -> subprocess.Popen[bytes]:
-    """Start an RTPU process and return it when it accepts agents.
+class Starting:
+    """An RTPU process from its start until it accepts agents.
 
     Args:
         places: Its files.
         config: Its settings.
-        given_up: Returns whether it is not wanted any more, and must not be waited for.
 
     Raises:
-        PbonetError: The start failed.
         OSError: The system cannot create a process.
     """
-    read, write = os.pipe()
-    config = msgspec.structs.replace(config, ready_fd=write)
-    command = [sys.executable, "-P", "-m", "pbonet.node.rtpu.rtpu_process"]
-    try:
+
+    def __init__(
+        self, places: run_folder.Places, config: rtpu_messages.RtpuConfig
+    ) -> None:
+        self._places = places
+        self._read, write = os.pipe()
+        config = msgspec.structs.replace(config, ready_fd=write)
+        command = [sys.executable, "-P", "-m", "pbonet.node.rtpu.rtpu_process"]
         try:
             with places.log.open("wb") as log:
-                process = subprocess.Popen(
+                self.process = subprocess.Popen(
                     [*command, msgspec.json.encode(config).decode()],
                     env={
                         **process_setup.environment(),
@@ -64,50 +64,74 @@ def start(
                     stderr=log,
                     start_new_session=True,
                 )
+        except BaseException:
+            os.close(self._read)
+            raise
         finally:
             os.close(write)
-        _wait_until_ready(places, process, read, given_up)
-    finally:
-        os.close(read)
-    return process
 
+    def wait(self, given_up: Callable[[], bool]) -> subprocess.Popen[bytes]:
+        """Return the process when it accepts agents.
 
-def _wait_until_ready(
-    places: run_folder.Places,
-    process: subprocess.Popen[bytes],
-    read: int,
-    given_up: Callable[[], bool],
-) -> None:
-    """Wait for the message with the result of the start.
+        Args:
+            given_up: Returns whether it is not wanted any more, and must not be waited
+                for.
 
-    Raises:
-        PbonetError: The start failed.
-    """
-    deadline = time.monotonic() + START_TIME
-    data = b""
-    while (left := deadline - time.monotonic()) > 0.0 and not given_up():
-        if not readable(read, min(left, GIVE_UP_PERIOD)):
-            continue
-        part = os.read(read, 65536)
-        if not part:
-            break
-        data += part
-    if not data:
-        process.kill()
-        code = process.wait()
-        raise NodeError(
-            "the RTPU process did not start",
-            got=f"exit code {code}",
-            debug=log_tail(places),
-            remedy="--debug shows its output",
-        )
-    ready = msgspec.msgpack.decode(data, type=rtpu_messages.Ready)
-    if ready.error is not None:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(5.0)
-        error = PbonetError.from_wire(ready.error)
-        error.debug = error.debug or log_tail(places)
-        raise error
+        Raises:
+            PbonetError: The start failed.
+        """
+        try:
+            self._must_be_ready(self._result(given_up))
+        finally:
+            os.close(self._read)
+        return self.process
+
+    def _result(self, given_up: Callable[[], bool]) -> bytes:
+        """Return the message with the result of the start; nothing if none comes."""
+        deadline = time.monotonic() + START_TIME
+        data = b""
+        while (left := deadline - time.monotonic()) > 0.0 and not given_up():
+            if not readable(self._read, min(left, GIVE_UP_PERIOD)):
+                continue
+            part = os.read(self._read, 65536)
+            if not part:
+                break
+            data += part
+        return data
+
+    def _must_be_ready(self, data: bytes) -> None:
+        """Judge that message.
+
+        Raises:
+            PbonetError: The start failed.
+        """
+        if not data:
+            self.process.kill()
+            code = self.process.wait()
+            raise NodeError(
+                "the RTPU process did not start",
+                got=f"exit code {code}",
+                debug=log_tail(self._places),
+                remedy="--debug shows its output",
+            )
+        ready = msgspec.msgpack.decode(data, type=rtpu_messages.Ready)
+        if ready.error is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(5.0)
+            error = PbonetError.from_wire(ready.error)
+            error.debug = error.debug or log_tail(self._places)
+            raise error
+
+    def end(self) -> None:
+        """End the process before it is ready, and remove what it left."""
+        os.close(self._read)
+        self.process.terminate()
+        try:
+            self.process.wait(END_TIME)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        cleanup.clean_after(self._places)
 
 
 def log_tail(places: run_folder.Places) -> str:

@@ -564,8 +564,8 @@ class Rtpu:
         self.events.add(
             Severity.ERROR,
             "FORK_SERVER_DIED",
-            f"the fork server ended: {describe_end(code)}; every task turns itself "
-            "off and ends",
+            f"the fork server ended: {describe_end(code)}; every task "
+            "turns itself off and ends",
         )
         for task in self.tasks.values():
             if task.facts.rmod.tasktype is not TaskType.PERIODIC:

@@ -439,8 +439,9 @@ class Task:
 
     def death(self, code: int) -> TaskDiedError:
         """Return the error that says how the task ended."""
+        how = describe_end(code)
         return TaskDiedError(
-            self.ending or f"the task ended by itself: {describe_end(code)}",
+            self.ending or f"the task ended by itself: {how}",
             where=self.name,
             remedy="spawn it again when the cause is gone",
             debug=self.child.crash_text(),

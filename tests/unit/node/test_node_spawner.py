@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import gc
 import os
 import signal
 import socket
@@ -15,6 +16,12 @@ from pbonet.errors import NodeError
 from pbonet.node.rtpu.fork_client import Child, Server, Spawner
 from pbonet.node.task import fork_server
 from pbonet.node.wire import ORPHANED
+
+
+@pytest.fixture(autouse=True)
+def _no_garbage():
+    """Close the files of earlier tests, because these tests count files."""
+    gc.collect()
 
 
 def test_a_child_that_is_gone_before_it_is_held():

@@ -252,6 +252,26 @@ def test_who_stops_lets_go_of_tables_before_they_are_removed(ends, info, monkeyp
 
 
 @pytest.mark.usefixtures("run_dir")
+def test_a_start_ends_with_an_agent_that_is_refused(monkeypatch):
+    """Its session cannot be opened, or its name is taken; nothing of it is left."""
+    started = []
+
+    class Noted(subprocess.Popen):
+        def __init__(self, *words, **more):
+            super().__init__(*words, **more)
+            started.append(self)
+
+    monkeypatch.setattr(start_rtpu.subprocess, "Popen", Noted)
+    places = run_folder.Places("d", "arm0")
+    link = rtpu_link.RtpuLink(places, CONFIG, Hears())
+    link.begin()
+    assert started[0].poll() is None
+    assert link.shut_down(LIMIT)
+    assert started[0].returncode is not None
+    assert not any(path.exists() for path in (places.ctl_lock, places.log, places.ctl))
+
+
+@pytest.mark.usefixtures("run_dir")
 def test_a_start_that_was_given_up_is_not_waited_for(monkeypatch):
     """An agent that ends needs no RTPU process any more."""
     monkeypatch.setattr(start_rtpu, "START_TIME", float("inf"))
@@ -266,5 +286,5 @@ def test_a_start_that_was_given_up_is_not_waited_for(monkeypatch):
     monkeypatch.setattr(start_rtpu.subprocess, "Popen", Stopped)
     places = run_folder.Places("d", "arm0")
     with pytest.raises(NodeError, match="did not start"):
-        start_rtpu.start(places, CONFIG, lambda: bool(started))
+        start_rtpu.Starting(places, CONFIG).wait(lambda: bool(started))
     assert started[0].returncode == -signal.SIGKILL
