@@ -41,7 +41,7 @@ END_TIME = 2.0
 
 
 class AgentLink:
-    """The listening socket, and the one agent that may be connected to it.
+    """The listening socket: one agent may be connected, and other RTPUs give orders.
 
     Args:
         rtpu: The RTPU that the agent's requests are about.
@@ -65,8 +65,8 @@ class AgentLink:
         self.end_time = END_TIME
         self._server: asyncio.Server | None = None
         self._running: set[asyncio.Task[None]] = set()
-        self._decoder: msgspec.msgpack.Decoder[rtpu_messages.FromAgent] = (
-            msgspec.msgpack.Decoder(rtpu_messages.FromAgent)
+        self._decoder: msgspec.msgpack.Decoder[rtpu_messages.ToRtpu] = (
+            msgspec.msgpack.Decoder(rtpu_messages.ToRtpu)
         )
         rtpu.events.publish = self._publish
         rtpu.claims_changed = lambda: self._send(rtpu.info())
@@ -107,6 +107,11 @@ class AgentLink:
     ) -> None:
         try:
             first = self._decoder.decode(await rtpu_messages.read_frame(reader))
+            if isinstance(first, rtpu_messages.Order):
+                answer = await signal_tasks.obey_neighbour(self._rtpu, first)
+                writer.write(rtpu_messages.frame(answer))
+                await writer.drain()
+                return
             taken = self._writer is not None or self._end.done()
             if not isinstance(first, rtpu_messages.Attach) or taken:
                 writer.close()
@@ -166,7 +171,7 @@ class AgentLink:
         if not self._end.done():
             self._end.set_result(reason)
 
-    def _take(self, message: rtpu_messages.FromAgent) -> None:
+    def _take(self, message: rtpu_messages.ToRtpu) -> None:
         match message:
             case rtpu_messages.Forward():
                 task = asyncio.create_task(self._answer(message))
