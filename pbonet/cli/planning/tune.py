@@ -48,9 +48,14 @@ def command(
         float, Option("Virtual time before the error counts.", "SECONDS", least=0.0)
     ] = 1.0,
     limit: A[
-        float,
-        Option("Share of a core that tasks may use.", "SHARE", least=0.01, most=0.95),
-    ] = 0.95,
+        float | None,
+        Option(
+            "Share of a core that tasks may use; what it grants if left out.",
+            "SHARE",
+            least=0.01,
+            most=1.0,
+        ),
+    ] = None,
     assume: A[
         float | None,
         Option(
@@ -67,6 +72,9 @@ def command(
     ] = False,
     dry_run: A[
         bool, Option("With --write or --apply: only show what would be done.")
+    ] = False,
+    running: A[
+        bool, Option("Ask the agents what their cores grant, less dispatching.")
     ] = False,
     host: options.Host = "",
     place: options.ChangeTransaction,
@@ -109,6 +117,7 @@ def command(
         seconds=seconds,
         settle=settle,
         limit=limit,
+        running=running or apply,
         host=host,
         assume=assume,
         told=_progress,

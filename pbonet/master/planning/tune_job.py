@@ -89,7 +89,8 @@ def tune(
     factors: Sequence[float] = FACTORS,
     seconds: float = 5.0,
     settle: float = 1.0,
-    limit: float = 0.95,
+    limit: float | None = None,
+    running: bool = False,
     host: str = "",
     assume: float | None = None,
     told: Callable[[int, int], None] = lambda _, __: None,
@@ -105,7 +106,8 @@ def tune(
         factors: Rates of the grid, as factors of the present ones.
         seconds: Virtual time of a run in which the error counts.
         settle: Virtual time before that.
-        limit: Share of a core that tasks may use.
+        limit: Share of a core that tasks may use; None: what the cores grant.
+        running: Ask the agents what that is.
         host: The machine whose saved profiles count; this one if empty.
         assume: Share of its period that a cycle takes whose MAXC is not known.
         told: Called with the number of runs that have ended, and of all.
@@ -120,7 +122,11 @@ def tune(
     files = Files(path, Library(place.libraries))
     text = _cost(files, cost)
     host = host or here()
-    known = known_rtpus.as_stated(files.sbs, ())
+    known = (
+        known_rtpus.ask_agents(files.sbs, place)
+        if running
+        else known_rtpus.as_stated(files.sbs, ())
+    )
     problem, warnings = problem_of(files, known, host, assume=assume, limit=limit)
     names = _tuned(problem, tasks, keep)
     wish = Wish(
@@ -288,7 +294,7 @@ class _Search:
 
     def _allowed(self, rates: Mapping[str, float]) -> bool:
         return all(
-            allocation.keeps_deadlines(tasks, entry, self._problem.limit)
+            allocation.keeps_deadlines(tasks, entry, self._problem.core(entry.name))
             for entry in self._problem.rtpus
             if (tasks := self._on(entry.name, rates))
         )
@@ -299,12 +305,13 @@ class _Search:
         for entry in self._problem.rtpus:
             here = [i for i in self._problem.running if i.present == entry.name]
             mine = [item for item in here if item.name in self._hz]
-            others = sum(allocation.share(i.task) for i in here if i not in mine)
+            load = self._problem.load
+            others = sum(load(i, entry.name) for i in here if i not in mine)
             found |= best_periods(
                 fit,
-                {i.name: allocation.share(i.task) * i.period for i in mine},
+                {i.name: load(i, entry.name) * i.period for i in mine},
                 {i.name: i.period for i in mine},
-                self._problem.limit - others,
+                self._problem.core(entry.name).share - others,
                 span,
             )
         return found
@@ -314,11 +321,16 @@ class _Search:
         rates = {name: 1 / period for name, period in periods.items()}
         scale = 1.0
         for entry in self._problem.rtpus:
-            here = self._on(entry.name, rates)
-            mine = sum(allocation.share(t) for t in here if t.name in self._hz)
-            others = sum(allocation.share(t) for t in here if t.name not in self._hz)
-            if mine and self._problem.limit > others:
-                scale = max(scale, mine / (self._problem.limit - others))
+            core = self._problem.core(entry.name)
+            mine = others = 0.0
+            for task in self._on(entry.name, rates):
+                load = allocation.share(task) + core.dispatch * (task.hz or 0.0)
+                if task.name in self._hz:
+                    mine += load
+                else:
+                    others += load
+            if mine and core.share > others:
+                scale = max(scale, mine / (core.share - others))
         scale *= ROUNDED if scale > 1 else 1.0
         return {name: period * scale for name, period in periods.items()}
 
@@ -336,7 +348,7 @@ class _Search:
         return VerificationError(
             "no rates of the grid keep all deadlines",
             where=self._wish.job,
-            expected=f"at most {self._problem.limit:.1%} of each core",
+            expected=self._problem.limits,
             got=", ".join(f"{name} {load:.1%}" for name, load in least.loads.items())
             + " at the lowest rates",
             remedy="give smaller factors with --factor, tune more tasks, or move tasks "
