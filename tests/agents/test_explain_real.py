@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 from nodekit import rmod, svar
 from watching import wait_for
@@ -36,8 +39,8 @@ def asked(nodes, arm, tmp_path):
     """Explain to words, as text."""
     place = Place(domain=nodes.domain, libraries=arm.files.library.folders)
 
-    def answer(*words):
-        return diagnosis.text(diagnosis.answer(tmp_path / "t.sbs", words, place))
+    def answer(*words, **how):
+        return str(diagnosis.answer(tmp_path / "t.sbs", words, place, **how))
 
     return answer
 
@@ -73,3 +76,15 @@ def test_cycles_that_are_missed(arm, asked):
     assert "its longest cycle takes" in text
     assert "and its period is 20 ms [schedule]" in text
     assert "do: lower the rate, use a faster core, or shorten `cycle`" in text
+    assert "the kernel's sched_switch" not in text, "it was not asked for"
+    text = asked("miss", "busy", trace=20.0)
+    assert "what the kernel counts" in text or re.search(
+        r"core \d+ in [\d.]+ s: ", text
+    )
+    if "cannot be followed" in text:  # no root, or no tracefs
+        assert re.search("not read: .*: the kernel's sched_switch cannot", text)
+    else:
+        had = re.search(r"it missed \d+ releases?; who had core \d+: (.*) ms", text)
+        assert had is not None, text
+        assert "busy " in had[1]
+    assert not [*Path("/sys/kernel/tracing").glob("instances/pbonet-*")]

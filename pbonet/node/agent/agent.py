@@ -30,7 +30,7 @@ from pbonet.node.mirror import TableCarrier
 from pbonet.node.restart import DesiredState, Takeovers, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
 from pbonet.node.spp import Executives
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import core_trace, rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.versions import LAYERS
 from pbonet.xm.net import (
@@ -258,6 +258,7 @@ class Agent:
         damage = self._desired.load()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
+        core_trace.sweep()
         self._executives.start([info.core, *used_cores(self.places.folder.parent)])
         self._desired.begin(taken_over=self._link.taken_over)
         self._here = self.places.neighbours()
