@@ -65,8 +65,11 @@ class AgentLink:
         self.end_time = END_TIME
         self._server: asyncio.Server | None = None
         self._running: set[asyncio.Task[None]] = set()
-        self._decoder: msgspec.msgpack.Decoder[rtpu_messages.ToRtpu] = (
+        self._first: msgspec.msgpack.Decoder[rtpu_messages.ToRtpu] = (
             msgspec.msgpack.Decoder(rtpu_messages.ToRtpu)
+        )
+        self._decoder: msgspec.msgpack.Decoder[rtpu_messages.FromAgent] = (
+            msgspec.msgpack.Decoder(rtpu_messages.FromAgent)
         )
         rtpu.events.publish = self._publish
         rtpu.claims_changed = lambda: self._send(rtpu.info())
@@ -106,7 +109,7 @@ class AgentLink:
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         try:
-            first = self._decoder.decode(await rtpu_messages.read_frame(reader))
+            first = self._first.decode(await rtpu_messages.read_frame(reader))
             if isinstance(first, rtpu_messages.Order):
                 answer = await signal_tasks.obey_neighbour(self._rtpu, first)
                 writer.write(rtpu_messages.frame(answer))
@@ -171,7 +174,7 @@ class AgentLink:
         if not self._end.done():
             self._end.set_result(reason)
 
-    def _take(self, message: rtpu_messages.ToRtpu) -> None:
+    def _take(self, message: rtpu_messages.FromAgent) -> None:
         match message:
             case rtpu_messages.Forward():
                 task = asyncio.create_task(self._answer(message))
