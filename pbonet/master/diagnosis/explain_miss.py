@@ -112,9 +112,9 @@ def _remedy(trace: CoreTrace, status: TaskStatus) -> str:
         return "late start"
     if not most.pid:
         return "waits"
-    if most.name == status.task:
-        return "too long"
-    return "preempted" if most.known else "stalled"
+    if not most.known:
+        return "stalled"
+    return "too long" if most.name == status.task else "preempted"
 
 
 def _itself(chain: Chain, status: TaskStatus) -> Iterator[Cause]:

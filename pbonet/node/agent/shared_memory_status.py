@@ -332,6 +332,23 @@ class SharedMemoryStatus:
         core = self._open()
         seen = self._read_slots()
         (one,) = self._of(request, seen)
+        if not one.slot.period_ns:
+            raise StateError(
+                f"task {request.task} has no period, so it misses no release",
+                where=self._rtpu,
+                remedy="follow the core for a periodic task",
+            )
+
+        def look() -> SlotStatus:
+            now = core.snapshot(one.task.slot)
+            if now.pid != one.slot.pid:  # another task has its place
+                raise StateError(
+                    f"task {request.task} has ended while its core was followed",
+                    where=self._rtpu,
+                    remedy="repeat it when the task is ON again",
+                )
+            return now
+
         if not self._tracing.acquire(blocking=False):
             raise StateError(
                 f"the core of {self._rtpu} is being followed for another request",
@@ -342,7 +359,7 @@ class SharedMemoryStatus:
             return core_trace.follow(
                 request.task,
                 core.status,
-                partial(core.snapshot, one.task.slot),
+                look,
                 names={each.slot.pid: each.task.task for each in seen},
                 seconds=request.seconds,
             )

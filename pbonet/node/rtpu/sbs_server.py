@@ -19,7 +19,7 @@ import msgspec
 
 from pbonet import tbuf
 from pbonet.errors import DuplicateNameError, NodeError, Severity
-from pbonet.node.wire import EventLog, process_setup, rtpu_messages
+from pbonet.node.wire import EventLog, core_trace, process_setup, rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, sweep
 from pbonet.xm.net import run_folder
@@ -163,6 +163,7 @@ class AgentLink:
             "AGENT_GONE",
             f"agent {self._agent_pid} is gone; control continues for {self._grace:g} s",
         )
+        self._rtpu.later(agent_loss.forget_trace(), "trace")
         self._start_grace()
 
     def _start_grace(self) -> None:
@@ -287,6 +288,7 @@ def clean_up(places: run_folder.Places) -> None:
         last_first.callback(_remove_dead_agent, places)
         last_first.callback(places.remove, places.ctl, places.state, places.log)
         last_first.callback(cleanup.sweep_claims)
+        last_first.callback(core_trace.sweep)
         last_first.callback(tbuf.sweep, places.domain)
         last_first.callback(sweep, places.name, places.domain)
         last_first.callback(process_setup.end_marked, process_setup.mark())

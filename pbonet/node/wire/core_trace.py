@@ -3,6 +3,9 @@
 The event is on only while something follows it, for one core and in a buffer of its
 own (an *instance* of tracefs), so that no other tracing is touched. It needs root,
 or a tracefs that this user may write.
+
+Who follows keeps a file of the instance open: as long as it is, the kernel refuses to
+remove the instance, and closes it when the process ends, however it ends.
 """
 
 from __future__ import annotations
@@ -31,7 +34,6 @@ BUFFER_KB: Final = 4096
 SHORTEST: Final = 0.001
 LONGEST: Final = 0.02
 """Seconds between two readings of the task: half its period, within these."""
-_MINE: Final = re.compile(r"pbonet-(\d+)")
 _SWITCH: Final = re.compile(
     r" (?P<at>\d+\.\d+): sched_switch: prev_comm=(?P<comm>.*) prev_pid=(?P<pid>\d+) "
     r"prev_prio=-?\d+ prev_state=\S+ ==> next_comm=.* next_pid=(?P<to>\d+) "
@@ -71,6 +73,7 @@ class SwitchTrace:
     def __init__(self, core: int, places: Sequence[Path] = PLACES) -> None:
         self._core, self._places = core, places
         self._folder: Path | None = None
+        self._held: int | None = None
 
     def start(self) -> None:
         """Begin to follow.
@@ -78,7 +81,7 @@ class SwitchTrace:
         Raises:
             RealTimeError: The kernel does not let this process.
         """
-        root = next((one for one in self._places if (one / "instances").is_dir()), None)
+        root = next((one for one in self._places if _may_be(one)), None)
         if root is None:
             raise _not_followed(self._places[0], "no tracefs is mounted there")
         sweep([root])
@@ -86,6 +89,7 @@ class SwitchTrace:
         try:
             folder.mkdir()
             self._folder = folder
+            self._held = os.open(folder / "tracing_on", os.O_RDONLY)
             self._write(f"per_cpu/cpu{self._core}/buffer_size_kb", str(BUFFER_KB))
             self._write("trace_clock", "mono")
             self._write("tracing_cpumask", _mask(self._core))
@@ -109,29 +113,47 @@ class SwitchTrace:
 
     def close(self) -> None:
         """Have the kernel follow nothing for this process. Idempotent."""
+        held, self._held = self._held, None
+        if held is not None:
+            os.close(held)
         folder, self._folder = self._folder, None
         if folder is not None:
-            _remove(folder)
+            _removed(folder)
 
     def _write(self, name: str, text: str) -> None:
         assert self._folder is not None  # noqa: S101 - its callers have one
         (self._folder / name).write_text(text, encoding="ascii")
 
 
-def sweep(places: Sequence[Path] = PLACES) -> None:
-    """Have the kernel follow nothing for processes of pbonet that were killed."""
+def sweep(places: Sequence[Path] = PLACES) -> list[str]:
+    """Have the kernel follow nothing for processes that were killed.
+
+    Returns:
+        The instances that were removed.
+    """
+    done: list[str] = []
     for root in places:
-        for folder in root.glob("instances/pbonet-*"):
-            found = _MINE.fullmatch(folder.name)
-            if found and not Path(f"/proc/{found[1]}").exists():
-                _remove(folder)
+        with contextlib.suppress(PermissionError):  # then nothing there is ours
+            found = [*root.glob("instances/pbonet-*")]
+            done += [one.name for one in found if _removed(one)]
+    return done
 
 
-def _remove(folder: Path) -> None:
-    with contextlib.suppress(OSError):
-        (folder / "events/sched/sched_switch/enable").write_text("0", encoding="ascii")
-    with contextlib.suppress(OSError):
+def _may_be(root: Path) -> bool:
+    """Return whether tracefs is there, also if only root may look."""
+    try:
+        return (root / "instances").is_dir()
+    except PermissionError:
+        return True
+
+
+def _removed(folder: Path) -> bool:
+    """Remove an instance, which turns its events off; False: it is held."""
+    try:
         folder.rmdir()
+    except OSError:
+        return False
+    return True
 
 
 def _mask(core: int) -> str:
@@ -152,11 +174,11 @@ def _not_followed(where: Path, why: str) -> RealTimeError:
 
 def switches(text: str) -> Iterator[Switch]:
     """Yield the changes in a text of tracefs."""
-    for line in text.splitlines():
+    for line in text.split("\n"):
         if (found := _SWITCH.search(line)) is not None:
-            yield Switch(
-                float(found["at"]), int(found["pid"]), int(found["to"]), found["comm"]
-            )
+            # Any user may give a thread any name, also codes for a terminal.
+            name = "".join(c if c.isprintable() else "?" for c in found["comm"])
+            yield Switch(float(found["at"]), int(found["pid"]), int(found["to"]), name)
 
 
 def uses(changes: Sequence[Switch], begin: float, end: float) -> dict[int, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -34,6 +35,8 @@ def test_the_kernels_text_is_read_with_names_that_have_spaces():
     assert [one.at for one in found] == [100.0, 100.004, 100.005, 100.0065]
     assert found[1] == (100.004, 7, 77, "vision one")
     assert [*switches("nothing\n\n")] == []
+    (other,) = switches(TEXT.split("\n")[4].replace("vision one", "\x1b[2J\x0bx"))
+    assert other.name == "?[2J?x", "any user may choose it"
 
 
 @pytest.mark.parametrize(
@@ -68,6 +71,7 @@ def tracefs(tmp_path, monkeypatch):
             for name in ("per_cpu/cpu40", "events/sched/sched_switch"):
                 made(self / name, parents=True)
             (self / "per_cpu/cpu40/trace").write_text(TEXT)
+            (self / "tracing_on").write_text("1")
 
     monkeypatch.setattr(type(root), "mkdir", mkdir)
     return root
@@ -76,7 +80,7 @@ def tracefs(tmp_path, monkeypatch):
 def test_the_event_is_on_for_one_core_until_it_is_stopped(tracefs, monkeypatch):
     removed = []
     monkeypatch.setattr(
-        core_trace, "_remove", lambda folder: removed.append(folder.name)
+        core_trace, "_removed", lambda folder: removed.append(folder.name)
     )
     trace = SwitchTrace(40, [tracefs.parent / "nowhere", tracefs])
     trace.start()
@@ -89,6 +93,7 @@ def test_the_event_is_on_for_one_core_until_it_is_stopped(tracefs, monkeypatch):
     assert written == {
         "per_cpu/cpu40/buffer_size_kb": "4096",
         "trace_clock": "mono",
+        "tracing_on": "1",
         "tracing_cpumask": "00000100,00000000",
         "events/sched/sched_switch/enable": "1",
     }
@@ -98,15 +103,18 @@ def test_the_event_is_on_for_one_core_until_it_is_stopped(tracefs, monkeypatch):
     assert trace.stop() == []
 
 
-def test_what_killed_processes_left_is_removed(tracefs, monkeypatch):
-    removed = []
-    monkeypatch.setattr(
-        core_trace, "_remove", lambda folder: removed.append(folder.name)
-    )
-    for name in (f"pbonet-{os.getpid()}", "pbonet-999999999", "other-999999999"):
-        (tracefs / "instances" / name).mkdir()
-    core_trace.sweep([tracefs])
-    assert removed == ["pbonet-999999999"]
+def test_a_tracefs_that_only_root_may_read_is_no_fault(tmp_path, monkeypatch):
+    """So it is for an agent of another user: it starts, and says why it cannot."""
+
+    def refuse(self, **_):
+        raise PermissionError(errno.EACCES, "Permission denied", str(self))
+
+    with monkeypatch.context() as patch:
+        for name in ("stat", "mkdir"):
+            patch.setattr(type(tmp_path), name, refuse)
+        assert core_trace.sweep([tmp_path]) == []
+        with pytest.raises(RealTimeError, match=r"cannot be followed .*Permission"):
+            SwitchTrace(0, [tmp_path]).start()
 
 
 def test_without_tracefs_it_is_said_with_what_to_do(tmp_path):
@@ -179,6 +187,33 @@ def test_the_kernel_says_who_had_a_core(mounted):
     assert 0 < found[p.pid] < end - begin
     assert sum(found.values()) == pytest.approx(end - begin)
     assert not [*mounted.glob("instances/pbonet-*")]
+
+
+def test_what_a_killed_process_followed_is_removed_and_nothing_else(mounted):
+    """Its files were closed by the kernel; a process that lives holds one open."""
+    (mounted / "instances/another").mkdir()
+    code = (
+        "import pathlib, sys, time\n"
+        "from pbonet.node.wire.core_trace import SwitchTrace\n"
+        "trace = SwitchTrace(0, [pathlib.Path(sys.argv[1])])\n"
+        "trace.start()\n"
+        "print('followed', flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    words = [sys.executable, "-c", code, str(mounted)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"followed\n"
+        name = f"pbonet-{process.pid}"
+        event = mounted / "instances" / name / "events/sched/sched_switch/enable"
+        assert event.read_text() == "1\n"
+        assert core_trace.sweep([mounted]) == []
+        assert event.read_text() == "1\n"
+        process.kill()
+        process.wait()
+        assert core_trace.sweep([mounted]) == [name]
+    left = [one.name for one in mounted.glob("instances/*")]
+    (mounted / "instances/another").rmdir()
+    assert left == ["another"]
 
 
 def test_no_miss_within_the_time():
