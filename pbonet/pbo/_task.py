@@ -398,11 +398,12 @@ class TaskContext:
         self.announce(signal, text)
 
     def control(self, task: str, signal: str) -> None:
-        """Send a signal to another task of this subsystem and RTPU; never waits.
+        """Send a signal to another task of this subsystem and machine; never waits.
 
-        It goes to the RTPU and not by the master, so it is there when none is: a
-        handler of errors or of timing failures may turn off what depends on it
-        (Stewart 1994, section 8.2.1). Nothing is verified; what the flag says follows.
+        It goes to the task's RTPU, by neither master nor network, so it is there when
+        none is: a handler of errors or of timing failures may turn off what depends on
+        it (Stewart 1994, section 8.2.1). Nothing is verified; what the flag says
+        follows.
         What became of it is an event of that task, a refusal one of this task.
 
         Args:

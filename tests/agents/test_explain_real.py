@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import re
+import threading
+from pathlib import Path
+
 import pytest
 from nodekit import rmod, svar
 from watching import wait_for
 
+from pbonet.errors import PbonetError
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.console import Subsystem
 
 
 @pytest.fixture
@@ -36,8 +43,8 @@ def asked(nodes, arm, tmp_path):
     """Explain to words, as text."""
     place = Place(domain=nodes.domain, libraries=arm.files.library.folders)
 
-    def answer(*words):
-        return diagnosis.text(diagnosis.answer(tmp_path / "t.sbs", words, place))
+    def answer(*words, **how):
+        return str(diagnosis.answer(tmp_path / "t.sbs", words, place, **how))
 
     return answer
 
@@ -73,3 +80,47 @@ def test_cycles_that_are_missed(arm, asked):
     assert "its longest cycle takes" in text
     assert "and its period is 20 ms [schedule]" in text
     assert "do: lower the rate, use a faster core, or shorten `cycle`" in text
+    assert "the kernel's sched_switch" not in text, "it was not asked for"
+    text = asked("miss", "busy", trace=20.0)
+    assert "what the kernel counts" in text or re.search(
+        r"core \d+ in [\d.]+ s: ", text
+    )
+    if "cannot be followed" in text:  # no root, or no tracefs
+        assert re.search("not read: .*: the kernel's sched_switch cannot", text)
+    else:
+        had = re.search(r"it missed \d+ releases?; who had core \d+: (.*) ms", text)
+        assert had is not None, text
+        assert "busy " in had[1]
+    assert not [*Path("/sys/kernel/tracing").glob("instances/pbonet-*")]
+
+
+def test_a_core_is_followed_for_longer_than_a_request_waits_for_a_sign(arm, asked):
+    """The client repeats the request meanwhile, which is no second one."""
+    arm.spawn("first")
+    text = asked("miss", "first", trace=1.0)
+    assert re.search(r", and none in the 1(\.\d+)? s in which it was followed", text)
+    assert "for another request" not in text
+
+
+def test_an_agent_that_is_killed_leaves_no_trace_on(nodes, arm):
+    """Its RTPU process removes it, while it waits for another agent."""
+    instances = Path("/sys/kernel/tracing/instances")
+    if not os.access(instances, os.W_OK):
+        pytest.skip("there is no tracefs, or it needs root")
+    arm.spawn("first")
+    process = nodes.processes["arm0"]
+    here = instances / f"pbonet-{process.pid}"
+    event = here / "events/sched/sched_switch/enable"
+
+    def ask():
+        with contextlib.suppress(PbonetError):  # the agent goes
+            arm.explain("miss first", trace=20.0)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    wait_for(lambda: event.exists() and event.read_text() == "1\n", "it is followed")
+    process.kill()
+    process.wait()
+    wait_for(lambda: not here.exists(), "the trace is removed")
+    asking.join()
+    nodes.agent_processes("arm0")

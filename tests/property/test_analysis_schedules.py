@@ -20,6 +20,7 @@ from pbonet.analysis.schedule.analysis import (
     response_time,
     rm_bound_holds,
     rm_schedulable,
+    set_aside,
     transform,
     utilization,
 )
@@ -361,6 +362,36 @@ def test_a_proposed_transformation_does_what_it_is_for(sets, critical) -> None:
         old = next(t for t in scaled if t.name == change.name)
         assert change.factor == old.period_ns // change.period_ns
         assert change.cost_ns * change.factor >= old.cost_ns
+
+
+@settings(deadline=None)
+@given(demands(), st.sets(st.sampled_from(["t0", "t1", "t2", "t3", "t4"])))
+def test_a_criticality_does_what_a_transformation_does(sets, critical) -> None:
+    """No module need be divided for MUF: as many others are guaranteed as well."""
+    scaled = [
+        Demand(name=t.name, period_ns=t.period_ns * 10**6, cost_ns=t.cost_ns * 10**6)
+        for t in sets
+    ]
+    names = {one.name for one in scaled}
+    aside = set_aside(scaled, critical)
+    changes = transform(scaled, critical)
+    if aside is None:
+        assert changes is None
+        return
+    levels = {name: 3 if name in aside else 5 for name in names}
+    assert names - {*aside} <= {*level_guaranteed(scaled, levels, ())}
+    assert not critical & {*aside}
+    if changes is not None:
+        new = {change.name: change for change in changes}
+        changed = [
+            Demand(
+                name=t.name,
+                period_ns=new[t.name].period_ns if t.name in new else t.period_ns,
+                cost_ns=new[t.name].cost_ns if t.name in new else t.cost_ns,
+            )
+            for t in scaled
+        ]
+        assert {*critical_set(changed)} <= names - {*aside}
 
 
 @settings(max_examples=150, deadline=None)

@@ -37,7 +37,7 @@ def test_a_task_in_error_is_the_cause_of_the_flag(running, agents):
     agents["arm0"].flags = ["jttrace is in ERROR (arm1/jttrace)"]
     found = running()
     assert found.found
-    text = diagnosis.text(found)
+    text = str(found)
     assert "task jttrace on arm1 is ERROR" in text
     assert "because cycle failed: no path [status]" in text
     assert "do: 'clear jttrace' brings it out of ERROR" in text
@@ -48,7 +48,7 @@ def test_a_variable_of_a_subsystem_that_was_not_started(running, agents):
     for one in agents.values():
         one.tasks.clear()
         one.fail["display", ""] = refused
-    text = diagnosis.text(running("Q_REF"))
+    text = str(running("Q_REF"))
     assert "because the table of subsystem 'arm' is not open here, on arm0" in text
     assert "do: start the job: `pbonet start`" in text
     assert "not read" not in text
@@ -71,7 +71,7 @@ def test_each_agent_is_asked_once_for_each_fact(running, agents):
 
 def test_an_rtpu_that_is_silent_is_named(running, agents):
     agents["arm1"].silent = True
-    text = diagnosis.text(running("jttrace"))
+    text = str(running("jttrace"))
     assert "the state of task jttrace on arm1 is not known" in text
     assert "RTPU arm1 does not answer" in text
     assert "do: see its output; if it hangs" in text
@@ -80,7 +80,7 @@ def test_an_rtpu_that_is_silent_is_named(running, agents):
 def test_all_are_away(running, agents):
     for agent in agents.values():
         agent.close()
-    text = diagnosis.text(running("jttrace"))
+    text = str(running("jttrace"))
     assert "RTPU arm1 does not answer" in text
     assert "do: start one with `pbonet agent" in text
 
@@ -98,7 +98,7 @@ def test_the_verb_has_a_status_and_data(world, puma, call):
 def test_a_start_that_would_be_refused(running, puma):
     text = puma.with_suffix(".job").read_text("utf-8")
     puma.with_suffix(".job").write_text(text.replace("jttrace", "nosuch"))
-    found = diagnosis.text(running("start"))
+    found = str(running("start"))
     assert "would be refused now" in found
     assert "nosuch" in found
     with pytest.raises(StateError, match="no task, variable or RTPU nothing"):

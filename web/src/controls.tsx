@@ -164,6 +164,29 @@ export function SignalButtons({ task, place }: { task: string; place?: Ref<HTMLD
   );
 }
 
+/** A button that explains why something is as it is, and the chain of causes below it. */
+export function Why({ what }: { what: string[] }) {
+  useLive("link");
+  const running = useCommand();
+  if (live.log) return null;
+  const about = what.join(" ");
+  return (
+    <div className="why">
+      <button
+        type="button"
+        className="link"
+        title={commandHelp("explain")}
+        aria-label={`explain ${about}`}
+        disabled={running.busy || live.link !== "live"}
+        onClick={() => void running.run("explain", { what })}
+      >
+        why?
+      </button>
+      <Outcome of={running} done={<pre>{running.answer?.text}</pre>} />
+    </div>
+  );
+}
+
 /** A field for a word, with words to choose from. */
 export function WordField(props: {
   label: string;

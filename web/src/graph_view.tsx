@@ -15,7 +15,7 @@ import {
   type NodeChange,
 } from "@xyflow/react";
 import { memo, useCallback, useEffect, useMemo, useRef, useState } from "react";
-import { Outcome, commandHelp, useClock, useCommand } from "./controls";
+import { Outcome, Why, commandHelp, useClock, useCommand } from "./controls";
 import { want } from "./connection";
 import { clock, number, seconds, unitText } from "./format";
 import {
@@ -238,6 +238,7 @@ function Inspector() {
       <button type="button" onClick={() => page.addSeries(parseSeries(name, live.variables))}>
         plot
       </button>
+      {page.pinned === name && <Why key={name} what={[name]} />}
     </section>
   );
 }

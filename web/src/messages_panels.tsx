@@ -124,6 +124,11 @@ function useNames(): Record<string, string[]> {
       job: programs.listed?.jobs.map((one) => one.name) ?? [],
       command: live.hello?.commands.map((one) => one.name) ?? [],
       signal: ["OFF", "FINISH", "ERROR", "WARNING", "SHUTDOWN", "ILLEGAL", "LEGAL"],
+      what: ["flag", "start", "miss"].concat(
+        tasks.map((one) => one.name),
+        graph?.variables.map((one) => one.name) ?? [],
+        graph?.rtpus.map((one) => one.name) ?? [],
+      ),
       "task:signal": tasks.flatMap((one) =>
         ["on", "off", "clear", "reinit", "kill"].map((signal) => `${one.name}:${signal}`),
       ),

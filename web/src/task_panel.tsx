@@ -5,6 +5,7 @@ import {
   Outcome,
   SignalButtons,
   TaskState,
+  Why,
   argHelp,
   commandHelp,
   useCommand,
@@ -72,6 +73,7 @@ function About({ task }: { task: TaskInfo }) {
           <b>{kind}</b> {text}
         </p>
       ))}
+      <Why what={[task.name]} />
       <SignalButtons task={task.name} />
       {live.steers && task.freq > 0 && <Frequency task={task.name} />}
     </section>

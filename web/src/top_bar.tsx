@@ -2,7 +2,7 @@
 // run.
 import { useEffect, useState } from "react";
 import { play, seek, stop } from "./connection";
-import { useClock, useGlobalKey } from "./controls";
+import { Why, useClock, useGlobalKey } from "./controls";
 import { clock } from "./format";
 import { illegalCauses, live, useGraph, useLive } from "./live_state";
 import { MODES, page, usePage } from "./page_state";
@@ -177,6 +177,7 @@ export function Bars() {
           <b>ILLEGAL</b> <span className="dim">{rtpus.join(", ")}</span> {cause}
         </p>
       ))}
+      {causes.length > 0 && <Why what={["flag"]} />}
       {graph?.faults
         .filter((one) => one.severity !== "warn")
         .map((one) => (

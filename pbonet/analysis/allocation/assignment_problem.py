@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet.analysis.legality import Configuration, Task, effective, loads
-from pbonet.analysis.schedule import CoreShare
+from pbonet.analysis.schedule import ASSUMED, CoreShare
 from pbonet.config import RtpuEntry, SvarFile, TaskType
 
 if TYPE_CHECKING:
@@ -70,8 +70,8 @@ class Problem(Struct, frozen=True, kw_only=True, dict=True):
     """Bytes of each variable."""
     rates: Mapping[str, float] = {}
     """How often a second a variable is carried at most (``RATE``), where limited."""
-    limit: float = 0.95
-    """Share of a core that tasks may use."""
+    cores: Mapping[str, CoreShare] = {}
+    """The share of each RTPU's core for tasks; `ASSUMED` of those not in it."""
     weight: float = 0.5
     """Share of the cost that traffic has; the rest is age."""
     latency: float = LATENCY
@@ -90,6 +90,27 @@ class Problem(Struct, frozen=True, kw_only=True, dict=True):
     def standbys(self) -> tuple[Item, ...]:
         """Tasks that stand by."""
         return tuple(item for item in self.items if item.fallback_of)
+
+    def core(self, rtpu: str) -> CoreShare:
+        """Return what tasks may use of the core of an RTPU."""
+        return self.cores.get(rtpu, ASSUMED)
+
+    def load(self, item: Item, rtpu: str) -> float:
+        """Return the share of a core that a task takes, with dispatching it."""
+        return item.share(rtpu) + self.core(rtpu).dispatch * (item.task.hz or 0.0)
+
+    @property
+    def limits(self) -> str:
+        """The share of the cores that may be used, as a phrase."""
+        cores = {one.name: self.core(one.name) for one in self.rtpus}
+        found = {(one.share, one.dispatch) for one in cores.values()}
+        named = {"each": next(iter(cores.values()))} if len(found) == 1 else cores
+        return "at most " + ", ".join(
+            f"{core.share:.1%} of {name if len(found) > 1 else 'each core'}"
+            + f", dispatching included ({core.dispatch * 1e6:g} us a release)"
+            * bool(core.dispatch)
+            for name, core in named.items()
+        )
 
     def entry(self, rtpu: str) -> RtpuEntry:
         """Return the entry of an RTPU."""
@@ -122,11 +143,16 @@ def share(task: Task) -> float:
 _NO_TABLE = SvarFile(file="", defines={}, variables=())
 
 
-def keeps_deadlines(tasks: Sequence[Task], entry: RtpuEntry, limit: float) -> bool:
+def keeps_deadlines(tasks: Sequence[Task], entry: RtpuEntry, core: CoreShare) -> bool:
     """Return whether an RTPU keeps every deadline of these tasks, if all are ON.
 
     It is the test of `pbonet check` (section 6.2), which also warns of tasks that may
     miss: here none may, except the late cycles of soft ones.
+
+    Args:
+        tasks: The tasks.
+        entry: The RTPU.
+        core: What they may use of its core.
     """
     placed = tuple(structs.replace(task, rtpu=entry.name) for task in tasks)
     now = Configuration(
@@ -134,12 +160,13 @@ def keeps_deadlines(tasks: Sequence[Task], entry: RtpuEntry, limit: float) -> bo
         tasks=placed,
         on=frozenset(task.name for task in placed),
         rtpus=(entry,),
-        core=CoreShare(share=limit),
+        core=core,
     )
     (load,) = loads(now)
     hard = {task.name for task in placed if not task.rmod.softness}
     asked = hard & {*load.critical_set, *load.outside}
-    within = load.utilization <= limit * (1 + EXACT)
+    left = core.left(task.hz or 0.0 for task in placed)
+    within = load.utilization <= left * (1 + EXACT)
     return within and asked <= {*load.guaranteed}
 
 
@@ -164,7 +191,7 @@ def faults(problem: Problem, places: Places) -> Iterable[tuple[str, list[str]]]:
     for entry in problem.rtpus:
         for names in sets_on(problem, places, entry.name):
             tasks = [problem.by_name[name].tasks[entry.name] for name in names]
-            if tasks and not keeps_deadlines(tasks, entry, problem.limit):
+            if tasks and not keeps_deadlines(tasks, entry, problem.core(entry.name)):
                 yield entry.name, names
                 break
 

@@ -157,7 +157,7 @@ class _Search:
         if any(entry.name not in item.tasks for item in items):
             return True  # they cannot all be there
         tasks = [item.tasks[entry.name] for item in items]
-        return keeps_deadlines(tasks, entry, self.problem.limit)
+        return keeps_deadlines(tasks, entry, self.problem.core(entry.name))
 
     def _total(self, places: Places) -> float:
         """Return the cost of an assignment, with that of moving tasks."""

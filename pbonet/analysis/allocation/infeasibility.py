@@ -36,17 +36,17 @@ def without_room(problem: Problem) -> None:
     for item in problem.items:
         entries = [problem.entry(rtpu) for rtpu in item.tasks]
         if any(
-            keeps_deadlines([item.tasks[one.name]], one, problem.limit)
+            keeps_deadlines([item.tasks[one.name]], one, problem.core(one.name))
             for one in entries
         ):
             continue
-        share = item.share(entries[0].name)
-        hz = item.task.hz or 0.0
-        most = hz * problem.limit / share if share else 0.0
+        rtpu = entries[0].name
+        share, load = item.share(rtpu), problem.load(item, rtpu)
+        most = (item.task.hz or 0.0) * problem.core(rtpu).share / load if load else 0.0
         raise VerificationError(
             f"the task {item.name} alone is too much for {_names(item.tasks)}",
             where=item.task.place("MAXC"),
-            expected=f"a share of at most {problem.limit:.1%} of a core",
+            expected=problem.limits,
             got=f"{share:.1%}" + (f" ({item.pin})" if item.pin else ""),
             remedy=f"run it at {_digits(most)} Hz or less, or shorten its cycle",
         )
@@ -73,6 +73,7 @@ def explained(
     here = [i for i in problem.items if found.places[i.name] == rtpu]
     here.sort(key=lambda item: (not item.pin, -item.share(rtpu), item.name))
     shares = sum(i.share(i.present if i.present in i.tasks else rtpu) for i in here)
+    dispatch = sum(problem.load(i, rtpu) - i.share(rtpu) for i in here)
     where = f"RTPU {rtpu}" if _is_pinned(here, problem, rtpu) else "all RTPUs together"
     total = sum(over.values())
     return VerificationError(
@@ -80,10 +81,11 @@ def explained(
         f"{where} would have {(more if where != _ALL else total):.1%} of a core too "
         "much",
         where=here[0].task.place("TASK") if here else "",
-        expected=f"at most {problem.limit:.1%} of each core, with all deadlines kept",
-        got=f"{shares:.1%} on {rtpu}: "
+        expected=f"{problem.limits}, with all deadlines kept",
+        got=f"{shares + dispatch:.1%} on {rtpu}: "
         + ", ".join(_about(item, rtpu) for item in here[:MOST])
-        + (f" and {len(here) - MOST} more" if len(here) > MOST else ""),
+        + (f" and {len(here) - MOST} more" if len(here) > MOST else "")
+        + (f", dispatching {dispatch:.1%}" if dispatch else ""),
         remedy=_ways_out(problem, here, rtpu, total),
     )
 
@@ -94,7 +96,8 @@ _ALL = "all RTPUs together"
 def _is_pinned(here: Sequence[Item], problem: Problem, rtpu: str) -> bool:
     """Return whether the tasks pinned to an RTPU are too much for it by themselves."""
     held = [item for item in here if item.pin and not item.pin.startswith(FOLLOWS)]
-    return sum(item.share(rtpu) for item in held) > problem.limit * (1 + EXACT)
+    load = sum(problem.load(item, rtpu) for item in held)
+    return load > problem.core(rtpu).share * (1 + EXACT)
 
 
 def _about(item: Item, rtpu: str) -> str:

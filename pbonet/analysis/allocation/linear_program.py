@@ -141,11 +141,11 @@ class Program:
         terms: Terms = []
         for item in items:
             if rtpu in item.tasks:
-                share = item.share(rtpu)
+                share = self.problem.load(item, rtpu)
                 terms += [(at, share) for at, _ in self.on(item.name, rtpu)]
         if rtpu in self.excess:
             terms.append((self.excess[rtpu], -1.0))
-        self._row(terms, high=self.problem.limit)
+        self._row(terms, high=self.problem.core(rtpu).share)
 
     def _traffic(self) -> None:
         scale = self.problem.weight / self.flow.most_traffic

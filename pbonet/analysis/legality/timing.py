@@ -15,6 +15,7 @@ from pbonet.analysis.schedule import (
     edf_schedulable,
     largest_server,
     level_guaranteed,
+    set_aside,
     transform,
 )
 from pbonet.config import RtpuEntry, Scheduler
@@ -394,19 +395,20 @@ def _not_critical(
     there = [t for t in configuration.running if t.rtpu == load.rtpu]
     limit, core = configuration.limit(load.rtpu), configuration.share_of(load.rtpu)
     first = going_first(there, core)
-    changes = (
-        transform(demands(there), critical, first, limit=core.share)
-        if load.scheduler is Scheduler.MUF
-        else ()
-    )
-    if changes:
-        remedy = " and ".join(
-            f"run {c.name} at {c.factor} times its frequency, with at most "
-            f"{c.cost_ns / 1e9:.6g} s a cycle (period transformation)"
-            for c in changes
-        )
-    else:
-        remedy = f"lower the frequency of {names}"
+    remedy = f"lower the frequency of {names}"
+    if load.scheduler is Scheduler.MUF:
+        asked, must = demands(there), {t.name for t in there if t.rmod.critical}
+        changes = transform(asked, must, first, limit=core.share) or ()
+        aside = set_aside(asked, must, first, limit=core.share)
+        ways = [
+            _by_crit(load, critical, aside),
+            " and ".join(
+                f"run {c.name} at {c.factor} times its frequency, with at most "
+                f"{c.cost_ns / 1e9:.6g} s a cycle (period transformation)"
+                for c in changes
+            ),
+        ]
+        remedy = ", or ".join(filter(None, ways)) or remedy
     muf = "within the critical set, the shortest periods whose utilization is at most"
     return Problem(
         code=Code.OVERLOAD,
@@ -423,6 +425,22 @@ def _not_critical(
         "another RTPU",
         tasks=tuple(critical),
     )
+
+
+def _by_crit(load: Load, critical: list[str], aside: tuple[str, ...] | None) -> str:
+    """Return the CRIT lines with which MUF guarantees critical tasks, if there are."""
+    if aside is None:
+        return ""
+    lines = [
+        (names, crit)
+        for names, crit in (
+            ([n for n in critical if n in load.outside], criticality.INSIDE),
+            ([n for n in aside if n in load.critical_set], criticality.OUTSIDE),
+        )
+        if names
+    ]
+    given = (f"{' and '.join(names)} CRIT {crit}" for names, crit in lines)
+    return "give " + ", and ".join(given) if lines else ""
 
 
 def _too_much(load: Load, limit: float) -> Problem:

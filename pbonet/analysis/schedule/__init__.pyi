@@ -13,6 +13,7 @@ from .analysis import (
     edf_schedulable as edf_schedulable,
     largest_server as largest_server,
     level_guaranteed as level_guaranteed,
+    set_aside as set_aside,
     transform as transform,
 )
 from .core_share import ASSUMED as ASSUMED, CoreShare as CoreShare

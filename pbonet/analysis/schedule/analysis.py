@@ -325,6 +325,42 @@ def critical_set(
     return tuple(task.name for task in chosen)
 
 
+def set_aside(
+    tasks: Iterable[Demand],
+    critical: Collection[str],
+    servers: Iterable[Server] = (),
+    *,
+    limit: float = 1.0,
+) -> tuple[str, ...] | None:
+    """Return tasks that a lower criticality keeps out of the way of critical ones.
+
+    At one criticality the earliest deadline goes first, so any tasks that EDF schedules
+    may be in the critical set, whatever their rates: the critical ones, and with them
+    as many of the others, shortest periods first, as fit (section 6.2.3). A period
+    transformation leads to the same set, and asks the module to divide its work.
+
+    Args:
+        tasks: All periodic tasks of one RTPU.
+        critical: The names of those that must not miss.
+        servers: Servers with criticality 6.
+        limit: As for `critical_set`.
+
+    Returns:
+        The tasks to set aside, longest periods last; None when the critical tasks alone
+        ask for too much.
+    """
+    tasks, servers = by_period(tasks), list(servers)
+    must = [task for task in tasks if task.name in critical]
+    others = [task for task in tasks if task.name not in critical]
+    most = Fraction(limit) * (1 + Fraction(1, 10**12))
+    for kept in range(len(others), -1, -1):
+        chosen = [*must, *others[:kept]]
+        used = sum((task.share for task in chosen), _sum(servers))
+        if used <= most and edf_schedulable(chosen, servers):
+            return tuple(task.name for task in others[kept:])
+    return None
+
+
 # -- period transformation ------------------------------------------------------------
 
 

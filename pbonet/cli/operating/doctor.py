@@ -25,6 +25,7 @@ def command(
         Remove the shared memory of processes that were killed:
         pbonet doctor --clean
     """
+    from pbonet.master.diagnosis import Level
     from pbonet.master.tools import doctor
     from pbonet.node.rt import probe
     from pbonet.node.rtpu import cleanup
@@ -53,4 +54,4 @@ def command(
         connect=agents.connect,
     )
     options.show("\n".join(map(str, found)), found, as_data=json_)
-    return int(any(one.level is doctor.Level.FAIL for one in found))
+    return int(any(one.level is Level.FAIL for one in found))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated as A
 
 from pbonet.cli import options
-from pbonet.cli.parser import Argument
+from pbonet.cli.parser import Argument, Option
 
 
 def command(
@@ -19,6 +19,15 @@ def command(
         list[str] | None,
         Argument("flag, a task, a variable, an RTPU, start [JOB], miss TASK [CYCLE]."),
     ] = None,
+    trace: A[
+        float,
+        Option(
+            "Of a miss: wait so long for the next one, and tell who had the core.",
+            "SECONDS",
+            least=0.0,
+            most=30.0,
+        ),
+    ] = 0.0,
     place: options.Watching,
     json_: options.Json = False,
 ) -> int:
@@ -35,11 +44,13 @@ def command(
         pbonet explain arm.sbs Q_REF
         Explain why a job would not start:
         pbonet explain arm.job start
+        See who has the core when a task misses its next cycle:
+        pbonet explain arm.sbs miss jttrace --trace 5
         Explain which cycles a task has missed in a recorded run:
         pbonet explain runs/2026-05-04T10-00-00-teleop miss jttrace
     """
     from pbonet.master import diagnosis
 
-    found = diagnosis.answer(file, what or (), place)
-    options.show(diagnosis.text(found), found, as_data=json_)
+    found = diagnosis.answer(file, what or (), place, trace=trace)
+    options.show(str(found), found, as_data=json_)
     return int(not found.found)

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 def command(
     *,
     file: A[Path, Argument("The .job file.")],
-    running: A[bool, Option("Ask the agents for their machines and devices.")] = False,
+    running: A[
+        bool, Option("Ask the agents for their machines, cores and devices.")
+    ] = False,
     machine: A[
         list[str] | None,
         Option(
@@ -26,9 +28,14 @@ def command(
     ] = None,
     fix: A[list[str] | None, Option("A task that stays where it is.", "TASK")] = None,
     limit: A[
-        float,
-        Option("Share of a core that tasks may use.", "SHARE", least=0.01, most=0.95),
-    ] = 0.95,
+        float | None,
+        Option(
+            "Share of a core that tasks may use; what it grants if left out.",
+            "SHARE",
+            least=0.01,
+            most=1.0,
+        ),
+    ] = None,
     weight: A[
         float,
         Option(

@@ -34,6 +34,12 @@ def command(
     keep: A[
         list[str] | None, Option("A task whose rate stays as it is.", "TASK")
     ] = None,
+    from_log: A[
+        list[Path] | None,
+        Option(
+            "A recorded run, or its folder, in place of runs in virtual time.", "FILE"
+        ),
+    ] = None,
     factor: A[
         list[float] | None,
         Option(
@@ -43,14 +49,22 @@ def command(
             most=100,
         ),
     ] = None,
-    seconds: A[float, Option("Virtual time of each run.", "SECONDS", least=0.1)] = 5.0,
+    seconds: A[
+        float | None,
+        Option("Virtual time of each run; 5 if left out.", "SECONDS", least=0.1),
+    ] = None,
     settle: A[
-        float, Option("Virtual time before the error counts.", "SECONDS", least=0.0)
+        float, Option("Time of each run before its error counts.", "SECONDS", least=0.0)
     ] = 1.0,
     limit: A[
-        float,
-        Option("Share of a core that tasks may use.", "SHARE", least=0.01, most=0.95),
-    ] = 0.95,
+        float | None,
+        Option(
+            "Share of a core that tasks may use; what it grants if left out.",
+            "SHARE",
+            least=0.01,
+            most=1.0,
+        ),
+    ] = None,
     assume: A[
         float | None,
         Option(
@@ -68,6 +82,9 @@ def command(
     dry_run: A[
         bool, Option("With --write or --apply: only show what would be done.")
     ] = False,
+    running: A[
+        bool, Option("Ask the agents what their cores grant, less dispatching.")
+    ] = False,
     host: options.Host = "",
     place: options.ChangeTransaction,
     json_: options.Json = False,
@@ -79,13 +96,17 @@ def command(
     the schedule. The error is fitted over the periods; the rates with the least error
     within the load are run, too, and the best run is proposed.
 
-    Modules must not depend on devices; what is not simulated cannot be tuned.
+    Modules must not depend on devices; what is not simulated cannot be tuned in
+    virtual time. With --from-log the errors are those of recorded runs, made at
+    different rates, and the fit's own proposals are predictions.
 
     Examples:
         Choose rates for the error that the job's COST line names:
         pbonet tune arm.job
         Choose those of two tasks with at most half of each core, and draw it:
         pbonet tune arm.job --task pid --task diff --limit 0.5 --svg tune.svg
+        Choose them by three recorded runs at different rates:
+        pbonet tune arm.job --from-log runs/a --from-log runs/b --from-log runs/c
         Write them into the job:
         pbonet tune arm.job --cost 'rms(Q_REF - Q_MEZ)' --write
         Set them where it runs, and write them into arm_tuned.job:
@@ -93,10 +114,12 @@ def command(
     """
     import msgspec
 
-    from pbonet.master.planning import FACTORS, tune, tuning_text
+    from pbonet.master.planning import FACTORS, SECONDS, tune, tuning_text
 
     if write and apply:
         raise UsageError("--write and --apply exclude each other: choose one")
+    if from_log and (factor or seconds):
+        raise UsageError("--factor and --seconds are for runs in virtual time")
     if dry_run and not (write or apply):
         raise UsageError("--dry-run needs --write or --apply")
     found, warnings = tune(
@@ -105,10 +128,12 @@ def command(
         cost=cost,
         tasks=task or (),
         keep=keep or (),
+        logs=from_log or (),
         factors=factor or FACTORS,
-        seconds=seconds,
+        seconds=seconds or SECONDS,
         settle=settle,
         limit=limit,
+        running=running or apply,
         host=host,
         assume=assume,
         told=_progress,

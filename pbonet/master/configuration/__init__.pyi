@@ -28,6 +28,7 @@ from .failures import (
     next_steps as next_steps,
     stuck as stuck,
 )
+from .graph_of_log import recorded_graph as recorded_graph
 from .recording_plan import RecordingPlan as RecordingPlan
 from .saved_profiles import Saved as Saved, here as here, profile_of as profile_of
 from .subsystem_files import (

@@ -184,6 +184,16 @@ def events(session: SessionState, given: Given) -> Data:
     return {"events": [msgspec.to_builtins(event) for event in found]}
 
 
+def explain(session: SessionState, given: Given) -> Data:
+    """Explain why something is as it is."""
+    from pbonet.master import diagnosis
+
+    words, trace = given.get("what") or (), given.get("trace") or 0.0
+    found = diagnosis.answer_of(session.subsystem, words, trace=trace)
+    data: Data = msgspec.to_builtins(found)
+    return data
+
+
 def sigwait(session: SessionState, given: Given) -> Data:
     """Wait for a signal of a task."""
     sent = session.subsystem.sigwait(**given)

@@ -40,6 +40,8 @@ class Kind(StrEnum):
     WORD = "word"
     NUMBER = "number"
     COUNT = "count"
+    QUESTION = "what"
+    """A task, a variable or an RTPU, or a word of `explain`."""
     SECONDS = "seconds"
     """A number, optionally followed by ``s`` or ``ms``."""
     FLAG = "yes"
@@ -260,6 +262,31 @@ COMMANDS: Final = (
         (Arg("task", Kind.TASK, "which tasks; all if left out", Use.ANY),),
         scope=Scope.SESSION,
         shows="counts",
+    ),
+    Command(
+        "explain",
+        "Explain why something is as it is: the causes, and what to do.",
+        (
+            Arg(
+                "what",
+                Kind.QUESTION,
+                "flag, a task, a variable, an RTPU, start [JOB], miss TASK [CYCLE]",
+                Use.ANY,
+            ),
+            Arg(
+                "trace",
+                Kind.SECONDS,
+                "of a miss: wait so long for the next one, and tell who had the core",
+                Use.NAMED,
+            ),
+        ),
+        run=command_handlers.explain,
+        examples=(
+            ("explain", "Explain why the illegal-configuration flag is up."),
+            ("explain Q_REF", "Explain why a variable is stale."),
+            ("explain start teleop", "Explain why a job would not start."),
+            ("explain miss jttrace trace=5", "See who has the core in its next miss."),
+        ),
     ),
     Command(
         "freq",

@@ -126,6 +126,19 @@ def _items(session: CommandSession) -> Iterable[str]:
     ]
 
 
+def _questions(session: CommandSession) -> Iterable[str]:
+    subsystem = session.subsystem
+    tasks = (member.name for member in subsystem.model)
+    return [
+        "flag",
+        "start",
+        "miss",
+        *tasks,
+        *_variables(session),
+        *subsystem.clients.names,
+    ]
+
+
 _KINDS: Final[dict[Kind, Callable[[CommandSession], Iterable[str]]]] = {
     Kind.RMOD: lambda session: session.subsystem.files.rmods(),
     Kind.RTPU: lambda session: session.subsystem.clients.names,
@@ -137,5 +150,6 @@ _KINDS: Final[dict[Kind, Callable[[CommandSession], Iterable[str]]]] = {
     Kind.COMMAND: lambda _: BY_NAME,
     Kind.SIGNAL: _signals,
     Kind.ITEM: _items,
+    Kind.QUESTION: _questions,
     Kind.FLAG: lambda _: ("yes", "no"),
 }

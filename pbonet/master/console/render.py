@@ -486,6 +486,12 @@ def _events_count(data: Data) -> str:
     return table(("rtpu", "task", "event", "count"), rows) if rows else "no events"
 
 
+def _explain(data: Data) -> str:
+    from pbonet.master.diagnosis import Explanation
+
+    return str(convert(data, Explanation))
+
+
 def _sigwait(data: Data) -> str:
     sent = data["sent"]
     times = f" ({sent['count']} times)" if sent["count"] > 1 else ""
@@ -534,6 +540,7 @@ _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "swap": _transition,
     "switch": _transition,
     "events": _events,
+    "explain": _explain,
     "events count": _events_count,
     "sigmask": _sigmask,
     "sigwait": _sigwait,

@@ -1,10 +1,9 @@
-from .answers import answer as answer
+from .answers import answer as answer, answer_of as answer_of
 from .ask_facts import Extent as Extent, ask as ask, unreached as unreached
 from .cause_chain import (
     Cause as Cause,
     Explanation as Explanation,
     Source as Source,
-    text as text,
 )
 from .explanations import explain as explain
 from .facts import Facts as Facts, Gap as Gap
@@ -15,3 +14,10 @@ from .known_causes import (
 )
 from .log_facts import read_log as read_log
 from .question import Question as Question, asked_by as asked_by
+from .verdicts import (
+    Finding as Finding,
+    Level as Level,
+    keys_of as keys_of,
+    keys_term as keys_term,
+    link_verdict as link_verdict,
+)

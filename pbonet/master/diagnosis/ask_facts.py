@@ -15,7 +15,7 @@ from pbonet.analysis import legality
 from pbonet.errors import NodeError, PbonetError, SeveralError, SvarMissingError
 from pbonet.master import configuration
 from pbonet.master.subsystem import find_missing, start_refusals
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import messages as m, rpc
 
 from .facts import Facts
 
@@ -47,7 +47,12 @@ class Extent(Flag):
 
 
 def ask(
-    subsystem: Subsystem, extent: Extent, job: str = "", *, pause: float = PAUSE
+    subsystem: Subsystem,
+    extent: Extent,
+    job: str = "",
+    *,
+    traced: tuple[str, float] | None = None,
+    pause: float = PAUSE,
 ) -> Facts:
     """Return the facts of an open subsystem.
 
@@ -55,7 +60,10 @@ def ask(
         subsystem: It is open, and may lack RTPUs.
         extent: What is needed.
         job: The job whose start is asked about; empty: the one it was opened with.
-        pause: Seconds between the two readings of the status.
+        traced: A task and seconds, for which its next miss is waited for, while the
+            kernel says who has the core.
+        pause: Seconds between the two readings of the status; in virtual time, which
+            stands still meanwhile, there is one.
     """
     task_set, clients = subsystem.task_set, subsystem.clients
     unknown: list[str] = []
@@ -66,6 +74,9 @@ def ask(
         except PbonetError as error:
             unknown.append(f"{what}: {error}")
 
+    trace: list[m.CoreTrace] = []
+    if traced is not None:
+        tried("who has the core", lambda: trace.append(_trace(subsystem, *traced)))
     begin = time.monotonic()
     try:
         statuses = {one.rtpu: one for one in task_set.refresh(strict=False)}
@@ -79,6 +90,7 @@ def ask(
         silent={name: error.to_wire() for name, error in failed.items()},
         keeper=subsystem.sbs.keeper,
         unknown=unknown,
+        trace=trace[0] if trace else None,
     )
 
     def read_graph() -> None:
@@ -96,13 +108,22 @@ def ask(
         tried("the schedule", lambda: _read_schedule(subsystem, facts))
     if Extent.START in extent:
         _read_start(subsystem, facts, job)
-    time.sleep(max(pause - (time.monotonic() - begin), 0.0))
-    facts.watched = time.monotonic() - begin
-    again, _ = clients.each(lambda _: m.Status(), m.RtpuStatus, rtpus=there)
-    facts.later = {
-        task.task: task.cycle for rtpu in again.values() for task in rtpu.tasks
-    }
+    if subsystem.simulation is None:
+        time.sleep(max(pause - (time.monotonic() - begin), 0.0))
+        facts.watched = time.monotonic() - begin
+        again, _ = clients.each(lambda _: m.Status(), m.RtpuStatus, rtpus=there)
+        facts.later = {
+            task.task: task.cycle for rtpu in again.values() for task in rtpu.tasks
+        }
     return facts
+
+
+def _trace(subsystem: Subsystem, task: str, seconds: float) -> m.CoreTrace:
+    """Have the agent of a task follow its core."""
+    home = subsystem.task_set.locate(task)
+    request = m.TraceCore(task=task, seconds=seconds)
+    limit = seconds + rpc.ANSWER_TIME
+    return subsystem.clients.call(home, request, m.CoreTrace, timeout=limit)
 
 
 def unreached(subsystem: Subsystem, error: PbonetError) -> Facts:
@@ -178,7 +199,8 @@ def _read_schedule(subsystem: Subsystem, facts: Facts) -> None:
 
 def _read_start(subsystem: Subsystem, facts: Facts, job: str) -> None:
     """Read why a job would be refused: files, configuration, conditions, masters."""
-    facts.masters = subsystem.clients.masters()
+    clients = subsystem.clients
+    facts.masters = [one for one in clients.masters() if one != clients.client.name]
     rtpus = subsystem.sbs.rtpus
     facts.shared = [one.name for one in rtpus if one.usage == "shared"]
     facts.start = start_refusals(subsystem.task_set, job or None)

@@ -21,6 +21,7 @@ class Source(StrEnum):
     SCHEDULE = "schedule"
     AGENTS = "agents"
     LOG = "log"
+    KERNEL = "kernel"
 
 
 class Cause(Struct, frozen=True, kw_only=True):
@@ -51,16 +52,15 @@ class Explanation(Struct, frozen=True, kw_only=True):
         """Whether a cause was found."""
         return bool(self.causes)
 
-
-def text(explanation: Explanation) -> str:
-    """Return an explanation as lines; a cause stands below what it explains."""
-    lines = [explanation.what]
-    for cause in explanation.causes:
-        lines += _lines(cause, 1)
-    if not explanation.found:
-        lines.append("no cause was found")
-    lines += [f"not read: {one}" for one in explanation.unknown]
-    return "\n".join(lines)
+    def __str__(self) -> str:
+        """Return it as lines; a cause stands below what it explains."""
+        lines = [self.what]
+        for cause in self.causes:
+            lines += _lines(cause, 1)
+        if not self.found:
+            lines.append("no cause was found")
+        lines += [f"not read: {one}" for one in self.unknown]
+        return "\n".join(lines)
 
 
 def _lines(cause: Cause, depth: int) -> Iterator[str]:

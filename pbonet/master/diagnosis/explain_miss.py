@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 from pbonet.analysis import legality
@@ -15,11 +16,13 @@ from .known_causes import REMEDIES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pbonet.xm.net import TaskStatus
+    from pbonet.xm.net import CoreTrace, CoreUse, TaskStatus
 
     from .facts import Gap
     from .follow_causes import Chain
 
+_MOST_USERS = 6
+"""Threads that are named as users of a core."""
 _NEAR = 1.0
 """Seconds within which an event belongs to a missed release."""
 _DELAY = 0.5
@@ -43,17 +46,75 @@ def missed(chain: Chain, task: str, cycle: int = 0) -> tuple[str, list[Cause]]:
         return what, causes
     released = status.cycle + status.miss + status.failed
     what = f"{task} has missed {status.miss} of {released} cycles since it is ON"
+    if (trace := facts.trace) is not None and not trace.missed:
+        what += f", and none in the {trace.traced:.3g} s in which it was followed"
     if not status.miss and not any(status.failures.values()):
         return what, []
     return what, list(_causes(chain, status))
 
 
 def _causes(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    yield from _followed(chain, status)
     yield from _itself(chain, status)
     yield from _others(chain, status)
     yield from explain_rtpu.stalls(chain, status)
     yield from _analysis(chain, status)
     yield from _machine(chain, status)
+
+
+def _followed(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield who had the core when the task missed a release, if that was followed."""
+    trace = chain.facts.trace
+    if trace is None:
+        return
+    if trace.fault:
+        chain.facts.unknown.append(trace.fault)
+    if trace.fault or not trace.missed:
+        if trace.times:
+            yield Cause(
+                what=f"what the kernel counts of {trace.times}", source=Source.KERNEL
+            )
+        return
+    at = f"{time.strftime('%H:%M:%S', time.localtime(trace.wall))}.{_ms(trace.wall)}"
+    yield Cause(
+        what=f"from its release at {at} on, for {trace.window * 1e3:.4g} ms, it missed "
+        f"{trace.missed} {'release' if trace.missed == 1 else 'releases'}; who "
+        f"had core {trace.core}: {_users(trace)}",
+        source=Source.KERNEL,
+        because=(Cause(what=trace.times, source=Source.KERNEL),) if trace.times else (),
+        remedy=REMEDIES[_remedy(trace, status)],
+    )
+
+
+def _ms(wall: float) -> str:
+    return f"{int(wall % 1 * 1000):03d}"
+
+
+def _users(trace: CoreTrace) -> str:
+    """Return those who had the core, and for how long."""
+    found = [
+        f"{_user(one)} {one.seconds * 1e3:.3g} ms" for one in trace.uses[:_MOST_USERS]
+    ]
+    rest = sum(one.seconds for one in trace.uses[_MOST_USERS:])
+    return ", ".join(found + [f"others {rest * 1e3:.3g} ms"] * bool(rest)) or "nothing"
+
+
+def _user(one: CoreUse) -> str:
+    if not one.pid:
+        return "nobody"
+    return one.name if one.known else f"{one.name} (process {one.pid})"
+
+
+def _remedy(trace: CoreTrace, status: TaskStatus) -> str:
+    """Return the remedy for who had the core most of the time."""
+    most = next(iter(trace.uses), None)
+    if most is None:
+        return "late start"
+    if not most.pid:
+        return "waits"
+    if not most.known:
+        return "stalled"
+    return "too long" if most.name == status.task else "preempted"
 
 
 def _itself(chain: Chain, status: TaskStatus) -> Iterator[Cause]:

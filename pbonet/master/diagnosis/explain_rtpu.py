@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pbonet.errors import PbonetError
-from pbonet.master.tools import doctor
 from pbonet.versions import REMEDY
 from pbonet.xm.net import messages as m, unreachable_reason
 
 from .cause_chain import Cause, Source
 from .event_causes import cause_of
 from .known_causes import REMEDIES
+from .verdicts import Level, keys_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,8 +69,8 @@ def _machine(chain: Chain, name: str) -> Iterator[Cause]:
     if info is None:
         return
     if info.keys_left is not None:
-        keys = doctor.keys_of(info, info.keys_left)
-        if keys.level is not doctor.Level.PASS:
+        keys = keys_of(info, info.keys_left)
+        if keys.level is not Level.PASS:
             yield Cause(what=keys.what, source=Source.AGENTS, remedy=keys.remedy)
     yield from (Cause(what=one, source=Source.AGENTS) for one in info.limits)
 

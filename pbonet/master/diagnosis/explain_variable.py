@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.master.tools import doctor
 from pbonet.pbo import State
 
 from .cause_chain import Cause, Source
 from .event_causes import cause_of
 from .known_causes import REMEDIES
+from .verdicts import Level, link_verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -155,8 +155,8 @@ def _links(chain: Chain, value: VarValue, writer: str) -> Iterator[Cause]:
             if link.name.rpartition(":")[2] not in names or link.name in seen:
                 continue
             seen.add(link.name)
-            level, text, remedy = doctor.link_verdict(link, _link(chain, link.name))
-            if level is not doctor.Level.PASS:
+            level, text, remedy = link_verdict(link, _link(chain, link.name))
+            if level is not Level.PASS:
                 yield Cause(what=text, source=Source.STATUS, remedy=remedy)
 
 

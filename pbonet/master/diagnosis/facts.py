@@ -10,7 +10,14 @@ from pbonet.analysis.legality import RtpuReport
 from pbonet.errors import WireError
 from pbonet.master.configuration import Graph, GraphFault, GraphTask
 from pbonet.master.subsystem import Missing
-from pbonet.xm.net import AgentInfo, Event, RtpuStatus, TaskStatus, VarValue
+from pbonet.xm.net import (
+    AgentInfo,
+    CoreTrace,
+    Event,
+    RtpuStatus,
+    TaskStatus,
+    VarValue,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -82,6 +89,8 @@ class Facts(Struct, kw_only=True):
     withdrawn: dict[str, tuple[Event, Event]] = {}
     """Causes of the flag that a run withdrew: its first and its last event of each."""
     gaps: dict[str, list[Gap]] = {}
+    trace: CoreTrace | None = None
+    """The threads that had the core in a miss; None: they were not followed."""
     from_log: bool = False
     unknown: list[str] = []
     """Parts that could not be read."""

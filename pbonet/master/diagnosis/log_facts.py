@@ -9,8 +9,7 @@ import numpy as np
 
 from pbonet.errors import PbonetError
 from pbonet.log import Log, timelines
-from pbonet.master.configuration import Graph
-from pbonet.master.tools import recorded_graph
+from pbonet.master.configuration import Graph, recorded_graph
 from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue, convert
 
 from .facts import Facts, Gap

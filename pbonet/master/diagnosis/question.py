@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from pbonet.errors import StateError, did_you_mean
+from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +25,8 @@ class Question(Struct, frozen=True, kw_only=True):
     name: str = ""
     cycle: int = 0
     """Of a miss: which cycle; 0: any."""
+    trace: float = 0.0
+    """Of a miss: seconds for which it is followed who has the core."""
 
     def resolved(self, facts: Facts) -> Question:
         """Return the question with its kind.
@@ -47,8 +50,31 @@ class Question(Struct, frozen=True, kw_only=True):
         raise _unknown(what, self.name, every)
 
 
-def asked_by(words: Sequence[str]) -> Question:
+def asked_by(words: Sequence[str], trace: float = 0.0) -> Question:
     """Return the question that words ask; none asks about the flag.
+
+    Args:
+        words: The words.
+        trace: Of a miss: seconds for which it is followed who has the core.
+
+    Raises:
+        StateError: They are no question.
+    """
+    asked = _asked_by(words)
+    if not trace:
+        return asked
+    if asked.kind != "miss" or asked.cycle or not 0 < trace <= m.LONGEST_TRACE:
+        raise StateError(
+            "a core is followed for the next miss of a task",
+            expected=f"miss TASK, and up to {m.LONGEST_TRACE:g} s",
+            got=f"{' '.join(words)}, {trace:g} s",
+            remedy="ask 'miss TASK' with a trace, or leave the trace out",
+        )
+    return structs.replace(asked, trace=trace)
+
+
+def _asked_by(words: Sequence[str]) -> Question:
+    """Return the question that words ask.
 
     Raises:
         StateError: They are no question.

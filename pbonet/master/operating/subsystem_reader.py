@@ -126,7 +126,7 @@ class SubsystemReader:
     def _answer(self, facts: diagnosis.Facts, row: Row) -> None:
         asked = diagnosis.Question(kind=row.kind, name=row.name)
         try:
-            text = diagnosis.text(diagnosis.explain(facts, asked))
+            text = str(diagnosis.explain(facts, asked))
         except PbonetError as error:
             text = str(error)
         self.explained = row, text

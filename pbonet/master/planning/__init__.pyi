@@ -5,4 +5,9 @@ from . import (
     tuning_text as tuning_text,
 )
 from .allocate_job import Allocation as Allocation, allocate as allocate
-from .tune_job import FACTORS as FACTORS, Tuning as Tuning, tune as tune
+from .tune_job import (
+    FACTORS as FACTORS,
+    SECONDS as SECONDS,
+    Tuning as Tuning,
+    tune as tune,
+)

@@ -94,7 +94,7 @@ def allocate(
     fixed: Collection[str] = (),
     host: str = "",
     assume: float | None = None,
-    limit: float = 0.95,
+    limit: float | None = None,
     weight: float = 0.5,
     latency: float = allocation.LATENCY,
     seconds: float = allocation.SECONDS,
@@ -109,7 +109,7 @@ def allocate(
         fixed: Tasks that stay where they are, beside those that the job marks FIXED.
         host: The machine whose saved profiles count; this one if empty.
         assume: Share of its period that a cycle takes whose MAXC is not known.
-        limit: Share of a core that tasks may use.
+        limit: Share of a core that tasks may use; None: what the cores grant.
         weight: Share of the cost that traffic has; the rest is age.
         latency: Seconds that a value needs to another machine.
         seconds: The most that the search may take.
@@ -148,11 +148,11 @@ def allocate(
     _must_be_legal(files, problem, found, known)
     told = bool([*machines]) or running
     result = _described(problem, found, files.job.file, known, told=told)
-    return result, [*warnings, *_shared(result.rtpus, known, limit)]
+    return result, [*warnings, *_shared(result.rtpus, known, problem)]
 
 
 def _shared(
-    rtpus: Sequence[RtpuLoad], known: KnownRtpus, limit: float
+    rtpus: Sequence[RtpuLoad], known: KnownRtpus, problem: Problem
 ) -> Iterator[str]:
     """Yield a warning of each core that several RTPUs use, with too much together."""
     found: dict[tuple[str, int], list[RtpuLoad]] = {}
@@ -162,7 +162,7 @@ def _shared(
             found.setdefault(place, []).append(one)
     for (_, core), sharers in found.items():
         total = sum(one.after for one in sharers)
-        if len(sharers) > 1 and total > limit:
+        if len(sharers) > 1 and total > problem.core(sharers[0].rtpu).share:
             yield (
                 f"{', '.join(one.rtpu for one in sharers)} share core {core} of "
                 f"{sharers[0].machine}, but each counts as a core of its own; together "

@@ -18,6 +18,8 @@ from pbonet.errors import (
 )
 from pbonet.master.configuration import judged, planned_tasks
 
+from . import known_rtpus
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
@@ -43,7 +45,7 @@ def problem_of(
     *,
     fixed: Collection[str] = (),
     assume: float | None = None,
-    limit: float = 0.95,
+    limit: float | None = None,
     weight: float = 0.5,
     latency: float = 0.0,
 ) -> tuple[Problem, list[str]]:
@@ -55,7 +57,7 @@ def problem_of(
         host: The machine whose saved profiles count where the RTPU's is not known.
         fixed: Tasks that stay where they are, beside those that the job marks.
         assume: Share of its period that a cycle takes whose MAXC is not known.
-        limit: Share of a core that tasks may use.
+        limit: Share of a core that tasks may use; None: what the cores grant.
         weight: Share of the cost that traffic has.
         latency: Seconds that a value needs to another machine.
 
@@ -97,7 +99,7 @@ def problem_of(
             if (kind := element_type(one.type))
         },
         rates={one.name: one.rate for one in files.table.variables if one.rate},
-        limit=limit,
+        cores=known_rtpus.cores_of(known, limit),
         weight=weight,
         latency=latency,
     ), warnings

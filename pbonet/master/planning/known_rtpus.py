@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
+from pbonet.analysis.schedule import ASSUMED, CoreShare
 from pbonet.errors import ConfigError, NodeError, did_you_mean
-from pbonet.master.subsystem import client_name
+from pbonet.master.subsystem import client_name, core_shares
 from pbonet.xm.net import messages as m, rpc, session
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class KnownRtpus(Struct, frozen=True, kw_only=True):
     """The core of each; empty: not known."""
     names: dict[str, dict[str, list[str]]] = {}
     """Names that tasks can open on each, by kind; empty: not known."""
+    shares: dict[str, CoreShare] = {}
+    """The share of each one's core for tasks; empty: not known."""
     asked: bool = False
     """Agents told it."""
 
@@ -83,12 +86,30 @@ def ask_agents(sbs: SbsFile, place: Place) -> KnownRtpus:
         machines={name: info.machine for name, info in infos.items()},
         hosts={name: info.host for name, info in infos.items()},
         cores={name: info.core for name, info in infos.items()},
+        shares=core_shares(infos),
         names={
             name: {kind: list(names) for kind, names in info.names.items()}
             for name, info in infos.items()
         },
         asked=True,
     )
+
+
+def cores_of(known: KnownRtpus, limit: float | None) -> dict[str, CoreShare]:
+    """Return what tasks may use of each core, as the RTPUs themselves rank by it.
+
+    Args:
+        known: What is known of the RTPUs.
+        limit: The share that the user allows; of a core whose agent was asked it can
+            only take something away.
+    """
+    found: dict[str, CoreShare] = {}
+    for rtpu in known.machines:
+        core = known.shares.get(rtpu, ASSUMED)
+        if limit is not None and (rtpu not in known.shares or limit < core.share):
+            core = structs.replace(core, share=limit, reason="--limit")
+        found[rtpu] = core
+    return found
 
 
 def _must_be_there(wanted: Sequence[str], there: set[str], domain: str) -> None:

@@ -13,13 +13,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 
-from pbonet.analysis import allocation, legality
-from pbonet.analysis.allocation import (
-    best_periods,
-    fitted,
-    harmonic,
-    in_step_rates,
-)
+from pbonet.analysis import legality
+from pbonet.analysis.allocation import fitted
 from pbonet.config import Condition, Library, Place as At, TaskType, cost_of
 from pbonet.errors import ConfigError, UnknownTaskError, VerificationError, did_you_mean
 from pbonet.master.configuration import Files, here
@@ -28,6 +23,8 @@ from . import known_rtpus
 from .allocate_job import must_have_solver
 from .allocation_problem import problem_of
 from .parallel_runs import parallel_runs
+from .rate_space import RateSpace
+from .recorded_runs import fit_logs
 from .virtual_run import Wish
 
 if TYPE_CHECKING:
@@ -37,12 +34,15 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Place
 
     from .parallel_runs import Runs
+    from .recorded_runs import Fitted
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Rates of the grid, as factors of the present ones."""
+SECONDS = 5.0
+"""Virtual time of a run in which the error counts."""
 SAME = 1e-9
-ROUNDED = 1 + 1e-6
-"""Periods are whole nanoseconds."""
+CLOSE = 1e-3
+"""Relative difference of rates that is none."""
 
 
 class RunAt(Struct, frozen=True, kw_only=True):
@@ -57,7 +57,9 @@ class RunAt(Struct, frozen=True, kw_only=True):
     allowed: bool
     """All deadlines are kept, within the limit, and none was missed."""
     why: str
-    """``present``, ``grid``, ``fit`` or ``harmonic``."""
+    """``present``, ``grid``, ``fit`` or ``harmonic``; of a recorded run its file."""
+    predicted: bool = False
+    """It was not run: the error is that of the fit."""
     fault: str = ""
     """Why the run gives no error: a task failed, or it is not a finite number."""
 
@@ -86,10 +88,12 @@ def tune(
     cost: str = "",
     tasks: Collection[str] = (),
     keep: Collection[str] = (),
+    logs: Sequence[str | Path] = (),
     factors: Sequence[float] = FACTORS,
-    seconds: float = 5.0,
+    seconds: float = SECONDS,
     settle: float = 1.0,
-    limit: float = 0.95,
+    limit: float | None = None,
+    running: bool = False,
     host: str = "",
     assume: float | None = None,
     told: Callable[[int, int], None] = lambda _, __: None,
@@ -102,10 +106,13 @@ def tune(
         cost: The error, as a COST line has it; that of the job if empty.
         tasks: Those that are tuned; all periodic ones that are not CRITICAL if empty.
         keep: Those that are not.
+        logs: Recorded runs, or their folders, whose errors count in place of runs in
+            virtual time.
         factors: Rates of the grid, as factors of the present ones.
         seconds: Virtual time of a run in which the error counts.
-        settle: Virtual time before that.
-        limit: Share of a core that tasks may use.
+        settle: Time before that, virtual or recorded.
+        limit: Share of a core that tasks may use; None: what the cores grant.
+        running: Ask the agents what that is.
         host: The machine whose saved profiles count; this one if empty.
         assume: Share of its period that a cycle takes whose MAXC is not known.
         told: Called with the number of runs that have ended, and of all.
@@ -114,15 +121,29 @@ def tune(
         ConfigError: A file is missing or wrong, or there is no cost.
         VerificationError: No rates keep all deadlines, or a time is not known.
         UnknownTaskError: A task is not in the job.
+        LogError: A log is missing or wrong, or lacks a variable of the error.
         PbonetError: The job cannot be simulated, or `scipy` is not installed.
     """
     must_have_solver("tune")
     files = Files(path, Library(place.libraries))
     text = _cost(files, cost)
     host = host or here()
-    known = known_rtpus.as_stated(files.sbs, ())
+    known = (
+        known_rtpus.ask_agents(files.sbs, place)
+        if running
+        else known_rtpus.as_stated(files.sbs, ())
+    )
     problem, warnings = problem_of(files, known, host, assume=assume, limit=limit)
     names = _tuned(problem, tasks, keep)
+    if logs:
+        found = fit_logs(
+            *(logs, problem, names),
+            cost=text,
+            table=files.table.variables,
+            settle=settle,
+        )
+        tuning = _from_logs(found, text, files.read_job().file)
+        return tuning, [*warnings, *found.warnings]
     wish = Wish(
         job=str(path),
         rates={},
@@ -136,6 +157,55 @@ def tune(
     with parallel_runs(told) as runs:
         search = _Search(problem, runs, wish, names)
         return search.done(factors, files.read_job().file), warnings
+
+
+def _from_logs(found: Fitted, cost: str, job: str) -> Tuning:
+    """Return the choice by recorded runs and by what their fit predicts."""
+    space, fit = found.space, found.fit
+
+    def run_at(
+        rates: Mapping[str, float], why: str, error: float | None, fault: str = ""
+    ) -> RunAt:
+        predicted = error is None
+        periods = {name: 1 / hz for name, hz in rates.items()}
+        return RunAt(
+            rates=dict(rates),
+            error=fit.error(periods) if error is None else error,
+            loads=space.loads(rates),
+            allowed=not fault and space.keeps(rates),
+            why=why,
+            fault=fault,
+            predicted=predicted,
+        )
+
+    runs = [
+        run_at(
+            {n: one.rates[n] for n in space.hz},
+            Path(one.file).name,
+            one.error,
+            one.fault,
+        )
+        for one in found.runs
+    ]
+    present = next(
+        (
+            one
+            for one in runs
+            if not one.fault
+            and all(abs(one.rates[n] / hz - 1) < CLOSE for n, hz in space.hz.items())
+        ),
+        None,
+    )
+    if present is None:
+        runs.append(present := run_at(space.hz, "present", None))
+    runs += [run_at(rates, why, None) for rates, why in found.proposals]
+    allowed = [one for one in runs if one.allowed]
+    if not allowed:
+        raise _nothing_allowed(runs, space, job)
+    best = min(allowed, key=lambda run: (run.error, sum(run.loads.values())))
+    if present.allowed and best.error >= present.error * (1 - SAME):
+        best = present
+    return Tuning(job=job, cost=cost, fit=fit, runs=runs, present=present, best=best)
 
 
 def _cost(files: Files, cost: str) -> str:
@@ -199,8 +269,9 @@ class _Search:
     def __init__(
         self, problem: Problem, runs: Runs, wish: Wish, names: Sequence[str]
     ) -> None:
-        self._problem, self._runs, self._wish = problem, runs, wish
-        self._hz = {n: 1.0 / problem.by_name[n].period for n in names}
+        self._runs, self._wish = runs, wish
+        self._space = RateSpace(problem, names)
+        self._hz = self._space.hz
         self._made: list[RunAt] = []
 
     def done(self, factors: Sequence[float], job: str) -> Tuning:
@@ -216,13 +287,11 @@ class _Search:
             [{n: 1 / hz for n, hz in run.rates.items()} for run in good],
             [run.error for run in good],
         )
-        periods = self._best(fit, max(*factors, *(1 / f for f in factors)))
-        near = self._made_to_fit(harmonic(periods))
-        more = [(_rates(periods), "fit"), (in_step_rates(near), "harmonic")]
-        self._run([one for one in more if self._possible(one[0])])
+        span = max(*factors, *(1 / f for f in factors))
+        self._run(self._space.proposals(fit, span))
         allowed = [run for run in self._made if run.allowed]
         if not allowed:
-            raise self._nothing_allowed()
+            raise _nothing_allowed(self._made, self._space, self._wish.job)
         present = self._made[0]
         best = min(allowed, key=lambda run: (run.error, sum(run.loads.values())))
         if present.allowed and best.error >= present.error * (1 - SAME):
@@ -244,12 +313,7 @@ class _Search:
             for factor in factors
         ]
         found += [{n: hz * factor for n, hz in self._hz.items()} for factor in factors]
-        return [rates for rates in found if self._possible(rates)]
-
-    def _possible(self, rates: Mapping[str, float]) -> bool:
-        """Return whether each cycle fits into its period, as a start demands."""
-        items = self._problem.by_name
-        return all((items[n].task.worst or 0.0) * hz <= 1.0 for n, hz in rates.items())
+        return [rates for rates in found if self._space.possible(rates)]
 
     def _run(self, wanted: Sequence[tuple[Mapping[str, float], str]]) -> None:
         """Make runs at rates that were not run at yet."""
@@ -265,62 +329,12 @@ class _Search:
                 RunAt(
                     rates=rates,
                     error=math.nan if fault or seen.error is None else seen.error,
-                    loads=self._loads(rates),
-                    allowed=self._allowed(rates) and not seen.missing and not fault,
+                    loads=self._space.loads(rates),
+                    allowed=self._space.keeps(rates) and not seen.missing and not fault,
                     why=why,
                     fault=fault,
                 )
             )
-
-    def _on(self, rtpu: str, rates: Mapping[str, float]) -> list[legality.Task]:
-        """Return the tasks that are ON on an RTPU, at these rates."""
-        return [
-            structs.replace(item.task, freq=rates.get(item.name, item.task.freq))
-            for item in self._problem.running
-            if item.present == rtpu
-        ]
-
-    def _loads(self, rates: Mapping[str, float]) -> dict[str, float]:
-        return {
-            entry.name: sum(map(allocation.share, self._on(entry.name, rates)))
-            for entry in self._problem.rtpus
-        }
-
-    def _allowed(self, rates: Mapping[str, float]) -> bool:
-        return all(
-            allocation.keeps_deadlines(tasks, entry, self._problem.limit)
-            for entry in self._problem.rtpus
-            if (tasks := self._on(entry.name, rates))
-        )
-
-    def _best(self, fit: Fit, span: float) -> dict[str, float]:
-        """Return the periods with the least fitted error, RTPU by RTPU."""
-        found: dict[str, float] = {}
-        for entry in self._problem.rtpus:
-            here = [i for i in self._problem.running if i.present == entry.name]
-            mine = [item for item in here if item.name in self._hz]
-            others = sum(allocation.share(i.task) for i in here if i not in mine)
-            found |= best_periods(
-                fit,
-                {i.name: allocation.share(i.task) * i.period for i in mine},
-                {i.name: i.period for i in mine},
-                self._problem.limit - others,
-                span,
-            )
-        return found
-
-    def _made_to_fit(self, periods: Mapping[str, float]) -> dict[str, float]:
-        """Return periods of the same ratios that are long enough for every RTPU."""
-        rates = {name: 1 / period for name, period in periods.items()}
-        scale = 1.0
-        for entry in self._problem.rtpus:
-            here = self._on(entry.name, rates)
-            mine = sum(allocation.share(t) for t in here if t.name in self._hz)
-            others = sum(allocation.share(t) for t in here if t.name not in self._hz)
-            if mine and self._problem.limit > others:
-                scale = max(scale, mine / (self._problem.limit - others))
-        scale *= ROUNDED if scale > 1 else 1.0
-        return {name: period * scale for name, period in periods.items()}
 
     def _no_error(self) -> VerificationError:
         return VerificationError(
@@ -331,19 +345,17 @@ class _Search:
             remedy="correct COST or the module; 'pbonet simulate JOB --code' runs it",
         )
 
-    def _nothing_allowed(self) -> VerificationError:
-        least = min(self._made, key=lambda run: max(run.loads.values()))
-        return VerificationError(
-            "no rates of the grid keep all deadlines",
-            where=self._wish.job,
-            expected=f"at most {self._problem.limit:.1%} of each core",
-            got=", ".join(f"{name} {load:.1%}" for name, load in least.loads.items())
-            + " at the lowest rates",
-            remedy="give smaller factors with --factor, tune more tasks, or move tasks "
-            "with 'pbonet allocate'",
-        )
 
-
-def _rates(periods: Mapping[str, float]) -> dict[str, float]:
-    """Return rates with few digits, not above those of the periods."""
-    return {name: allocation.rounded_down(1 / t) for name, t in periods.items()}
+def _nothing_allowed(
+    runs: Sequence[RunAt], space: RateSpace, job: str
+) -> VerificationError:
+    least = min(runs, key=lambda run: max(run.loads.values()))
+    return VerificationError(
+        "no rates that were tried keep all deadlines",
+        where=job,
+        expected=space.problem.limits,
+        got=", ".join(f"{name} {load:.1%}" for name, load in least.loads.items())
+        + " at the lowest rates",
+        remedy="give smaller factors with --factor or logs of lower rates, tune more "
+        "tasks, or move tasks with 'pbonet allocate'",
+    )

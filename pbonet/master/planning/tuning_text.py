@@ -27,7 +27,7 @@ def _lines(found: Tuning) -> Iterator[str]:
     rows = [
         (
             *(f"{one.rates[name]:g}" for name in names),
-            "-" if one.fault else f"{one.error:.4g}",
+            "-" if one.fault else "~" * one.predicted + f"{one.error:.4g}",
             f"{max(one.loads.values()):.1%}",
             "yes" if one.allowed else "no",
             one.why + " <- proposed" * (one is found.best) + _fault(one),
@@ -48,6 +48,8 @@ def _lines(found: Tuning) -> Iterator[str]:
     if not found.rates:
         yield f"the present rates stay: no run had less than {before.error:.4g}"
         return
+    if after.predicted:
+        yield "it was not run: record a run at these rates before relying on it"
     now = "" if before.allowed else ", which does not keep all deadlines"
     instead = "none" if before.fault else f"{before.error:.4g}{now}"
     yield (
@@ -61,7 +63,7 @@ def _fault(one: RunAt) -> str:
 
 
 def _fit(found: Tuning) -> str:
-    errors = [one.error for one in found.runs if not one.fault]
+    errors = [one.error for one in found.runs if not (one.fault or one.predicted)]
     if max(errors) - min(errors) <= SAME * max(errors):
         return f"the error is {errors[0]:.4g} at all rates: it does not depend on them"
     slopes = " + ".join(f"{a:.4g} T({n})" for n, a in found.fit.slopes.items())

@@ -15,10 +15,11 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from pbonet.analysis import legality
 from pbonet.config import Condition, cost_of
 from pbonet.errors import PbonetError, WireError
 from pbonet.master.tools import schedule_job
+
+from .run_error import error_of, last_before
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
     from pbonet.config import Variable
     from pbonet.svar import Table
-
-INSTANTS = 4000
-"""Instants at which the error is taken, evenly spread over the run."""
 
 
 class Wish(Struct, frozen=True, kw_only=True):
@@ -66,8 +64,7 @@ def measured(wish: Wish) -> Seen:
     Raises:
         PbonetError: It cannot be simulated.
     """
-    cost = Condition(wish.cost)
-    mean, parsed = cost_of(cost)
+    _, parsed = cost_of(Condition(wish.cost))
     watch = _Watch(parsed.variables)
     outcome, told = schedule_job.simulate(
         wish.job,
@@ -80,18 +77,9 @@ def measured(wish: Wish) -> Seen:
         watch=watch,
     )
     begin, end = wish.settle * 1e9, (wish.settle + wish.seconds) * 1e9
-    at = np.linspace(begin, end, INSTANTS, endpoint=False)
-    columns = {name: watch.values_at(name, at) for name in parsed.variables}
-    table = watch.variables
-    rows = np.hstack([*columns.values()])
-    first = [0, *(np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1)]
-    found = np.array([
-        legality.amounts(cost, table, {n: rows[i] for n, rows in columns.items()})
-        for i in first  # until the next of them all values are the same
-    ])
-    error = MEANS[mean](np.repeat(found, np.diff([*first, INSTANTS]), axis=0))
+    error = error_of(wish.cost, watch.table, watch.values_at, begin, end)
     return Seen(
-        error=error if np.isfinite(error) else None,
+        error=error,
         missing=sorted(outcome.missing),
         stopped=_reason(outcome.stopped, told),
     )
@@ -105,22 +93,6 @@ def _reason(stopped: Sequence[str], told: Sequence[str]) -> str:
     return next((text for text in told if about in text), f"{stopped[0]} went OFF")
 
 
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    return float(np.mean(np.abs(values)))
-
-
-def _peak(values: NDArray[np.float64]) -> float:
-    return float(np.max(np.abs(values)))
-
-
-MEANS = {"rms": _rms, "mean": _mean, "peak": _peak}
-"""The means of a COST line."""
-
-
 class _Watch:
     """Keeps the values of variables whenever they change.
 
@@ -131,13 +103,13 @@ class _Watch:
     def __init__(self, names: list[str]) -> None:
         self._times: dict[str, list[int]] = {name: [] for name in names}
         self._values: dict[str, list[NDArray[np.float64]]] = {n: [] for n in names}
-        self.variables: list[Variable] = []
+        self.table: list[Variable] = []
 
     def __call__(self, now_ns: int, task: str, table: Table) -> None:
         """Take the values after a cycle."""
         del task
-        if not self.variables:
-            self.variables = [table.variable(name) for name in self._times]
+        if not self.table:
+            self.table = [table.variable(name) for name in self._times]
         for name, kept in self._values.items():
             value = np.array(table.read(name), np.float64).reshape(-1)
             if not kept or not np.array_equal(value, kept[-1]):
@@ -148,9 +120,7 @@ class _Watch:
         """Return the value at each instant; the first one before that."""
         if not self._values[name]:
             raise _nothing_ran(name)
-        newest = np.searchsorted(self._times[name], at_ns, side="right") - 1
-        values: NDArray[np.float64] = np.array(self._values[name])
-        return values.take(np.maximum(newest, 0), axis=0)
+        return last_before(self._times[name], np.array(self._values[name]), at_ns)
 
 
 def _nothing_ran(name: str) -> PbonetError:

@@ -30,10 +30,11 @@ from pbonet.node.rtpu import (
     Rtpu,
     Spawner,
     Tables,
+    obey_neighbour,
     rtpu_snapshot,
 )
 from pbonet.node.task import Host, RtpuChannel, inspect
-from pbonet.node.wire import CoreWait, rtpu_messages
+from pbonet.node.wire import CoreWait, Neighbours, rtpu_messages
 from pbonet.outside import using
 from pbonet.pbo import State
 from pbonet.svar import Table, var_bytes
@@ -81,6 +82,7 @@ class SharedState:
         self.record = record
         self.tables: dict[str, Table] = {}
         self.cores: list[VirtualCore] = []
+        self.rtpus: list[VirtualRtpu] = []
         self._spawned = 0
         self._lives: Counter[str] = Counter()
 
@@ -121,6 +123,7 @@ class VirtualRtpu(Rtpu):
         self.core = VirtualCore(number, virtual_ns=world.loop.now_ns)
         self.core.asked = self._asked
         world.cores.append(self.core)
+        world.rtpus.append(self)
         self.operations = RequestHandlers(self)
         self.overview = VirtualOverview(self)
 
@@ -136,6 +139,19 @@ class VirtualRtpu(Rtpu):
     def now_ns(self) -> int:
         """Return the virtual time."""
         return self.world.loop.now_ns
+
+    async def ask_neighbours(
+        self, order: rtpu_messages.Order, limit: float
+    ) -> Neighbours:
+        """Have the RTPU that has a task carry out a signal; all are one machine."""
+        del limit
+        others = [one for one in self.world.rtpus if one is not self]
+        names = [one.name for one in others]
+        for other in others:
+            answer = await obey_neighbour(other, order)
+            if answer.here:
+                return Neighbours(answer, names, [])
+        return Neighbours(None, names, [])
 
     def save(self) -> None:
         """Do nothing: there is nothing to be cleaned away."""

@@ -134,6 +134,12 @@ class VirtualRtpus:
             return self._codec.pack(
                 m.Answer(v=request.v, id=request.id, ok=True, result=info)
             )
+        if isinstance(request, m.TraceCore):
+            raise StateError(
+                "a simulation has no core that could be followed",
+                where=rtpu.name,
+                remedy="run the tasks in real time",
+            )
         if isinstance(request, m.Profile):
             raise StateError(
                 "a simulation measures no execution times",

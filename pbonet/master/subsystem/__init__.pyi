@@ -9,7 +9,7 @@ from .event_filter import EventFilter as EventFilter, since as since
 from .missing_tasks import Missing as Missing, find_missing as find_missing
 from .recording_control import RecordingControl as RecordingControl
 from .refusals_of_start import start_refusals as start_refusals
-from .rtpu_clients import client_name as client_name
+from .rtpu_clients import client_name as client_name, core_shares as core_shares
 from .sequencer import (
     STOPPED_ELSEWHERE as STOPPED_ELSEWHERE,
     Phase as Phase,

@@ -41,6 +41,17 @@ def client_name(kind: str) -> str:
     return f"{kind}-{host}-{os.getpid()}-{os.urandom(2).hex()}"
 
 
+def core_shares(agents: Mapping[str, m.AgentInfo]) -> dict[str, CoreShare]:
+    """Return what tasks may use of the core of each RTPU whose agent says it."""
+    return {
+        name: CoreShare(
+            share=agent.share, dispatch=agent.dispatch, reason=agent.share_reason
+        )
+        for name, agent in agents.items()
+        if agent.share
+    }
+
+
 class RtpuClients:
     """The RTPUs that a ``.sbs`` file names, as one master sees them.
 
@@ -91,13 +102,7 @@ class RtpuClients:
 
     def core_shares(self) -> dict[str, CoreShare]:
         """Return what tasks may use of the core of each RTPU that has said it."""
-        return {
-            name: CoreShare(
-                share=agent.share, dispatch=agent.dispatch, reason=agent.share_reason
-            )
-            for name, agent in self._agents.items()
-            if agent.share
-        }
+        return core_shares(self._agents)
 
     def copy_speeds(self) -> dict[str, float]:
         """Return the bytes a second that each RTPU's machine copies, where measured."""

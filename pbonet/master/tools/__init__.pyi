@@ -13,5 +13,4 @@ from . import (
     schedule_job as schedule_job,
     write_new_files as write_new_files,
 )
-from .graph_of_log import recorded_graph as recorded_graph
 from .write_new_files import new_job as new_job

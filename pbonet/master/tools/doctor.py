@@ -7,7 +7,6 @@ import itertools
 import platform
 import shutil
 import time
-from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -19,6 +18,7 @@ import pbonet
 from pbonet import shm
 from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master.console import render
+from pbonet.master.diagnosis import Finding, Level, keys_of, keys_term, link_verdict
 from pbonet.master.subsystem import client_name
 from pbonet.versions import REMEDY
 from pbonet.xm.net import (
@@ -50,31 +50,8 @@ _AGAIN: Final = 3
 """Agents that measure again, at most."""
 _FEW: Final = 6
 """Agents of which each pair has a line."""
-_QUIET: Final = 1.0
-"""A link whose last record is older, in seconds, is reported."""
 _SLOW: Final = 0.05
 """A round trip to an agent of one machine should take no longer, in seconds."""
-
-
-class Level(StrEnum):
-    """How bad a finding is."""
-
-    PASS = "PASS"  # noqa: S105 - no password
-    WARN = "WARN"
-    FAIL = "FAIL"
-
-
-class Finding(Struct, frozen=True):
-    """One check and its result."""
-
-    level: Level
-    what: str
-    remedy: str = ""
-
-    def __str__(self) -> str:
-        """Return it as one line."""
-        tail = f"; {self.remedy}" if self.remedy else ""
-        return f"{self.level:4} {self.what}{tail}"
 
 
 class Leftover(Struct, frozen=True):
@@ -303,21 +280,6 @@ def _processors_and_links(
             )
 
 
-def link_verdict(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
-    """Return the verdict on a link."""
-    if not link.writer:
-        return Level.WARN, text, f"start the writer of {link.name}, or its agent"
-    if not link.reader:
-        return Level.WARN, text, "start its reader, or the agent"
-    if link.age is None or link.age > _QUIET:
-        return (
-            Level.WARN,
-            text,
-            "check that its writer is ON and its input is not stale",
-        )
-    return Level.PASS, text, ""
-
-
 def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
     """Prove pairs of agents by the last round trip between the two.
 
@@ -489,26 +451,6 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
         )
 
 
-def keys_of(info: m.AgentInfo, left: float) -> Finding:
-    """Judge how long the keys of an agent are good for."""
-    return _term(
-        f"{info.name}: its keys",
-        left,
-        "make others with `pbonet keys agent`, put them where the old ones are, "
-        f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
-    )
-
-
-def _term(whose: str, left: float, remedy: str) -> Finding:
-    """Judge how long keys are good for."""
-    if left <= 0:
-        return Finding(Level.FAIL, f"{whose} have expired", remedy)
-    text = f"{whose} are valid for {credentials.days(left)}"
-    if left < credentials.SOON:
-        return Finding(Level.WARN, text, remedy)
-    return Finding(Level.PASS, text)
-
-
 def own_keys() -> Iterator[Finding]:
     """Check the key folder that the environment names."""
     folder = credentials.named()
@@ -520,7 +462,7 @@ def own_keys() -> Iterator[Finding]:
         yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
     else:
         remedy = "make others with `pbonet keys master|observer`"
-        yield _term(f"your keys in {folder}", left, remedy)
+        yield keys_term(f"your keys in {folder}", left, remedy)
 
 
 def cores(

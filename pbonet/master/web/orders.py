@@ -27,6 +27,7 @@ from pbonet.errors import (
     ProtocolError,
     StateError,
 )
+from pbonet.master import diagnosis
 from pbonet.master.console import (
     Call,
     Kind,
@@ -381,6 +382,10 @@ class Orders:
 
     def _perform(self, call: Call, role: Role) -> Done:
         path, place = self._steered.path, self._steered.place
+        if call.command.name == "explain":  # also with all RTPUs away
+            words, trace = call.given.get("what") or (), call.given.get("trace") or 0.0
+            found = diagnosis.answer(path, words, place, trace=trace)
+            return Done(str(found), data=msgspec.to_builtins(found))
 
         def begun(subsystem: Subsystem) -> None:
             if call.changes:
@@ -438,16 +443,18 @@ def _must_be_allowed(call: Call, role: Role) -> None:
 
 
 def _files(call: Call) -> list[str]:
-    """Return the jobs and the RMODs that a command names."""
-    named = [arg for arg in call.command.args if arg.kind in {Kind.JOB, Kind.RMOD}]
+    """Return the jobs and the RMODs that a command names, or may name."""
+    kinds = {Kind.JOB, Kind.RMOD, Kind.QUESTION}
+    named = [arg for arg in call.command.args if arg.kind in kinds]
     values = [call.given.get(arg.name) or "" for arg in named]
     return [str(word) for value in values for word in sequence(value)]
 
 
 def _leaves_traces(call: Call) -> bool:
-    """Return whether something is otherwise after a command."""
+    """Return whether something is otherwise during or after a command."""
     named = call.command.name in _LEAVES
-    return call.changes or named or bool(call.given.get("reset"))
+    more = call.given.get("reset") or call.given.get("trace")
+    return call.changes or named or bool(more)
 
 
 def _only_operators(command: str) -> AccessError:

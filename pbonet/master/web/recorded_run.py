@@ -10,7 +10,7 @@ import numpy as np
 
 from pbonet.errors import Severity
 from pbonet.log import Log
-from pbonet.master.tools import recorded_graph
+from pbonet.master.configuration import recorded_graph
 
 from .history import EVENTS, SECONDS
 from .recorded_states import RecordedStates

@@ -30,7 +30,7 @@ from pbonet.node.mirror import TableCarrier
 from pbonet.node.restart import DesiredState, Takeovers, TaskRestarts, path_of
 from pbonet.node.rtpu import cleanup
 from pbonet.node.spp import Executives
-from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire import core_trace, rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.versions import LAYERS
 from pbonet.xm.net import (
@@ -259,6 +259,7 @@ class Agent:
         self._refuse_duplicate()
         damage = self._desired.load()
         info = self._link.open()
+        core_trace.sweep()
         self._executives.start([info.core, *used_cores(self.places.folder.parent)])
         self._desired.begin(taken_over=self._link.taken_over)
         self._here = self.places.neighbours()

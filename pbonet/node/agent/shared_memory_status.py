@@ -16,7 +16,13 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet import tbuf
-from pbonet.errors import NodeError, Severity, SvarError
+from pbonet.errors import (
+    NodeError,
+    ProtocolError,
+    Severity,
+    StateError,
+    SvarError,
+)
 from pbonet.io import drivers
 from pbonet.node import rt
 from pbonet.node.rtpu import (
@@ -29,7 +35,7 @@ from pbonet.node.rtpu import (
     status,
     table_name,
 )
-from pbonet.node.wire import Answers, Note, being_stopped, event_log
+from pbonet.node.wire import Answers, Note, being_stopped, core_trace, event_log
 from pbonet.svar import Table
 from pbonet.tbuf import places
 from pbonet.xm.net import codec, messages as m
@@ -54,8 +60,12 @@ waking a thread takes."""
 NEWS_TIME = 2.0
 """Seconds in which the RTPU process reports a task that it has created or ended."""
 
-Handled = m.Status | m.Profile | m.Display | m.Write | m.Devices | m.Machine
-HANDLED = (m.Status, m.Profile, m.Display, m.Write, m.Devices, m.Machine)
+Handled = (
+    m.Status | m.Profile | m.TraceCore | m.Display | m.Write | m.Devices | m.Machine
+)
+HANDLED = (
+    *(m.Status, m.Profile, m.TraceCore, m.Display, m.Write, m.Devices, m.Machine),
+)
 """Requests that the agent carries out itself."""
 
 
@@ -116,11 +126,13 @@ class SharedMemoryStatus:
         self._core: rt.CoreTable | None = None
         self._tables: dict[str, tuple[Table, bool]] = {}
         self._started_ns = 0
+        self._tracing = threading.Lock()
         self._do: dict[type[m.Request], Callable[[Any], object]] = {
             m.Status: lambda request: self._status(
                 request, self._read_slots(), self._links.names()
             ),
             m.Profile: self._profile,
+            m.TraceCore: self._trace_core,
             m.Display: self._display,
             m.Write: self._write,
             m.Devices: lambda _: drivers.listed(devices or {}),
@@ -308,6 +320,52 @@ class SharedMemoryStatus:
                     for one in found
                 ]
 
+    def _trace_core(self, request: m.TraceCore) -> m.CoreTrace:
+        """Follow the core; one request at a time, because each holds a thread."""
+        if not 0 < request.seconds <= m.LONGEST_TRACE:
+            raise ProtocolError(
+                "a core cannot be followed for so long",
+                expected=f"above 0, up to {m.LONGEST_TRACE:g} s",
+                got=f"{request.seconds:g} s",
+                remedy="give a shorter time, and repeat it",
+            )
+        core = self._open()
+        seen = self._read_slots()
+        (one,) = self._of(request, seen)
+        if not one.slot.period_ns:
+            raise StateError(
+                f"task {request.task} has no period, so it misses no release",
+                where=self._rtpu,
+                remedy="follow the core for a periodic task",
+            )
+
+        def look() -> SlotStatus:
+            now = core.snapshot(one.task.slot)
+            if now.pid != one.slot.pid:  # another task has its place
+                raise StateError(
+                    f"task {request.task} has ended while its core was followed",
+                    where=self._rtpu,
+                    remedy="repeat it when the task is ON again",
+                )
+            return now
+
+        if not self._tracing.acquire(blocking=False):
+            raise StateError(
+                f"the core of {self._rtpu} is being followed for another request",
+                where=self._rtpu,
+                remedy="repeat it when that has ended",
+            )
+        try:
+            return core_trace.follow(
+                request.task,
+                core.status,
+                look,
+                names={each.slot.pid: each.task.task for each in seen},
+                seconds=request.seconds,
+            )
+        finally:
+            self._tracing.release()
+
     def _display(self, request: m.Display) -> list[m.VarValue]:
         return variable_values.display(self._table(request.subsystem)[0], request.names)
 
@@ -364,7 +422,7 @@ class SharedMemoryStatus:
 
     def _of(
         self,
-        request: m.Status | m.Profile,
+        request: m.Status | m.Profile | m.TraceCore,
         seen: list[Seen],
     ) -> list[Seen]:
         """Return the requested tasks.
@@ -378,13 +436,13 @@ class SharedMemoryStatus:
         if name is None or found:
             return found
         tombs = self._died(request)
-        if isinstance(request, m.Profile) or not tombs:
+        if not isinstance(request, m.Status) or not tombs:
             tomb = tombs[0] if tombs else None
             names = [one.task.task for one in own]
             raise rtpu_snapshot.no_task(self._rtpu, whose, name, names, tomb)
         return []
 
-    def _died(self, request: m.Status | m.Profile) -> list[m.TaskStatus]:
+    def _died(self, request: m.Status | m.Profile | m.TraceCore) -> list[m.TaskStatus]:
         """Return the last status of the requested tasks that have died."""
         return [
             tomb

@@ -380,9 +380,19 @@ class Server:
         """Carry out a request in this process; only once if it changes something."""
         if isinstance(request, m.Write):
             self._once(query, request, short=False)
+        elif isinstance(request, m.TraceCore):
+            self._follow(query, request)
         else:
             self._looks.submit(
                 lambda: self._reply(query, self._overview.answer(request))
+            )
+
+    def _follow(self, query: zenoh.Query, request: m.TraceCore) -> None:
+        """Follow a core once; a repetition gets the same answer, when there is one."""
+        who = request.client, request.id or secrets.token_hex(8)
+        if self._repeats.begin(who, partial(self._reply, query)):
+            self._looks.submit(
+                lambda: self._repeats.end(who, self._overview.answer(request))
             )
 
     def _once(self, query: zenoh.Query, request: m.Write, *, short: bool) -> None:

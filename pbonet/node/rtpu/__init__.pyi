@@ -13,6 +13,7 @@ from .rtpu_snapshot import (
     TaskSnapshot as TaskSnapshot,
 )
 from .rtpu_state import Rtpu as Rtpu
+from .signal_tasks import obey_neighbour as obey_neighbour
 from .tables import (
     Opened as Opened,
     Tables as Tables,

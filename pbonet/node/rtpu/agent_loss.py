@@ -17,6 +17,7 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import SvarError, SvarOwnerError
+from pbonet.node.wire import core_trace
 from pbonet.svar.mirror import MARK
 
 if TYPE_CHECKING:
@@ -98,6 +99,15 @@ async def give_up(rtpu: Rtpu) -> None:
         if time.monotonic() > end:
             return  # it lives: it was asked to leave, or is another one
         await asyncio.sleep(PAUSE)
+
+
+async def forget_trace() -> None:
+    """Have the kernel follow no core any more for an agent that was killed.
+
+    Its socket is closed before its files in tracefs are.
+    """
+    await asyncio.sleep(PATIENCE)
+    await asyncio.to_thread(core_trace.sweep)
 
 
 def back(rtpu: Rtpu) -> None:

@@ -20,7 +20,7 @@ from msgspec import Struct
 from pbonet.errors import NodeError, PbonetError
 from pbonet.node import rt
 from pbonet.node.ring import Ring
-from pbonet.node.wire import process_setup
+from pbonet.node.wire import core_trace, process_setup
 from pbonet.svar import table_files
 from pbonet.xm import sweep
 from pbonet.xm.net import run_folder
@@ -108,6 +108,7 @@ def clean(places: run_folder.Places, patience: float = PATIENCE) -> list[str]:
         done += _remove_table(name)
     done += _sweep_mail(places)
     done += _sweep_core(state.core)
+    done += [f"the trace {name} of a core was removed" for name in core_trace.sweep()]
     sweep_claims()
     places.remove(places.ctl, places.state)
     return done

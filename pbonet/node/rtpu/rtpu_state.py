@@ -17,6 +17,7 @@ from pbonet.errors import PbonetError, RealTimeError, Severity
 from pbonet.node import rt
 from pbonet.node.task import INTERRUPT, own_place, placed
 from pbonet.node.wire import (
+    ask_neighbours,
     cpu_idle_states,
     describe_end,
     lifecycle,
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from pbonet.analysis.schedule import SlotStatus
-    from pbonet.node.wire import EventLog
+    from pbonet.node.wire import EventLog, Neighbours
     from pbonet.xm.net import Call, TaskStatus, run_folder
 
     from .task_handle import Task
@@ -261,6 +262,12 @@ class Rtpu:
         self.save()
         if self.claims_changed is not None:
             self.claims_changed()
+
+    async def ask_neighbours(
+        self, order: rtpu_messages.Order, limit: float
+    ) -> Neighbours:
+        """Have the RTPU of this machine that has a task carry out a signal for it."""
+        return await ask_neighbours(self.places, order, limit)
 
     def later(self, chore: Coroutine[None, None, None], name: str) -> None:
         """Do something that no request waits for."""

@@ -19,7 +19,7 @@ import msgspec
 
 from pbonet import tbuf
 from pbonet.errors import DuplicateNameError, NodeError, Severity
-from pbonet.node.wire import EventLog, process_setup, rtpu_messages
+from pbonet.node.wire import EventLog, core_trace, process_setup, rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, sweep
 from pbonet.xm.net import run_folder
@@ -41,7 +41,7 @@ END_TIME = 2.0
 
 
 class AgentLink:
-    """The listening socket, and the one agent that may be connected to it.
+    """The listening socket: one agent may be connected, and other RTPUs give orders.
 
     Args:
         rtpu: The RTPU that the agent's requests are about.
@@ -65,6 +65,9 @@ class AgentLink:
         self.end_time = END_TIME
         self._server: asyncio.Server | None = None
         self._running: set[asyncio.Task[None]] = set()
+        self._first: msgspec.msgpack.Decoder[rtpu_messages.ToRtpu] = (
+            msgspec.msgpack.Decoder(rtpu_messages.ToRtpu)
+        )
         self._decoder: msgspec.msgpack.Decoder[rtpu_messages.FromAgent] = (
             msgspec.msgpack.Decoder(rtpu_messages.FromAgent)
         )
@@ -106,7 +109,12 @@ class AgentLink:
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         try:
-            first = self._decoder.decode(await rtpu_messages.read_frame(reader))
+            first = self._first.decode(await rtpu_messages.read_frame(reader))
+            if isinstance(first, rtpu_messages.Order):
+                answer = await signal_tasks.obey_neighbour(self._rtpu, first)
+                writer.write(rtpu_messages.frame(answer))
+                await writer.drain()
+                return
             taken = self._writer is not None or self._end.done()
             if not isinstance(first, rtpu_messages.Attach) or taken:
                 writer.close()
@@ -155,6 +163,7 @@ class AgentLink:
             "AGENT_GONE",
             f"agent {self._agent_pid} is gone; control continues for {self._grace:g} s",
         )
+        self._rtpu.later(agent_loss.forget_trace(), "trace")
         self._start_grace()
 
     def _start_grace(self) -> None:
@@ -279,6 +288,7 @@ def clean_up(places: run_folder.Places) -> None:
         last_first.callback(_remove_dead_agent, places)
         last_first.callback(places.remove, places.ctl, places.state, places.log)
         last_first.callback(cleanup.sweep_claims)
+        last_first.callback(core_trace.sweep)
         last_first.callback(tbuf.sweep, places.domain)
         last_first.callback(sweep, places.name, places.domain)
         last_first.callback(process_setup.end_marked, process_setup.mark())

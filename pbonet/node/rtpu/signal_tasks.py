@@ -16,8 +16,9 @@ from pbonet.errors import (
     Severity,
     StateError,
     TaskDiedError,
+    UnknownTaskError,
 )
-from pbonet.node.wire import lifecycle, rtpu_messages
+from pbonet.node.wire import being_stopped, lifecycle, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import Stopped
 
@@ -25,6 +26,8 @@ from .task_handle import END_TIME
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from pbonet.node.wire import Neighbours
 
     from .rtpu_state import Rtpu
     from .task_handle import Make, Task
@@ -35,6 +38,8 @@ TAKEOVER_TIME = 5.0
 """Seconds for the `on` of a task that takes over."""
 ORDER_TIME = 5.0
 """Seconds for a signal that a module sends to another task."""
+NEIGHBOUR_TIME = 1.0
+"""Seconds more for another RTPU of the machine to answer what became of it."""
 MOST_ORDERS = 16
 """Signals of one task's module that wait for another task."""
 LEAST = 0.05
@@ -126,13 +131,59 @@ async def _carry_out(rtpu: Rtpu, sender: Task, name: str, waiting: deque[str]) -
     """Carry out the signals of a module for another task until none waits."""
     while waiting:
         try:
-            task = rtpu.need(sender.facts.subsystem, name)
-            await control(rtpu, task, waiting[0], ORDER_TIME)
+            await _obeyed(rtpu, sender.facts.subsystem, name, waiting[0])
         except PbonetError as error:
             _refused(rtpu, sender, f"{waiting[0]} to {name}", str(error))
         finally:
             waiting.popleft()
     sender.orders.pop(name, None)
+
+
+async def _obeyed(rtpu: Rtpu, subsystem: str, name: str, signal: str) -> None:
+    """Carry out a signal for a task of this machine, here or on the RTPU that has it.
+
+    Raises:
+        UnknownTaskError: No RTPU of the machine has the task.
+        PbonetError: It was refused, or failed.
+    """
+    key = subsystem, name
+    if key in rtpu.tasks or key in rtpu.tombs:
+        await control(rtpu, rtpu.need(*key), signal, ORDER_TIME)
+        return
+    order = rtpu_messages.Order(subsystem, name, signal)
+    found = await rtpu.ask_neighbours(order, ORDER_TIME + NEIGHBOUR_TIME)
+    if found.answer is None:
+        raise _on_no_rtpu(rtpu, name, found)
+    if found.answer.error is not None:
+        raise PbonetError.from_wire(found.answer.error)
+
+
+def _on_no_rtpu(rtpu: Rtpu, name: str, found: Neighbours) -> UnknownTaskError:
+    asked = ", ".join([rtpu.name, *found.asked])
+    silent = f"; no answer from {', '.join(found.silent)}" if found.silent else ""
+    return UnknownTaskError(
+        f"no RTPU of this machine has task {name}",
+        where=rtpu.name,
+        got=f"asked: {asked}{silent}",
+        remedy="a module reaches tasks of its machine; let the master signal others, "
+        "or raise the flag with self.task.illegal",
+    )
+
+
+async def obey_neighbour(
+    rtpu: Rtpu, order: rtpu_messages.Order
+) -> rtpu_messages.Obeyed:
+    """Carry out a signal that a module on another RTPU of the machine has sent."""
+    task = rtpu.tasks.get((order.subsystem, order.task))
+    if task is None:
+        return rtpu_messages.Obeyed(here=False)
+    try:
+        if order.subsystem in rtpu.stopping:
+            raise being_stopped(rtpu.name, order.subsystem)
+        await control(rtpu, task, order.signal, ORDER_TIME)
+    except PbonetError as error:
+        return rtpu_messages.Obeyed(here=True, error=error.to_wire())
+    return rtpu_messages.Obeyed(here=True)
 
 
 def _refused(rtpu: Rtpu, sender: Task, order: str, why: str) -> None:

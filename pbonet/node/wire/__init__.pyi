@@ -1,4 +1,5 @@
 from . import (
+    core_trace as core_trace,
     cpu_idle_states as cpu_idle_states,
     event_log as event_log,
     lifecycle as lifecycle,
@@ -34,6 +35,10 @@ from .lifecycle import (
     outcome as outcome,
     rule as rule,
     signal_event as signal_event,
+)
+from .neighbour_orders import (
+    Neighbours as Neighbours,
+    ask_neighbours as ask_neighbours,
 )
 from .rtpu_messages import (
     Note as Note,

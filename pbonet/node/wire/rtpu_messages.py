@@ -1,10 +1,11 @@
 """Messages between the processes of one RTPU: msgpack structs and their framing.
 
-Three links, all Unix sockets of one machine and one user:
+Four links, all Unix sockets of one machine and one user:
 
 * agent and RTPU process: a stream socket in the runtime folder, frames of a 4-byte
   length and a body. The agent forwards requests unchanged; the RTPU process answers,
   and sends events and its own state unsolicited.
+* RTPU process and another one: on the same socket, one `Order` and its answer.
 * RTPU process and fork server: sequenced packets, with file descriptors.
 * RTPU process and task: sequenced packets, one message each.
 
@@ -318,6 +319,29 @@ class Called(Struct, tag="called"):
 FromRtpu = RtpuInfo | Answered | Published | Called | Ending
 
 
+# -- RTPU process to another one of its machine ---------------------------------------
+
+
+class Order(Struct, tag="order", frozen=True):
+    """A signal that a module sends to a task which its own RTPU does not have."""
+
+    subsystem: str
+    task: str
+    signal: str
+
+
+class Obeyed(Struct, frozen=True, kw_only=True):
+    """The answer to an `Order`."""
+
+    here: bool
+    """Whether the RTPU has the task; else nothing was done."""
+    error: WireError | None = None
+    """Why the signal was refused, or failed."""
+
+
+ToRtpu = FromAgent | Order
+
+
 # -- RTPU process and fork server -----------------------------------------------------
 
 
@@ -454,7 +478,7 @@ class Notice(Struct, tag="notice", kw_only=True):
     lost: dict[str, int] = {}
     """Number of notices dropped for lack of room before this one, by code."""
     order: tuple[str, str] | None = None
-    """Another task of the RTPU, and the signal that the module sends to it."""
+    """Another task of the machine, and the signal that the module sends to it."""
     state: str = ""
     error: WireError | None = None
 

@@ -34,6 +34,8 @@ from .messages import (
     AnyRequest as AnyRequest,
     Call as Call,
     Claim as Claim,
+    CoreTrace as CoreTrace,
+    CoreUse as CoreUse,
     Event as Event,
     Gone as Gone,
     LinkReport as LinkReport,

@@ -31,6 +31,8 @@ from .agents import (
     mismatched as mismatched,  # noqa: PLC0414 - taken from here
 )
 from .statuses import (
+    CoreTrace as CoreTrace,  # noqa: PLC0414
+    CoreUse as CoreUse,  # noqa: PLC0414
     RtpuStatus as RtpuStatus,  # noqa: PLC0414
     SectionStatus as SectionStatus,  # noqa: PLC0414
     SppStatus as SppStatus,  # noqa: PLC0414
@@ -45,6 +47,8 @@ MOST_CALLERS = 32
 """Maximum number of tasks for which one successor can wait."""
 MOST_EXTRA = 2.0
 """Share of the limit of a signal or spawn that is added if the task's core is busy."""
+LONGEST_TRACE = 30.0
+"""Seconds for which a core is followed at most."""
 LAST_TICKET = (1 << 31) - 1
 Restart: TypeAlias = values.Restart
 _Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]
@@ -317,6 +321,18 @@ class Profile(Request, tag="profile"):
     task: str | None = None
 
 
+class TraceCore(Request, tag="trace_core"):
+    """Follow who has the core until a task misses a release. Result: `CoreTrace`.
+
+    The kernel reports each change of the core's thread meanwhile, so it is
+    no request of observers.
+    """
+
+    task: str
+    seconds: float = 5.0
+    """How long at most; above 0, up to `LONGEST_TRACE`."""
+
+
 class Display(Request, tag="display"):
     """Ask for values of variables. Result: list of `VarValue`."""
 
@@ -467,6 +483,7 @@ AnyRequest = (
     | Rank
     | Status
     | Profile
+    | TraceCore
     | Display
     | Write
     | Modules

@@ -197,3 +197,36 @@ class TaskProfile(Struct, kw_only=True):
     """Cycles that ended after their deadline, since the task was spawned."""
     failed: int = 0
     """Cycles in which the module raised, since the task was spawned."""
+
+
+class CoreUse(Struct, frozen=True, kw_only=True):
+    """A thread that had a core for some time."""
+
+    pid: int
+    """0: no thread had it."""
+    name: str
+    """The task, if it is one of the core; else what the kernel calls the thread."""
+    known: bool = False
+    """It is a task of the core, or its dispatcher."""
+    seconds: float
+
+
+class CoreTrace(Struct, kw_only=True):
+    """The threads that had a core when a task missed a release."""
+
+    task: str
+    core: int
+    traced: float
+    """Seconds for which the core was followed."""
+    missed: int = 0
+    """Releases that were missed; 0: none in that time, and the next fields are void."""
+    wall: float = 0.0
+    """The last release with a cycle before them, seconds since 1970."""
+    window: float = 0.0
+    """Seconds from there to the next release with a cycle."""
+    uses: list[CoreUse] = []
+    """The threads that had the core meanwhile, longest first; empty with `fault`."""
+    times: str = ""
+    """The kernel's counts of the core while it was followed, as a sentence."""
+    fault: str = ""
+    """Why the kernel did not say which thread had it."""

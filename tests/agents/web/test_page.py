@@ -111,6 +111,10 @@ def test_a_task_is_turned_off_and_on_by_its_buttons_and_the_flag_says_why(page):
     one.locator(".outcome.warned", has_text="turn jttrace on").wait_for()
     page.locator(".wire.stale").first.wait_for()
     assert one.locator(".state").inner_text() == "OFF"
+    page.get_by_role("button", name="explain flag").click()
+    causes = page.locator(".why pre", has_text="the flag of puma is up")
+    causes.wait_for()
+    assert "because task jttrace on arm1 is OFF" in causes.inner_text()
     keep_picture(page, "illegal")
     one.get_by_role("button", name="on jttrace").click()
     page.locator(".flag.legal").wait_for()

@@ -41,10 +41,21 @@ def test_a_critical_task_must_be_in_the_critical_set() -> None:
     assert texts(config) == [
         "arm0: RTPU arm0 is too busy for the CRITICAL t4 (expected CRITICAL tasks "
         "within the critical set, the shortest periods whose utilization is at most "
-        "100.0%, got 125.0%); run t4 at 2 times its frequency, with at most 0.002 s a "
-        "cycle (period transformation), lower another task's frequency, or move one to "
-        "another RTPU"
+        "100.0%, got 125.0%); give t4 CRIT 5, and t3 CRIT 3, or run t4 at 2 times its "
+        "frequency, with at most 0.002 s a cycle (period transformation), lower "
+        "another task's frequency, or move one to another RTPU"
     ]
+
+
+def test_the_crit_lines_of_the_remedy_guarantee_the_critical_task() -> None:
+    config = figure_6_1("MUF", critical=True)
+    new = {"t4": 5, "t3": 3}
+    tasks = tuple(
+        structs.replace(one, rmod=structs.replace(one.rmod, crit=new.get(one.name)))
+        for one in config.tasks
+    )
+    (problem,) = legality.check(structs.replace(config, tasks=tasks))
+    assert (problem.severity, problem.tasks) == ("warn", ("t3",))
 
 
 def test_a_soft_task_may_miss() -> None:

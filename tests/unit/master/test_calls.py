@@ -17,8 +17,10 @@ from pbonet.errors import (
     VerificationError,
 )
 from pbonet.master import Subsystem
+from pbonet.master.console import render
 from pbonet.master.console.command_session import CommandSession
 from pbonet.master.console.commands import COMMANDS, Command, Use
+from pbonet.master.console.completion import complete
 from pbonet.master.console.follow_events import Follower
 from pbonet.master.subsystem import status_fields
 from pbonet.master.subsystem.event_filter import EventFilter
@@ -57,6 +59,7 @@ REFUSED = {
         {"task": "puma_pidg", "param": "no_such", "value": ["1"]},
         {"task": "nobody"},
     ],
+    "explain": [{"what": ["nobody"]}, {"what": ["miss"]}, {"what": ["miss", "nobody"]}],
     "sigmask": [{"signal": ["FINISHED"]}, {"signal": ["none"], "task": "nobody"}],
     "sigwait": [
         {"signal": ["FINISHED"]},
@@ -211,8 +214,28 @@ def test_calls_do_what_the_commands_do(arm):
         told | {"code": "SPAWNED", "count": 1},
         told | {"code": "STATE", "count": 3},
     ]
+    found = arm.explain("puma_inv_kin")
+    assert (found.kind, found.what) == ("task", "task puma_inv_kin on arm1 is ON")
     assert [one.name for one in arm.help("on")] == ["on"]
     assert len(arm.help()) == len(COMMANDS)
+
+
+def test_causes_are_the_same_in_a_program_and_at_the_prompt(arm):
+    """In virtual time nothing passes while it is asked."""
+    before = arm.clock.now()
+    arm.off("target")
+    desk = CommandSession(arm)
+    for line in ("", "X_DES", "miss puma_pidg", "start", "arm0"):
+        found = arm.explain(line)
+        reply = desk.execute(f"explain {line}")
+        assert render.text("explain", reply.data) == str(found)
+        assert found.unknown == ()
+    text = str(arm.explain())
+    assert "because equation 2: no task writes X_DES" in text
+    assert "task target on arm1 is OFF" in text
+    assert "do: turn it on again" in text
+    assert arm.clock.now() == before
+    assert {"flag", "miss", "arm0", "target", "X_DES"} <= {*complete(desk, "explain ")}
 
 
 def test_a_program_waits_for_signals_in_virtual_time(arm):

@@ -24,6 +24,8 @@ from pbonet.master.diagnosis import FLAG_CAUSES, REMEDIES, Facts, Gap, asked_by
 from pbonet.master.subsystem import Missing
 from pbonet.xm.net import (
     AgentInfo,
+    CoreTrace,
+    CoreUse,
     Event,
     RtpuStatus,
     TaskStatus,
@@ -186,7 +188,7 @@ def facts(*tasks, illegal=(), **more):
 
 def told(known, *words):
     """Return the explanation as text."""
-    return diagnosis.text(diagnosis.explain(known, asked_by(words)))
+    return str(diagnosis.explain(known, asked_by(words)))
 
 
 def old(known, *names):
@@ -774,6 +776,77 @@ def test_a_core_that_stood_still():
 
 def test_a_task_without_misses_has_no_cause():
     assert not diagnosis.explain(facts(), asked_by(["miss", "pid"])).found
+
+
+FOLLOWED = CoreTrace(
+    task="pid",
+    core=1,
+    traced=0.8,
+    missed=1,
+    wall=NOW + 0.25,
+    window=0.02,
+    uses=[
+        CoreUse(pid=7, name="vision", known=True, seconds=0.0142),
+        CoreUse(pid=9, name="pid", known=True, seconds=0.0031),
+        CoreUse(pid=77, name="kworker/1:2", seconds=0.0016),
+        CoreUse(pid=0, name="swapper/1", seconds=0.0011),
+    ],
+    times="core 1 in 0.80 s: busy 700 ms",
+)
+
+
+def test_who_had_the_core_stands_first():
+    text = told(facts(status("pid", miss=3), trace=FOLLOWED), "miss", "pid")
+    first, second, third, remedy, *_ = text.splitlines()
+    assert first == "pid has missed 3 of 103 cycles since it is ON"
+    assert ".250 on, for 20 ms, it missed 1 release; who had core 1: " in second
+    assert second.endswith(
+        "vision 14.2 ms, pid 3.1 ms, kworker/1:2 (process 77) 1.6 ms, nobody 1.1 ms "
+        "[kernel]"
+    )
+    assert third == "    because core 1 in 0.80 s: busy 700 ms [kernel]"
+    assert remedy == f"    do: {REMEDIES['preempted']}"
+
+
+@pytest.mark.parametrize(
+    ("at", "remedy"),
+    [
+        (0, "preempted"),
+        (1, "too long"),
+        (2, "stalled"),
+        (3, "waits"),
+        (9, "late start"),
+    ],
+)
+def test_the_remedy_is_for_who_had_the_core_longest(at, remedy):
+    trace = structs.replace(FOLLOWED, uses=FOLLOWED.uses[at:])
+    text = told(facts(status("pid", miss=3), trace=trace), "miss", "pid")
+    assert text.splitlines()[3] == f"    do: {REMEDIES[remedy]}"
+
+
+def test_without_the_kernels_word_its_counts_are_given_and_the_reason():
+    trace = structs.replace(FOLLOWED, uses=[], fault="sched_switch: not allowed")
+    text = told(facts(status("pid", miss=3), trace=trace), "miss", "pid")
+    assert "because what the kernel counts of core 1 in 0.80 s: busy 700 ms" in text
+    assert text.endswith("not read: sched_switch: not allowed")
+    assert "who had" not in text
+
+
+def test_no_miss_while_the_core_was_followed():
+    trace = structs.replace(FOLLOWED, missed=0, uses=[])
+    text = told(facts(status("pid", miss=3), trace=trace), "miss", "pid")
+    assert text.startswith(
+        "pid has missed 3 of 103 cycles since it is ON, and none in the 0.8 s in which"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "trace"),
+    [(["pid"], 1.0), (["miss", "pid"], 31.0), (["miss", "p", "4"], 1)],
+)
+def test_a_core_is_followed_for_the_next_miss_only(words, trace):
+    with pytest.raises(StateError, match="followed for the next miss"):
+        asked_by(words, trace)
 
 
 def test_a_cycle_of_a_log_has_its_own_causes():

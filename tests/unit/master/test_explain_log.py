@@ -108,23 +108,21 @@ def recorded(folder, events, without=()):
 
 
 def test_missed_releases_have_the_cycle_that_took_too_long(log):
-    text = diagnosis.text(log("miss", "pid"))
+    text = str(log("miss", "pid"))
     assert text.startswith("pid has missed 3 cycles in 1 places\n")
     assert "because 3 releases before cycle 11 [log]" in text
     assert "the cycle before took 35 ms of CPU time, and its period is 10 ms" in text
-    assert "pid has missed 0 releases before cycle 25" in diagnosis.text(
-        log("miss", "pid", "25")
-    )
+    assert "pid has missed 0 releases before cycle 25" in str(log("miss", "pid", "25"))
 
 
 def test_the_flag_has_the_causes_from_before_the_end(log):
-    text = diagnosis.text(log())
+    text = str(log())
     assert "because the grip is open (arm0/pid), on arm0" in text
     assert "equation 2" not in text, "everything was being turned off"
 
 
 def test_a_task_is_explained_as_it_was_before_the_end(log):
-    text = diagnosis.text(log("pid"))
+    text = str(log("pid"))
     assert text.startswith("task pid on arm0 is ERROR")
     assert "METHOD of arm0/pid" in text
 
@@ -143,7 +141,7 @@ def test_the_end_of_a_run_is_no_cause(tmp_path):
 
 
 def test_a_cause_that_was_withdrawn_is_not_explained_by_the_end(tmp_path):
-    text = diagnosis.text(recorded(tmp_path, SOUND)())
+    text = str(recorded(tmp_path, SOUND)())
     assert text.startswith("the flag of arm was up\n")
     assert "the grip is open (arm0/pid), on arm0, between" in text
     assert f"do: {REMEDIES['withdrawn']}" in text
@@ -158,9 +156,7 @@ def test_what_was_turned_off_long_before_the_end_was_off(tmp_path):
 
 
 def test_cycles_that_are_not_in_the_log_are_not_missed(tmp_path):
-    text = diagnosis.text(
-        recorded(tmp_path, SOUND, without=range(20, 25))("miss", "pid")
-    )
+    text = str(recorded(tmp_path, SOUND, without=range(20, 25))("miss", "pid"))
     assert text.startswith("pid has missed 3 cycles in 1 places\n")
 
 
@@ -169,7 +165,7 @@ def test_a_log_that_ends_early_is_said_to(tmp_path):
     path = tmp_path / "run.mcap"
     assert not ask().unknown
     path.write_bytes(path.read_bytes()[:-200])
-    assert "not read: the end of the log" in diagnosis.text(ask())
+    assert "not read: the end of the log" in str(ask())
 
 
 def test_what_is_damaged_in_a_log_is_named(tmp_path):
@@ -179,7 +175,7 @@ def test_what_is_damaged_in_a_log_is_named(tmp_path):
     chunk = Part(path)._chunks[0]
     data[chunk.at + chunk.size - 9] ^= 0xFF
     path.write_bytes(data)
-    assert f"not read: {path}: damaged chunk" in diagnosis.text(ask())
+    assert f"not read: {path}: damaged chunk" in str(ask())
 
 
 def test_what_is_no_log_is_refused(tmp_path):
@@ -214,6 +210,6 @@ def test_who_had_the_core_while_a_task_was_ready(tmp_path):
     for one in SOUND[:1]:
         writer.add_event(one)
     writer.close()
-    text = diagnosis.text(diagnosis.answer(path, ("miss", "pid"), Place()))
+    text = str(diagnosis.answer(path, ("miss", "pid"), Place()))
     assert "other took 17 ms of the core meanwhile" in text
     assert "for 17 of the 35 ms in which pid was ready, no task of its RTPU" in text

@@ -232,6 +232,7 @@ def test_commands_without_a_form_of_their_own_show_states():
         "switch",
         "events",
         "events count",
+        "explain",
         "help",
         "sigmask",
         "sigwait",

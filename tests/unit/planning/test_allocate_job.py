@@ -9,13 +9,14 @@ import msgspec
 import pytest
 from edited_jobs import content, puma
 
+from pbonet.analysis.schedule import CoreShare
 from pbonet.config import Library, read_job
 from pbonet.errors import PbonetError, UnknownTaskError, VerificationError
 from pbonet.master.configuration import Files, Place, Saved, check_file
 from pbonet.master.configuration.saved_profiles import setup_of
 from pbonet.master.planning import allocate, known_rtpus
 from pbonet.master.planning.allocation_problem import problem_of
-from pbonet.master.planning.known_rtpus import KnownRtpus
+from pbonet.master.planning.known_rtpus import KnownRtpus, cores_of
 
 __all__ = ["puma"]
 
@@ -89,14 +90,35 @@ def test_what_does_not_fit_is_told_with_what_would_help(puma):
     with pytest.raises(VerificationError) as caught:
         allocate(puma, HERE, assume=0.35)
     told = str(caught.value)
-    assert "RTPU arm1 would have 10.0% of a core too much" in told
+    assert "RTPU arm1 would have 10.4% of a core too much" in told
     assert "grav_comp 35.0%, FIXED in the job" in told
+    assert "105.4% on arm1" in told
+    assert "dispatching 0.4%" in told
     assert "let grav_comp run elsewhere (FIXED in the job)" in told
     puma.write_text(lines)
-    with pytest.raises(VerificationError, match=r"all RTPUs together .* 50.0% .* no s"):
+    with pytest.raises(VerificationError, match=r"all RTPUs together .* 50.9% .* no s"):
         allocate(puma, HERE, assume=0.6)
     with pytest.raises(VerificationError, match=r"puma_pidg alone is too much for arm"):
         allocate(puma, HERE, assume=0.96)
+
+
+def test_dispatching_takes_its_part_as_the_scheduler_counts_it(puma):
+    """A task of 500 Hz takes 94.8 % of a core, and its releases 0.5 % more."""
+    with pytest.raises(
+        VerificationError, match=r"puma_pidg alone .* \(10 us a release"
+    ):
+        allocate(puma, HERE, assume=0.948, fixed=["grav_comp", "qrdiff", "jttrace"])
+
+
+@pytest.mark.parametrize(
+    ("limit", "a", "b"), [(None, 0.9, 0.95), (0.8, 0.8, 0.8), (0.97, 0.9, 0.97)]
+)
+def test_a_limit_takes_from_what_an_agent_grants(limit, a, b):
+    granted = CoreShare(share=0.9, dispatch=3e-5)
+    known = KnownRtpus(machines={"a": "m", "b": "m"}, shares={"a": granted})
+    found = cores_of(known, limit)
+    assert (found["a"].share, found["b"].share) == (a, b)
+    assert (found["a"].dispatch, found["b"].dispatch) == (3e-5, 1e-5)
 
 
 def test_a_lower_frequency_that_was_offered_is_enough(puma):

@@ -81,6 +81,7 @@ def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
         "io/drivers/gpio_driver.py",  # how long a line is quiet, as gpiod has it
         "io/mavlink_signing.py",  # with it signatures of MAVLink begin
         "node/agent/machine_state.py",  # a machine's clock, for people
+        "node/wire/core_trace.py",  # the date of a miss, for people
         "node/wire/event_log.py",  # the date of an event, for people
         "node/recorder/log_rotation.py",  # when a log begins
         "node/rtpu/rtpu_state.py",  # a number for claims that is new

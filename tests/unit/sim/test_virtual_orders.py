@@ -59,7 +59,10 @@ def again():
 
 @pytest.fixture
 def subsystem(tmp_path, again):
-    """Three tasks; `a` fails and turns `b`, on its RTPU, and `c`, on another, off."""
+    """Three tasks; `a` fails and turns `b`, on its RTPU, and `c`, on another, off.
+
+    It tries the same with `d`, which does not exist.
+    """
     (tmp_path / "breaks.py").write_text(MODULE)
     (tmp_path / "x.svar").write_text("".join(map(SVAR.format, "ABC")) + "EOF\n")
     (tmp_path / "x.sbs").write_text(
@@ -69,7 +72,7 @@ def subsystem(tmp_path, again):
         "JOB x\nDESC\nSBS x.sbs\nTASK a\nTASK b\nTASK c s\nEOF\n"
     )
     for name in "abc":
-        local = f"FAILS 5\nOFF b+c{again}" if name == "a" else ""
+        local = f"FAILS 5\nOFF b+c+d{again}" if name == "a" else ""
         text = RMOD.format(y=name.upper(), local=local)
         (tmp_path / f"{name}.rmod").write_text(text)
     with Subsystem(tmp_path / "x.job", libraries=[tmp_path], virtual=True) as opened:
@@ -81,11 +84,13 @@ def test_a_handler_of_errors_turns_another_task_off_without_the_master(subsystem
     assert {one.state for one in subsystem.status_all()} == {"ON"}
     subsystem.wait(0.2)
     states = {one.task: one.state for one in subsystem.status_all()}
-    assert states == {"a": "ERROR", "b": "OFF", "c": "ON"}
+    assert states == {"a": "ERROR", "b": "OFF", "c": "OFF"}
     events = [one for one in subsystem.events() if one.code == "SIGNAL_FAILED"]
     assert [(one.task, one.text.partition(":")[0]) for one in events] == [
-        ("a", "off to c was refused")
+        ("a", "off to d was refused")
     ]
+    assert "no RTPU of this machine has task d" in events[0].text
+    assert "asked: r, s" in events[0].text
 
 
 @pytest.mark.parametrize("again", ["\nAGAIN 1"])
@@ -94,7 +99,7 @@ def test_signals_to_one_task_are_carried_out_one_after_the_other(subsystem):
     subsystem.wait(0.2)
     assert {one.task: one.state for one in subsystem.status_all()}["b"] == "ON"
     texts = [one.text for one in subsystem.events() if one.code == "SIGNAL_FAILED"]
-    assert [text.partition(":")[0] for text in texts] == ["off to c was refused"]
+    assert [text.partition(":")[0] for text in texts] == ["off to d was refused"]
     states = [e.text for e in subsystem.events() if (e.task, e.code) == ("b", "STATE")]
     assert states[-2:] == ["off: OFF", "on: ON"]
 

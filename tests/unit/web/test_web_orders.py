@@ -208,7 +208,8 @@ def test_an_observer_may_look_and_may_not_steer(made, carried, monkeypatch):
 
 def test_an_observer_has_no_files_from_elsewhere_read(made, carried):
     """Their modules would be imported here."""
-    for line in ("check /tmp/other", "check ../other", "swap a ../b dry_run=yes"):
+    lines = ("check /tmp/other", "check ../other", "swap a ../b dry_run=yes")
+    for line in (*lines, "explain start ../other"):
         assert (
             "names no files" in ask(made, orders.Line(1, line), Role.OBSERVER)["text"]
         )

@@ -10,7 +10,9 @@ import msgspec
 
 from pbonet.config import Library
 from pbonet.errors import LogError, PbonetError
-from pbonet.master.configuration import Files, job_graph
+
+from .subsystem_files import Files
+from .subsystem_graph import job_graph
 
 if TYPE_CHECKING:
     from pbonet.log import Log
