@@ -51,7 +51,8 @@ class RobotModel:
         """Largest torque (N*m) or force (N) of each joint; infinite if not given."""
         self.damping: Floats = np.array(self._model.damping)
         """Viscous friction of each joint, N*m*s/rad or N*s/m."""
-        self._damped = bool(self.damping.any())
+        self.damped = bool(self.damping.any())
+        """Whether a joint has friction."""
 
     def must_have(self, n: int) -> None:
         """Check the number of joints.
@@ -111,7 +112,7 @@ class RobotModel:
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return the torques (N*m) that give the robot the acceleration `qdd`."""
         torque: Floats = self._pin.rnea(self._model, self._data, q, qd, qdd)
-        if self._damped:
+        if self.damped:
             torque += self.damping * qd
         return torque
 

@@ -14,7 +14,8 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.modules._dh import difference, fault_of, shorten
+from pbonet.io import difference, fault_of_pose
+from pbonet.modules._dh import shorten
 from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
 
@@ -74,7 +75,7 @@ class Impedance(PortBasedObject[Spring], module_class="controller"):
 
     def _pull(self) -> Vector:
         """Return the wrench of the spring and of the goal's motion (N, N*m)."""
-        why = fault_of(self.x_des)
+        why = fault_of_pose(self.x_des)
         if why and not self._lost:
             self.task.warn(f"X_DES is not a pose: {why}; nothing draws the hand")
         if bool(why) != self._lost:

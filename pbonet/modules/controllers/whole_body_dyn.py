@@ -1,6 +1,5 @@
 """Torques of a whole robot on its feet, by placo's inverse dynamics."""
 
-from math import isfinite
 from typing import Annotated as A
 
 import numpy as np
@@ -15,13 +14,15 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import FloatingModel
-from pbonet.modules._dh import fault_of, fault_of_wrench
+from pbonet.io import FloatingModel, all_finite, fault_of_pose
+from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
-from pbonet.modules._placo_motion import RATES, placo_robot
+from pbonet.modules._placo_motion import placo_robot
 from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import keep
 
+RATES = 6
+"""Elements of placo's torques before the joints': those of the base."""
 STANDS = 0.5
 """A foot of CONTACT_DES above it is one that stands."""
 
@@ -79,6 +80,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._model.frame(k.body)
         must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
         self._takeover = Takeover(self.ndof)
+        self._most = self._model.joints.effort
+        self._least = -self._most
         self._make_program()
         self._take_gains()
 
@@ -105,9 +108,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             )
             return
         self._takeover.apply(law, self.tau, dt, self.params.fade)
-        effort = self._model.joints.effort
-        np.minimum(self.tau, effort, out=self.tau)  # np.clip takes twice as long
-        np.maximum(self.tau, -effort, out=self.tau)
+        np.minimum(self.tau, self._most, out=self.tau)  # np.clip takes twice as long
+        np.maximum(self.tau, self._least, out=self.tau)
 
     def _show(self) -> None:
         """Tell placo where the robot is and how it moves."""
@@ -120,18 +122,19 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         """Set goals of body and joints, and which feet stand where they are."""
         self._pose[:3] = self.x_des
         self._body.T_world_frame = self._pose
-        self._body.position().dtarget_world = self.v_des[:3]
-        self._body.orientation().omega_world = self.v_des[3:]
-        joints = self._model.joints.joints
+        self._body_place.dtarget_world = self._v_des[0]
+        self._body_turn.omega_world = self._v_des[1]
+        joints, set_joint = self._model.joints.joints, self._posture.set_joint
         goals = zip(joints, self.q_ref.tolist(), self.qd_ref.tolist(), strict=True)
         for name, q, qd in goals:
-            self._posture.set_joint(name, q, qd)
-        for k, foot in enumerate(self.params.feet):
-            stands = bool(self.contact[k] > STANDS)
+            set_joint(name, q, qd)
+        for k, up in enumerate(self.contact.tolist()):
+            stands = up > STANDS
             if stands is not self._stands[k]:
                 self._stand(k, stands=stands)
             if stands:
-                self._feet[k].target_world = self._robot.get_T_world_frame(foot)[:3, 3]
+                place = self._robot.get_T_world_frame(self.params.feet[k])
+                self._feet[k].target_world = place[:3, 3]
 
     def _solve(self, dt: float) -> Vector | None:
         """Return the torques; None if there are none."""
@@ -142,17 +145,19 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             return None
         if not found.success:
             return None
-        torque: Vector = found.tau[RATES:] + self._model.joints.damping * self.qd
+        torque: Vector = found.tau[RATES:]
+        if self._model.joints.damped:
+            torque += self._model.joints.damping * self.qd
         return torque
 
     def _fault(self) -> str:
         """Return which value is none."""
         k, names = self.params, self._model.joints.joints
-        if why := fault_of(self.x_des):
+        if why := fault_of_pose(self.x_des):
             return f"X_BODY_DES of frame {k.body} is not a pose: {why}"
         if why := fault_of_wrench(f"X^_BODY_DES of frame {k.body}", self.v_des):
             return why
-        if not isfinite(sum(self.contact.tolist())):
+        if not all_finite(self.contact):
             foot = k.feet[int(np.argmin(np.isfinite(self.contact)))]
             return f"CONTACT_DES of {foot} is not finite"
         return (
@@ -171,6 +176,9 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         solver.enable_torque_limits(True)  # noqa: FBT003 - placo's
         self._pose = np.eye(4)
         self._body = solver.add_frame_task(k.body, self._pose)
+        self._body_place = self._body.position()
+        self._body_turn = self._body.orientation()
+        self._v_des = self.v_des[:3], self.v_des[3:]
         self._posture = solver.add_joints_task()
         self._feet = [solver.add_position_task(foot, np.zeros(3)) for foot in k.feet]
         self._contacts = [
@@ -193,7 +201,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
     def _take_gains(self) -> None:
         k = self.params
         self._body.configure("body", "soft", 1.0, 1.0)
-        for task in (self._body.position(), self._body.orientation()):
+        for task in (self._body_place, self._body_turn):
             task.kp, task.kd = k.kp, k.kd
         self._posture.configure("posture", "soft", k.posture)
         self._posture.kp, self._posture.kd = k.joint_kp, k.joint_kd

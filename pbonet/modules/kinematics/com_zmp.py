@@ -61,9 +61,8 @@ class ComZmp(PortBasedObject[Floor], module_class="kinematics"):
         keep(name, {"urdf"})
 
     def on(self) -> None:
-        self._rates = np.zeros(6)
-        self._before = self._rates
-        self._begins = True
+        self._rates: list[float] = [0.0] * 6
+        self._before: list[float] = []
 
     def cycle(self, dt: float) -> None:
         if why := self._fault():
@@ -73,18 +72,21 @@ class ComZmp(PortBasedObject[Floor], module_class="kinematics"):
         model.move(self.x, self.v, self.q, self.qd)
         self.com[:], momenta = model.centroidal()
         np.divide(momenta[:3], model.mass, out=self.com_dot)
-        if not self._begins:
-            # rates += share * ((momenta - before) / dt - rates), in few steps
+        now: list[float] = momenta.tolist()
+        if self._before:
+            # six numbers: plain Python is faster than numpy's calls would be
             once = 1.0 / (self.params.smooth + dt)
-            self._rates *= 1.0 - dt * once
-            self._rates += once * (momenta - self._before)
-        self._before, self._begins = momenta, False
+            rest, pairs = 1.0 - dt * once, zip(now, self._before, strict=True)
+            gained = [once * (one - was) for one, was in pairs]
+            both = zip(self._rates, gained, strict=True)
+            self._rates = [rest * rate + more for rate, more in both]
+        self._before = now
         self._find_point()
 
     def _find_point(self) -> None:
         """Write ZMP from the rates of the momenta."""
         cx, cy, cz = self.com.tolist()
-        fx, fy, fz, kx, ky, _ = self._rates.tolist()
+        fx, fy, fz, kx, ky, _ = self._rates
         weight = self._model.mass * GRAVITY
         fz += weight
         if fz < FLIGHT * weight:

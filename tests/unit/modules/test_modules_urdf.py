@@ -13,7 +13,7 @@ from urdf_chains import Chain, write_chain
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.modules._dh import difference, rotation
+from pbonet.io import difference, rotation
 from pbonet.modules.controllers.computed_torque import ComputedTorque
 from pbonet.modules.controllers.gravity import Gravity
 from pbonet.modules.kinematics.fk_jac import FkJac
