@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 
-def all_finite(numbers: Floats) -> bool:
-    """Return whether no element is NaN or infinite."""
+def all_finite(*arrays: Floats) -> bool:
+    """Return whether no element of some contiguous arrays is NaN or infinite."""
 
 def rotation(turn: Floats) -> Floats:
     """Return the rotation matrix, [3, 3], of a turn, [3] (Rodrigues)."""
@@ -43,7 +43,7 @@ class FreeMotion:
     """
 
     def __init__(self, q: Floats, v: Floats) -> None: ...
-    def set(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> None:
+    def set(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> bool:
         """Set where the robot is and how it moves.
 
         Args:
@@ -51,6 +51,9 @@ class FreeMotion:
             velocity: Of the base, [6], in the axes of the world.
             q: Joint positions, [n].
             qd: Joint velocities, [n].
+
+        Returns:
+            Whether the pose is one, and all numbers are finite.
 
         Raises:
             ValueError: A size is another one.

@@ -5,7 +5,7 @@
 import numpy as np
 
 from cpython.buffer cimport (
-    PyBUF_FORMAT, PyBUF_STRIDES, PyBUF_WRITABLE, PyBuffer_Release, PyObject_GetBuffer
+    PyBUF_C_CONTIGUOUS, PyBUF_FORMAT, PyBUF_STRIDES, PyBUF_WRITABLE, PyBuffer_Release, PyObject_GetBuffer
 )
 from libc.math cimport M_PI, atan2, fabs, isfinite, sin, sqrt
 
@@ -54,13 +54,12 @@ cdef object matrix(const double *numbers, Py_ssize_t rows, Py_ssize_t columns):
     return found
 
 
-def all_finite(numbers):
+cdef bint is_finite(object numbers) except -1:
     cdef Py_buffer view
     cdef Py_ssize_t i
     cdef const double *first
     cdef bint good = True
-    array = numbers if numbers.flags.c_contiguous else np.ascontiguousarray(numbers)
-    PyObject_GetBuffer(array, &view, PyBUF_STRIDES | PyBUF_FORMAT)
+    PyObject_GetBuffer(numbers, &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT)
     try:
         if view.format is NULL or view.format[0] != b"d":
             raise ValueError("an array is not float64")
@@ -69,7 +68,14 @@ def all_finite(numbers):
             good = good and isfinite(first[i])
     finally:
         PyBuffer_Release(&view)
-    return bool(good)
+    return good
+
+
+def all_finite(*arrays):
+    for numbers in arrays:
+        if not is_finite(numbers):
+            return False
+    return True
 
 
 # ----------------------------------------------------------------------------- turning
@@ -243,6 +249,7 @@ cdef class FreeMotion:
             raise ValueError("position and velocity are not those of one robot")
 
     def set(self, pose, velocity, q, qd):
+        cdef Py_ssize_t n
         cdef double r[12]
         cdef double v[6]
         cdef int i
@@ -255,6 +262,15 @@ cdef class FreeMotion:
             self.q[i] = r[4 * i + 3]
             self.v[i] = r[i] * v[0] + r[4 + i] * v[1] + r[8 + i] * v[2]
             self.v[3 + i] = r[i] * v[3] + r[4 + i] * v[4] + r[8 + i] * v[5]
+        if not is_turn(r):
+            return False
+        for n in range(self.q.shape[0]):
+            if not isfinite(self.q[n]):
+                return False
+        for n in range(self.v.shape[0]):
+            if not isfinite(self.v[n]):
+                return False
+        return True
 
 
 # ------------------------------------------------------------------- steps to the goals

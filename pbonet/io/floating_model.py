@@ -67,7 +67,7 @@ class FloatingModel:
         self.joints.frame(name)
         return int(self._model.getFrameId(name))
 
-    def move(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> None:
+    def move(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> bool:
         """Set where the robot is and how it moves.
 
         Args:
@@ -75,8 +75,12 @@ class FloatingModel:
             velocity: Of the base's origin, m/s, and rad/s, in the axes of the world.
             q: Joint positions.
             qd: Joint velocities.
+
+        Returns:
+            Whether the pose is one, and all numbers are finite; if not, nothing can be
+            computed until the next call.
         """
-        self._motion.set(pose, velocity, q, qd)
+        return self._motion.set(pose, velocity, q, qd)
 
     def momentum(self) -> tuple[Floats, Floats]:
         """Return the generalized momenta of the joints, N*m*s, and their drift, N*m.

@@ -125,7 +125,8 @@ class MujocoRobot:
 
     def command(self, torque: Floats) -> None:
         """Set the torques at the joints, N*m or N; their limits bound them."""
-        np.clip(torque, self._low, self._high, out=self.torque)
+        np.minimum(torque, self._high, self.torque)  # np.clip takes longer
+        np.maximum(self.torque, self._low, self.torque)
         self._torque[self._order] = self.torque
 
     def torque_for(self, qdd: Floats) -> Floats:
@@ -153,7 +154,7 @@ class MujocoRobot:
         self._q.take(self._order, out=self.q)
         self._qd.take(self._order, out=self.qd)
         speed = np.abs(self._rates)
-        bad = int(np.argmax(speed))
+        bad = int(speed.argmax())
         if not speed[bad] < _ABSURD:
             raise DeviceError(
                 f"the simulated robot flies apart at {self._dof(bad)}",

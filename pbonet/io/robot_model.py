@@ -51,8 +51,7 @@ class RobotModel:
         """Largest torque (N*m) or force (N) of each joint; infinite if not given."""
         self.damping: Floats = np.array(self._model.damping)
         """Viscous friction of each joint, N*m*s/rad or N*s/m."""
-        self.damped = bool(self.damping.any())
-        """Whether a joint has friction."""
+        self._damped = bool(self.damping.any())
 
     def must_have(self, n: int) -> None:
         """Check the number of joints.
@@ -112,7 +111,7 @@ class RobotModel:
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return the torques (N*m) that give the robot the acceleration `qdd`."""
         torque: Floats = self._pin.rnea(self._model, self._data, q, qd, qdd)
-        if self.damped:
+        if self._damped:
             torque += self.damping * qd
         return torque
 

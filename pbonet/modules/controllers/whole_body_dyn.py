@@ -1,6 +1,7 @@
 """Torques of a whole robot on its feet, by placo's inverse dynamics."""
 
-from typing import Annotated as A
+from collections.abc import Sequence
+from typing import Annotated as A, Any
 
 import numpy as np
 
@@ -79,9 +80,11 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._model.joints.must_have(self.ndof)
         self._model.frame(k.body)
         must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
-        self._takeover = Takeover(self.ndof)
-        self._most = self._model.joints.effort
-        self._least = -self._most
+        effort = self._model.joints.effort
+        self._dt, self._stood = 0.0, [0.0] * len(self.contact)
+        self._takeover = Takeover(self.tau)
+        self._takeover.bound(-effort, effort)
+        self._rubbing = np.zeros(self.ndof)
         self._make_program()
         self._take_gains()
 
@@ -93,30 +96,33 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._takeover.begin()
 
     def cycle(self, dt: float) -> None:
-        if why := self._fault():
-            self.task.fail(why)
+        if not self._show():
+            self.task.fail(self._fault())
             return
-        self._show()
         self._aim()
         law = self._solve(dt)
         if law is None:
-            feet = zip(self.params.feet, self._stands, strict=True)
-            names = " ".join(foot for foot, stands in feet if stands) or "no foot"
+            names = " ".join(foot for foot, _ in self._standing) or "no foot"
             self.task.fail(
                 "no torques within the efforts of the joints and the friction under "
                 f"the feet keep what stands where it is: {names}"
             )
             return
-        self._takeover.apply(law, self.tau, dt, self.params.fade)
-        np.minimum(self.tau, self._most, out=self.tau)  # np.clip takes twice as long
-        np.maximum(self.tau, self._least, out=self.tau)
+        self._takeover.apply(law, dt, self.params.fade)
 
-    def _show(self) -> None:
-        """Tell placo where the robot is and how it moves."""
+    def _show(self) -> bool:
+        """Tell placo where the robot is and how it moves; False if a value is none."""
         model, robot = self._model, self._robot
-        model.move(self.x, self.v, self.q, self.qd)
+        given = self.v_des, self.contact, self.q_ref, self.qd_ref
+        if (
+            not model.move(self.x, self.v, self.q, self.qd)
+            or not all_finite(*given)
+            or fault_of_pose(self.x_des)
+        ):
+            return False
         robot.state.q, robot.state.qd = model.q, model.v
         robot.update_kinematics()
+        return True
 
     def _aim(self) -> None:
         """Set goals of body and joints, and which feet stand where they are."""
@@ -128,17 +134,18 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         goals = zip(joints, self.q_ref.tolist(), self.qd_ref.tolist(), strict=True)
         for name, q, qd in goals:
             set_joint(name, q, qd)
-        for k, up in enumerate(self.contact.tolist()):
-            stands = up > STANDS
-            if stands is not self._stands[k]:
-                self._stand(k, stands=stands)
-            if stands:
-                place = self._robot.get_T_world_frame(self.params.feet[k])
-                self._feet[k].target_world = place[:3, 3]
+        contact = self.contact.tolist()
+        if contact != self._stood:
+            self._stood = contact
+            self._stand([up > STANDS for up in contact])
+        where = self._robot.get_T_world_frame
+        for foot, task in self._standing:
+            task.target_world = where(foot)[:3, 3]
 
     def _solve(self, dt: float) -> Vector | None:
         """Return the torques; None if there are none."""
-        self._solver.dt = dt
+        if dt != self._dt:
+            self._dt = self._solver.dt = dt
         try:
             found = self._solver.solve(False)  # noqa: FBT003 - placo's
         except RuntimeError:
@@ -146,8 +153,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if not found.success:
             return None
         torque: Vector = found.tau[RATES:]
-        if self._model.joints.damped:
-            torque += self._model.joints.damping * self.qd
+        np.multiply(self._model.joints.damping, self.qd, out=self._rubbing)
+        torque += self._rubbing
         return torque
 
     def _fault(self) -> str:
@@ -184,19 +191,19 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._contacts = [
             solver.add_unilateral_point_contact(task) for task in self._feet
         ]
-        self._stands = [False] * len(k.feet)
-        for index in range(len(k.feet)):
-            self._stand(index, stands=False)
+        self._stand([False] * len(k.feet))
 
-    def _stand(self, index: int, *, stands: bool) -> None:
-        """Let a foot stand, or go where its joints take it."""
-        self._stands[index] = stands
-        self._contacts[index].active = stands
-        foot = self.params.feet[index]
-        if stands:
-            self._feet[index].configure(foot, "hard")
-        else:
-            self._feet[index].configure(foot, "soft", 0.0)
+    def _stand(self, stands: Sequence[bool]) -> None:
+        """Let feet stand; the others go where their joints take them."""
+        self._standing: list[tuple[str, Any]] = []
+        feet = zip(self.params.feet, self._feet, self._contacts, stands, strict=True)
+        for foot, task, contact, stands_there in feet:
+            contact.active = stands_there
+            if stands_there:
+                task.configure(foot, "hard")
+                self._standing.append((foot, task))
+            else:
+                task.configure(foot, "soft", 0.0)
 
     def _take_gains(self) -> None:
         k = self.params

@@ -2,8 +2,6 @@
 
 from typing import Annotated as A
 
-import numpy as np
-
 from pbonet import (
     InConst,
     InVar,
@@ -65,21 +63,21 @@ class ComZmp(PortBasedObject[Floor], module_class="kinematics"):
         self._before: list[float] = []
 
     def cycle(self, dt: float) -> None:
-        if why := self._fault():
-            self.task.fail(why)
-            return
         model = self._model
-        model.move(self.x, self.v, self.q, self.qd)
+        if not model.move(self.x, self.v, self.q, self.qd):
+            self.task.fail(self._fault())
+            return
         self.com[:], momenta = model.centroidal()
-        np.divide(momenta[:3], model.mass, out=self.com_dot)
+        # six numbers: plain Python is faster than numpy's calls would be
         now: list[float] = momenta.tolist()
+        once, mass = 1.0 / (self.params.smooth + dt), model.mass
+        self.com_dot[:] = now[0] / mass, now[1] / mass, now[2] / mass
         if self._before:
-            # six numbers: plain Python is faster than numpy's calls would be
-            once = 1.0 / (self.params.smooth + dt)
-            rest, pairs = 1.0 - dt * once, zip(now, self._before, strict=True)
-            gained = [once * (one - was) for one, was in pairs]
-            both = zip(self._rates, gained, strict=True)
-            self._rates = [rest * rate + more for rate, more in both]
+            rest, rows = 1.0 - dt * once, (self._rates, now, self._before)
+            self._rates = [
+                rest * rate + once * (one - was)
+                for rate, one, was in zip(*rows, strict=True)
+            ]
         self._before = now
         self._find_point()
 
