@@ -290,6 +290,13 @@ def test_every_module_says_what_it_is(name) -> None:
         assert one.doc, one.name
 
 
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_its_rmod_is_complete_and_of_this_module(name) -> None:
+    rmod = LIBRARY.read_rmod(MODULES[name].path.with_suffix(".rmod"))
+    assert name in rmod.module.split("+")
+    assert rmod.desc
+
+
 def test_lists_of_exceptions_name_what_is_there() -> None:
     known = {(name, one) for name in MODULES for one in inputs_of(name)}
     assert set(UNMOVED) <= known
