@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from figures import new_figure, save
 
-from benchmarks.library_benches import bench as usual_bench, surroundings
 from pbonet.config import Library
 from pbonet.ports import Kind
 from pbonet.testing import Bench
@@ -28,6 +27,12 @@ if TYPE_CHECKING:
     from pbonet.ports import Port
 
 HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parent))
+from benchmarks.library_benches import (  # noqa: E402 - found there
+    bench as usual_bench,
+    surroundings,
+)
+
 CYCLES = 400
 SHORT = 200
 """Cycles of a module with several inputs or outputs."""
@@ -37,6 +42,10 @@ STILL = 1e-12
 """An output that moves no further does not respond."""
 GOALS = "_DES", "_REF", "_CMD"
 """Ends of the names of variables that are stepped before others."""
+QUIET = {"constant", "deadman", "ft300_sim", "join_min"}
+"""Modules whose outputs stay while nobody changes a parameter or holds a button."""
+MOST_SHOWN = 4
+"""Outputs in one picture."""
 OUTSIDE = {"link", "device", "processor", "spp", "library"}
 """Parameters of modules that ask something outside."""
 _BEFORE = 5
@@ -79,6 +88,7 @@ def reacts(module: LoadedModule) -> bool:
         not responds(module)
         and not outside
         and not module.info.name.startswith("mav_")
+        and module.info.name not in QUIET
         and any(port.type.startswith("float") for port in outputs)
     )
 
@@ -89,13 +99,25 @@ def reaction(module: LoadedModule, folder: Path) -> Reaction:
     Args:
         module: One that `reacts`.
         folder: That of `surroundings`.
+
+    Raises:
+        ValueError: Nothing moves.
     """
-    made = usual_bench(module, folder)
-    inputs, outputs = _ports(module)
+    inputs, _ = _ports(module)
     floats = [port.name for port in inputs if port.type.startswith("float")]
-    first = floats[0] if floats else ""
-    goals = (one for end in GOALS for one in floats if one.endswith(end))
-    stepped = next(goals, first)
+    floats.sort(key=lambda name: not name.endswith(GOALS))
+    for stepped in floats or [""]:
+        found = _after_step(module, folder, stepped)
+        if found.outputs:
+            return found
+    msg = f"{module.info.name} does not react; name it in QUIET"
+    raise ValueError(msg)
+
+
+def _after_step(module: LoadedModule, folder: Path, stepped: str) -> Reaction:
+    """Return how the outputs of a module move after a step of this input."""
+    made = usual_bench(module, folder)
+    _, outputs = _ports(module)
     names = [port.name for port in outputs if port.type.startswith("float")]
     seen: dict[str, list[NDArray[np.float64]]] = {name: [] for name in names}
     for cycle in range(_BEFORE + SHORT):
@@ -117,8 +139,8 @@ def reaction(module: LoadedModule, folder: Path) -> Reaction:
 
 
 def _stepped(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an input after its step: the first element, and of a pose its x."""
-    value[(0, 3) if value.shape == (3, 4) else (0,) * value.ndim] += STEP
+    """Return an input after its step: all elements, and of a pose its x."""
+    value[(0, 3) if value.shape == (3, 4) else ...] += STEP
     return value
 
 
@@ -226,15 +248,14 @@ def _picture(found: Response, path: Path) -> None:
 
 
 def _picture_of_reaction(found: Reaction, path: Path) -> None:
-    figure, axes = new_figure(1, 1, height=2.4)
-    axis: Any = axes
-    for name, values in found.outputs.items():
-        axis.step(1e3 * found.time, values - values[0], where="post", label=name)
+    shown = list(found.outputs.items())[:MOST_SHOWN]
+    figure, axes = new_figure(1, len(shown), height=2.4)
     cause = f"a step of {found.cause}" if found.cause else "it was turned on"
-    axis.set_xlabel(f"time since {cause} (ms)")
-    axis.set_ylabel("change of the output")
-    axis.grid(visible=True, alpha=0.3)
-    axis.legend(fontsize=8)
+    for axis, (name, values) in zip(np.ravel(axes), shown, strict=True):
+        axis.step(1e3 * found.time, values, where="post", color="#2f6f9f")
+        axis.set_title(name, fontsize=9)
+        axis.grid(visible=True, alpha=0.3)
+    figure.supxlabel(f"time since {cause} (ms)", fontsize=9)
     save(figure, path)
 
 

@@ -95,7 +95,7 @@ EVERY = cases(*{one.info.module_class for one in MODULES.values()})
 
 
 @pytest.fixture
-def packages(monkeypatch, run_dir):  # noqa: ARG001 - sockets of executives
+def packages():
     for name in ("placo", "mujoco"):
         pytest.importorskip(name, reason=f"pip install 'pbonet[{name}]'")
 
