@@ -299,8 +299,8 @@ def bench(
     Raises:
         PbonetError: It cannot run here.
     """
-    usual = USUAL.get(module.info.name, lambda _: {})(folder)
-    values = {**usual, **(first or {})}
+    usual = USUAL.get(module.info.name)
+    values = {**(usual(folder) if usual else {}), **(first or {})}
     params = values.pop("params", None)
     ports = module.info.ports
     known = {port.attr: port for port in ports}
