@@ -251,7 +251,8 @@ def _picture_of_reaction(found: Reaction, path: Path) -> None:
     shown = list(found.outputs.items())[:MOST_SHOWN]
     figure, axes = new_figure(1, len(shown), height=2.4)
     cause = f"a step of {found.cause}" if found.cause else "it was turned on"
-    for axis, (name, values) in zip(np.ravel(axes), shown, strict=True):
+    panels: list[Any] = np.ravel(axes).tolist()
+    for axis, (name, values) in zip(panels, shown, strict=True):
         axis.step(1e3 * found.time, values, where="post", color="#2f6f9f")
         axis.set_title(name, fontsize=9)
         axis.grid(visible=True, alpha=0.3)

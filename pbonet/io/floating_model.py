@@ -52,7 +52,7 @@ class FloatingModel:
         )
         self._data = self._model.createData()
         self.q: Floats = np.array(self._pin.neutral(self._model))
-        self.v: Floats = np.zeros(self._model.nv)
+        self.v: Floats = np.zeros(int(self._model.nv))
         self._motion = FreeMotion(self.q, self.v)
         self._still = np.zeros(self._model.nv)
         self.mass = float(self._pin.computeTotalMass(self._model))

@@ -141,7 +141,7 @@ def _is_given(ports: Iterable[Port]) -> bool:
 
 
 def _unit(ports: Sequence[Port]) -> str:
-    """Return the unit that the writer declares, else a reader; empty if nobody does."""
+    """Return the unit that the writer declares, else a reader; empty for none."""
     ordered = sorted(ports, key=lambda port: port.kind.is_input)
     return next((port.unit for port in ordered if port.unit != "any"), "")
 

@@ -4,8 +4,8 @@ from typing import Annotated as A
 
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.io import RobotModel
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, keep, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Gains(Params):

@@ -16,8 +16,8 @@ from pbonet import (
 )
 from pbonet.io import difference, fault_of_pose
 from pbonet.modules._dh import shorten
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Spring(Params):

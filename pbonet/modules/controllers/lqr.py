@@ -4,8 +4,8 @@ from typing import Annotated as A
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.modules._linear_plant import LinearPlant
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Plant(Params):

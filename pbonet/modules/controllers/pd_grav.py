@@ -3,8 +3,8 @@
 from typing import Annotated as A
 
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Gains(Params):

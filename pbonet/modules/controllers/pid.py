@@ -6,8 +6,8 @@ import numpy as np
 
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 GAINS = ("kp", "ki", "kd", "weight", "lower", "upper")
 

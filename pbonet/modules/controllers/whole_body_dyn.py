@@ -19,8 +19,8 @@ from pbonet.io import FloatingModel, all_finite, fault_of_pose
 from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._placo_motion import placo_robot
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import keep
+from pbonet.modules.controllers._takeover import Takeover
 
 RATES = 6
 """Elements of placo's torques before the joints': those of the base."""
