@@ -27,29 +27,24 @@ import json
 import os
 import platform
 import resource
-import struct
 import sys
-import tempfile
 from pathlib import Path
 from time import thread_time_ns
 from typing import TYPE_CHECKING, Any
-from unittest import mock
 
 import numpy as np
 
-from benchmarks.library_devices import entries
-from pbonet.config import Library, SppEntry, read_svar
+from benchmarks.library_benches import SIZE, bench, surroundings
+from pbonet.config import Library
 from pbonet.errors import PbonetError
-from pbonet.io.drivers import Entry, database, joystick_driver as joystick
-from pbonet.io.spp import processors
 from pbonet.modules import __file__ as built_in
 from pbonet.ports import Kind
-from pbonet.testing import Bench
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from pbonet.config.library import LoadedModule
+    from pbonet.testing import Bench
 
 SHARE = 0.2
 """Of its period, what p99 of a module's cycle may take."""
@@ -58,219 +53,7 @@ OVER = 5.0
 BLOCKS, KIB = 300, 256
 """What may be kept once for all: caches, warnings, and pages of the allocator."""
 MISSED = 3
-SIZE = 6
-FOLDER = tempfile.TemporaryDirectory(prefix="pbonet-")
-"""Where files that modules need are."""
-AXIS = struct.pack("@6i", 0, -100, 100, 0, 0, 0)
-"""What the kernel says of an axis of a joystick."""
-SEES = """
-from pbonet.io.spp import Library
-
-library = Library()
-library.variable("q", 6)
-library.variable("ball", 3)
-library.variable("seen", 6)
-
-
-@library.routine("numpy")
-def look(m, number):
-    m.seen[:] = number, 160.0 + number % 7, 120.0, 2000.0, 1.0, 1.0
-"""
-"""A library for a camera that always sees a ball, and needs no time."""
 FILE = Path(__file__).parents[1] / "docs" / "benchmarks" / "library.json"
-PANDA = Path(__file__).parents[1] / "examples" / "panda"
-QUADRUPED = PANDA.parent / "quadruped"
-FOLDERS = PANDA, QUADRUPED, Path(__file__).parent, Path(FOLDER.name)
-"""Folders in which files that parameters name are looked for."""
-HOME = (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.785)
-"""A posture of its arm that is not singular, rad."""
-
-
-def puma() -> Mapping[str, Any]:
-    """Return the geometry of the PUMA, in a posture that is not singular."""
-    from pbonet.io import PUMA560
-
-    return {"ndof": SIZE, "dh": PUMA560.dh}
-
-
-def answer(_fd: int, request: int, room: bytes) -> bytes:
-    """Answer for the kernel of a joystick: three axes at rest, and no button."""
-    return bytes(len(room)) if request == joystick.GET_KEYS else AXIS
-
-
-def device() -> str:
-    """Return a device file on which nothing arrives, as in most cycles of a person."""
-    path = str(Path(FOLDER.name) / "device")
-    if not Path(path).exists():
-        os.mkfifo(path)
-        os.open(path, os.O_RDWR)  # open until this program ends
-    return path
-
-
-def pad() -> str:
-    """Return the name of a joystick with three axes, on that file."""
-    mock.patch.object(joystick, "ioctl", answer).start()
-    settings = {"axes": [0, 1, 2]}
-    pad = Entry(driver="joystick", address=device(), settings=settings)
-    database.use({"pad": pad}, "benchmark")
-    return "pad"
-
-
-def camera() -> Mapping[str, Any]:
-    """Return a hand before a ball, and begin an executive that sees this at once."""
-    (Path(FOLDER.name) / "camera.py").write_text(SEES, encoding="utf-8")
-    processors.use({"camera": SppEntry(driver="numpy")}, "")
-    turn = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    return {"ndof": SIZE, "x": np.column_stack((turn, [0.55, -0.1, -0.1]))}
-
-
-def limbs() -> Mapping[str, Any]:
-    """Return what `self_collision` needs: a robot of cylinders."""
-    shape = '<cylinder radius="0.05" length="0.2"/>'
-    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-    body = (
-        f'<inertial><mass value="1"/>{inertia}</inertial><collision>'
-        f'<origin xyz="0 0 0.2"/><geometry>{shape}</geometry></collision>'
-    )
-    parts = [f'<link name="l0">{body}</link>']
-    for k in range(SIZE):
-        axis = "0 1 0" if k % 2 else "1 0 0"
-        parts.append(
-            f'<link name="l{k + 1}">{body}</link><joint name="j{k}" type="revolute">'
-            f'<parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="0 0 0.4"/>'
-            f'<axis xyz="{axis}"/><limit lower="-2" upper="2" effort="9" velocity="9"/>'
-            "</joint>"
-        )
-    robot = f'<robot name="limbs">{"".join(parts)}</robot>'
-    path = Path(FOLDER.name) / "limbs.urdf"
-    path.write_text(robot, encoding="utf-8")
-    return {"params": {"urdf": path.name}, "q": [0.3] * SIZE}
-
-
-def samples() -> str:
-    """Return a file of samples of six joints over ten seconds."""
-    path = Path(FOLDER.name) / "samples.csv"
-    times = np.linspace(0.0, 10.0, 1001)
-    rows = np.column_stack([times, *(np.sin(times + k) for k in range(SIZE))])
-    np.savetxt(path, rows)
-    return str(path)
-
-
-def planner() -> Mapping[str, Any]:
-    """Return what `mppi_arm` needs; an executive of this program makes small plans."""
-    from pbonet.io.spp import SppEntry, processors
-
-    processors.use({"gpu0": SppEntry(driver="numpy")}, "")
-    params = {
-        "urdf": "panda.urdf",
-        "frame": "hand",
-        "acceleration": (8.0,),
-        "posture": HOME,
-        "rollouts": 2,
-    }
-    goal = [0.5, 0.3, 0.4]
-    return {"ndof": 7, "q": HOME, "q_ref": HOME, "goal": goal, "params": params}
-
-
-USUAL: dict[str, Callable[[], Mapping[str, Any]]] = {
-    "grav_comp": puma,
-    "forward_kin": puma,
-    "puma_inv_kin": lambda: {**puma(), "x": pose(0.45, -0.15, 0.3)},
-    "imu_fusion": lambda: {"acc": [0.0, 0.0, 9.81]},
-    "admittance": lambda: {"x_ref": pose(0.4, 0.1, 0.3), "x_cmd": pose(0.4, 0.1, 0.3)},
-    "hybrid_force": lambda: {
-        "x_ref": pose(0.4, 0.1, 0.3),
-        "x_cmd": pose(0.4, 0.1, 0.3),
-    },
-    "otg_cart": lambda: {"x": pose(0.4, 0.0, 0.3), "x_des": pose(0.5, 0.1, 0.3)},
-    "joystick": lambda: {
-        "naxes": SIZE // 2,
-        "params": {"device": pad(), "axes": (0, 1, 2), "buttons": (3, 4, 5, 6)},
-    },
-    "spacemouse": lambda: {"params": {"device": device()}},
-    "traj_play": lambda: {"params": {"file": samples(), "repeat": True}},
-    "dmp": lambda: {"params": {"file": samples()}},
-    "tbuf_send": lambda: {"params": {"link": "x"}},
-    "tbuf_receive": lambda: {"params": {"link": "arm:x"}},
-    "mav_ground": lambda: {"nparam": 1},
-    "mav_params": lambda: {"nparam": 1},
-    "mav_mission": lambda: {"nparam": 1},
-    "mav_rc": lambda: {"nrc": 8, "nact": 6, "npulse": 8},
-    "mav_gimbal": lambda: {"nrc": 8, "nact": 6, "npulse": 8},
-    "mav_actuator": lambda: {"nrc": 8, "nact": 6, "npulse": 8},
-    "mav_hil": lambda: {"nact": 4, "att": [1.0, 0.0, 0.0, 0.0]},
-    "gait": lambda: {"nfeet": 4},
-    "kalman": lambda: {"nx": 2, "nz": 1, "nu": 1},
-    "lqr": lambda: {"n": 2, "m": 1},
-    "mpc_linear": lambda: {"n": 2, "m": 1},
-    "pd_grav": lambda: {"ndof": 7},
-    "impedance": lambda: {
-        "ndof": 7,
-        "x_des": pose(0.4, 0.1, 0.3),
-        "x": pose(0.4, 0.1, 0.3),
-    },
-    "fk_jac": lambda: {"ndof": 7, "q": HOME},
-    "gravity": lambda: {"ndof": 7, "q": HOME, "params": {"urdf": "panda.urdf"}},
-    "computed_torque": lambda: {"ndof": 7, "q": HOME, "q_ref": HOME},
-    "ik_placo": lambda: {"ndof": 7, "q_ref": HOME, "x_des": hand()},
-    "mppi_arm": planner,
-    "mujoco_arm": lambda: {"ndof": 7, "q": HOME},
-    "mujoco_quad": lambda: standing(x="X_MEZ", q="Q_MEZ", tau="T_MEZ", t_ref="T_REF"),
-    "mujoco_base": lambda: {
-        "w_ref": [1.0, 1.0],
-        "params": {"model": "cart.xml", "wheels": ("left", "right"), "gain": (1.5,)},
-    },
-    "whole_body": lambda: standing(
-        x_body="X_BODY_DES", x_feet="X_FEET_DES", q_ref="Q_REF", ndof="NDOF"
-    ),
-    "whole_body_dyn": lambda: standing(
-        x_des="X_BODY_DES",
-        x="X_MEZ",
-        contact="CONTACT_DES",
-        q_ref="Q_REF",
-        q="Q_MEZ",
-        tau="T_REF",
-        ndof="NDOF",
-    ),
-    "contact": lambda: standing(
-        x="X_MEZ",
-        q="Q_MEZ",
-        tau="T_MEZ",
-        contact="CONTACT",
-        force="F_FEET",
-        ndof="NDOF",
-    ),
-    "com_zmp": lambda: {
-        **standing(x="X_MEZ", q="Q_MEZ", ndof="NDOF"),
-        "params": {"urdf": "quadruped.urdf"},
-    },
-    "self_collision": limbs,
-    "visual_ball": camera,
-    "damped_ls": lambda: {"x_des": pose(0.4, 0.1, 0.3), "x": pose(0.4, 0.0, 0.3)},
-    "can_position": lambda: {"ndof": 2},
-    "can_speed": lambda: {"ndof": 2},
-    "can_torque": lambda: {"ndof": 2},
-    "dynamixel": lambda: {"ndof": 2},
-}
-"""Values that a module needs beside sizes, and ``params`` that its RMOD lacks."""
-CRAFT = Path(built_in).parent / "robot_interfaces" / "mav_craft.rmod"
-PAYLOAD = CRAFT.with_name("mav_payload.rmod")
-RMODS = {
-    "fk_jac": PANDA / "hand.rmod",
-    "computed_torque": PANDA / "torque.rmod",
-    "ik_placo": PANDA / "ik_placo.rmod",
-    "mujoco_arm": PANDA / "arm.rmod",
-    "mujoco_quad": QUADRUPED / "robot.rmod",
-    "whole_body": QUADRUPED / "posture.rmod",
-    "whole_body_dyn": QUADRUPED / "torque.rmod",
-    "contact": QUADRUPED / "touch.rmod",
-    "mav_params": CRAFT,  # a part without its task is nothing: that is measured
-    "mav_mission": CRAFT,
-    "mav_rc": PAYLOAD,
-    "mav_gimbal": PAYLOAD,
-    "mav_actuator": PAYLOAD,
-}
-"""Modules that are measured as an example configures them."""
 BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     "grav_comp": lambda module: lambda: module._chain.gravity(module.q),
     "gravity": lambda module: lambda: module._model.gravity(module.q),
@@ -289,35 +72,22 @@ BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
 """The bare call of a module's library, made from its instance."""
 
 
-def standing(**ports: str) -> Mapping[str, Any]:
-    """Return values of ports as the quadruped stands, by their variables."""
-    variables = read_svar(QUADRUPED / "quadruped.svar").variables
-    init = {one.name: np.array(one.init) for one in variables}
-    init["NDOF"] = np.array(12)
-    shapes = {"X_FEET_DES": (4, 3), "F_FEET": (4, 3), "X_MEZ": (3, 4)}
-    shapes["X_BODY_DES"] = (3, 4)
-    return {
-        attr: init[name].reshape(shapes.get(name, init[name].shape))
-        for attr, name in ports.items()
-    }
-
-
 def placo_step(module: Any) -> None:  # noqa: ANN401 - its parts are its own
-    """Do what placo must be asked for: of the state, for a goal, the step."""
+    """Do what placo must be asked for: for a goal, the step, and where the hand is."""
     motion = module._motion
-    motion.show()
-    motion.robot.get_T_world_frame(module._frame)
-    module._task.T_world_frame = module._goal
+    module._task.T_world_frame = module._hand.goal
     motion.solver.dt = 0.002
     motion.solver.solve(False)  # noqa: FBT003
+    motion.robot.update_kinematics()
+    motion.robot.get_T_world_frame(module.params.frame)
 
 
 def placo_posture(module: Any) -> None:  # noqa: ANN401 - as above
     """Do what placo must be asked for: frames, for their goals, the step."""
     motion = module._motion
-    for task, place in zip(module._feet_tasks, module._places, strict=True):
+    for task, place in module._feet_goals:
         task.target_world = place
-    module._body_task.T_world_frame = module._goal
+    module._body_task.T_world_frame = module._body.goal
     motion.solver.dt = 0.002
     motion.solver.solve(False)  # noqa: FBT003
     motion.robot.update_kinematics()
@@ -331,11 +101,14 @@ def placo_torques(module: Any) -> None:  # noqa: ANN401 - as above
     robot.state.q, robot.state.qd = model.q, model.v
     robot.update_kinematics()
     module._body.T_world_frame = module._pose
+    module._body_place.dtarget_world = module._v_des[0]
+    module._body_turn.omega_world = module._v_des[1]
     for name, q in zip(model.joints.joints, module.q_ref.tolist(), strict=True):
         module._posture.set_joint(name, q, 0.0)
     for task, foot in zip(module._feet, module.params.feet, strict=True):
         task.target_world = robot.get_T_world_frame(foot)[:3, 3]
-    module._solver.solve(False)  # noqa: FBT003
+    found = module._solver.solve(False)  # noqa: FBT003
+    _ = found.success, found.tau
 
 
 def coal_distance(model: Any, q: Any) -> None:  # noqa: ANN401 - as above
@@ -363,54 +136,6 @@ def new_goal(motion: Any) -> Callable[[], object]:  # noqa: ANN401 - of a module
         motion._solver.update(state, motion._next)
 
     return call
-
-
-def hand() -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the pose of the arm's hand at `HOME`."""
-    made = Bench.of(PANDA / "hand.rmod", {"ndof": 7, "q": HOME}, library=[PANDA])
-    made.on()
-    return np.array(made["X_MEZ"])
-
-
-def pose(*place: float) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return a pose that looks down at a place."""
-    return np.column_stack((np.diag([1.0, -1.0, -1.0]), place))
-
-
-def bench(module: LoadedModule) -> Bench[Any]:
-    """Return a module on a bench, ON.
-
-    Raises:
-        PbonetError: It cannot run here.
-    """
-    values = dict(USUAL.get(module.info.name, dict)())
-    params = values.pop("params", None)
-    ports = module.info.ports
-    known = {port.attr: port for port in ports}
-    for dim in {dim for port in ports for dim in port.shape if isinstance(dim, str)}:
-        if dim not in values and not _follows(dim, values, known):
-            values[dim] = SIZE
-    rmod = module.path.with_suffix(".rmod")
-    if module.info.name in RMODS:
-        rmod = RMODS[module.info.name]
-    made: Bench[Any]
-    if params is None:
-        made = Bench.of(rmod, values, library=FOLDERS)
-    else:
-        made = Bench(module.cls, values, params=params, library=FOLDERS)
-    made.on()
-    _leave_notes(made.module)
-    return made
-
-
-def _leave_notes(module: Any) -> None:  # noqa: ANN401 - of any class
-    """Take away the bench's `cycle`, which notes each call, from a module's own."""
-    module.__dict__.pop("cycle", None)
-
-
-def _follows(dim: str, values: Mapping[str, Any], known: Mapping[str, Any]) -> bool:
-    """Return whether a size follows from a value that is given."""
-    return any(name in known and dim in known[name].shape for name in values)
 
 
 def measure(
@@ -479,11 +204,13 @@ def _resident() -> int:
     return pages * resource.getpagesize() // 1024
 
 
-def figures(module: LoadedModule, cycles: int, grow: int) -> dict[str, Any]:
+def figures(
+    module: LoadedModule, folder: Path, cycles: int, grow: int
+) -> dict[str, Any]:
     """Return the figures of a module, or why there are none."""
     name = module.info.name
     try:
-        made = bench(module)
+        made = bench(module, folder)
         bare = BARE[name](made.module) if name in BARE else None
         whole, alone = measure(made, bare, cycles)
         grown = growth(made, grow) if grow else None
@@ -575,7 +302,6 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME")
     given = parser.parse_args()
     library = Library()
-    database.use(entries(Path(FOLDER.name), SIZE), "benchmarks.library")
     names = [name for name, path in library.files().items() if own(path)]
     if unknown := sorted(set(given.names) - set(names)):
         parser.error(f"the library has no module {', '.join(unknown)}")
@@ -584,10 +310,13 @@ def main() -> int:
     print("|---|---|---|---|---|---|---|")
     measured: dict[str, dict[str, Any]] = {}
     missed: list[str] = []
-    for name in given.names or names:
-        found = measured[name] = figures(library.load(name), given.cycles, given.grow)
-        print(f"| {' | '.join(cells(name, found))} |", flush=True)
-        missed += [f"{name} ({goal})" for goal in faults(found)]
+    with surroundings() as folder:
+        for name in given.names or names:
+            module = library.load(name)
+            found = figures(module, folder, given.cycles, given.grow)
+            measured[name] = found
+            print(f"| {' | '.join(cells(name, found))} |", flush=True)
+            missed += [f"{name} ({goal})" for goal in faults(found)]
     if given.save:
         save(measured)
     if missed:

@@ -14,6 +14,7 @@ from pbonet.io.drivers import Entry, Frame, FrameDevice, PortDevice, Wait
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import ExitStack
     from pathlib import Path
 
     from pbonet.io.drivers.device import Kind
@@ -25,12 +26,13 @@ _ENABLED = 0x0237
 """The status word of a drive that is enabled."""
 
 
-def entries(folder: Path, channels: int) -> dict[str, Entry]:
+def entries(folder: Path, channels: int, stack: ExitStack) -> dict[str, Entry]:
     """Return devices by the names that the library's RMODs give.
 
     Args:
         folder: Where files of converters are made.
         channels: How many each converter has.
+        stack: Where a serial line is closed.
     """
     for k in range(channels):
         for name in ("in_voltage", "in_count", "out_voltage"):
@@ -38,7 +40,9 @@ def entries(folder: Path, channels: int) -> dict[str, Entry]:
     counts = tuple(f"count{k}" for k in range(channels))
     volts = tuple(f"voltage{k}" for k in range(channels))
     here = __name__
-    _, slave = os.openpty()
+    ends = os.openpty()
+    for end in ends:
+        stack.callback(os.close, end)
     return {
         "adc0": _converter("iio_adc", folder, volts),
         "counters": _converter("iio_adc", folder, counts),
@@ -46,7 +50,7 @@ def entries(folder: Path, channels: int) -> dict[str, Entry]:
         "imu": Entry(driver=f"{here}:Chip", address="chip"),
         "servos": Entry(driver=f"{here}:Servos", address="line"),
         "can0": Entry(driver=f"{here}:Drives", address="bus"),
-        "force": Entry(driver="serial", address=os.ttyname(slave)),
+        "force": Entry(driver="serial", address=os.ttyname(ends[1])),
     }
 
 

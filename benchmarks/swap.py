@@ -168,14 +168,14 @@ class Trace:
         self._table.close()
 
 
-def phase(core: int) -> int:
+def phase(core: int, tasks: tuple[str, ...], period: int) -> int:
     """Return where in a period the tasks of a core are released, in nanoseconds."""
-    trace = Trace(core, STAY)
+    trace = Trace(core, tasks)
     while not trace.release:
         time.sleep(0.01)
         trace.look()
     trace.close()
-    return trace.release % PERIOD
+    return trace.release % period
 
 
 class Stalls:
@@ -185,17 +185,28 @@ class Stalls:
         folder: For its program.
         core: Where it runs.
         wakes: So often it wakes up in a period, at equal distances.
+        tasks: Tasks on that core; `STAY` by default.
+        period: Theirs, in nanoseconds; `PERIOD` by default.
 
     Raises:
         PermissionError: It could not be had above the dispatcher.
     """
 
-    def __init__(self, folder: Path, core: int, wakes: int = 1) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        core: int,
+        wakes: int = 1,
+        *,
+        tasks: tuple[str, ...] = (),
+        period: int = 0,
+    ) -> None:
+        period = period or PERIOD
         program = folder / f"stalls{core}"
         source = Path(__file__).with_name("stalls.c")
         subprocess.run(["cc", "-O2", "-o", program, source], check=True)  # noqa: S607 - the compiler is where PATH says
-        period = PERIOD // wakes
-        middle = phase(core) + period // 2
+        middle = phase(core, tasks or STAY, period) + period // wakes // 2
+        period //= wakes
         words = [str(program), *map(str, (core, ABOVE, period, middle, NOTED))]
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE

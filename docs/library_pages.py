@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from library_responses import HERE, responds
+from library_responses import HERE, reacts, responds
 
 from pbonet.config import Library
 from pbonet.pbo import MODULE_CLASSES
@@ -132,7 +132,7 @@ def section(module: LoadedModule, rmods: Sequence[str]) -> list[str]:
                 for p in info.params
             ],
         )
-    if responds(module):
+    if responds(module) or reacts(module):
         lines += [f"![Response of {info.name}](../_generated/response-{info.name}.svg)"]
         lines += [""]
     own = Path(info.file).parent.name

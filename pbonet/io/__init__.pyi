@@ -1,5 +1,17 @@
 from pbonet.outside import Outside as Outside
 
+from ._poses import (
+    FrameStep as FrameStep,
+    FreeMotion as FreeMotion,
+    JointSteps as JointSteps,
+    PlaceSteps as PlaceSteps,
+    all_finite as all_finite,
+    difference as difference,
+    fault_of_pose as fault_of_pose,
+    is_rotation as is_rotation,
+    rotation as rotation,
+    turn_of as turn_of,
+)
 from .arm import SimulatedArm as SimulatedArm
 from .chain import Chain as Chain
 from .collision_model import CollisionModel as CollisionModel

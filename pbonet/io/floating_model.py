@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ._poses import FreeMotion
 from .chain import pinocchio
 from .robot_model import RobotModel
 
@@ -21,10 +22,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-BASE = 7
-"""Elements of the position before the joints: the base's place, and x y z w."""
 RATES = 6
-"""The same of the velocity, which is in the base's own axes."""
+"""Elements of the velocity before the joints', in the base's own axes."""
 
 
 class FloatingModel:
@@ -53,7 +52,8 @@ class FloatingModel:
         )
         self._data = self._model.createData()
         self.q: Floats = np.array(self._pin.neutral(self._model))
-        self.v: Floats = np.zeros(self._model.nv)
+        self.v: Floats = np.zeros(int(self._model.nv))
+        self._motion = FreeMotion(self.q, self.v)
         self._still = np.zeros(self._model.nv)
         self.mass = float(self._pin.computeTotalMass(self._model))
         """Of the whole robot, kg."""
@@ -67,7 +67,7 @@ class FloatingModel:
         self.joints.frame(name)
         return int(self._model.getFrameId(name))
 
-    def move(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> None:
+    def move(self, pose: Floats, velocity: Floats, q: Floats, qd: Floats) -> bool:
         """Set where the robot is and how it moves.
 
         Args:
@@ -75,13 +75,12 @@ class FloatingModel:
             velocity: Of the base's origin, m/s, and rad/s, in the axes of the world.
             q: Joint positions.
             qd: Joint velocities.
+
+        Returns:
+            Whether the pose is one, and all numbers are finite; if not, nothing can be
+            computed until the next call.
         """
-        turned = pose[:, :3]
-        pin = self._pin  # its Quaternion(turned) keeps 64 bytes each time
-        self.q[:BASE] = pin.SE3ToXYZQUAT(pin.SE3(turned, pose[:, 3]))
-        self.q[BASE:] = q
-        self.v[:3], self.v[3:RATES] = velocity[:3] @ turned, velocity[3:] @ turned
-        self.v[RATES:] = qd
+        return self._motion.set(pose, velocity, q, qd)
 
     def momentum(self) -> tuple[Floats, Floats]:
         """Return the generalized momenta of the joints, N*m*s, and their drift, N*m.

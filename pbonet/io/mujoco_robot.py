@@ -76,7 +76,11 @@ class MujocoRobot:
         self._high: Floats = np.where(limited, limits[:, 1], np.inf)
         self._wish, self._product = np.zeros(model.nv), np.zeros(model.nv)
         self._q, self._qd = data.qpos[-n:], data.qvel[-n:]
-        self._torque = data.qfrc_applied[-n:]
+        self._torque, self._rates = data.qfrc_applied[-n:], data.qvel
+        # the base's: its views stay where they are, and each access to `data` costs
+        self._place, self._way = data.qpos[:3], data.qvel[:3]
+        self._turned = data.xmat[self._base].reshape(3, 3)
+        self._push = data.xfrc_applied[self._base, :3]
         self.q: Floats = np.zeros(n)
         """Joint positions, rad or m."""
         self.qd: Floats = np.zeros(n)
@@ -111,18 +115,18 @@ class MujocoRobot:
 
     def sense_base(self, pose: Floats, velocity: Floats) -> None:
         """Write pose and velocity of a base that moves, as `place_base` takes them."""
-        data = self._data
-        pose[:, :3] = data.xmat[self._base].reshape(3, 3)
-        pose[:, 3], velocity[:3] = data.qpos[:3], data.qvel[:3]
-        velocity[3:] = pose[:, :3] @ data.qvel[3:6]
+        pose[:, :3] = self._turned
+        pose[:, 3], velocity[:3] = self._place, self._way
+        np.matmul(self._turned, self.turn, out=velocity[3:])
 
     def push(self, force: Floats) -> None:
         """Let a force (N) act at the centre of mass of a base that moves, from now."""
-        self._data.xfrc_applied[self._base, :3] = force
+        self._push[:] = force
 
     def command(self, torque: Floats) -> None:
         """Set the torques at the joints, N*m or N; their limits bound them."""
-        np.clip(torque, self._low, self._high, out=self.torque)
+        np.minimum(torque, self._high, self.torque)  # np.clip takes longer
+        np.maximum(self.torque, self._low, self.torque)
         self._torque[self._order] = self.torque
 
     def torque_for(self, qdd: Floats) -> Floats:
@@ -149,8 +153,8 @@ class MujocoRobot:
         self._mujoco.mj_forward(self._model, self._data)  # of now, not of a step ago
         self._q.take(self._order, out=self.q)
         self._qd.take(self._order, out=self.qd)
-        speed = np.abs(self._data.qvel)
-        bad = int(np.argmax(speed))
+        speed = np.abs(self._rates)
+        bad = int(speed.argmax())
         if not speed[bad] < _ABSURD:
             raise DeviceError(
                 f"the simulated robot flies apart at {self._dof(bad)}",

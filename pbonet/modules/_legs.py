@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pbonet.errors import ParameterError
+from pbonet.io import all_finite, fault_of_pose
 
-from ._dh import fault_of, fault_of_wrench
+from ._dh import fault_of_wrench
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,14 +26,14 @@ def fault_of_joints(name: str, value: Vector, joints: Sequence[str]) -> str:
         value: Its value.
         joints: Names of the joints.
     """
-    if isfinite(sum(value.tolist())):  # a third of the time of numpy's sum
+    if all_finite(value):
         return ""
     return f"{name} of joint {joints[int(np.argmin(np.isfinite(value)))]} is not finite"
 
 
 def fault_of_base(pose: Matrix, velocity: Vector) -> str:
     """Return what is wrong with the measured motion of the base; empty if nothing."""
-    if why := fault_of(pose):
+    if why := fault_of_pose(pose):
         return f"X_MEZ of the base is not a pose: {why}"
     return fault_of_wrench("X^_MEZ of the base", velocity)
 

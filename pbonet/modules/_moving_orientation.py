@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._dh import rotation, turn_of
+from pbonet.io import rotation, turn_of
 
 if TYPE_CHECKING:
     from pbonet import Matrix, Vector

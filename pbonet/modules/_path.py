@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pbonet.errors import ParameterError
+from pbonet.io import difference, rotation
 
-from ._dh import difference, gap, rotation
+from ._dh import gap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.io import from_extra
+from pbonet.io import JointSteps, from_extra
 
 if TYPE_CHECKING:
     from pbonet import Vector
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 BASE = 7
 """Elements of placo's position before the joints: those of a base that could float."""
-RATES = 6
-"""The same of its velocity."""
 AT_LIMIT = 1e-6
 """rad; a joint that is no further from a limit stands at it."""
 NEARLY = 0.999
@@ -41,6 +39,8 @@ class PlacoMotion:
         model: The robot.
         damping: Weight of the joints' own motion.
         floats: Whether its base moves, too.
+        q_ref: Where the joints' positions are written.
+        qd_ref: Where their velocities are written.
 
     Attributes:
         robot: That of placo, where tasks find its frames.
@@ -48,8 +48,16 @@ class PlacoMotion:
         q: The joints' positions.
     """
 
-    def __init__(self, model: RobotModel, damping: float, *, floats: bool) -> None:
-        self._model = model
+    def __init__(
+        self,
+        model: RobotModel,
+        damping: float,
+        *,
+        floats: bool,
+        q_ref: Vector,
+        qd_ref: Vector,
+    ) -> None:
+        self._model, self._floats = model, floats
         placo, self.robot = placo_robot(model, "inverse kinematics within limits")
         self.solver: Any = placo.KinematicsSolver(self.robot)
         self.solver.mask_fbase(not floats)
@@ -58,34 +66,35 @@ class PlacoMotion:
         self.solver.add_regularization_task(damping)
         self._all = np.array(self.robot.state.q)
         self.q: Vector = self._all[BASE:]
+        self._steps, self._qd_ref = JointSteps(self.q, q_ref, qd_ref), qd_ref
+        self._dt = 0.0
 
     def show(self) -> None:
         """Tell placo where the joints are, and leave its base."""
-        self._all[:BASE] = self.robot.state.q[:BASE]
-        self.robot.state.q = self._all
-        self.robot.update_kinematics()
+        robot = self.robot
+        if self._floats:
+            self._all[:BASE] = robot.state.q[:BASE]
+        robot.state.q = self._all
+        robot.update_kinematics()
 
-    def step(self, dt: float) -> Vector | None:
-        """Move for `dt` seconds as the tasks say; return the joints' way.
+    def step(self, dt: float) -> bool:
+        """Move for `dt` seconds as the tasks say, and write the references.
 
-        The base moves in placo, and `q` here. None: no motion keeps the limits, and
+        The base moves in placo, and `q` here. False: no motion keeps the limits, and
         nothing moved.
         """
-        self.solver.dt = dt
+        if dt != self._dt:
+            self._dt = self.solver.dt = dt
         try:
-            step: Vector = self.solver.solve(True)[RATES:]  # noqa: FBT003 - placo's
+            step = self.solver.solve(True)  # noqa: FBT003 - placo's
         except RuntimeError:
-            return None
-        self.q += step
-        return step
+            return False
+        self._steps.take(step, dt)
+        return True
 
-    def stopped(self, rates: Vector) -> str:
-        """Return which joints are at or beyond a limit, as the end of a sentence.
-
-        Args:
-            rates: The joints' velocities.
-        """
-        model = self._model
+    def stopped(self) -> str:
+        """Return which joints are at or beyond a limit, as the end of a sentence."""
+        model, rates = self._model, self._qd_ref
         near = np.minimum(self.q - model.lower, model.upper - self.q) < AT_LIMIT
         fast = np.abs(rates) > NEARLY * model.velocity
         told = [

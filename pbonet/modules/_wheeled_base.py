@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._dh import is_rotation
+from pbonet.io import is_rotation
 
 if TYPE_CHECKING:
     from pbonet import Matrix, TaskContext, Vector

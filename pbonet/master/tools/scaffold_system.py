@@ -88,13 +88,25 @@ def new_svar(
         ports.keys() - {one.name for one in there},
         key=lambda name: (not ports[name][0].kind.is_const, [*ports].index(name)),
     )
+    units = {one.name: one.units for one in there}
+    units |= {name: found for name in names if (found := _unit(ports[name]))}
+    for name in sorted(names, key=lambda one: one.count("^")):
+        if name not in units and (found := _unit_of_rate(name, units)):
+            units[name] = found
     told = [
         f"no module declares the unit of {name}: correct UNITS none"
         for name in names
-        if {port.unit for port in ports[name]} == {"any"}
+        if name not in units
     ]
     variables = [
-        _variable(name, ports[name], nelem[name], known.get(name)) for name in names
+        _variable(
+            name,
+            ports[name],
+            units.get(name, "none"),
+            nelem[name],
+            known.get(name),
+        )
+        for name in names
     ]
     told += [
         f"no task produces the constant {one.name}: give it a value by INIT"
@@ -128,8 +140,30 @@ def _is_given(ports: Iterable[Port]) -> bool:
     return all(port.kind is Kind.INCONST for port in ports)
 
 
+def _unit(ports: Sequence[Port]) -> str:
+    """Return the unit that the writer declares, else a reader; empty for none."""
+    ordered = sorted(ports, key=lambda port: port.kind.is_input)
+    return next((port.unit for port in ordered if port.unit != "any"), "")
+
+
+def _unit_of_rate(name: str, units: Mapping[str, str]) -> str:
+    """Return the unit of the rate of a variable whose unit is known; else nothing.
+
+    Q^_REF is the rate of Q_REF, and Q^^_REF that of Q^_REF.
+    """
+    unit = units.get(name.replace("^", "", 1), "") if "^" in name else ""
+    if unit in {"", "any", "mixed"}:
+        return ""
+    whole, _, times = unit.partition("/s")
+    if times not in {"", "^2", "^3"} or "/" in whole:
+        return ""
+    if whole == unit:
+        return "1/s" if unit == "none" else f"{unit}/s"
+    return f"{whole}/s^{int(times[1:] or 1) + 1}"
+
+
 def _variable(
-    name: str, ports: Sequence[Port], nelem: int, value: int | None
+    name: str, ports: Sequence[Port], unit: str, nelem: int, value: int | None
 ) -> Variable:
     """Return a variable as declared by its writer, else by its first reader.
 
@@ -137,12 +171,11 @@ def _variable(
     """
     ordered = sorted(ports, key=lambda port: port.kind.is_input)
     given = _is_given(ports) and ports[0].is_size and value is not None
-    units = [port.unit for port in ordered if port.unit != "any"]
     return Variable(
         name=name,
         type=_type(name, ordered[0]),
         desc=ordered[0].doc.strip(),
-        units=units[0] if units else "none",
+        units=unit,
         nelem=nelem,
         init=(value,) if given and value is not None else None,
     )

@@ -6,7 +6,8 @@ from typing import Annotated as A
 import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.modules._dh import difference, fault_of, fault_of_wrench, rotation, shorten
+from pbonet.io import difference, fault_of_pose, rotation
+from pbonet.modules._dh import fault_of_wrench, shorten
 from pbonet.modules._ode import propagator
 from pbonet.modules._values import PerElement, spread
 
@@ -50,11 +51,11 @@ class Admittance(PortBasedObject[Body], module_class="controller"):
     def on(self) -> None:
         self._lost = False
         self._state[:] = 0.0
-        if not fault_of(self.x_ref) and not fault_of(self.x_cmd):
+        if not fault_of_pose(self.x_ref) and not fault_of_pose(self.x_cmd):
             self._state[:, 0, 0] = difference(self.x_cmd, self.x_ref)
 
     def cycle(self, dt: float) -> None:
-        why = fault_of(self.x_ref)
+        why = fault_of_pose(self.x_ref)
         why = f"X_REF is not a pose: {why}" if why else ""
         why = why or fault_of_wrench("F_MEZ", self.f)
         if why:

@@ -2,12 +2,10 @@
 
 from typing import Annotated as A
 
-import numpy as np
-
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.io import RobotModel
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, keep, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Gains(Params):
@@ -39,11 +37,10 @@ class ComputedTorque(PortBasedObject[Gains], module_class="controller"):
     tau: A[Vector, OutVar("T_REF", "ndof", "N*m", "commanded torque")]
 
     def init(self) -> None:
-        self._takeover = Takeover(self.ndof)
+        self._takeover = Takeover(self.tau)
         self._model = RobotModel(self.params.urdf, self.task.libraries)
         self._model.must_have(self.ndof)
-        self._low, self._high = -self._model.effort, self._model.effort
-        self._bounded = bool(np.isfinite(self._low).any())
+        self._takeover.bound(-self._model.effort, self._model.effort)
         self._take_gains()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
@@ -61,10 +58,7 @@ class ComputedTorque(PortBasedObject[Gains], module_class="controller"):
         wish += pull
         wish += self.qdd_ref
         law = self._model.torque(self.q, self.qd, wish)
-        self._takeover.apply(law, self.tau, dt, self.params.fade)
-        if self._bounded:
-            np.minimum(self.tau, self._high, out=self.tau)
-            np.maximum(self.tau, self._low, out=self.tau)
+        self._takeover.apply(law, dt, self.params.fade)
 
     def _take_gains(self) -> None:
         k, n = self.params, self.ndof

@@ -5,7 +5,8 @@ from typing import Annotated as A
 import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.modules._dh import difference, fault_of, fault_of_wrench, rotation
+from pbonet.io import difference, fault_of_pose, rotation
+from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._values import PerElement, spread
 
 
@@ -47,11 +48,11 @@ class HybridForce(PortBasedObject[Contact], module_class="controller"):
     def on(self) -> None:
         self._lost = False
         self._gap[:] = 0.0
-        if not fault_of(self.x_ref) and not fault_of(self.x_cmd):
+        if not fault_of_pose(self.x_ref) and not fault_of_pose(self.x_cmd):
             self._gap[:] = difference(self.x_cmd, self.x_ref)
 
     def cycle(self, dt: float) -> None:
-        why = fault_of(self.x_ref)
+        why = fault_of_pose(self.x_ref)
         why = f"X_REF is not a pose: {why}" if why else ""
         why = why or fault_of_wrench("F_DES", self.f_des)
         why = why or fault_of_wrench("F_MEZ", self.f)

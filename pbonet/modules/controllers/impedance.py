@@ -14,9 +14,10 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.modules._dh import difference, fault_of, shorten
-from pbonet.modules._takeover import Takeover
+from pbonet.io import difference, fault_of_pose
+from pbonet.modules._dh import shorten
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Spring(Params):
@@ -56,7 +57,7 @@ class Impedance(PortBasedObject[Spring], module_class="controller"):
     tau: A[Vector, OutVar("T_REF", "ndof", "N*m", "commanded torque")]
 
     def init(self) -> None:
-        self._takeover = Takeover(self.ndof)
+        self._takeover = Takeover(self.tau)
         self._take_spring()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
@@ -69,12 +70,11 @@ class Impedance(PortBasedObject[Spring], module_class="controller"):
     def cycle(self, dt: float) -> None:
         wrench = self._pull() - self._damping * (self.jacobian @ self.qd)
         law = self.jacobian.T @ wrench - self.params.joints * self.qd + self.t_grav
-        self._takeover.apply(law, self.tau, dt, self.params.fade)
-        np.clip(self.tau, -self._limit, self._limit, out=self.tau)
+        self._takeover.apply(law, dt, self.params.fade)
 
     def _pull(self) -> Vector:
         """Return the wrench of the spring and of the goal's motion (N, N*m)."""
-        why = fault_of(self.x_des)
+        why = fault_of_pose(self.x_des)
         if why and not self._lost:
             self.task.warn(f"X_DES is not a pose: {why}; nothing draws the hand")
         if bool(why) != self._lost:
@@ -92,4 +92,5 @@ class Impedance(PortBasedObject[Spring], module_class="controller"):
         k = self.params
         self._stiffness = spread(k.stiffness, 6, "stiffness")
         self._damping = spread(k.damping, 6, "damping")
-        self._limit = spread(k.limit, self.ndof, "limit")
+        limit = spread(k.limit, self.ndof, "limit")
+        self._takeover.bound(-limit, limit)

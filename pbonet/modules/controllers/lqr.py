@@ -2,12 +2,10 @@
 
 from typing import Annotated as A
 
-import numpy as np
-
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.modules._linear_plant import LinearPlant
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Plant(Params):
@@ -36,7 +34,7 @@ class Lqr(PortBasedObject[Plant], module_class="controller"):
     u: A[Vector, OutVar("U", "m", "any", "command")]
 
     def init(self) -> None:
-        self._takeover = Takeover(len(self.u))
+        self._takeover = Takeover(self.u)
         self._take_plant()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
@@ -47,8 +45,7 @@ class Lqr(PortBasedObject[Plant], module_class="controller"):
 
     def cycle(self, dt: float) -> None:
         law = self._gain @ (self.z_ref - self.z)
-        self._takeover.apply(law, self.u, dt, self.params.fade)
-        np.clip(self.u, self._lower, self._upper, out=self.u)
+        self._takeover.apply(law, dt, self.params.fade)
 
     def _take_plant(self) -> None:
         k, n, m = self.params, len(self.z), len(self.u)
@@ -56,5 +53,5 @@ class Lqr(PortBasedObject[Plant], module_class="controller"):
             a=k.a, b=k.b, q=k.q, r=k.r, n=n, m=m, dt=1.0 / self.task.freq
         )
         self._gain: Matrix = plant.gain
-        self._lower = spread(k.lower, m, "lower")
-        self._upper = spread(k.upper, m, "upper")
+        lower, upper = spread(k.lower, m, "lower"), spread(k.upper, m, "upper")
+        self._takeover.bound(lower, upper)

@@ -2,11 +2,9 @@
 
 from typing import Annotated as A
 
-import numpy as np
-
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 
 class Gains(Params):
@@ -34,7 +32,7 @@ class PdGrav(PortBasedObject[Gains], module_class="controller"):
     tau: A[Vector, OutVar("T_REF", "ndof", "N*m", "commanded torque")]
 
     def init(self) -> None:
-        self._takeover = Takeover(self.ndof)
+        self._takeover = Takeover(self.tau)
         self._take_gains()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
@@ -45,10 +43,10 @@ class PdGrav(PortBasedObject[Gains], module_class="controller"):
 
     def cycle(self, dt: float) -> None:
         law = self._kp * (self.q_ref - self.q) - self._kd * self.qd + self.t_grav
-        self._takeover.apply(law, self.tau, dt, self.params.fade)
-        np.clip(self.tau, -self._limit, self._limit, out=self.tau)
+        self._takeover.apply(law, dt, self.params.fade)
 
     def _take_gains(self) -> None:
         k, n = self.params, self.ndof
         self._kp, self._kd = spread(k.kp, n, "kp"), spread(k.kd, n, "kd")
-        self._limit = spread(k.limit, n, "limit")
+        limit = spread(k.limit, n, "limit")
+        self._takeover.bound(-limit, limit)

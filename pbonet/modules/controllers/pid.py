@@ -6,8 +6,8 @@ import numpy as np
 
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
-from pbonet.modules._takeover import Takeover
 from pbonet.modules._values import PerElement, spread
+from pbonet.modules.controllers._takeover import Takeover
 
 GAINS = ("kp", "ki", "kd", "weight", "lower", "upper")
 
@@ -47,7 +47,7 @@ class Pid(PortBasedObject[Gains], module_class="controller"):
     def init(self) -> None:
         self._integral = np.zeros(self.ndof)
         self._rate = np.zeros(self.ndof)
-        self._takeover = Takeover(self.ndof)
+        self._takeover = Takeover(self.z_cmd)
         self._take_gains()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
@@ -70,8 +70,7 @@ class Pid(PortBasedObject[Gains], module_class="controller"):
             self._integral[:] = np.where(self._ki != 0.0, self.z_cmd - law, 0.0)
         law += self._integral
         self._integrate(law, dt)
-        self._takeover.apply(law, self.z_cmd, dt, self.params.fade)
-        np.clip(self.z_cmd, self._lower, self._upper, out=self.z_cmd)
+        self._takeover.apply(law, dt, self.params.fade)
 
     def _integrate(self, law: Vector, dt: float) -> None:
         """Let the integral grow, but not outward where the law is at a limit."""
@@ -94,3 +93,4 @@ class Pid(PortBasedObject[Gains], module_class="controller"):
         self._kp, self._ki, self._kd = found["kp"], found["ki"], found["kd"]
         self._weight = found["weight"]
         self._lower, self._upper = found["lower"], found["upper"]
+        self._takeover.bound(self._lower, self._upper)

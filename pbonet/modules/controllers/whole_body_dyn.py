@@ -1,7 +1,7 @@
 """Torques of a whole robot on its feet, by placo's inverse dynamics."""
 
-from math import isfinite
-from typing import Annotated as A
+from collections.abc import Sequence
+from typing import Annotated as A, Any
 
 import numpy as np
 
@@ -15,13 +15,15 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import FloatingModel
-from pbonet.modules._dh import fault_of, fault_of_wrench
+from pbonet.io import FloatingModel, all_finite, fault_of_pose
+from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
-from pbonet.modules._placo_motion import RATES, placo_robot
-from pbonet.modules._takeover import Takeover
+from pbonet.modules._placo_motion import placo_robot
 from pbonet.modules._values import keep
+from pbonet.modules.controllers._takeover import Takeover
 
+RATES = 6
+"""Elements of placo's torques before the joints': those of the base."""
 STANDS = 0.5
 """A foot of CONTACT_DES above it is one that stands."""
 
@@ -78,7 +80,11 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._model.joints.must_have(self.ndof)
         self._model.frame(k.body)
         must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
-        self._takeover = Takeover(self.ndof)
+        effort = self._model.joints.effort
+        self._dt, self._stood = 0.0, [0.0] * len(self.contact)
+        self._takeover = Takeover(self.tau)
+        self._takeover.bound(-effort, effort)
+        self._rubbing = np.zeros(self.ndof)
         self._make_program()
         self._take_gains()
 
@@ -90,69 +96,75 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._takeover.begin()
 
     def cycle(self, dt: float) -> None:
-        if why := self._fault():
-            self.task.fail(why)
+        if not self._show():
+            self.task.fail(self._fault())
             return
-        self._show()
         self._aim()
         law = self._solve(dt)
         if law is None:
-            feet = zip(self.params.feet, self._stands, strict=True)
-            names = " ".join(foot for foot, stands in feet if stands) or "no foot"
+            names = " ".join(foot for foot, _ in self._standing) or "no foot"
             self.task.fail(
                 "no torques within the efforts of the joints and the friction under "
                 f"the feet keep what stands where it is: {names}"
             )
             return
-        self._takeover.apply(law, self.tau, dt, self.params.fade)
-        effort = self._model.joints.effort
-        np.minimum(self.tau, effort, out=self.tau)  # np.clip takes twice as long
-        np.maximum(self.tau, -effort, out=self.tau)
+        self._takeover.apply(law, dt, self.params.fade)
 
-    def _show(self) -> None:
-        """Tell placo where the robot is and how it moves."""
+    def _show(self) -> bool:
+        """Tell placo where the robot is and how it moves; False if a value is none."""
         model, robot = self._model, self._robot
-        model.move(self.x, self.v, self.q, self.qd)
+        given = self.v_des, self.contact, self.q_ref, self.qd_ref
+        if (
+            not model.move(self.x, self.v, self.q, self.qd)
+            or not all_finite(*given)
+            or fault_of_pose(self.x_des)
+        ):
+            return False
         robot.state.q, robot.state.qd = model.q, model.v
         robot.update_kinematics()
+        return True
 
     def _aim(self) -> None:
         """Set goals of body and joints, and which feet stand where they are."""
         self._pose[:3] = self.x_des
         self._body.T_world_frame = self._pose
-        self._body.position().dtarget_world = self.v_des[:3]
-        self._body.orientation().omega_world = self.v_des[3:]
-        joints = self._model.joints.joints
+        self._body_place.dtarget_world = self._v_des[0]
+        self._body_turn.omega_world = self._v_des[1]
+        joints, set_joint = self._model.joints.joints, self._posture.set_joint
         goals = zip(joints, self.q_ref.tolist(), self.qd_ref.tolist(), strict=True)
         for name, q, qd in goals:
-            self._posture.set_joint(name, q, qd)
-        for k, foot in enumerate(self.params.feet):
-            stands = bool(self.contact[k] > STANDS)
-            if stands is not self._stands[k]:
-                self._stand(k, stands=stands)
-            if stands:
-                self._feet[k].target_world = self._robot.get_T_world_frame(foot)[:3, 3]
+            set_joint(name, q, qd)
+        contact = self.contact.tolist()
+        if contact != self._stood:
+            self._stood = contact
+            self._stand([up > STANDS for up in contact])
+        where = self._robot.get_T_world_frame
+        for foot, task in self._standing:
+            task.target_world = where(foot)[:3, 3]
 
     def _solve(self, dt: float) -> Vector | None:
         """Return the torques; None if there are none."""
-        self._solver.dt = dt
+        if dt != self._dt:
+            self._dt = self._solver.dt = dt
         try:
             found = self._solver.solve(False)  # noqa: FBT003 - placo's
         except RuntimeError:
             return None
         if not found.success:
             return None
-        torque: Vector = found.tau[RATES:] + self._model.joints.damping * self.qd
+        torque: Vector = found.tau[RATES:]
+        np.multiply(self._model.joints.damping, self.qd, out=self._rubbing)
+        torque += self._rubbing
         return torque
 
     def _fault(self) -> str:
         """Return which value is none."""
         k, names = self.params, self._model.joints.joints
-        if why := fault_of(self.x_des):
+        if why := fault_of_pose(self.x_des):
             return f"X_BODY_DES of frame {k.body} is not a pose: {why}"
         if why := fault_of_wrench(f"X^_BODY_DES of frame {k.body}", self.v_des):
             return why
-        if not isfinite(sum(self.contact.tolist())):
+        if not all_finite(self.contact):
             foot = k.feet[int(np.argmin(np.isfinite(self.contact)))]
             return f"CONTACT_DES of {foot} is not finite"
         return (
@@ -171,29 +183,32 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         solver.enable_torque_limits(True)  # noqa: FBT003 - placo's
         self._pose = np.eye(4)
         self._body = solver.add_frame_task(k.body, self._pose)
+        self._body_place = self._body.position()
+        self._body_turn = self._body.orientation()
+        self._v_des = self.v_des[:3], self.v_des[3:]
         self._posture = solver.add_joints_task()
         self._feet = [solver.add_position_task(foot, np.zeros(3)) for foot in k.feet]
         self._contacts = [
             solver.add_unilateral_point_contact(task) for task in self._feet
         ]
-        self._stands = [False] * len(k.feet)
-        for index in range(len(k.feet)):
-            self._stand(index, stands=False)
+        self._stand([False] * len(k.feet))
 
-    def _stand(self, index: int, *, stands: bool) -> None:
-        """Let a foot stand, or go where its joints take it."""
-        self._stands[index] = stands
-        self._contacts[index].active = stands
-        foot = self.params.feet[index]
-        if stands:
-            self._feet[index].configure(foot, "hard")
-        else:
-            self._feet[index].configure(foot, "soft", 0.0)
+    def _stand(self, stands: Sequence[bool]) -> None:
+        """Let feet stand; the others go where their joints take them."""
+        self._standing: list[tuple[str, Any]] = []
+        feet = zip(self.params.feet, self._feet, self._contacts, stands, strict=True)
+        for foot, task, contact, stands_there in feet:
+            contact.active = stands_there
+            if stands_there:
+                task.configure(foot, "hard")
+                self._standing.append((foot, task))
+            else:
+                task.configure(foot, "soft", 0.0)
 
     def _take_gains(self) -> None:
         k = self.params
         self._body.configure("body", "soft", 1.0, 1.0)
-        for task in (self._body.position(), self._body.orientation()):
+        for task in (self._body_place, self._body_turn):
             task.kp, task.kd = k.kp, k.kd
         self._posture.configure("posture", "soft", k.posture)
         self._posture.kp, self._posture.kd = k.joint_kp, k.joint_kd

@@ -2,8 +2,6 @@
 
 from typing import Annotated as A
 
-import numpy as np
-
 from pbonet import (
     InConst,
     InVar,
@@ -61,30 +59,32 @@ class ComZmp(PortBasedObject[Floor], module_class="kinematics"):
         keep(name, {"urdf"})
 
     def on(self) -> None:
-        self._rates = np.zeros(6)
-        self._before = self._rates
-        self._begins = True
+        self._rates: list[float] = [0.0] * 6
+        self._before: list[float] = []
 
     def cycle(self, dt: float) -> None:
-        if why := self._fault():
-            self.task.fail(why)
-            return
         model = self._model
-        model.move(self.x, self.v, self.q, self.qd)
+        if not model.move(self.x, self.v, self.q, self.qd):
+            self.task.fail(self._fault())
+            return
         self.com[:], momenta = model.centroidal()
-        np.divide(momenta[:3], model.mass, out=self.com_dot)
-        if not self._begins:
-            # rates += share * ((momenta - before) / dt - rates), in few steps
-            once = 1.0 / (self.params.smooth + dt)
-            self._rates *= 1.0 - dt * once
-            self._rates += once * (momenta - self._before)
-        self._before, self._begins = momenta, False
+        # six numbers: plain Python is faster than numpy's calls would be
+        now: list[float] = momenta.tolist()
+        once, mass = 1.0 / (self.params.smooth + dt), model.mass
+        self.com_dot[:] = now[0] / mass, now[1] / mass, now[2] / mass
+        if self._before:
+            rest, rows = 1.0 - dt * once, (self._rates, now, self._before)
+            self._rates = [
+                rest * rate + once * (one - was)
+                for rate, one, was in zip(*rows, strict=True)
+            ]
+        self._before = now
         self._find_point()
 
     def _find_point(self) -> None:
         """Write ZMP from the rates of the momenta."""
         cx, cy, cz = self.com.tolist()
-        fx, fy, fz, kx, ky, _ = self._rates.tolist()
+        fx, fy, fz, kx, ky, _ = self._rates
         weight = self._model.mass * GRAVITY
         fz += weight
         if fz < FLIGHT * weight:

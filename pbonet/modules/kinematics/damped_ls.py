@@ -14,7 +14,8 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.modules._dh import difference, fault_of, scale, shorten
+from pbonet.io import difference, fault_of_pose
+from pbonet.modules._dh import scale, shorten
 
 
 class Damping(Params):
@@ -63,7 +64,7 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         self.cycle(0.0)  # who integrates Q^_CMD is turned on next
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - a velocity
-        if why := fault_of(self.x_des):
+        if why := fault_of_pose(self.x_des):
             if not self._lost:
                 self.task.warn(f"X_DES is not a pose: {why}")
             self._lost = True

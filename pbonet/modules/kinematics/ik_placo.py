@@ -1,9 +1,6 @@
 """Inverse kinematics within the limits of the joints, by placo."""
 
-from math import isfinite
 from typing import Annotated as A
-
-import numpy as np
 
 from pbonet import (
     InConst,
@@ -15,8 +12,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import RobotModel
-from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
+from pbonet.io import FrameStep, RobotModel, all_finite, fault_of_pose
 from pbonet.modules._placo_motion import PlacoMotion
 from pbonet.modules._values import keep
 from pbonet.modules._warn_once import WarnOnce
@@ -61,26 +57,24 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def on(self) -> None:
         self._told.clear()
-        self._aimed = 0.0
         self._motion.q[:] = self.q_ref
+        self._motion.show()
+        self._x = self._motion.robot.get_T_world_frame(self.params.frame)
 
     def cycle(self, dt: float) -> None:
         if why := self._fault():
             self._hold("goal", why)
             return
-        motion = self._motion
-        motion.show()
-        x = motion.robot.get_T_world_frame(self._frame)
-        if self._aimed:
-            self._watch(x)
-        step = self._step(x, dt)
-        if step is None:
-            why = motion.stopped(self.qd_ref)
+        k, motion, hand = self.params, self._motion, self._hand
+        hand.aim(self._x, k.gain, k.linear, k.angular, dt)
+        self._task.T_world_frame = hand.goal
+        if motion.step(dt):
+            motion.robot.update_kinematics()
+            self._x = motion.robot.get_T_world_frame(k.frame)
+            self._watch(hand.missing(self._x, k.length) / dt)
+        else:
+            why = motion.stopped()
             self._hold("limits", f"no joint motion keeps the limits: {why}")
-            return
-        self._aimed = dt
-        self.q_ref[:] = motion.q
-        np.divide(step, dt, out=self.qd_ref)
 
     def off(self) -> None:
         if not self.task.handover:
@@ -88,41 +82,24 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def _fault(self) -> str:
         """Return why the goal is none."""
-        if why := fault_of(self.x_des):
+        if why := fault_of_pose(self.x_des):
             return f"X_DES of frame {self.params.frame} is not a pose: {why}"
-        if not all(map(isfinite, self.v_des.tolist())):
+        if not all_finite(self.v_des):
             return f"X^_DES of frame {self.params.frame} is not finite"
         return ""
 
-    def _step(self, x: Matrix, dt: float) -> Vector | None:
-        """Return the joints' step from a pose of the hand; None if there is none."""
-        k = self.params
-        u, v, w, a, b, c = map(k.gain.__mul__, displacement(self.x_des, x))
-        du, dv, dw, da, db, dc = self.v_des.tolist()
-        way = shortened(u + du, v + dv, w + dw, k.linear)
-        turn = shortened(a + da, b + db, c + dc, k.angular)
-        turned = rotation_by(dt * turn[0], dt * turn[1], dt * turn[2])
-        np.matmul(turned, x[:3], out=self._goal_pose)
-        self._goal_place[:] = x[:3, 3]
-        self._goal_place += (dt * way[0], dt * way[1], dt * way[2])
-        self._task.T_world_frame = self._goal
-        return self._motion.step(dt)
-
     def _hold(self, kind: str, text: str) -> None:
         """Leave Q_REF unchanged, and report the reason once."""
-        self._aimed = 0.0
         self.qd_ref[:] = 0.0
         self._told.warn(kind, f"{text}; Q_REF does not change")
 
-    def _watch(self, x: Matrix) -> None:
-        """Report once that the hand is not where the last step should have taken it."""
-        u, v, w, a, b, c = displacement(self._goal, x)
-        turn = max(abs(a), abs(b), abs(c)) * self.params.length
-        missing = max(abs(u), abs(v), abs(w), turn)
-        if missing < 0.5 * self.params.short * self._aimed:
+    def _watch(self, missing: float) -> None:
+        """Report once that the hand does not move as it should, by so many m/s."""
+        short = self.params.short
+        if missing < 0.5 * short:
             self._told.clear()
-        elif missing >= self.params.short * self._aimed and not self._told.of("reach"):
-            why = self._motion.stopped(self.qd_ref)
+        elif missing >= short and not self._told.of("reach"):
+            why = self._motion.stopped()
             self._told.warn(
                 "reach", f"frame {self.params.frame} cannot follow X_DES: {why}"
             )
@@ -132,10 +109,14 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         self._model = RobotModel(k.urdf, self.task.libraries)
         self._model.must_have(self.ndof)
         self._model.frame(k.frame)  # which must be there
-        self._frame = k.frame
-        self._goal = np.eye(4)
-        self._goal_pose, self._goal_place = self._goal[:3], self._goal[:3, 3]
         self._told = WarnOnce(self.task)
-        self._motion = PlacoMotion(self._model, k.damping, floats=False)
-        self._task = self._motion.solver.add_frame_task(k.frame, self._goal)
+        self._hand = FrameStep(self.x_des, self.v_des)
+        self._motion = PlacoMotion(
+            self._model,
+            k.damping,
+            floats=False,
+            q_ref=self.q_ref,
+            qd_ref=self.qd_ref,
+        )
+        self._task = self._motion.solver.add_frame_task(k.frame, self._hand.goal)
         self._task.configure("hand", "soft", k.length**-2, 1.0)

@@ -13,7 +13,7 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-from pbonet.modules._dh import fault_of
+from pbonet.io import fault_of_pose
 from pbonet.modules._puma_arm import PumaArm
 from pbonet.modules._values import PerElement, spread
 
@@ -62,7 +62,7 @@ class PumaInvKin(PortBasedObject[Posture], module_class="kinematics"):
         self._close: set[str] = set()
 
     def cycle(self, dt: float) -> None:
-        if why := fault_of(self.x):
+        if why := fault_of_pose(self.x):
             self._hold("pose", f"X_DES is not a pose: {why}")
             return
         found, why = self._arm.solve(self.x, self._solution)

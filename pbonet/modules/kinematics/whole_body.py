@@ -1,6 +1,5 @@
 """Inverse kinematics of a whole robot: body and feet at once, by placo."""
 
-from math import hypot, isfinite, sqrt
 from typing import Annotated as A
 
 import numpy as np
@@ -15,8 +14,13 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import RobotModel
-from pbonet.modules._dh import displacement, fault_of, rotation_by, shortened
+from pbonet.io import (
+    FrameStep,
+    PlaceSteps,
+    RobotModel,
+    all_finite,
+    fault_of_pose,
+)
 from pbonet.modules._legs import must_have_feet
 from pbonet.modules._placo_motion import PlacoMotion
 from pbonet.modules._values import keep
@@ -94,17 +98,19 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         model.frame(k.body)
         must_have_feet(model, k.feet, n, "X_FEET_DES")
         self._told = WarnOnce(self.task)
-        self._motion = motion = PlacoMotion(model, k.damping, floats=True)
-        self._body, self._feet = np.eye(4), np.zeros((n, 3))
-        self._goal, self._places = np.eye(4), np.zeros((n, 3))
+        self._motion = motion = PlacoMotion(
+            model, k.damping, floats=True, q_ref=self.q_ref, qd_ref=self.qd_ref
+        )
+        self._pose = np.eye(4)
+        self._body, self._feet = FrameStep(self.x_body), PlaceSteps(self.x_feet)
         solver, weight = motion.solver, k.length**-2
-        self._body_task = solver.add_frame_task(k.body, self._body)
+        self._body_task = solver.add_frame_task(k.body, self._pose)
         self._body_task.configure("body", "soft", weight, 1.0)
-        self._feet_tasks = [
-            solver.add_position_task(foot, place)
-            for foot, place in zip(k.feet, self._feet, strict=True)
+        goals = zip(k.feet, self._feet.goals, strict=True)
+        self._feet_goals = [
+            (solver.add_position_task(foot, goal), goal) for foot, goal in goals
         ]
-        for foot, task in zip(k.feet, self._feet_tasks, strict=True):
+        for foot, (task, _) in zip(k.feet, self._feet_goals, strict=True):
             task.configure(foot, "soft", weight * k.grip)
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - by its name
@@ -122,14 +128,12 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         if self._begins:
             self._begin(dt)
         self._aim(dt)
-        step = self._motion.step(dt)
-        if step is None:
-            why = self._motion.stopped(self.qd_ref)
+        if self._motion.step(dt):
+            self._read_frames()
+            self._watch(dt)
+        else:
+            why = self._motion.stopped()
             self._hold("limits", f"no joint motion keeps the limits: {why}")
-            return
-        self.q_ref[:] = self._motion.q
-        np.divide(step, dt, out=self.qd_ref)
-        self._watch(dt)
 
     def off(self) -> None:
         if not self.task.handover:
@@ -145,8 +149,9 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         later = self._feet_from_body(self.q_ref + dt * self.qd_ref)
         feet = self._feet_from_body(self.q_ref)
         self._limit = float(np.sqrt(((later - feet) ** 2).sum(axis=1).max())) / dt
-        self._body[:3] = fit(feet, self.x_feet, self.x_body[:, :3])
-        robot.set_T_world_frame(self.params.body, self._body)
+        pose = np.eye(4)
+        pose[:3] = fit(feet, self.x_feet, self.x_body[:, :3])
+        robot.set_T_world_frame(self.params.body, pose)
         self._begins = False
         self._read_frames()
 
@@ -155,56 +160,43 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         self._motion.q[:] = q
         self._motion.show()
         self._read_frames()
-        found: Matrix = (self._feet - self._body[:3, 3]) @ self._body[:3, :3]
+        pose = self._pose
+        found: Matrix = (self._feet.places - pose[:3, 3]) @ pose[:3, :3]
         return found
 
     def _read_frames(self) -> None:
         """Read the poses of body and feet from placo."""
-        robot, k = self._motion.robot, self.params
+        robot, k, feet = self._motion.robot, self.params, self._feet
         robot.update_kinematics()
-        self._body[:] = robot.get_T_world_frame(k.body)
-        for place, foot in zip(self._feet, k.feet, strict=True):
-            place[:] = robot.get_T_world_frame(foot)[:3, 3]
+        self._pose = robot.get_T_world_frame(k.body)
+        for row, foot in enumerate(k.feet):
+            feet.see(row, robot.get_T_world_frame(foot))
 
     def _aim(self, dt: float) -> None:
         """Set the tasks to what body and feet are to reach in this cycle."""
-        k, pose, goal = self.params, self._body, self._goal
+        k, body = self.params, self._body
         gain = min(k.gain, 1.0 / dt)
         limit, turns = min(max(self._limit, STILL), k.linear), k.angular / k.linear
-        # plain Python is faster for vectors of three than numpy's calls would be
-        x, y, z, a, b, c = (gain * one for one in displacement(self.x_body, pose))
-        x, y, z = shortened(x, y, z, limit)
-        a, b, c = shortened(a, b, c, limit * turns)
-        goal[:3, :3] = rotation_by(a * dt, b * dt, c * dt) @ pose[:3, :3]
-        goal[:3, 3] = pose[:3, 3] + (x * dt, y * dt, z * dt)
-        self._body_task.T_world_frame = goal
-        feet = gain * (self.x_feet - self._feet)
-        speed = np.sqrt((feet * feet).sum(axis=1))
-        fast = max(float(speed.max()), hypot(x, y, z), hypot(a, b, c) / turns)
+        body.aim(self._pose, gain, limit, limit * turns, dt)
+        fast = max(self._feet.aim(gain, limit, dt), body.speed, body.rate / turns)
         self._limit = min(limit, fast) + k.accel * dt
-        feet *= (limit / np.maximum(speed, limit))[:, None]
-        np.add(self._feet, feet * dt, out=self._places)
-        for task, place in zip(self._feet_tasks, self._places, strict=True):
-            task.target_world = place
+        self._body_task.T_world_frame = body.goal
+        for task, goal in self._feet_goals:
+            task.target_world = goal
 
     def _watch(self, dt: float) -> None:
         """Report once which frame does not move as it should."""
         k = self.params
-        self._read_frames()
-        missing = (self._goal - self._body)[:3]
-        turned, moved = missing[:, :3].ravel(), missing[:, 3].tolist()
-        turn = k.length * sqrt(0.5 * float(turned @ turned))
-        away = max(turn, *map(abs, moved)) / dt
-        gaps: list[list[float]] = (self._places - self._feet).tolist()
-        feet = [max(map(abs, gap)) / dt for gap in gaps]
-        far = max(away, *feet)
+        away = self._body.missing(self._pose, k.length)
+        gap, foot = self._feet.farthest()
+        far = max(away, gap) / dt
         if far < 0.5 * k.short:
             self._told.clear()
         elif far >= k.short and not self._told.of("reach"):
             which = f"{k.body} cannot follow X_BODY_DES"
-            if far > away:
-                which = f"{k.feet[feet.index(far)]} cannot follow X_FEET_DES"
-            why = self._motion.stopped(self.qd_ref)
+            if gap > away:
+                which = f"{k.feet[foot]} cannot follow X_FEET_DES"
+            why = self._motion.stopped()
             self._told.warn("reach", f"frame {which}: {why}")
 
     def _hold(self, kind: str, text: str) -> None:
@@ -214,9 +206,9 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
 
     def _fault(self) -> str:
         """Return why a goal is none."""
-        if why := fault_of(self.x_body):
+        if why := fault_of_pose(self.x_body):
             return f"X_BODY_DES of frame {self.params.body} is not a pose: {why}"
-        if not isfinite(sum(self.x_feet.ravel().tolist())):
+        if not all_finite(self.x_feet):
             finite = np.isfinite(self.x_feet).all(axis=1)
             foot = self.params.feet[int(np.argmin(finite))]
             return f"X_FEET_DES of frame {foot} is not finite"

@@ -10,8 +10,7 @@ import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError, did_you_mean
-from pbonet.io import MujocoRobot
-from pbonet.modules._dh import fault_of
+from pbonet.io import MujocoRobot, fault_of_pose
 from pbonet.modules._values import PerElement, keep, spread
 
 
@@ -73,7 +72,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         robot, rates = self._robot, np.zeros(self._robot.n)
         rates[self._wheels] = self.w
         robot.place(self._q, rates)
-        if not fault_of(self.x):
+        if not fault_of_pose(self.x):
             robot.place_base(self.x, self.v)
         self._measure()
         self._wish = self.w.copy()

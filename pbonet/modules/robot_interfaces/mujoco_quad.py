@@ -19,8 +19,7 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-from pbonet.io import MujocoRobot
-from pbonet.modules._dh import fault_of
+from pbonet.io import MujocoRobot, all_finite, fault_of_pose
 from pbonet.modules._values import PerElement, keep, spread
 
 
@@ -101,7 +100,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         # real one would be overwritten here by what its sensors say.
         robot = self._robot
         robot.place(self.q, self.qd)
-        if not fault_of(self.x):
+        if not fault_of_pose(self.x):
             robot.place_base(self.x, self.v)
         robot.sense_base(self.x, self.v)
         self._pushing = 0.0
@@ -110,7 +109,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         self._hold()
 
     def cycle(self, dt: float) -> None:
-        if not np.isfinite(self.t_ref).all():
+        if not all_finite(self.t_ref):
             joint = self._robot.joints[int(np.argmin(np.isfinite(self.t_ref)))]
             self.task.fail(f"T_REF of joint {joint} is not finite; the brakes are on")
             return

@@ -19,7 +19,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import PUMA560, SimulatedArm
+from pbonet.io import PUMA560, SimulatedArm, all_finite
 from pbonet.modules._values import PerElement, spread
 
 N = PUMA560.ndof
@@ -44,7 +44,8 @@ class PumaPidg(PortBasedObject[Gains], module_class="robot interface"):
     The reference r moves with v = qd_ref + follow*(q_ref - r), not faster than `speed`
     and not beyond the joint limits. So the steps of a reference that is written less
     often become a smooth motion, and nothing that is written to Q_REF, however far
-    away, makes the arm jump; r starts where the arm is.
+    away, makes the arm jump; r starts where the arm is. An input that is not finite
+    ends in ERROR, and the drives brake.
     """
 
     ndof: A[int, OutConst("NDOF", "1", "none", "degrees of freedom")]
@@ -71,6 +72,10 @@ class PumaPidg(PortBasedObject[Gains], module_class="robot interface"):
         self._start()
 
     def cycle(self, dt: float) -> None:
+        if not all_finite(self.q_ref, self.qd_ref, self.t_grav):
+            self._arm.brake()
+            self.task.fail("a reference or gravity is not finite; the brakes are on")
+            return
         self._sense(dt)
         wish = self.qd_ref + self.params.follow * (self.q_ref - self._r)
         wish.clip(-self._speed, self._speed, out=self._v)

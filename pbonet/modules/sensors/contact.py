@@ -15,7 +15,7 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-from pbonet.io import FloatingModel
+from pbonet.io import FloatingModel, all_finite
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._values import keep
 from pbonet.modules._warn_once import WarnOnce
@@ -83,11 +83,11 @@ class Contact(PortBasedObject[Touch], module_class="sensor"):
         self._begins = True
 
     def cycle(self, dt: float) -> None:
-        if why := self._fault():
-            self.task.fail(why)
-            return
         model = self._model
-        model.move(self.x, self.v, self.q, self.qd)
+        there = model.move(self.x, self.v, self.q, self.qd)
+        if not there or not all_finite(self.tau):
+            self.task.fail(self._fault())
+            return
         model.levers(self._frames, self._levers)
         momentum, drift = model.momentum()
         if self._begins:

@@ -6,7 +6,7 @@ from typing import Annotated as A
 import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.modules._dh import is_rotation
+from pbonet.io import is_rotation
 from pbonet.modules._quaternion import (
     Quaternion,
     level,

@@ -14,7 +14,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.modules._dh import is_rotation
+from pbonet.io import is_rotation
 from pbonet.modules._moving_orientation import Turning
 from pbonet.modules._online_trajectory import OnlineTrajectory
 

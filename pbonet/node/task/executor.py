@@ -50,6 +50,7 @@ from .step_failures import (
     contained,
     is_answer,
     method_error,
+    name_bad_inputs,
     recovery,
 )
 
@@ -59,6 +60,8 @@ if TYPE_CHECKING:
     from .port_transfer import Copies
 
 
+BY_INPUTS = frozenset({"on", "cycle", "stable"})
+"""Methods that fail for an input that is no number."""
 _ALIVE = frozenset({State.OFF, State.ON, State.ERROR})
 
 
@@ -514,6 +517,8 @@ class Executor:
         if asked and self.failure is not None:
             return self.failure  # stored when `error` was called
         described = method_error(error, method, self._who())
+        if method in BY_INPUTS:
+            name_bad_inputs(described, self.instance)
         self.task.errmsg = str(described)
         self.failure = described
         if not isinstance(error, TaskFailure | MethodError):

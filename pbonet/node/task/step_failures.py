@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard
+
+import numpy as np
 
 from pbonet.errors import MethodError, PbonetError, SvarError
 from pbonet.pbo import (
@@ -13,15 +15,18 @@ from pbonet.pbo import (
     Recovery,
     TaskFailure,
     innermost,
+    memory,
     number_of,
     place_of,
     said,
     text_of,
 )
+from pbonet.ports import Kind
 from pbonet.svar import table_files
 
 if TYPE_CHECKING:
     from pbonet.node.wire import Outcome, Rule, Step
+    from pbonet.pbo import PortBasedObject
     from pbonet.svar import Blamed
 
 RAISED = (Exception, SystemExit, TaskFailure)
@@ -203,6 +208,22 @@ def _method_error(error: Raised, where: str) -> MethodError:
         remedy=remedy,
         debug=_trace(error),
     )
+
+
+def name_bad_inputs(error: PbonetError, instance: PortBasedObject[Any]) -> None:
+    """Add to the error of a cycle which inputs are no numbers, unless it names them."""
+    arrays = memory(instance).arrays
+    bad: list[str] = []
+    for port in type(instance).__interface__.ports:
+        array = arrays[port.attr]
+        if port.kind is not Kind.INVAR or array.dtype.kind != "f":
+            continue
+        where = np.flatnonzero(~np.isfinite(array))
+        if where.size and port.name not in error.what:
+            bad.append(f"{port.name}[{where[0]}]")
+    if bad:
+        verb = "is no finite number" if len(bad) == 1 else "are no finite numbers"
+        add_remedy(error, f"of its inputs, {' and '.join(bad)} {verb}")
 
 
 def placed(text: str, place: str) -> str:

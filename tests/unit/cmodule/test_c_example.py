@@ -10,6 +10,7 @@ import pytest
 from c_modules import EXAMPLE, write_c
 from virtual_job import VirtualJob
 
+from benchmarks import cmodules
 from pbonet.config import Library
 from pbonet.master.tools.scaffold_c import MAKEFILE
 from pbonet.testing import Bench, verify
@@ -100,6 +101,19 @@ def test_200_swaps_with_its_twin_lose_no_cycle(example):
     assert set(np.diff(releases[order])) == {2_000_000}, "one cycle at each release"
     torque = np.concatenate([part["T_REF"] for part in parts])[order]
     assert np.abs(np.diff(torque, axis=0)).max() < 0.5, "and no torque jumps"
+
+
+def test_the_benchmark_tells_the_machine_s_losses_from_those_of_a_swap():
+    """A release without a cycle is excused by a C loop that was late meanwhile."""
+    ms, period = 1_000_000, cmodules.PERIOD
+    times = [0, 1, 2, 4, 5, 7, 8, 10, 11]  # 3, 6 and 9 have no cycle
+    whose = [0, 0, 0, 1, 1, 1, 1, 0, 0]
+    releases = [(one * period, who) for one, who in zip(times, whose, strict=True)]
+    on_time = cmodules.judged(releases, [])
+    assert on_time == (12, (2, 0), (1, 0)), "two at swaps, one elsewhere"
+    due = 3 * period - ms  # as the machine stood still at the first swap
+    late = [(due, due + period), (6 * period - ms, 6 * period - ms + ms // 4)]
+    assert cmodules.judged(releases, late) == (12, (1, 1), (1, 0))
 
 
 def logged(call, job, runs):

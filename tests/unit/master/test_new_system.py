@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -173,6 +174,35 @@ def test_a_size_that_no_port_has_is_asked_for_and_taken(call, write):
     ]
     sizes = {one.name: one.nelem for one in read_svar("arm.svar").variables}
     assert sizes == {"NDOF": 1, "Q_MEZ": 3, "T_REF": 3, "JAC": 9}
+
+
+def test_the_unit_of_a_rate_follows_from_its_name(call, write):
+    """`^` is the rate of the variable without it, also where the table has that."""
+    write("plant", **PLANT)
+    write(
+        "wave",
+        ports="""    y: A[Vector, OutVar("Y", "2", "any", "position")]
+    v: A[Vector, OutVar("Y^", "2", "any", "velocity")]
+    a: A[Vector, OutVar("Y^^", "2", "any", "acceleration")]""",
+        alias="SVARALIAS Y=T_REF\nSVARALIAS Y^=T^_REF\nSVARALIAS Y^^=Q^^_MEZ\n",
+        outvar="Y Y^ Y^^",
+    )
+    status, _, err = call("new", "svar", "arm", "plant", "wave")
+    assert status == 0
+    assert "the unit of Q^^_MEZ: correct" in err, "nothing says that of Q^_MEZ"
+    units = {one.name: one.units for one in read_svar("arm.svar").variables}
+    assert (units["T^_REF"], units["Q^^_MEZ"]) == ("N*m/s", "none")
+    text = Path("wave.rmod").read_text().replace("T^_REF", "Q^_MEZ")
+    Path("wave.rmod").write_text(text)
+    status, _, err = call("new", "svar", "arm", "wave", "--add")
+    assert (status, err) == (0, "")
+    units = {one.name: one.units for one in read_svar("arm.svar").variables}
+    assert units["Q^_MEZ"] == "rad/s"
+    Path("arm.svar").unlink()
+    status, _, err = call("new", "svar", "arm", "plant", "wave")
+    assert (status, err) == (0, "")
+    units = {one.name: one.units for one in read_svar("arm.svar").variables}
+    assert (units["Q^_MEZ"], units["Q^^_MEZ"]) == ("rad/s", "rad/s^2")
 
 
 @pytest.mark.parametrize("size", ["NDOF", "NDOF=", "NDOF=x", "NDOF=0", "=3"])

@@ -7,8 +7,9 @@ import pinocchio as pin
 import pytest
 
 from pbonet.errors import ParameterError
+from pbonet.io import difference, is_rotation, rotation, turn_of
 from pbonet.io.puma560 import PUMA560
-from pbonet.modules._dh import Geometry, difference, gap, is_rotation, rotation, turn_of
+from pbonet.modules._dh import Geometry, gap
 from pbonet.modules._puma_arm import PumaArm
 
 RNG = np.random.default_rng(315)

@@ -12,8 +12,7 @@ from urdf_chains import write_balls
 
 from pbonet import State
 from pbonet.errors import MethodError, ParameterError
-from pbonet.io import MujocoRobot
-from pbonet.modules._dh import rotation
+from pbonet.io import MujocoRobot, rotation
 from pbonet.modules.kinematics.com_zmp import ComZmp
 from pbonet.modules.kinematics.self_collision import SelfCollision
 from pbonet.testing import Bench

@@ -9,7 +9,7 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.modules._dh import difference, rotation
+from pbonet.io import difference, rotation
 from pbonet.modules._ode import propagator
 from pbonet.modules.controllers.admittance import Admittance
 from pbonet.modules.controllers.hybrid_force import HybridForce

@@ -124,15 +124,28 @@ def test_responses_are_those_of_the_code(responses) -> None:
     assert np.allclose(np.diff(integrated.output[5:50]), 0.01)
 
 
-def test_a_picture_of_each_that_responds_is_drawn(responses, monkeypatch, tmp_path):
-    drawn = {}
-    monkeypatch.setattr(
-        responses, "_picture", lambda found, path: drawn.update({path.stem: found})
-    )
+def test_a_picture_of_each_module_is_drawn(responses, monkeypatch, tmp_path):
+    """But of those whose answer comes from a device, a link, or a person."""
+    pytest.importorskip("placo", reason="pip install 'pbonet[placo]'")
+    pytest.importorskip("mujoco", reason="pip install 'pbonet[mujoco]'")
+    drawn: dict[str, dict[str, np.ndarray]] = {}
+
+    def one(found, path):
+        drawn[path.stem.removeprefix("response-")] = {"": found.output}
+
+    def several(found, path):
+        drawn[path.stem.removeprefix("response-")] = found.outputs
+
+    monkeypatch.setattr(responses, "_picture", one)
+    monkeypatch.setattr(responses, "_picture_of_reaction", several)
     responses.draw(tmp_path)
-    assert {"response-diff", "response-gain", "response-integrator"} <= drawn.keys()
-    assert all(np.isfinite(found.output).all() for found in drawn.values())
-    assert all(found.output.any() for found in drawn.values())
+    assert {"diff", "pid", "otg", "ik_placo", "whole_body_dyn"} <= drawn.keys()
+    rows = [row for found in drawn.values() for row in found.values()]
+    assert all(np.isfinite(row).all() and np.ptp(row) > 0.0 for row in rows)
+    devices = {"robot interface", "sensor", "teleoperation", "subsystem interface"}
+    for name in set(NAMES) - set(drawn) - {"mppi_arm", "visual_ball", "ros_trajectory"}:
+        kind = Library().load(name).info.module_class
+        assert kind in devices or name in responses.QUIET, name
 
 
 def test_a_picture_is_small_and_always_the_same(responses, tmp_path):

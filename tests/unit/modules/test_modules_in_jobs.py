@@ -27,15 +27,44 @@ INIT = {"X_DES": POSE, "X_REF": POSE, "X_MEZ": POSE, "ACC": "0 0 9.80665"}
 """First values of variables, by the port's name; 0 otherwise."""
 SIZES = {"ndof": 3, "nraw": 4, "nz": 4, "naxes": 3, "nx": 2, "nu": 1, "nfeet": 4}
 SIZES |= {"n": 2, "m": 1}
-KALMAN = {"nz": 1}
+OTHER_SIZES = {
+    "kalman": {"nz": 1},
+    "impedance": {"ndof": 7},
+    "pd_grav": {"ndof": 7},
+    "jtball": {"ndof": 6},
+}
 CSV = "0 1 2 3\n1 2 3 4\n2 0 0 0\n"
-RMODS = [
-    "otg", "otg_cart", "gait", "spline", "traj_play", "biquad", "median", "limits",
-    "rate_limit", "select_by", "watchdog", "calib", "imu_fusion", "kalman",
-    "wrench_comp", "ekf_odom", "diff_drive", "mecanum", "ackermann", "deadman",
-    "joystick", "spacemouse", "mpc_linear", "lqr", "dmp", "encoder_sim",
-    "axes_speed_sim", "tricycle", "reference_integrator", "com_zmp", "self_collision",
-]  # fmt: skip
+PANDA, QUADRUPED = "test_panda_demo.py", "test_quadruped_demo.py"
+ELSEWHERE = {
+    **dict.fromkeys(("computed_torque", "fk_jac", "ik_placo", "mujoco_arm"), PANDA),
+    **dict.fromkeys(("whole_body", "whole_body_dyn", "mujoco_quad"), QUADRUPED),
+    "contact": QUADRUPED,
+    **dict.fromkeys(("forward_kin", "puma_inv_kin"), "test_servoing_demo.py"),
+    "grav_comp": "test_servoing_demo.py",
+    "visual_ball": "test_camera_servoing_demo.py",
+    "mujoco_base": "test_modules_in_jobs.py",
+    "gravity": "test_modules_in_jobs.py",
+}
+"""Modules that run in virtual time in another test, with what they control."""
+REAL = {"mppi_arm": "../../integration/modules/test_mppi.py"}
+"""One whose plans come from another process, in real time."""
+TWINS = {
+    **{f"can_{what}": f"axes_{what}_sim" for what in ("position", "speed", "torque")},
+    "dynamixel": "axes_position_sim",
+    **{
+        name: f"{name}_sim"
+        for name in ("encoder", "ft300", "linear_actuator", "linear_sensor", "mpu6050")
+    },
+}
+"""Modules over a device, which no simulation opens, and those that simulate them."""
+LINKS = "mav_", "tbuf_"
+"""Beginnings of the names of those over a link, which no simulation opens."""
+RMODS = sorted(
+    path.stem
+    for path in FOLDER.glob("*/*.py")
+    if not path.stem.startswith(("_", *LINKS))
+    and path.stem not in {*ELSEWHERE, *REAL, *TWINS}
+)
 ROBOTS = {"com_zmp": write_chain, "self_collision": write_balls}
 """What writes the URDF file that a module needs."""
 
@@ -59,7 +88,7 @@ class Variables:
             count = int(np.prod(shape, initial=1))
             kind = "int" if port.type == "int" else "double"
             unit = "none" if port.unit == "any" else port.unit
-            value = INIT.get(port.name, f"{SIZES['ndof'] if name == 'NDOF' else 0}")
+            value = INIT.get(port.name, f"{sizes['ndof'] if name == 'NDOF' else 0}")
             lines = [f"NAME {name}", f"TYPE {kind}", "DESC of a test", f"UNITS {unit}"]
             lines += [f"NELEM {count}"]
             if not port.kind.is_const:
@@ -130,13 +159,21 @@ def test_a_module_runs_with_its_rmod(tmp_path, monkeypatch, name: str) -> None:
     Path("trajectory.csv").write_text(CSV, encoding="ascii")
     if name in ROBOTS:
         ROBOTS[name](tmp_path, SIZES["ndof"])
-    with job(tmp_path, [name], sizes=KALMAN if name == "kalman" else None) as system:
+    with job(tmp_path, [name], sizes=OTHER_SIZES.get(name)) as system:
         system.start()
         system.wait(0.2)
         assert {one.state for one in system.status_all()} == {"ON"}
         outputs = list(system.simulation.recording.arrays(name).values())
-        assert len(outputs[0]) > 5
+        assert len(outputs[0]) >= 5
         assert all(np.isfinite(rows).all() for rows in outputs)
+
+
+def test_all_others_run_elsewhere_or_have_a_twin() -> None:
+    files = {path.stem for path in FOLDER.glob("*/*.py")}
+    assert files >= {*ELSEWHERE, *REAL, *TWINS}
+    assert set(TWINS.values()) <= set(RMODS)
+    here = Path(__file__).parent
+    assert all((here / place).is_file() for place in {**ELSEWHERE, **REAL}.values())
 
 
 def test_a_replay_names_the_files_of_robots_and_trajectories_that_changed(tmp_path):

@@ -12,8 +12,7 @@ from urdf_walkers import feet_of, write_walker
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.io import FloatingModel
-from pbonet.modules._dh import rotation
+from pbonet.io import FloatingModel, rotation
 from pbonet.modules.controllers.whole_body_dyn import WholeBodyDyn
 from pbonet.modules.kinematics.whole_body import WholeBody
 from pbonet.modules.sensors.contact import Contact
@@ -398,9 +397,9 @@ def test_a_goal_that_jumps_is_approached_by_accel_and_linear() -> None:
     bench.inputs.x_body = goal
     speeds = []
     for _ in range(100):
-        was = bench.module._body[2, 3]
+        was = bench.module._pose[2, 3]
         bench.step()
-        speeds.append((was - bench.module._body[2, 3]) / DT)
+        speeds.append((was - bench.module._pose[2, 3]) / DT)
     assert np.diff(speeds).max() < 2.0 * DT * 1.05
     assert max(speeds) == pytest.approx(0.1, rel=0.02)
 

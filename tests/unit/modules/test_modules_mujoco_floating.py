@@ -10,8 +10,7 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import MethodError
-from pbonet.io import MujocoRobot, RobotModel
-from pbonet.modules._dh import rotation
+from pbonet.io import MujocoRobot, RobotModel, rotation
 from pbonet.modules.kinematics.diff_drive import DiffDrive
 from pbonet.modules.robot_interfaces.mujoco_base import MujocoBase
 from pbonet.modules.robot_interfaces.mujoco_quad import MujocoQuad

@@ -13,9 +13,10 @@ from pbonet import Params
 from pbonet.config import read_rmod
 from pbonet.config.library import Library
 from pbonet.errors import MethodError, ParameterError
+from pbonet.io import rotation
 from pbonet.io.puma560 import PUMA560
 from pbonet.master.subsystem import Subsystem
-from pbonet.modules._dh import Geometry, gap, rotation, scale
+from pbonet.modules._dh import Geometry, gap, scale
 from pbonet.modules.kinematics.damped_ls import DampedLS
 from pbonet.modules.kinematics.forward_kin import ForwardKin
 from pbonet.modules.kinematics.puma_inv_kin import PumaInvKin
