@@ -11,7 +11,8 @@ from pbonet.errors import ConfigError, PbonetError, SvarError, SvarMissingError
 from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 
 from . import field_paths
-from .message_types import HEADER, set_stamp
+from .cdr_template import Template
+from .message_types import HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -31,6 +32,10 @@ _GLANCE_NS: Final = 1_000_000
 """Nanoseconds between checks of a table that is not expected to change."""
 _NEAR_NS: Final = 20_000
 """The same while a commit is expected."""
+_AWAKE_NS: Final = 30_000 if len(os.sched_getaffinity(0)) > 1 else 0
+"""Nanoseconds before and after the time when a commit is expected in which the thread
+does not sleep, as to be woken takes longer than to copy. Not on a machine of one core.
+"""
 _EARLY: Final = 0.2
 """Share of a period by which a commit is expected early."""
 _LATE: Final = 1.0
@@ -68,32 +73,40 @@ class Filling:
         where: str,
     ) -> None:
         types.must_have(about.type, where)
-        self._types, self.type = types, about.type
-        self.message: Any = types.new(about.type)
+        self.type = about.type
+        self._message: Any = types.new(about.type)
         plan: list[tuple[Leaf, Share]] = []
         for path, text in about.fields.items():
             share = field_paths.share_of(text, variables, where)
             leaves = field_paths.leaves_of(types, about.type, path, where)
             plan += _shared(leaves, share, variables[share.variable], where)
         for leaf, _ in plan:
-            field_paths.grow(types, self.message, leaf)
+            field_paths.grow(types, self._message, leaf)
         for path, value in about.constants.items():
             self._set(path, value, where)
         self.variables = sorted({share.variable for _, share in plan})
-        self._setters = [
-            (field_paths.setter(self.message, leaf), share) for leaf, share in plan
-        ]
-        self._stamps = list(_headers(types, about.type, self.message))
-        for header in self._stamps:
+        stamps = list(_headers(types, about.type, self._message))
+        for header in stamps:
             header.frame_id = about.frame or header.frame_id
-        self.encode(
-            {n: _zeros(variables[n]) for n in self.variables}, 0
-        )  # once, to see
+        for leaf, share in plan:
+            field_paths.clear(self._message, leaf, share.end - share.first)
+        self._template = Template(types, about.type, self._message)
+        self._numbers = [
+            (field_paths.place(self._template, self._message, leaf, share), share, leaf)
+            for leaf, share in plan
+        ]
+        self._stamps = [
+            (
+                self._template.numbers(header.stamp, "sec", "int32", None),
+                self._template.numbers(header.stamp, "nanosec", "uint32", None),
+            )
+            for header in stamps
+        ]
 
     def _set(self, path: str, value: Plain | list[Plain], where: str) -> None:
         """Set a field that stays as it is."""
         *way, last = path.split(".")
-        owner: Any = self.message
+        owner: Any = self._message
         try:
             for part in way:
                 name, _, index = part.partition("[")
@@ -115,18 +128,20 @@ class Filling:
         Args:
             values: The values of `variables`.
             stamp_ns: When they were made, nanoseconds since 1970.
+
+        Raises:
+            ProtocolError: A number does not fit its field.
         """
-        for put, share in self._setters:
-            put(values[share.variable][share.first : share.end])
-        for header in self._stamps:
-            set_stamp(header.stamp, stamp_ns)
-        return self._types.encode(self.type, self.message)
-
-
-def _zeros(variable: Variable) -> NDArray[Any]:
-    import numpy as np
-
-    return np.zeros(variable.nelem, variable.dtype)
+        for numbers, share, leaf in self._numbers:
+            given = values[share.variable][share.first : share.end]
+            numbers[:] = (
+                given
+                if given.dtype is numbers.dtype
+                else field_paths.cast(given, numbers.dtype, leaf)
+            )
+        for seconds, nanoseconds in self._stamps:
+            seconds[0], nanoseconds[0] = divmod(stamp_ns, 1_000_000_000)
+        return self._template.copy()
 
 
 def _shared(
@@ -207,6 +222,7 @@ class Outgoing:
         self._pause_ns = int(1e9 / max_hz * _SOON)
         self._local: LocalTable | None = None
         self._values: dict[str, NDArray[Any]] = {}
+        self._places: list[int] = []
         self._sent: list[tuple[int, int]] = []
         self._paused = False
         self.copied: list[tuple[int, int]] = []
@@ -218,7 +234,8 @@ class Outgoing:
         """Read this table from now on."""
         names = self.filling.variables
         self._local = local = table.local("ros2", os.getpid(), invar=names)
-        local.keep_fresh({table.index(name): Freshness() for name in names})
+        self._places = [table.index(name) for name in names]
+        local.keep_fresh({place: Freshness() for place in self._places})
         self._values = {name: local.array(name) for name in names}
         self._sent = self.copied = []
 
@@ -236,17 +253,16 @@ class Outgoing:
         if not self.behind or now < self.due_ns:
             return
         self._sent = self.copied
-        ages = [local.age(name) for name in self.filling.variables]
-        name = self.publisher.end.name
-        if local.flags & Flags.COPY_STALE or max(ages) == float("inf"):
-            self._warnings.warn(name, _PAUSED)
+        ages_ns = [local.age_ns(place) for place in self._places]
+        if local.flags & Flags.COPY_STALE or min(ages_ns) < 0:
+            self._warnings.warn(self.publisher.end.name, _PAUSED)
             self._paused = True
             return
         if self._paused:
-            self._warnings.over(name, _PAUSED)
+            self._warnings.over(self.publisher.end.name, _PAUSED)
             self._paused = False
         self.due_ns = now + self._pause_ns
-        stamp_ns = time.time_ns() - round(max(ages) * 1e9)
+        stamp_ns = time.time_ns() - max(ages_ns)
         self.publisher.put(self.filling.encode(self._values, stamp_ns), stamp_ns)
 
 
@@ -374,10 +390,15 @@ class TablePublisher:
         near = min(expected - _EARLY * self._period_ns, until)
         if near > now:
             self._ended.wait((near - now) * 1e-9)
-        late = round(min(expected + _LATE * self._period_ns, until))
-        if late > now and self._watch.sleep(late, _NEAR_NS):
-            return True
-        return self._watch.sleep(until, _GLANCE_NS)
+        phases = (
+            (expected - _AWAKE_NS, _NEAR_NS),
+            (expected + _AWAKE_NS, 0),
+            (expected + _LATE * self._period_ns, _NEAR_NS),
+            (until, _GLANCE_NS),
+        )
+        return any(
+            self._watch.sleep(round(min(end, until)), pause) for end, pause in phases
+        )
 
     def _measure(self, now: int, steps: int) -> None:
         """Take note of some commits, to expect the next one."""
