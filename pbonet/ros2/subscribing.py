@@ -13,7 +13,7 @@ from pbonet.errors import ConfigError, ProtocolError
 from pbonet.svar import now_ns
 
 from . import field_paths
-from .message_types import nanoseconds, seconds
+from .message_types import TRAJECTORY, nanoseconds, seconds
 from .wire_format import Attachment
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 HOME: Final = "ros2"
 """The part before the colon of a link that a bridge writes."""
-TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
 LONGEST: Final = 1 << 20
 """Bytes of the longest message that is decoded, as of a link's record."""
 _NAMES: Final = ("name", "joint_names")
