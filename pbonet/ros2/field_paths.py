@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import Variable
 
-    from .cdr_template import Template
+    from .cdr_template import Layout, Template
     from .message_types import Field, MessageTypes
 
 Step = tuple[str, int | None]
@@ -386,6 +386,52 @@ def numbers(message: Any, one: Source, order: NDArray[np.intp] | None) -> Any:  
     if len(found) < first + one.size:
         raise _too_few(leaf, len(found), first + one.size)
     return found[first : first + one.size]
+
+
+class Slice(NamedTuple):
+    """Where the elements of a record stand in a message in CDR."""
+
+    first: int
+    """Of the record."""
+    end: int
+    place: int
+    """Of the message, in bytes."""
+    size: int
+    """Elements there."""
+    dtype: np.dtype[Any]
+    order: NDArray[np.intp] | None
+    """Which of them; None: all."""
+
+
+def slices(
+    layout: Layout,
+    message: Any,  # noqa: ANN401 - by its type
+    sources: Sequence[Source],
+    order: NDArray[np.intp] | None,
+) -> list[Slice]:
+    """Return where the numbers of sources stand in messages of a layout.
+
+    Args:
+        layout: The layout.
+        message: A message that has it and all that the sources need.
+        sources: The sources.
+        order: The place of each joint in the message.
+    """
+    found: list[Slice] = []
+    first = 0
+    for one in sources:
+        owner, last = _owner(message, one.leaf)
+        dtype = np.dtype(dtype_of(one.leaf.field.type))
+        size = None if one.leaf.field.size is None else len(getattr(owner, last))
+        place = layout.place(owner, last, dtype.name, size)
+        end = first + one.size
+        if one.by_joint and order is not None:
+            found.append(Slice(first, end, place, size or 1, dtype, order))
+        else:
+            place += one.leaf.span.first * dtype.itemsize if one.leaf.span else 0
+            found.append(Slice(first, end, place, one.size, dtype, None))
+        first = end
+    return found
 
 
 def _too_few(leaf: Leaf, got: int, expected: int) -> ProtocolError:

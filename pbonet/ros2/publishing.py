@@ -32,16 +32,21 @@ _GLANCE_NS: Final = 1_000_000
 """Nanoseconds between checks of a table that is not expected to change."""
 _NEAR_NS: Final = 20_000
 """The same while a commit is expected."""
-_AWAKE_NS: Final = 30_000 if len(os.sched_getaffinity(0)) > 1 else 0
+_AWAKE_NS: Final = (80_000, 20_000) if len(os.sched_getaffinity(0)) > 1 else (0, 0)
 """Nanoseconds before and after the time when a commit is expected in which the thread
-does not sleep, as to be woken takes longer than to copy. Not on a machine of one core.
+does not sleep, as to be woken takes longer than to copy. Commits come a little before
+that time, as it is the mean of when they were seen. Not on a machine of one core.
 """
-_EARLY: Final = 0.2
+_EARLY: Final = 0.1
 """Share of a period by which a commit is expected early."""
 _LATE: Final = 1.0
 """Share of a period for which one that is late is expected."""
-_DRIFT: Final = 0.05
-"""Share of the lateness of a commit by which the next one is expected later."""
+_PHASE, _RATE = 0.1, 0.005
+"""Least shares of the lateness of a commit by which the next one is expected later, and
+by which the period grows."""
+_LOST, _SOME = 0.5, 5
+"""Share of a period by which a commit is no longer the expected one, and the number of
+commits that count from there on."""
 _SOON: Final = 0.95
 """Share of the shortest time between two messages after which one may be sent."""
 _LONGEST_NS: Final = 200_000_000
@@ -244,6 +249,11 @@ class Outgoing:
         """Whether it has a commit that was not published yet."""
         return self._sent != self.copied
 
+    def prepare(self) -> None:
+        """Encode for nothing: code that has not run for long takes twice the time."""
+        if self._sent:
+            self.filling.encode(self._values, 0)
+
     def turn(self, now: int) -> None:
         """Publish the variables if one has changed, none is too old, and it is time."""
         local = self._local
@@ -285,7 +295,8 @@ class TablePublisher:
         self._watch = Watch()
         self._ended = threading.Event()
         self._period_ns = 0.0
-        self._last_ns = self._seen_ns = 0
+        self._last_ns = 0.0
+        self._seen_ns = self._count = 0
         self._heads: dict[int, int] = {}
         self._generation = -1
         self._thread = threading.Thread(
@@ -343,10 +354,22 @@ class TablePublisher:
         for one in self._outgoing:
             self._publish(one, now)
         if moved:
+            self._rest(now)
             steps = [n - before.get(uid, n) for uid, n in self._numbers().items()]
             self._measure(now, max(steps, default=0))
         elif not _is_there(table):
             self._leave()
+
+    def _rest(self, now: int) -> None:
+        """Sleep until shortly before the next commit.
+
+        What is left to do is done after that: zenoh's threads need the core now.
+        """
+        period = self._period_ns
+        if period and not any(one.behind for one in self._outgoing):
+            gone = max(int((now - self._last_ns) / period), 1)
+            until = self._last_ns + (gone + 1 - _EARLY) * period
+            time.sleep(max(until - now_ns(), 0.0) * 1e-9)
 
     def _publish(self, one: Outgoing, now: int) -> None:
         """Publish a topic if it is time; the others go on whatever it does."""
@@ -383,16 +406,16 @@ class TablePublisher:
             (self._heads[uid], n) for uid, n in known.items() if uid in self._heads
         ]
         self._watch.add(arena, self._generation, arena.changes, heads)
+        if self._period_ns:
+            for one in self._outgoing:
+                one.prepare()
         now = now_ns()
         due = [one.due_ns for one in self._outgoing if one.behind]
         until = min([now + _LONGEST_NS, *due])
         expected = self._last_ns + self._period_ns
-        near = min(expected - _EARLY * self._period_ns, until)
-        if near > now:
-            self._ended.wait((near - now) * 1e-9)
         phases = (
-            (expected - _AWAKE_NS, _NEAR_NS),
-            (expected + _AWAKE_NS, 0),
+            (expected - _AWAKE_NS[0], 2 * _NEAR_NS),
+            (expected + _AWAKE_NS[1], 0),
             (expected + _LATE * self._period_ns, _NEAR_NS),
             (until, _GLANCE_NS),
         )
@@ -401,21 +424,25 @@ class TablePublisher:
         )
 
     def _measure(self, now: int, steps: int) -> None:
-        """Take note of some commits, to expect the next one."""
-        since = (now - self._seen_ns) / max(steps, 1)
-        self._seen_ns = now
-        # It is seen late at times, and never early: lateness moves the next one little.
+        """Take note of some commits, to expect the next one.
+
+        A straight line through their times, which forgets old ones slowly; one that is
+        seen late moves it little.
+        """
+        since, self._seen_ns = now - self._seen_ns, now
+        if since > _LONGEST_NS or not steps or not self._period_ns:
+            regular = 0 < since < _LONGEST_NS and steps > 0
+            self._period_ns = since / steps if regular else 0.0
+            self._last_ns, self._count = float(now), 1
+            return
+        self._count = k = self._count + 1
         expected = self._last_ns + steps * self._period_ns
         late = now - expected
-        self._last_ns = now
-        if 0 < late < self._period_ns:
-            self._last_ns = round(expected + _DRIFT * late)
-        if since > _LONGEST_NS or steps == 0:
-            self._period_ns = 0.0
-        else:
-            self._period_ns += (since - self._period_ns) * (
-                0.1 if self._period_ns else 1
-            )
+        if abs(late) > _LOST * self._period_ns:  # a pause, or some in one go
+            self._last_ns, self._count = float(now), _SOME
+            return
+        self._last_ns = expected + late * max(_PHASE, (4 * k - 2) / (k * k + k))
+        self._period_ns += late * max(_RATE, 6 / (k * k + k)) / steps
 
 
 def _is_there(table: Table) -> bool:

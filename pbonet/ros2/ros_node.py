@@ -8,7 +8,7 @@ import threading
 import time
 from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import zenoh
 from zenoh import ext
@@ -376,8 +376,9 @@ class RosNode:
         except Exception as error:
             _refuse(query, f"{end.name} failed: {error}")
             raise
-        if isinstance(response, Future):
-            later: Future[Any] = response
+        comes_later = isinstance(response, Future)
+        if comes_later:
+            later = cast("Future[Any]", response)
             later.add_done_callback(
                 lambda done: self._safely(
                     end.name, partial(self._respond, end, query, asked, done.result())

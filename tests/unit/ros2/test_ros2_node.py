@@ -303,6 +303,38 @@ def test_one_parameter_is_set_at_once_and_several_are_not(types) -> None:
     assert len(params.set) == 1
 
 
+def test_the_next_commit_is_expected_when_it_comes() -> None:
+    """After a pause, too, and after some that come in one go."""
+    publisher = TablePublisher("d.arm", "", [], Warnings(print))
+    period, now, jitter = 2_000_000, 10**12, (0, 90_000, -40_000, 150_000, -70_000)
+
+    def commits(count):
+        nonlocal now
+        for k in range(count):
+            now += period
+            publisher._measure(now + jitter[k % 5], 1)
+
+    def is_expected():
+        late = now + period - publisher._last_ns - publisher._period_ns
+        return abs(late) < 0.1 * period
+
+    commits(40)
+    assert is_expected()
+    now += 30 * period
+    publisher._measure(now + 900_000, 30)
+    commits(20)
+    assert is_expected()
+    for _ in range(7):
+        publisher._measure(now, 1)
+    commits(20)
+    assert is_expected()
+    now += 10**9
+    publisher._measure(now, 1)
+    assert publisher._period_ns == 0, "nothing is expected after a long pause"
+    commits(20)
+    assert is_expected()
+
+
 def test_a_topic_that_cannot_be_published_stops_no_other(types, told) -> None:
     variables = [Variable(name=name, type="double") for name in ("A", "B")]
     got = Queue()
