@@ -6,7 +6,7 @@ other modules speak over it as parts of the same task (COMBINE), after its owner
 
 from __future__ import annotations
 
-from math import isfinite
+from math import cos, isfinite, sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,6 +30,8 @@ X, V, ACC = 0x007, 0x038, 0x1C0
 YAW, YAW_RATE = 0x400, 0x800
 RATES = 0x07
 """Bits of an attitude's type mask: the three rates."""
+LOCAL_NED, BODY = 1, (8, 12)
+"""Frames of a position target; in those of the body x is ahead and y to the right."""
 GCS = 6
 """The type of a ground station in its heartbeat."""
 
@@ -214,15 +216,21 @@ def setpoint_message(
     return None
 
 
-def setpoint_of(message: Any, setpoint: Vector) -> bool:  # noqa: ANN401
-    """Write a received set-point; False: it has a frame or values that do not count."""
+def setpoint_of(message: Any, setpoint: Vector, yaw: float) -> bool:  # noqa: ANN401
+    """Write a received set-point; False: it has a frame or values that do not count.
+
+    Args:
+        message: The message.
+        setpoint: Where to write it; its velocities are north, east, down.
+        yaw: The vehicle's heading, in rad, for velocities in the frame of its body.
+    """
     m = message
     if m.get_type() == "SET_ATTITUDE_TARGET":
         rates = m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate
         values = [*m.q, *rates, m.thrust, 0.0, 0.0, 0.0]
         kind = ATTITUDE
     else:
-        if m.coordinate_frame != 1:  # MAV_FRAME_LOCAL_NED
+        if not _is_understood(m.coordinate_frame, m.type_mask):
             return False
         values = [m.x, m.y, m.z, m.vx, m.vy, m.vz, m.afx, m.afy, m.afz]
         values += [m.yaw, m.yaw_rate]
@@ -231,8 +239,27 @@ def setpoint_of(message: Any, setpoint: Vector) -> bool:  # noqa: ANN401
     counted = [0.0 if _ignored(kind, mask, k) else v for k, v in enumerate(values)]
     if not finite(*counted):
         return False
+    if kind == POSITION and m.coordinate_frame in BODY:
+        _turn(counted, yaw)
     setpoint[0], setpoint[1], setpoint[2:] = kind, mask, counted
     return True
+
+
+def _is_understood(frame: int, mask: int) -> bool:
+    """Return whether a target is local, or moves ahead or to the right of the vehicle.
+
+    Of x and y both must count, or neither: they are turned together.
+    """
+    both = [mask >> k & 3 in {0, 3} for k in (3, 6)]
+    return frame == LOCAL_NED or (frame in BODY and mask & X == X and all(both))
+
+
+def _turn(values: list[float], yaw: float) -> None:
+    """Turn the velocity and the acceleration of a target by a heading."""
+    for k in (3, 6):
+        x, y = values[k : k + 2]
+        values[k] = x * cos(yaw) - y * sin(yaw)
+        values[k + 1] = x * sin(yaw) + y * cos(yaw)
 
 
 def _ignored(kind: int, mask: int, k: int) -> bool:

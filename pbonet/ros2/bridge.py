@@ -14,12 +14,13 @@ from pbonet.master.subsystem import Subsystem
 from pbonet.svar import Table, survive_cuts
 from pbonet.xm.net import session
 
-from . import publishing, subscribing, topics_file
+from . import publishing, subscribing, topics_file, trajectory_action
 from .message_types import MessageTypes
 from .repeated_warnings import Warnings
 from .ros_node import RosNode
 from .services import Services
 from .subscribing import HOME, Incoming
+from .trajectory_action import TrajectoryAction
 from .wire_format import Kind, Node
 
 if TYPE_CHECKING:
@@ -30,10 +31,14 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Place
 
     from .publishing import Outgoing
-    from .topics_file import Topics
+    from .topics_file import Action, Topics
 
 ROUTER: Final = "tcp/localhost:7447"
 """Where nodes of ROS 2 expect a router, unless told otherwise."""
+
+
+_OF_ACTION: Final = "/_action/"
+"""In the names of an action's topics and services, which ROS does not list either."""
 
 
 class Network(msgspec.Struct, frozen=True):
@@ -76,6 +81,7 @@ class Bridge:
         where: str = "",
     ) -> None:
         self._ends = ExitStack()
+        self._actions: list[str] = []
         variables = subsystem.files.table.variables
         topics = topics or topics_file.by_names(variables)
         types = MessageTypes(topics.folders)
@@ -84,6 +90,10 @@ class Bridge:
             (one, subscribing.reading(types, one, f"{where}: {one.topic}"))
             for one in topics.subscribe
         ]
+        for action in topics.action:
+            trajectory_action.check(
+                action, _by_name(variables), f"{where}: {action.name}"
+            )
         domain = topics.ros_domain
         fillings = publishing.fillings(
             types, topics.publish, _by_name(variables), where
@@ -101,6 +111,7 @@ class Bridge:
         self._ends.callback(self.node.close)
         try:
             self._open(subsystem, records, fillings, types, warnings)
+            self._offer(subsystem, topics.action, warnings)
         except BaseException:
             self._ends.close()
             raise
@@ -137,17 +148,29 @@ class Bridge:
         table.start()
         self._ends.callback(table.stop)
 
+    def _offer(
+        self, subsystem: Subsystem, actions: Sequence[Action], warnings: Warnings
+    ) -> None:
+        name = f"{subsystem.domain}.{subsystem.name}"
+        layout = Table.layout_of(subsystem.files.table.variables)
+        for about in actions:
+            action = TrajectoryAction(self.node, about, name, layout, warnings)
+            self._ends.callback(action.close)
+            action.open()
+            self._actions.append(action.name)
+
     def close(self) -> None:
         """End everything."""
         self._ends.close()
 
     def offered(self) -> dict[str, list[str]]:
-        """Return the names of its topics and services, by what it does with them."""
-        ends = self.node.ends
+        """Return the names of all that it offers, by what it does with them."""
+        ends = [one for one in self.node.ends if _OF_ACTION not in one.name]
         return {
             "publishes": [one.name for one in ends if one.kind == Kind.PUBLISHER],
             "subscribes": [one.name for one in ends if one.kind == Kind.SUBSCRIBER],
             "services": [one.name for one in ends if one.kind == Kind.SERVICE],
+            "actions": self._actions,
         }
 
 

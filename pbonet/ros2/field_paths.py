@@ -13,12 +13,13 @@ from pbonet.errors import ConfigError, ProtocolError, did_you_mean
 from .message_types import dtype_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from pbonet.config import Variable
 
+    from .cdr_template import Layout, Template
     from .message_types import Field, MessageTypes
 
 Step = tuple[str, int | None]
@@ -27,10 +28,11 @@ _PART: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)(?:\[(\d+)(?::(\d+))?\])?")
 _WHOLE: Final = re.compile(r"([A-Za-z_][A-Za-z0-9_^'.]*)(?:\[(\d+)(?::(\d+))?\])?")
 _MOST: Final = 1000
 """Elements that a path may number."""
-_POSITION, _SPEED, _FORCE = ("rad", "m"), ("rad/s", "m/s"), ("N*m", "N")
+POSITION: Final = ("rad", "m")
+_SPEED, _FORCE = ("rad/s", "m/s"), ("N*m", "N")
 UNITS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "sensor_msgs/msg/JointState": {
-        "position": _POSITION,
+        "position": POSITION,
         "velocity": _SPEED,
         "effort": _FORCE,
     },
@@ -53,7 +55,7 @@ UNITS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "geometry_msgs/msg/Accel": {"linear": ("m/s^2",), "angular": ("rad/s^2",)},
     "geometry_msgs/msg/Wrench": {"force": ("N",), "torque": ("N*m",)},
     "trajectory_msgs/msg/JointTrajectoryPoint": {
-        "positions": _POSITION,
+        "positions": POSITION,
         "velocities": _SPEED,
         "accelerations": ("rad/s^2", "m/s^2"),
         "effort": _FORCE,
@@ -229,27 +231,36 @@ class _Search:
 # -- writing --------------------------------------------------------------------------
 
 
-def setter(message: Any, leaf: Leaf) -> Callable[[NDArray[Any]], None]:  # noqa: ANN401
-    """Return a function that writes numbers to a leaf of a message.
+def clear(message: Any, leaf: Leaf, size: int) -> None:  # noqa: ANN401
+    """Let a leaf of a message be `size` zeros.
 
-    Lists of messages on the way are there already (`grow`). The function raises a
-    `ProtocolError` if a number does not fit the leaf's type, and writes nothing.
+    Lists of messages on the way are there already (`grow`).
     """
+    owner, last = _owner(message, leaf)
+    zeros = np.zeros(size, dtype_of(leaf.field.type))
+    setattr(owner, last, zeros[0].item() if leaf.field.size is None else zeros)
+
+
+def place(template: Template, message: Any, leaf: Leaf, share: Share) -> NDArray[Any]:  # noqa: ANN401
+    """Return the numbers of a leaf as they stand in its message's template."""
+    owner, last = _owner(message, leaf)
+    single = leaf.field.size is None
+    size = None if single else share.end - share.first
+    return template.numbers(owner, last, dtype_of(leaf.field.type), size)
+
+
+def _owner(message: Any, leaf: Leaf) -> tuple[Any, str]:  # noqa: ANN401
+    """Return the message that has a leaf as its field, and the field's name."""
     *way, (last, _) = leaf.steps
-    owner = _walk(message, way)
-    dtype = np.dtype(dtype_of(leaf.field.type))
-
-    def one(values: NDArray[Any]) -> None:
-        setattr(owner, last, _cast(values[:1], dtype, leaf).item())
-
-    def several(values: NDArray[Any]) -> None:
-        setattr(owner, last, _cast(values, dtype, leaf))
-
-    return one if leaf.field.size is None else several
+    return _walk(message, way), last
 
 
-def _cast(values: NDArray[Any], dtype: np.dtype[Any], leaf: Leaf) -> NDArray[Any]:
-    """Return numbers in another type, which would wrap what does not fit."""
+def cast(values: NDArray[Any], dtype: np.dtype[Any], leaf: Leaf) -> NDArray[Any]:
+    """Return numbers in another type, which would wrap what does not fit.
+
+    Raises:
+        ProtocolError: One does not fit.
+    """
     if dtype.kind == "b" or np.can_cast(values.dtype, dtype) or not values.size:
         return values.astype(dtype)
     numbers = values
@@ -375,6 +386,52 @@ def numbers(message: Any, one: Source, order: NDArray[np.intp] | None) -> Any:  
     if len(found) < first + one.size:
         raise _too_few(leaf, len(found), first + one.size)
     return found[first : first + one.size]
+
+
+class Slice(NamedTuple):
+    """Where the elements of a record stand in a message in CDR."""
+
+    first: int
+    """Of the record."""
+    end: int
+    place: int
+    """Of the message, in bytes."""
+    size: int
+    """Elements there."""
+    dtype: np.dtype[Any]
+    order: NDArray[np.intp] | None
+    """Which of them; None: all."""
+
+
+def slices(
+    layout: Layout,
+    message: Any,  # noqa: ANN401 - by its type
+    sources: Sequence[Source],
+    order: NDArray[np.intp] | None,
+) -> list[Slice]:
+    """Return where the numbers of sources stand in messages of a layout.
+
+    Args:
+        layout: The layout.
+        message: A message that has it and all that the sources need.
+        sources: The sources.
+        order: The place of each joint in the message.
+    """
+    found: list[Slice] = []
+    first = 0
+    for one in sources:
+        owner, last = _owner(message, one.leaf)
+        dtype = np.dtype(dtype_of(one.leaf.field.type))
+        size = None if one.leaf.field.size is None else len(getattr(owner, last))
+        place = layout.place(owner, last, dtype.name, size)
+        end = first + one.size
+        if one.by_joint and order is not None:
+            found.append(Slice(first, end, place, size or 1, dtype, order))
+        else:
+            place += one.leaf.span.first * dtype.itemsize if one.leaf.span else 0
+            found.append(Slice(first, end, place, one.size, dtype, None))
+        first = end
+    return found
 
 
 def _too_few(leaf: Leaf, got: int, expected: int) -> ProtocolError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
@@ -23,6 +24,43 @@ bool success
 string message
 string data
 """
+TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
+FOLLOW: Final = "control_msgs/action/FollowJointTrajectory"
+CANCEL: Final = "action_msgs/srv/CancelGoal"
+_CANCEL_TEXT: Final = (
+    "action_msgs/GoalInfo goal_info\n---\nint8 return_code\n"
+    "action_msgs/GoalInfo[] goals_canceling\n"
+)
+_TOLERANCES: Final = {
+    "control_msgs/msg/JointTolerance": "string name\n",
+    "control_msgs/msg/JointComponentTolerance": "string joint_name\nuint16 component\n",
+}
+"""Names of what has a tolerance; three numbers of `_BOUNDS` follow."""
+_BOUNDS: Final = "float64 position\nfloat64 velocity\nfloat64 acceleration\n"
+_POINT: Final = "trajectory_msgs/JointTrajectoryPoint"
+_MULTI_POINT: Final = "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+_FOLLOW_TEXT: Final = f"""{TRAJECTORY} trajectory
+trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
+JointTolerance[] path_tolerance
+JointComponentTolerance[] component_path_tolerance
+JointTolerance[] goal_tolerance
+JointComponentTolerance[] component_goal_tolerance
+builtin_interfaces/Duration goal_time_tolerance
+---
+int32 error_code
+string error_string
+---
+{HEADER} header
+string[] joint_names
+{_POINT} desired
+{_POINT} actual
+{_POINT} error
+string[] multi_dof_joint_names
+{_MULTI_POINT} multi_dof_desired
+{_MULTI_POINT} multi_dof_actual
+{_MULTI_POINT} multi_dof_error
+"""
+"""As in ROS 2 Jazzy."""
 _PARAMETERS: Final = {
     "ListParameters": "string[] prefixes\nuint64 depth\n---\n"
     "{}/ListParametersResult result\n",
@@ -37,6 +75,9 @@ _PARAMETERS: Final = {
 """Services by which every node of ROS 2 shows its parameters."""
 _INFO: Final = "service_msgs/msg/ServiceEventInfo"
 _PARTS: Final = 3
+_SEPARATOR: Final = re.compile(r"^---[ \t]*(?:\n|$)", re.MULTILINE)
+_ACTION_PARTS: Final = ("Goal", "Result", "Feedback")
+_UUID, _TIME = "unique_identifier_msgs/UUID", "builtin_interfaces/Time"
 
 
 class Field(NamedTuple):
@@ -54,7 +95,8 @@ class MessageTypes:
     """All types that are known: those of ROS 2, services, and those of a user.
 
     Args:
-        folders: Folders of packages, with files ``PACKAGE/msg/NAME.msg``.
+        folders: Folders of packages, with files ``PACKAGE/msg/NAME.msg`` and
+            ``PACKAGE/action/NAME.action``.
 
     Raises:
         DeviceError: rosbags is not installed.
@@ -79,14 +121,23 @@ class MessageTypes:
         for folder in folders:
             self._add_folder(folder)
 
-    def add(self, name: str, text: str) -> None:
+    def add(self, name: str, text: str, home: str = "") -> None:
         """Add a message by its definition, the text of a ``.msg`` file.
+
+        Args:
+            name: Its name.
+            text: The definition.
+            home: Where messages without a package are, ``PACKAGE/msg``; empty: beside
+                this one.
 
         Raises:
             ConfigError: It is no definition, or differs from a known one.
         """
         try:
-            self._store.register(_as_in_ros(self._sys.get_types_from_msg(text, name)))
+            found = _as_in_ros(self._sys.get_types_from_msg(text, name))
+            if home:
+                found[name] = _moved(found[name], f"{name.rpartition('/')[0]}/", home)
+            self._store.register(found)
         except Exception as error:  # noqa: BLE001 - what rosbags' parser raises
             raise ConfigError(
                 f"this is no definition of the message {name}",
@@ -115,9 +166,47 @@ class MessageTypes:
             f"{name}_Event event_message\n",
         )
 
+    def add_action(self, name: str, text: str) -> None:
+        """Add an action by its definition, the text of an ``.action`` file.
+
+        Raises:
+            ConfigError: It is no definition.
+        """
+        package = name.partition("/")[0]
+        texts = _SEPARATOR.split(text)
+        if len(texts) != len(_ACTION_PARTS):
+            raise ConfigError(
+                f"this is no definition of the action {name}",
+                expected="goal, result and feedback, with lines of --- between",
+                got=f"{len(texts)} parts",
+                remedy="write it as in an .action file of ROS 2",
+            )
+        for part, its in zip(_ACTION_PARTS, texts, strict=True):
+            self.add(f"{name}_{part}", its, f"{package}/msg")
+        goal_id = f"{_UUID} goal_id\n"
+        self.add_service(
+            f"{name}_SendGoal",
+            f"{goal_id}{name}_Goal goal\n---\nbool accepted\n{_TIME} stamp\n",
+        )
+        self.add_service(
+            f"{name}_GetResult",
+            f"{goal_id}---\nint8 status\n{name}_Result result\n",
+        )
+        self.add(f"{name}_FeedbackMessage", f"{goal_id}{name}_Feedback feedback\n")
+
+    def add_following(self) -> None:
+        """Add the action of a controller of trajectories, unless a user gave it."""
+        self.add_service(CANCEL, _CANCEL_TEXT)
+        for name, text in _TOLERANCES.items():
+            if not self.has(name):
+                self.add(name, text + _BOUNDS)
+        if not self.has(f"{FOLLOW}_Goal"):
+            self.add_action(FOLLOW, _FOLLOW_TEXT)
+
     def _add_folder(self, folder: Path) -> None:
         files = sorted(folder.glob("*/msg/*.msg"))
-        if not files:
+        actions = sorted(folder.glob("*/action/*.action"))
+        if not files and not actions:
             raise ConfigError(
                 "this folder has no messages",
                 where=str(folder),
@@ -126,7 +215,7 @@ class MessageTypes:
             )
         found: dict[str, Any] = {}
         for file in files:
-            name = "/".join((*file.parts[-_PARTS:-1], file.stem))
+            name = _type_of_file(file)
             try:
                 text = file.read_text(encoding="utf-8")
                 found |= self._sys.get_types_from_msg(text, name)
@@ -146,6 +235,8 @@ class MessageTypes:
                 got=str(error).partition("\n")[0],
                 remedy="give every message that another one has, too",
             ) from None
+        for file in actions:
+            self.add_action(_type_of_file(file), file.read_text(encoding="utf-8"))
 
     def has(self, name: str) -> bool:
         """Return whether a message is known."""
@@ -229,6 +320,11 @@ class MessageTypes:
             ) from None
 
 
+def _type_of_file(file: Path) -> str:
+    """Return ``PACKAGE/msg/NAME`` for its file."""
+    return "/".join((*file.parts[-_PARTS:-1], file.stem))
+
+
 def _as_in_ros(tree: Any) -> Any:  # noqa: ANN401 - a definition, as rosbags has it
     """Return a definition as ROS means it.
 
@@ -244,6 +340,16 @@ def _as_in_ros(tree: Any) -> Any:  # noqa: ANN401 - a definition, as rosbags has
         return {_as_in_ros(key): _as_in_ros(value) for key, value in named.items()}
     if isinstance(tree, list | tuple):
         parts = [_as_in_ros(one) for one in cast("list[Any]", tree)]
+        return parts if isinstance(tree, list) else tuple(parts)
+    return tree
+
+
+def _moved(tree: Any, old: str, new: str) -> Any:  # noqa: ANN401 - a definition
+    """Return a definition with messages of one folder in another."""
+    if isinstance(tree, str) and tree.startswith(old):
+        return f"{new}/{tree.removeprefix(old)}"
+    if isinstance(tree, list | tuple):
+        parts = [_moved(one, old, new) for one in cast("list[Any]", tree)]
         return parts if isinstance(tree, list) else tuple(parts)
     return tree
 

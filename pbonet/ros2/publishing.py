@@ -11,7 +11,8 @@ from pbonet.errors import ConfigError, PbonetError, SvarError, SvarMissingError
 from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 
 from . import field_paths
-from .message_types import HEADER, set_stamp
+from .cdr_template import Template
+from .message_types import HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -31,12 +32,21 @@ _GLANCE_NS: Final = 1_000_000
 """Nanoseconds between checks of a table that is not expected to change."""
 _NEAR_NS: Final = 20_000
 """The same while a commit is expected."""
-_EARLY: Final = 0.2
+_AWAKE_NS: Final = (80_000, 20_000) if len(os.sched_getaffinity(0)) > 1 else (0, 0)
+"""Nanoseconds before and after the time when a commit is expected in which the thread
+does not sleep, as to be woken takes longer than to copy. Commits come a little before
+that time, as it is the mean of when they were seen. Not on a machine of one core.
+"""
+_EARLY: Final = 0.1
 """Share of a period by which a commit is expected early."""
 _LATE: Final = 1.0
 """Share of a period for which one that is late is expected."""
-_DRIFT: Final = 0.05
-"""Share of the lateness of a commit by which the next one is expected later."""
+_PHASE, _RATE = 0.1, 0.005
+"""Least shares of the lateness of a commit by which the next one is expected later, and
+by which the period grows."""
+_LOST, _SOME = 0.5, 5
+"""Share of a period by which a commit is no longer the expected one, and the number of
+commits that count from there on."""
 _SOON: Final = 0.95
 """Share of the shortest time between two messages after which one may be sent."""
 _LONGEST_NS: Final = 200_000_000
@@ -68,32 +78,40 @@ class Filling:
         where: str,
     ) -> None:
         types.must_have(about.type, where)
-        self._types, self.type = types, about.type
-        self.message: Any = types.new(about.type)
+        self.type = about.type
+        self._message: Any = types.new(about.type)
         plan: list[tuple[Leaf, Share]] = []
         for path, text in about.fields.items():
             share = field_paths.share_of(text, variables, where)
             leaves = field_paths.leaves_of(types, about.type, path, where)
             plan += _shared(leaves, share, variables[share.variable], where)
         for leaf, _ in plan:
-            field_paths.grow(types, self.message, leaf)
+            field_paths.grow(types, self._message, leaf)
         for path, value in about.constants.items():
             self._set(path, value, where)
         self.variables = sorted({share.variable for _, share in plan})
-        self._setters = [
-            (field_paths.setter(self.message, leaf), share) for leaf, share in plan
-        ]
-        self._stamps = list(_headers(types, about.type, self.message))
-        for header in self._stamps:
+        stamps = list(_headers(types, about.type, self._message))
+        for header in stamps:
             header.frame_id = about.frame or header.frame_id
-        self.encode(
-            {n: _zeros(variables[n]) for n in self.variables}, 0
-        )  # once, to see
+        for leaf, share in plan:
+            field_paths.clear(self._message, leaf, share.end - share.first)
+        self._template = Template(types, about.type, self._message)
+        self._numbers = [
+            (field_paths.place(self._template, self._message, leaf, share), share, leaf)
+            for leaf, share in plan
+        ]
+        self._stamps = [
+            (
+                self._template.numbers(header.stamp, "sec", "int32", None),
+                self._template.numbers(header.stamp, "nanosec", "uint32", None),
+            )
+            for header in stamps
+        ]
 
     def _set(self, path: str, value: Plain | list[Plain], where: str) -> None:
         """Set a field that stays as it is."""
         *way, last = path.split(".")
-        owner: Any = self.message
+        owner: Any = self._message
         try:
             for part in way:
                 name, _, index = part.partition("[")
@@ -115,18 +133,20 @@ class Filling:
         Args:
             values: The values of `variables`.
             stamp_ns: When they were made, nanoseconds since 1970.
+
+        Raises:
+            ProtocolError: A number does not fit its field.
         """
-        for put, share in self._setters:
-            put(values[share.variable][share.first : share.end])
-        for header in self._stamps:
-            set_stamp(header.stamp, stamp_ns)
-        return self._types.encode(self.type, self.message)
-
-
-def _zeros(variable: Variable) -> NDArray[Any]:
-    import numpy as np
-
-    return np.zeros(variable.nelem, variable.dtype)
+        for numbers, share, leaf in self._numbers:
+            given = values[share.variable][share.first : share.end]
+            numbers[:] = (
+                given
+                if given.dtype is numbers.dtype
+                else field_paths.cast(given, numbers.dtype, leaf)
+            )
+        for seconds, nanoseconds in self._stamps:
+            seconds[0], nanoseconds[0] = divmod(stamp_ns, 1_000_000_000)
+        return self._template.copy()
 
 
 def _shared(
@@ -207,6 +227,7 @@ class Outgoing:
         self._pause_ns = int(1e9 / max_hz * _SOON)
         self._local: LocalTable | None = None
         self._values: dict[str, NDArray[Any]] = {}
+        self._places: list[int] = []
         self._sent: list[tuple[int, int]] = []
         self._paused = False
         self.copied: list[tuple[int, int]] = []
@@ -218,7 +239,8 @@ class Outgoing:
         """Read this table from now on."""
         names = self.filling.variables
         self._local = local = table.local("ros2", os.getpid(), invar=names)
-        local.keep_fresh({table.index(name): Freshness() for name in names})
+        self._places = [table.index(name) for name in names]
+        local.keep_fresh({place: Freshness() for place in self._places})
         self._values = {name: local.array(name) for name in names}
         self._sent = self.copied = []
 
@@ -226,6 +248,11 @@ class Outgoing:
     def behind(self) -> bool:
         """Whether it has a commit that was not published yet."""
         return self._sent != self.copied
+
+    def prepare(self) -> None:
+        """Encode for nothing: code that has not run for long takes twice the time."""
+        if self._sent:
+            self.filling.encode(self._values, 0)
 
     def turn(self, now: int) -> None:
         """Publish the variables if one has changed, none is too old, and it is time."""
@@ -236,17 +263,16 @@ class Outgoing:
         if not self.behind or now < self.due_ns:
             return
         self._sent = self.copied
-        ages = [local.age(name) for name in self.filling.variables]
-        name = self.publisher.end.name
-        if local.flags & Flags.COPY_STALE or max(ages) == float("inf"):
-            self._warnings.warn(name, _PAUSED)
+        ages_ns = [local.age_ns(place) for place in self._places]
+        if local.flags & Flags.COPY_STALE or min(ages_ns) < 0:
+            self._warnings.warn(self.publisher.end.name, _PAUSED)
             self._paused = True
             return
         if self._paused:
-            self._warnings.over(name, _PAUSED)
+            self._warnings.over(self.publisher.end.name, _PAUSED)
             self._paused = False
         self.due_ns = now + self._pause_ns
-        stamp_ns = time.time_ns() - round(max(ages) * 1e9)
+        stamp_ns = time.time_ns() - max(ages_ns)
         self.publisher.put(self.filling.encode(self._values, stamp_ns), stamp_ns)
 
 
@@ -269,7 +295,8 @@ class TablePublisher:
         self._watch = Watch()
         self._ended = threading.Event()
         self._period_ns = 0.0
-        self._last_ns = self._seen_ns = 0
+        self._last_ns = 0.0
+        self._seen_ns = self._count = 0
         self._heads: dict[int, int] = {}
         self._generation = -1
         self._thread = threading.Thread(
@@ -327,10 +354,22 @@ class TablePublisher:
         for one in self._outgoing:
             self._publish(one, now)
         if moved:
+            self._rest(now)
             steps = [n - before.get(uid, n) for uid, n in self._numbers().items()]
             self._measure(now, max(steps, default=0))
         elif not _is_there(table):
             self._leave()
+
+    def _rest(self, now: int) -> None:
+        """Sleep until shortly before the next commit.
+
+        What is left to do is done after that: zenoh's threads need the core now.
+        """
+        period = self._period_ns
+        if period and not any(one.behind for one in self._outgoing):
+            gone = max(int((now - self._last_ns) / period), 1)
+            until = self._last_ns + (gone + 1 - _EARLY) * period
+            time.sleep(max(until - now_ns(), 0.0) * 1e-9)
 
     def _publish(self, one: Outgoing, now: int) -> None:
         """Publish a topic if it is time; the others go on whatever it does."""
@@ -367,34 +406,43 @@ class TablePublisher:
             (self._heads[uid], n) for uid, n in known.items() if uid in self._heads
         ]
         self._watch.add(arena, self._generation, arena.changes, heads)
+        if self._period_ns:
+            for one in self._outgoing:
+                one.prepare()
         now = now_ns()
         due = [one.due_ns for one in self._outgoing if one.behind]
         until = min([now + _LONGEST_NS, *due])
         expected = self._last_ns + self._period_ns
-        near = min(expected - _EARLY * self._period_ns, until)
-        if near > now:
-            self._ended.wait((near - now) * 1e-9)
-        late = round(min(expected + _LATE * self._period_ns, until))
-        if late > now and self._watch.sleep(late, _NEAR_NS):
-            return True
-        return self._watch.sleep(until, _GLANCE_NS)
+        phases = (
+            (expected - _AWAKE_NS[0], 2 * _NEAR_NS),
+            (expected + _AWAKE_NS[1], 0),
+            (expected + _LATE * self._period_ns, _NEAR_NS),
+            (until, _GLANCE_NS),
+        )
+        return any(
+            self._watch.sleep(round(min(end, until)), pause) for end, pause in phases
+        )
 
     def _measure(self, now: int, steps: int) -> None:
-        """Take note of some commits, to expect the next one."""
-        since = (now - self._seen_ns) / max(steps, 1)
-        self._seen_ns = now
-        # It is seen late at times, and never early: lateness moves the next one little.
+        """Take note of some commits, to expect the next one.
+
+        A straight line through their times, which forgets old ones slowly; one that is
+        seen late moves it little.
+        """
+        since, self._seen_ns = now - self._seen_ns, now
+        if since > _LONGEST_NS or not steps or not self._period_ns:
+            regular = 0 < since < _LONGEST_NS and steps > 0
+            self._period_ns = since / steps if regular else 0.0
+            self._last_ns, self._count = float(now), 1
+            return
+        self._count = k = self._count + 1
         expected = self._last_ns + steps * self._period_ns
         late = now - expected
-        self._last_ns = now
-        if 0 < late < self._period_ns:
-            self._last_ns = round(expected + _DRIFT * late)
-        if since > _LONGEST_NS or steps == 0:
-            self._period_ns = 0.0
-        else:
-            self._period_ns += (since - self._period_ns) * (
-                0.1 if self._period_ns else 1
-            )
+        if abs(late) > _LOST * self._period_ns:  # a pause, or some in one go
+            self._last_ns, self._count = float(now), _SOME
+            return
+        self._last_ns = expected + late * max(_PHASE, (4 * k - 2) / (k * k + k))
+        self._period_ns += late * max(_RATE, 6 / (k * k + k)) / steps
 
 
 def _is_there(table: Table) -> bool:

@@ -6,8 +6,9 @@ import contextlib
 import queue
 import threading
 import time
+from concurrent.futures import Future
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import zenoh
 from zenoh import ext
@@ -149,7 +150,7 @@ class _Newest:
         return None
 
 
-class _Requests(queue.Queue["tuple[Callable[[Any], Any], End, Any] | None"]):
+class Requests(queue.Queue["tuple[Callable[[Any], Any], End, Any] | None"]):
     """Requests that wait for one thread."""
 
     def __init__(self) -> None:
@@ -189,7 +190,7 @@ class RosNode:
         self._threads: list[threading.Thread] = []
         self._ends: list[Callable[[], None]] = []
         """Functions that let the threads end, one each."""
-        self._requests = _Requests()
+        self._requests = Requests()
 
     def open(self) -> None:
         """Show the node, and begin to answer and to look for others."""
@@ -201,6 +202,12 @@ class RosNode:
             ),
         ]
         self._work(self._requests, "ros services")
+
+    def queue(self, name: str) -> Requests:
+        """Return a queue for services that wait for no others; a thread answers it."""
+        requests = Requests()
+        self._work(requests, name)
+        return requests
 
     def close(self) -> None:
         """Undeclare everything, and close the session."""
@@ -270,22 +277,19 @@ class RosNode:
         name: str,
         kind: str,
         answer: Callable[[Any], Any],
-        *,
-        at_once: bool = False,
+        requests: Requests | None = None,
     ) -> None:
         """Declare a service.
 
         Args:
             name: Its name.
             kind: Its type, such as ``rcl_interfaces/srv/GetParameters``.
-            answer: Returns the response to a request; one at a time is called.
-            at_once: Whether it waits for no other service: it has its own thread.
+            answer: Returns the response to a request, or a `Future` for it; one at a
+                time is called.
+            requests: Where its requests wait (`queue`); None: with all others.
         """
         end = self._end(Kind.SERVICE, name, kind, _SERVICE_QOS)
-        requests = self._requests
-        if at_once:
-            requests = _Requests()
-            self._work(requests, f"ros {name}")
+        requests = requests or self._requests
 
         def take(query: zenoh.Query) -> None:
             try:
@@ -340,7 +344,7 @@ class RosNode:
 
     # -- services ---------------------------------------------------------------------
 
-    def _work(self, requests: _Requests, name: str) -> None:
+    def _work(self, requests: Requests, name: str) -> None:
         """Start a thread that answers requests."""
 
         def run() -> None:
@@ -357,23 +361,48 @@ class RosNode:
         end: End,
         query: Any,  # noqa: ANN401 - zenoh's, whose types are partly unknown
     ) -> None:
+        """Answer a request, now or when its future has a result."""
+        try:
+            asked = Attachment.unpack(
+                query.attachment.to_bytes() if query.attachment else b""
+            )
+            data = query.payload.to_bytes() if query.payload else b""
+            request = self.types.decode(f"{end.type}_Request", data)
+        except ProtocolError as error:
+            _refuse(query, str(error))
+            return
+        try:
+            response = answer(request)
+        except Exception as error:
+            _refuse(query, f"{end.name} failed: {error}")
+            raise
+        comes_later = isinstance(response, Future)
+        if comes_later:
+            later = cast("Future[Any]", response)
+            later.add_done_callback(
+                lambda done: self._safely(
+                    end.name, partial(self._respond, end, query, asked, done.result())
+                )
+            )
+        else:
+            self._respond(end, query, asked, response)
+
+    def _respond(
+        self,
+        end: End,
+        query: Any,  # noqa: ANN401 - as above
+        asked: Attachment,
+        response: Any,  # noqa: ANN401 - by its type
+    ) -> None:
+        """Send the response to a request."""
         with query:
             try:
-                asked = Attachment.unpack(
-                    query.attachment.to_bytes() if query.attachment else b""
-                )
-                data = query.payload.to_bytes() if query.payload else b""
-                request = self.types.decode(f"{end.type}_Request", data)
-            except ProtocolError as error:
-                query.reply_err(str(error))
-                return
-            try:
-                response = self.types.encode(f"{end.type}_Response", answer(request))
+                data = self.types.encode(f"{end.type}_Response", response)
             except Exception as error:
                 query.reply_err(f"{end.name} failed: {error}")
                 raise
             back = asked._replace(stamp_ns=time.time_ns())
-            query.reply(end.key, response, encoding=_CDR, attachment=back.pack())
+            query.reply(end.key, data, encoding=_CDR, attachment=back.pack())
 
     def _safely(self, name: str, what: Callable[[], None]) -> None:
         """Call a function; the node outlives whatever a message does."""

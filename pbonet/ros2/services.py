@@ -92,12 +92,9 @@ class Services:
         """Offer everything from now on."""
         for command in offered():
             name = command.name.replace(" ", "_")
-            self._node.serve(
-                name,
-                COMMAND,
-                self._answering(command),
-                at_once=command.name in _AT_ONCE,
-            )
+            at_once = command.name in _AT_ONCE
+            requests = self._node.queue(f"ros {name}") if at_once else None
+            self._node.serve(name, COMMAND, self._answering(command), requests)
         for name, answer in (
             ("ListParameters", self._list),
             ("GetParameters", self._get),

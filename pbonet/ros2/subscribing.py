@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -13,7 +14,8 @@ from pbonet.errors import ConfigError, ProtocolError
 from pbonet.svar import now_ns
 
 from . import field_paths
-from .message_types import nanoseconds, seconds
+from .cdr_template import Layout
+from .message_types import TRAJECTORY, nanoseconds, seconds
 from .wire_format import Attachment
 
 if TYPE_CHECKING:
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
 
 HOME: Final = "ros2"
 """The part before the colon of a link that a bridge writes."""
-TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
 LONGEST: Final = 1 << 20
 """Bytes of the longest message that is decoded, as of a link's record."""
 _NAMES: Final = ("name", "joint_names")
@@ -37,6 +38,9 @@ _SHOWN: Final = 10
 """Numbers that a warning shows."""
 _SENDERS: Final = 100
 """Senders of a topic whose numbers are kept."""
+_STAMP: Final = struct.Struct("=iI")
+_LEARN_NS: Final = 100_000_000
+"""Nanoseconds after which another layout of messages is learnt."""
 _LONG_AGO_NS: Final = 3600_000_000_000
 _AHEAD_NS: Final = 100_000_000
 """Nanoseconds by which a header's stamp may be ahead of this machine's clock. By as
@@ -77,17 +81,38 @@ class Selection:
         """Copy the numbers of a message.
 
         Raises:
-            ProtocolError: It has fewer, not all joints, or one that is not finite.
+            ProtocolError: It has fewer, or not all joints.
         """
         order = self._joints.order(message)
         at = 0
         for one in self._sources:
             to[at : at + one.size] = field_paths.numbers(message, one, order)
             at += one.size
-        if not isfinite(to.dot(to)):  # which costs less than to ask for each
-            self._must_be_finite(to)
 
-    def _must_be_finite(self, values: NDArray[np.float64]) -> None:
+    def known(self, types: MessageTypes, name: str, data: bytes) -> _KnownLayout | None:
+        """Return how to read messages like this one without decoding them.
+
+        None: its sender encodes otherwise than rosbags.
+        """
+        message = types.decode(name, data)
+        order = self._joints.order(message)
+        layout = Layout(types, name, data, message)
+        if not layout.is_known:
+            return None
+        places = field_paths.slices(layout, message, self._sources, order)
+        stamp = -1
+        if hasattr(message, "header"):
+            stamp = layout.place(message.header.stamp, "sec", "int32", None)
+        return _KnownLayout(layout, places, stamp)
+
+    def must_be_finite(self, values: NDArray[np.float64]) -> None:
+        """Refuse numbers that are not finite.
+
+        Raises:
+            ProtocolError: One is not.
+        """
+        if isfinite(values.dot(values)):  # which costs less than to ask for each
+            return
         at = 0
         for one in self._sources:
             place = values[at : at + one.size]
@@ -98,6 +123,33 @@ class Selection:
                     remedy="its sender must send finite numbers, or nothing",
                 )
             at += one.size
+
+
+class _KnownLayout:
+    """Copies numbers out of messages in CDR whose layout is known.
+
+    Args:
+        layout: The layout.
+        places: Where the numbers stand.
+        stamp: Where the header's stamp stands; -1: there is none.
+    """
+
+    def __init__(
+        self, layout: Layout, places: list[field_paths.Slice], stamp: int
+    ) -> None:
+        self.fits = layout.fits
+        self._places, self._stamp = places, stamp
+
+    def read(self, data: bytes, to: NDArray[np.float64]) -> None:
+        """Copy the numbers of a message that fits."""
+        for first, end, place, size, dtype, order in self._places:
+            found = np.frombuffer(data, dtype, size, place)
+            to[first:end] = found if order is None else found[order]
+
+    def stamp_ns(self, data: bytes) -> int:
+        """Return the stamp in the header, in nanoseconds since 1970."""
+        sec, nanosec = _STAMP.unpack_from(data, self._stamp)
+        return int(sec) * 1_000_000_000 + int(nanosec)
 
 
 class Trajectory:
@@ -251,6 +303,8 @@ class Incoming:
         self._warnings = warnings
         self._last: dict[bytes, int] = {}
         self._by_header = about.stamp == "header"
+        self._known: _KnownLayout | None = None
+        self._learn_ns = 0
         self.lost = 0
         """Messages that came faster than they were read, or were lost on the way."""
         self._writer = tbuf.Writer(about.link, ("f8", record.shape))
@@ -278,16 +332,41 @@ class Incoming:
             )
         if sample.attachment is not None:
             self._count(Attachment.unpack(sample.attachment.to_bytes()))
-        message = self._types.decode(self.about.type, sample.payload.to_bytes())
-        self._record.read(message, self._writer.value)
-        self._writer.write(arrived - self._age(message, arrived))
+        stamp_ns = self._read(sample.payload.to_bytes())
+        self._writer.write(arrived - self._age(stamp_ns, arrived))
 
-    def _age(self, message: Any, arrived: int) -> int:  # noqa: ANN401
+    def _read(self, data: bytes) -> int:
+        """Copy the numbers of a message; return its header's stamp, if that counts.
+
+        A message with the layout of an earlier one need not be decoded.
+        """
+        record, values, stamp_ns = self._record, self._writer.value, 0
+        known = self._known
+        if known is not None and known.fits(data):
+            known.read(data, values)
+            stamp_ns = known.stamp_ns(data) if self._by_header else 0
+        else:
+            message = self._types.decode(self.about.type, data)
+            record.read(message, values)
+            stamp_ns = nanoseconds(message.header.stamp) if self._by_header else 0
+            self._learn(data)
+        if isinstance(record, Selection):
+            record.must_be_finite(values)
+        return stamp_ns
+
+    def _learn(self, data: bytes) -> None:
+        """Learn the layout of a message, but not too often, as layouts may change."""
+        now = now_ns()
+        if isinstance(self._record, Selection) and now > self._learn_ns:
+            self._learn_ns = now + _LEARN_NS
+            self._known = self._record.known(self._types, self.about.type, data)
+
+    def _age(self, stamp_ns: int, arrived: int) -> int:
         """Return how old a message's content was at its arrival, in nanoseconds."""
         if not self._by_header:
             return 0
         waited = now_ns() - arrived
-        age = time.time_ns() - waited - nanoseconds(message.header.stamp)
+        age = time.time_ns() - waited - stamp_ns
         if not -_AHEAD_NS < age < _LONG_AGO_NS:
             raise ProtocolError(
                 "the header's stamp is not of this time, and the message was not used",

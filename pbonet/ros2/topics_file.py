@@ -78,6 +78,32 @@ class Subscribe(Topic, kw_only=True, forbid_unknown_fields=True):
     """From when its age counts; ``header`` needs clocks that agree."""
 
 
+class Action(Struct, kw_only=True, forbid_unknown_fields=True):
+    """A FollowJointTrajectory action, whose goals `ros_trajectory` follows."""
+
+    name: str
+    """Its name; without a first slash it is below the node's."""
+    link: str
+    """The link is ``ros2:LINK``, for `ros_trajectory`."""
+    joints: list[str]
+    """Joints in the order of the variables' elements; the message's may differ."""
+    desired: str
+    """The variable that is Y of `ros_trajectory`."""
+    actual: str
+    """The variable with the measured positions."""
+    newest: str = "TRAJ"
+    """The variable that is TRAJ of `ros_trajectory`."""
+    points: int = 64
+    """The most points of a trajectory."""
+    feedback_hz: float = 20.0
+    """How often a second there is feedback, and goals are judged."""
+
+    @property
+    def variables(self) -> list[str]:
+        """The variables that must be written while a goal is followed."""
+        return list(dict.fromkeys((self.newest, self.desired, self.actual)))
+
+
 class Topics(Struct, kw_only=True, forbid_unknown_fields=True):
     """All that a bridge is to do."""
 
@@ -89,6 +115,7 @@ class Topics(Struct, kw_only=True, forbid_unknown_fields=True):
     """Folders of packages with ``.msg`` files."""
     publish: list[Publish] = []
     subscribe: list[Subscribe] = []
+    action: list[Action] = []
 
     @property
     def folders(self) -> list[Path]:
@@ -145,6 +172,7 @@ def _check(topics: Topics, where: str) -> None:
     _check_domain(topics, where)
     names = [topics.node] if topics.node else []
     names += [one.topic for one in (*topics.publish, *topics.subscribe)]
+    names += [one.name for one in topics.action]
     for name in names:
         if not NAME.fullmatch(name):
             raise ConfigError(
@@ -154,12 +182,18 @@ def _check(topics: Topics, where: str) -> None:
                 remedy="rename it",
             )
     _refuse_twice("topic", [one.topic for one in topics.publish], where)
-    _refuse_twice("link", [one.link for one in topics.subscribe], where)
+    links = [one.link for one in topics.subscribe]
+    links += [one.link for one in topics.action]
+    _refuse_twice("link", links, where)
+    _refuse_twice("action", [one.name for one in topics.action], where)
     for one in (*topics.publish, *topics.subscribe):
         if not (one.max_hz > 0 and one.depth > 0):
             raise ConfigError(
                 "max_hz and depth are above 0", where=f"{where}: {one.topic}"
             )
+    for action in topics.action:
+        if not action.feedback_hz > 0:
+            raise ConfigError("feedback_hz is above 0", where=f"{where}: {action.name}")
 
 
 def _check_domain(topics: Topics, where: str) -> None:

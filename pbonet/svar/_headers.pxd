@@ -158,3 +158,4 @@ cdef extern from "watch.h" nogil:
     void pb_watch_add(pb_watch *w, const void *at, uint64_t known, bint head)
     void pb_watch_ring(pb_watch *w)
     int pb_watch_sleep(pb_watch *w, int64_t until_ns, int64_t pause_ns)
+    int pb_watch_awake(pb_watch *w, int64_t until_ns)

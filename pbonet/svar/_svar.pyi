@@ -149,7 +149,7 @@ class Watch:
     def ring(self) -> None:
         """End the current or next sleep; may be called from any thread."""
     def sleep(self, until_ns: int, pause_ns: int) -> bool:
-        """Sleep, and check the watched words every `pause_ns`.
+        """Sleep, and check the watched words every `pause_ns`; 0: stay awake.
 
         Returns:
             True if something has changed; False if the bell rang, or at `until_ns`.

@@ -574,5 +574,8 @@ cdef class Watch:
     def sleep(self, int64_t until_ns, int64_t pause_ns) -> bool:
         cdef int how
         with nogil:
-            how = pb_watch_sleep(&self.core, until_ns, pause_ns)
+            if pause_ns:
+                how = pb_watch_sleep(&self.core, until_ns, pause_ns)
+            else:
+                how = pb_watch_awake(&self.core, until_ns)
         return how == PB_MOVED

@@ -53,6 +53,16 @@ static inline bool pb_watch_moved(const struct pb_watch *w) {
     return false;
 }
 
+/* Read the words until `until_ns` without sleeping, for a change that is expected within
+ * microseconds: to be woken takes longer than that. */
+static inline int pb_watch_awake(struct pb_watch *w, int64_t until_ns) {
+    while (pb_now() < until_ns) {
+        if (pb_watch_moved(w)) return PB_MOVED;
+        if (atomic_load(&w->bell)) break; /* the next sleep takes it */
+    }
+    return PB_OVER;
+}
+
 /* Sleep until `until_ns`, and read the words every `pause_ns`, even if bells ring more
  * often. A changed word that is not handled ends at most one sleep per pause. */
 static inline int pb_watch_sleep(struct pb_watch *w, int64_t until_ns, int64_t pause_ns) {

@@ -23,7 +23,7 @@ from pbonet.ros2.message_types import (
 )
 
 sdk = pytest.importorskip("zenoh_ros2_sdk")
-from zenoh_ros2_sdk import entity, keyexpr  # noqa: E402
+from zenoh_ros2_sdk import discovery, entity, keyexpr  # noqa: E402
 from zenoh_ros2_sdk.qos import QosProfile  # noqa: E402
 
 DOMAIN = 7
@@ -76,12 +76,37 @@ DESC what a node of ROS wants
 UNITS m/s
 NELEM 2
 MAXAGE 0.5
+
+NAME NDOF
+TYPE int
+DESC joints
+UNITS none
+NELEM 1
+INIT 2
+
+NAME Q_DES
+TYPE double
+DESC where the trajectory is
+UNITS rad
+NELEM 2
+
+NAME Q^_DES
+TYPE double
+DESC its speed
+UNITS rad/s
+NELEM 2
+
+NAME TRAJ
+TYPE double
+DESC the newest trajectory
+UNITS mixed
+NELEM 2
 EOF
 """
 RMOD = """MODULE {module}
 DESC a test
 {alias}
-INCONST none
+INCONST {constant}
 OUTCONST none
 INVAR none
 OUTVAR {out}
@@ -114,6 +139,56 @@ topic = "/cmd_vel"
 type = "geometry_msgs/msg/Twist"
 link = "cmd_vel"
 fields = ["linear.x", "angular.z"]
+
+[[action]]
+name = "/arm_controller/follow_joint_trajectory"
+link = "way"
+joints = ["one", "two"]
+desired = "Q_DES"
+actual = "Q_DES"
+"""
+FOLLOW = "control_msgs/action/FollowJointTrajectory"
+FOLLOW_HASHES = {  # as rosidl generates them
+    "SendGoal": "b13789dddc325a7a962825c45e28c77d37237ec129dd0c34dc5994562938c57f",
+    "GetResult": "e3ceb38e3e1867c8dc0f46014df26e90eb93422f27e9e97f936e07f94be4bc8b",
+    "FeedbackMessage": "80398fcb9674a79081a9906e2ccf0c80"
+    "4dd7cb15e22e362e606ee87186beab71",
+}
+BREAK = "=" * 80 + "\nMSG: "
+TOLERANCE = "float64 position\nfloat64 velocity\nfloat64 acceleration\n"
+UUID = "unique_identifier_msgs/UUID goal_id\n"
+SEND_GOAL = f"""unique_identifier_msgs/UUID goal_id
+control_msgs/Goal goal
+{BREAK}control_msgs/Goal
+trajectory_msgs/JointTrajectory trajectory
+trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
+control_msgs/JointTolerance[] path_tolerance
+control_msgs/JointComponentTolerance[] component_path_tolerance
+control_msgs/JointTolerance[] goal_tolerance
+control_msgs/JointComponentTolerance[] component_goal_tolerance
+builtin_interfaces/Duration goal_time_tolerance
+{BREAK}control_msgs/JointTolerance
+string name
+{TOLERANCE}{BREAK}control_msgs/JointComponentTolerance
+string joint_name
+uint16 component
+{TOLERANCE}"""
+GET_RESULT = f"""int8 status
+control_msgs/Result result
+{BREAK}control_msgs/Result
+int32 error_code
+string error_string
+"""
+FEEDBACK = """unique_identifier_msgs/UUID goal_id
+std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint desired
+trajectory_msgs/JointTrajectoryPoint actual
+trajectory_msgs/JointTrajectoryPoint error
+string[] multi_dof_joint_names
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual
+trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
 """
 GET = "string[] names", "rcl_interfaces/ParameterValue[] values"
 SET = (
@@ -155,19 +230,34 @@ def arm(nodes, tmp_path):
     """A subsystem with two tasks that are ON, and one to swap to."""
     nodes.write_module("joints", JOINTS)
     receive = "LOCAL\nLINK ros2:cmd_vel"
+    counts = RMOD.format(
+        module="joints", alias="", constant="none", out=OUT, hz=500, local=""
+    )
     for name, text in (
         ("a.svar", SVAR),
         ("a.sbs", "SUBSYSTEM arm\nSVARFILE a.svar\nRTPU arm0\nEOF\n"),
-        ("one.rmod", RMOD.format(module="joints", alias="", out=OUT, hz=500, local="")),
-        ("two.rmod", RMOD.format(module="joints", alias="", out=OUT, hz=500, local="")),
+        ("one.rmod", counts),
+        ("two.rmod", counts),
         (
             "seen.rmod",
             RMOD.format(
                 module="tbuf_receive",
                 alias="SVARALIAS Z=SPEED",
+                constant="none",
                 out="Z",
                 hz=200,
                 local=receive,
+            ),
+        ),
+        (
+            "follow.rmod",
+            RMOD.format(
+                module="ros_trajectory",
+                alias="SVARALIAS Y=Q_DES\nSVARALIAS Y^=Q^_DES",
+                constant="NDOF",
+                out="Y Y^ TRAJ",
+                hz=200,
+                local="LOCAL\nLINK ros2:way",
             ),
         ),
         ("a.toml", TOPICS),
@@ -177,7 +267,8 @@ def arm(nodes, tmp_path):
     with Subsystem(tmp_path / "a.sbs", domain=nodes.domain, record="off") as arm:
         arm.spawn("one")
         arm.spawn("seen")
-        arm.on(["one", "seen"])
+        arm.spawn("follow")
+        arm.on(["one", "seen", "follow"])
         arm.detach()
         yield tmp_path, nodes.domain
         arm.open()
@@ -249,13 +340,20 @@ def test_a_node_of_ros_sees_moves_and_commands_a_subsystem(arm, bridge, node) ->
     gets_its_variables()
     commands_it()
     moves_it(arm, node)
+    follows(arm, node)
     disturbs_it(arm, node)
 
 
 def sees_it(node, about):
-    """Every end of ours is in the graph of ROS as the SDK would have put it there."""
+    """The SDK lists our ends, which are as it would have put them into the graph."""
     assert about["publishes"] == ["/joint_states", "/lab/arm/torque"]
     assert {"/lab/arm/swap", "/lab/arm/set_parameters"} <= set(about["services"])
+    assert about["actions"] == ["/arm_controller/follow_joint_trajectory"]
+    topics = dict(discovery.get_topic_names_and_types(DOMAIN))
+    assert topics["/joint_states"] == ["sensor_msgs/msg/JointState"]
+    assert topics["/cmd_vel"] == ["geometry_msgs/msg/Twist"]
+    services = dict(discovery.get_service_names_and_types(DOMAIN))
+    assert services["/lab/arm/swap"] == [COMMAND]
     publisher = sdk.ROS2Publisher(
         "/cmd_vel", "geometry_msgs/msg/Twist", domain_id=DOMAIN, namespace="/sdk"
     )
@@ -270,7 +368,7 @@ def sees_it(node, about):
         (1, entity.EntityKind.SUBSCRIPTION, publisher, "/cmd_vel"),
         (2, entity.EntityKind.PUBLISHER, states, "/joint_states"),
         (
-            about["services"].index("/lab/arm/swap") + 4,
+            about["services"].index("/lab/arm/swap") + 9,
             entity.EntityKind.SERVICE,
             swap,
             "/lab/arm/swap",
@@ -334,7 +432,7 @@ def commands_it():
             one["task"]: one["fields"]["state"]
             for one in json.loads(call("status", "").data)["tasks"]
         }
-        assert states == {"one": "OFF", "two": "ON", "seen": "ON"}
+        assert states == {"one": "OFF", "two": "ON", "seen": "ON", "follow": "ON"}
         refused = call("on", "nobody")
         assert not refused.success
         assert "the subsystem has no task nobody" in refused.message
@@ -389,6 +487,87 @@ def moves_it(arm, node):
     wheel.close()
     wait_for(lambda: speed(arm).stale, "a silent node")
     assert list(speed(arm).values) == [0.5, -0.25]
+
+
+def follows(arm, node):
+    """A goal of an action is followed, with feedback and a result, or rejected."""
+    types, got = MessageTypes(), []
+    texts = "".join(
+        f"{BREAK}{name.replace('/msg/', '/')}\n{types.definition(name)}"
+        for name in (
+            "unique_identifier_msgs/msg/UUID",
+            "trajectory_msgs/msg/JointTrajectory",
+            "trajectory_msgs/msg/MultiDOFJointTrajectory",
+        )
+    )
+    accepted = "bool accepted\nbuiltin_interfaces/Time stamp\n"
+    with contextlib.ExitStack() as ends:
+        goals, results = (
+            sdk.ROS2ServiceClient(
+                f"/arm_controller/follow_joint_trajectory/_action/{name}",
+                f"{FOLLOW}_{part}",
+                ask + texts,
+                answer,
+                domain_id=DOMAIN,
+                type_hash=f"RIHS01_{FOLLOW_HASHES[part]}",
+                timeout=60.0,
+            )
+            for name, part, ask, answer in (
+                ("send_goal", "SendGoal", SEND_GOAL, accepted),
+                ("get_result", "GetResult", UUID, GET_RESULT),
+            )
+        )
+        feedback = sdk.ROS2Subscriber(
+            "/arm_controller/follow_joint_trajectory/_action/feedback",
+            f"{FOLLOW}_FeedbackMessage",
+            got.append,
+            msg_definition=FEEDBACK + texts,
+            domain_id=DOMAIN,
+            type_hash=f"RIHS01_{FOLLOW_HASHES['FeedbackMessage']}",
+        )
+        for end in (goals, results, feedback):
+            ends.callback(end.close)
+        made = node.store.types
+        goal_id = made["unique_identifier_msgs/msg/UUID"](np.arange(16, dtype="u1"))
+        for names, takes in ((["one", "three"], False), (["two", "one"], True)):
+            goal = goal_for(made, types, names)
+            assert goals.call(goal_id=goal_id, goal=goal).accepted is takes
+        told(arm[0], "the message has no joint two")
+        done = results.call(goal_id=goal_id)
+        assert (done.status, done.result.error_code) == (4, 0), done.result.error_string
+        wait_for(lambda: got, "feedback")
+        assert got[0].joint_names == ["one", "two"]
+        assert got[0].goal_id.uuid.tolist() == list(range(16))
+    with Subsystem(arm[0] / "a.sbs", domain=arm[1], watch=True) as watching:
+        assert list(watching.display(["Q_DES"])[0].values) == [0.5, 1.0]
+
+
+def goal_for(made, types, names):
+    """Return a goal with one point, made of the SDK's own types."""
+
+    def theirs(ours):
+        """Return one of our messages as the SDK's."""
+        fields = {
+            key: theirs(value) if hasattr(value, "__msgtype__") else value
+            for key, value in vars(ours).items()
+        }
+        return made[ours.__msgtype__](**fields)
+
+    way = theirs(types.new("trajectory_msgs/msg/JointTrajectory"))
+    point = theirs(types.new("trajectory_msgs/msg/JointTrajectoryPoint"))
+    point.time_from_start.nanosec = 400_000_000
+    point.positions = np.array([1.0, 0.5])
+    way.joint_names, way.points = names, [point]
+    several = types.new("trajectory_msgs/msg/MultiDOFJointTrajectory")
+    return made["control_msgs/msg/Goal"](
+        trajectory=way,
+        multi_dof_trajectory=theirs(several),
+        path_tolerance=[],
+        component_path_tolerance=[],
+        goal_tolerance=[],
+        component_goal_tolerance=[],
+        goal_time_tolerance=theirs(types.new("builtin_interfaces/msg/Duration")),
+    )
 
 
 def disturbs_it(arm, node):

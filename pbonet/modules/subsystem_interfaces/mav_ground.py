@@ -92,7 +92,9 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
 
     Units and axes as of `mav_vehicle`, whose ports these are seen from the other end: a
     vehicle's controller reads SETPOINT, ARM_CMD and MODE_CMD. SETPOINT has the time of
-    arrival; without a new one for SILENT its kind is 0, which asks for nothing. A
+    arrival; without a new one for SILENT its kind is 0, which asks for nothing. Targets
+    are local (NED); velocities may also be in the frame of the body, and are turned by
+    the heading that the vehicle has at their arrival. A
     command is accepted when ARMED or MODE is as it says, and denied after 1 s; another
     value takes the place of one that is not yet followed. PARAM are numbers that
     stations change by their names in PARAMS. When no station was heard for LOST_AFTER
@@ -165,7 +167,7 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         self._reached_ns = 0
         self._flown: Item | None = None
         self._start = 0.0, 0.0
-        self._blind = False
+        self._blind = self._refused = False
         self.setpoint[:] = 0.0
         self.arm, self.mode = self.armed, self.in_mode  # nothing is asked for yet
         self.param[:] = self._parameters.values
@@ -205,8 +207,13 @@ class MavGround(PortBasedObject[Vehicle], module_class="subsystem interface"):
         link = self._link
         for kind in ("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"):
             m = link.newest(kind)
-            if m is not None and self._is_for_us(m) and setpoint_of(m, self.setpoint):
+            if m is None or not self._is_for_us(m):
+                continue
+            if setpoint_of(m, self.setpoint, _angles(self.att)[2]):
                 self._asked_ns = now
+            elif not self._refused:
+                self._refused = True
+                self._say("set-points in this frame, or not finite, do not count")
         if self.setpoint[0] and now - self._asked_ns > self.params.silent * 1e9:
             self.setpoint[:] = 0.0
             self._say(f"no set-point for {self.params.silent:g} s: the vehicle holds")

@@ -17,6 +17,8 @@ from pbonet import (
 from pbonet.io import devices_allowed
 from pbonet.modules.trajectories.traj_play import hermite
 
+_NOT_FOLLOWED = -1.0
+
 
 class Sent(Params):
     """The link, and what it may hold."""
@@ -37,15 +39,21 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
     positions, with numbers that are not finite, or older than `maxage` is warned of and
     not followed. What comes while the task is OFF or runs `stable` is not followed
     later. At its end the signal FINISH is sent. If Y is the goal of `otg`, that limits
-    velocity, acceleration and jerk. In a simulation nothing comes.
+    velocity, acceleration and jerk. TRAJ says what became of the newest trajectory that
+    came: its number, and the seconds until its end; 0: it was reached, -1: it is not
+    followed, or no longer. In a simulation nothing comes.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of joints")]
     y: A[Vector, OutVar("Y", "ndof", "any", "the trajectory")]
     y_dot: A[Vector, OutVar("Y^", "ndof", "any", "its time derivative")]
+    newest: A[
+        Vector, OutVar("TRAJ", "2", "mixed", "number of the newest, seconds left or -1")
+    ]
 
     def init(self) -> None:
         self._rests = True
+        self._followed = 0.0
         self._link = None
         form = ("f8", (self.params.points, 1 + 3 * self.ndof))
         if devices_allowed():
@@ -62,9 +70,11 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         self._time += dt
         if self._time < self._times[-1]:
             self._project()
+            self._say(self._times[-1] - self._time)
         else:
             self.y[:], self.y_dot[:] = self._points[-1], 0.0
             self._rests = True
+            self._say(0.0)
             self.task.signal(Signal.FINISH)
 
     def stable(self, dt: float) -> None:  # noqa: ARG002
@@ -83,14 +93,22 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         """Stop; what came before is over."""
         if self._link is not None:
             self._link.read()
+            self.newest[0] = self._link.number
         self._stop()
 
     def _stop(self) -> None:
         self._rests = True
         self.y_dot[:] = 0.0
+        self.newest[1] = _NOT_FOLLOWED
+
+    def _say(self, left: float) -> None:
+        """Set the seconds that are left, unless a newer one was refused meanwhile."""
+        if self.newest[0] == self._followed:
+            self.newest[1] = left
 
     def _take(self, link: tbuf.Reader) -> None:
         """Begin the trajectory that has come, unless it comes too late."""
+        self.newest[:] = link.number, _NOT_FOLLOWED
         age, limit = (link.age_ns() or 0) * 1e-9, self.params.maxage
         if limit and age > limit and np.isfinite(link.value[:, 0]).any():
             self.task.warn(
@@ -127,6 +145,7 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         rates[1:] = np.where(np.isnan(given), rates[1:], given)
         self._times, self._points, self._rates = times, points, rates
         self._time, self._rests = 0.0, False
+        self._followed = self.newest[0]
 
     def _project(self) -> None:
         k = int(np.searchsorted(self._times, self._time, side="right")) - 1

@@ -21,7 +21,7 @@ from mavsdk_grpc import telemetry_server
 from mavsdk_grpc.async_plugin_manager import AsyncPluginManager
 from mavsdk_grpc.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
 from mavsdk_grpc.mission_raw import MissionItem
-from mavsdk_grpc.offboard import PositionNedYaw
+from mavsdk_grpc.offboard import PositionNedYaw, VelocityBodyYawspeed
 from pymavlink.dialects.v20 import common
 from watching import wait_for
 
@@ -127,6 +127,16 @@ def follow(air: Any) -> None:
         air.inputs.x = out.setpoint[2:5]
 
 
+async def set_parameters(station: Any) -> None:
+    """Read one of two parameters, set it, and read both."""
+    assert await station.param.get_param_float("GAIN") == 1.5
+    await station.param.set_param_float("GAIN", 2.25)
+    assert await station.param.get_param_float("GAIN") == 2.25
+    everything = (await station.param.get_all_params()).float_params
+    found = {one.name: one.value for one in everything}
+    assert found == {"SPEED_MAX": 3.0, "GAIN": 2.25}
+
+
 def test_mavsdk_steers_a_subsystem(tmp_path: Path) -> None:
     port = free_port()
     rmod = tmp_path / "piloted.rmod"
@@ -153,14 +163,7 @@ def test_mavsdk_steers_a_subsystem(tmp_path: Path) -> None:
         await first(seen.battery(), lambda one: abs(one.voltage_v - 15.2) < 1e-3)
         at = await first(seen.position(), lambda _: True)
         assert at.latitude_deg == pytest.approx(45.8366236)
-        assert await station.param.get_param_float("GAIN") == 1.5
-        await station.param.set_param_float("GAIN", 2.25)
-        assert await station.param.get_param_float("GAIN") == 2.25
-        everything = (await station.param.get_all_params()).float_params
-        assert {one.name: one.value for one in everything} == {
-            "SPEED_MAX": 3.0,
-            "GAIN": 2.25,
-        }
+        await set_parameters(station)
         assert air.outputs.param.tolist() == [3.0, 2.25]
         await exchange_missions(station)
         stick = station.manual_control.set_manual_control_input
@@ -178,6 +181,9 @@ def test_mavsdk_steers_a_subsystem(tmp_path: Path) -> None:
             lambda one: one.position.down_m == -3.0 and one.position.east_m == 2.0,
         )
         assert air.outputs.setpoint[11] == pytest.approx(0.5235988)
+        ahead = VelocityBodyYawspeed(2.0, 0.0, 0.0, 0.0)
+        await station.offboard.set_velocity_body(ahead)
+        await until(lambda: air.outputs.setpoint[5] == 2.0)  # it points north
         await station.action.land()
         await first(seen.flight_mode(), lambda one: str(one) == "LAND")
         assert air.outputs.mode == LAND
@@ -329,6 +335,12 @@ class Proxy:
         self.process.communicate()
 
 
+def steered(proxy: Proxy, air: Any) -> bool:
+    """Let MAVProxy send a set-point; return whether it has come."""
+    proxy("attitude 1 0 0 0 0.5")
+    return bool(air.outputs.setpoint[0] == 82 and air.outputs.setpoint[9] == 0.5)
+
+
 def test_mavproxy_steers_a_subsystem(tmp_path: Path) -> None:
     pytest.importorskip("MAVProxy", reason="pip install --group mavproxy")
     port = free_port()
@@ -349,6 +361,7 @@ def test_mavproxy_steers_a_subsystem(tmp_path: Path) -> None:
             wait_for(lambda: proxy.says("Received 2 parameters"), "its parameters")
             proxy("param set GAIN 2.5")
             wait_for(lambda: air.outputs.param[1] == 2.5, "the parameter")
+            wait_for(lambda: steered(proxy, air), "an attitude set-point")
             proxy("arm throttle")
             wait_for(lambda: air.outputs.arm == 1, "arming")
             proxy("long DO_SET_MODE 1 4 6")

@@ -11,7 +11,7 @@ import random
 import socket
 import tty
 from collections.abc import Iterator
-from math import inf, nan, pi, radians
+from math import cos, inf, nan, pi, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -599,6 +599,34 @@ def test_another_value_replaces_a_command_that_is_not_yet_followed() -> None:
     air.inputs.in_mode = 100925440
     air.step(STEP)
     assert (one.answers(), other.answers()) == ([(176, 0)], [])
+    air.kill()
+
+
+def test_velocities_ahead_of_the_vehicle_are_turned_and_other_frames_said() -> None:
+    air = ground(free_port())
+    air.inputs.att = [cos(pi / 4), 0, 0, sin(pi / 4)]  # it points east
+    station = Station(air)
+
+    def send(frame: int, mask: int) -> list[float]:
+        values = *(7.0,) * 3, 2.0, 1.0, 0.5, *(0.0,) * 3, 0.0, 0.1
+        wire = station.wire
+        wire.send(
+            wire.mav.set_position_target_local_ned_encode(0, 1, 1, frame, mask, *values)
+        )
+        air.step(STEP)
+        found: list[float] = air.outputs.setpoint[5:8].tolist()
+        return found
+
+    velocity = 0b010111000111
+    north = [2.0, 1.0, 0.5]
+    for frame in (8, 12):
+        assert send(1, velocity) == north
+        assert send(frame, velocity) == pytest.approx([-1.0, 2.0, 0.5])
+    assert send(1, velocity) == north
+    assert texts(air) == []
+    assert send(8, 0b010111111000) == north, "a place that moves with the vehicle"
+    assert send(8, velocity | 0b1000) == north, "to the right alone"
+    assert texts(air) == ["set-points in this frame, or not finite, do not count"]
     air.kill()
 
 

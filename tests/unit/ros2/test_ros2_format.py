@@ -28,6 +28,12 @@ HASHES = {
     "rcl_interfaces/srv/GetParameters": "bf9803d5c74cf989a5de3e0c",
     "rcl_interfaces/srv/SetParameters": "56eed9a67e169f9cb6c1f987",
     "rcl_interfaces/srv/ListParameters": "3e6062bfbb27bfb8730d4cef",
+    "action_msgs/srv/CancelGoal": "573d8b0a534451d7bc2ac8c5",
+    "action_msgs/msg/GoalStatusArray": "6c1684b00f177d37438febe6",
+    "control_msgs/action/FollowJointTrajectory_SendGoal": "b13789dddc325a7a962825c4",
+    "control_msgs/action/FollowJointTrajectory_GetResult": "e3ceb38e3e1867c8dc0f4601",
+    "control_msgs/action/FollowJointTrajectory_FeedbackMessage": "80398fcb9674a790"
+    "81a9906e",
 }
 NAMED = [
     "sensor_msgs/msg/JointState",
@@ -51,7 +57,9 @@ END = End(
 
 @pytest.fixture(scope="module")
 def types():
-    return MessageTypes()
+    made = MessageTypes()
+    made.add_following()
+    return made
 
 
 @pytest.mark.parametrize("name", HASHES)

@@ -12,7 +12,7 @@ import pytest
 from pbonet import tbuf, xm
 from pbonet.config.model import Variable
 from pbonet.errors import ConfigError, ProtocolError, XmTakenError
-from pbonet.ros2.message_types import MessageTypes, set_stamp
+from pbonet.ros2.message_types import MessageTypes, dtype_of, nanoseconds, set_stamp
 from pbonet.ros2.publishing import Filling
 from pbonet.ros2.repeated_warnings import Warnings
 from pbonet.ros2.subscribing import LONGEST, Incoming, reading
@@ -254,6 +254,76 @@ def test_elements_by_their_number(types) -> None:
     assert record(types, message, JOINTS, fields=["position[1:3]"]).tolist() == [2, 3]
     with pytest.raises(ProtocolError, match=r"expected 5, got 3"):
         record(types, message, JOINTS, fields=["position[0:5]"])
+
+
+def numbered(types, name, message, first):
+    """Give each number of a message another value; return the next one."""
+    for field in types.fields(name):
+        value = getattr(message, field.name)
+        if field.nested:
+            for one in [value] if field.size is None else value:
+                first = numbered(types, field.type, one, first)
+        elif field.type != "string":
+            count = 1 if field.size is None else len(value)
+            made = (np.arange(count) + first).astype(dtype_of(field.type))
+            setattr(message, field.name, made[0].item() if field.size is None else made)
+            first += count
+    return first
+
+
+@pytest.mark.parametrize(
+    ("name", "about"),
+    [
+        ("geometry_msgs/msg/Twist", {"fields": ["linear.x", "angular"]}),
+        ("sensor_msgs/msg/Imu", {"fields": ["orientation", "linear_acceleration"]}),
+        ("sensor_msgs/msg/BatteryState", {"fields": ["voltage", "present"]}),
+        (JOINTS, {"fields": ["velocity", "position"], "joints": ["c", "a"]}),
+        (JOINTS, {"fields": ["effort[1:3]", "header.stamp.sec"]}),
+        ("tf2_msgs/msg/TFMessage", {"fields": ["transforms[1].transform.rotation"]}),
+    ],
+)
+def test_what_has_the_layout_of_an_earlier_message_is_not_decoded(
+    types, name, about
+) -> None:
+    record = reading(types, Subscribe(topic="t", type=name, link="l", **about), "here")
+
+    def made(first, names=("a", "b", "c")):
+        message = types.new(name)
+        if name == JOINTS:
+            message.name = list(names)
+            for field in ("position", "velocity", "effort"):
+                setattr(message, field, np.zeros(3))
+        elif hasattr(message, "transforms"):
+            kind = "geometry_msgs/msg/TransformStamped"
+            message.transforms = [types.new(kind) for _ in range(2)]
+        numbered(types, name, message, first)
+        return types.encode(name, message)
+
+    known = record.known(types, name, made(1))
+    padded = record.known(types, name, made(1) + bytes(3))
+    for first in (1, 50):
+        data = made(first)
+        wanted, got = np.empty(record.shape), np.empty(record.shape)
+        record.read(types.decode(name, data), wanted)
+        assert known.fits(data)
+        assert not known.fits(data + bytes(3))
+        assert padded.fits(data + bytes(3))
+        known.read(data, got)
+        assert got.tolist() == wanted.tolist()
+    assert not known.fits(made(1)[:-8])
+    if name == JOINTS:
+        assert not known.fits(made(1, ("b", "a", "c"))), "the joints have moved"
+        assert not known.fits(made(1, ("a", "b", "long")))
+        stamp = types.decode(name, data).header.stamp
+        assert known.stamp_ns(data) == nanoseconds(stamp)
+
+
+def test_a_sender_that_encodes_otherwise_is_decoded(types) -> None:
+    name = "std_msgs/msg/Float64"
+    about = Subscribe(topic="t", type=name, link="l", fields=["data"])
+    other_order = b"\0\0\0\0" + np.array([1.5], ">f8").tobytes()
+    record = reading(types, about, "here")
+    assert record.known(types, name, other_order) is None
 
 
 def test_a_trajectory_is_rows_of_points(types) -> None:

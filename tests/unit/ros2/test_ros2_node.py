@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from concurrent.futures import Future
 from queue import Queue
 from types import SimpleNamespace
 
@@ -178,7 +179,7 @@ def test_a_stop_waits_for_no_other_service(node, types, ask) -> None:
 
     node.serve("/slow", COMMAND, slow)
     stops = lambda _: types.new(f"{COMMAND}_Response")  # noqa: E731
-    node.serve("/stop", COMMAND, stops, at_once=True)
+    node.serve("/stop", COMMAND, stops, node.queue("stops"))
     waiting = [ask("slow")]
     assert begun.acquire(timeout=60)
     waiting += [ask("slow") for _ in range(ros_node._WAITING)]
@@ -193,12 +194,15 @@ def test_of_all_commands_stop_alone_is_at_once() -> None:
     served = {}
     node = SimpleNamespace(
         types=None,
-        serve=lambda name, *_, at_once=False: served.update({name: at_once}),
+        queue=lambda name: name,
+        serve=lambda name, _kind, _answer, requests=None: served.update({
+            name: requests
+        }),
     )
     services = Services.__new__(Services)
     services._node = node
     services.open()
-    assert {name for name, at_once in served.items() if at_once} == {"stop"}
+    assert {name for name, queue in served.items() if queue} == {"stop"}
 
 
 def test_a_request_that_fails_is_answered(node, ask, told) -> None:
@@ -211,6 +215,17 @@ def test_a_request_that_fails_is_answered(node, ask, told) -> None:
     assert ask("fails").get(timeout=60) == "/fails failed: no way"
     wait_for(lambda: told, "the warning")
     assert told == ["/fails: it failed inside pbonet: no way"]
+
+
+def test_an_answer_may_come_later(node, types, ask) -> None:
+    later: Future[object] = Future()
+    node.serve("/later", COMMAND, lambda _: later)
+    node.serve("/now", COMMAND, lambda _: types.new(f"{COMMAND}_Response"))
+    waits = ask("later")
+    assert ask("now").get(timeout=60) == "", "it holds up no other"
+    assert waits.empty()
+    later.set_result(types.new(f"{COMMAND}_Response"))
+    assert waits.get(timeout=60) == ""
 
 
 class Params:
@@ -286,6 +301,38 @@ def test_one_parameter_is_set_at_once_and_several_are_not(types) -> None:
     refused = set_at_once(params.parameter("pid.name", type=4, string_value="y"))
     assert (refused.successful, refused.reason) == (False, "this bridge only shows it")
     assert len(params.set) == 1
+
+
+def test_the_next_commit_is_expected_when_it_comes() -> None:
+    """After a pause, too, and after some that come in one go."""
+    publisher = TablePublisher("d.arm", "", [], Warnings(print))
+    period, now, jitter = 2_000_000, 10**12, (0, 90_000, -40_000, 150_000, -70_000)
+
+    def commits(count):
+        nonlocal now
+        for k in range(count):
+            now += period
+            publisher._measure(now + jitter[k % 5], 1)
+
+    def is_expected():
+        late = now + period - publisher._last_ns - publisher._period_ns
+        return abs(late) < 0.1 * period
+
+    commits(40)
+    assert is_expected()
+    now += 30 * period
+    publisher._measure(now + 900_000, 30)
+    commits(20)
+    assert is_expected()
+    for _ in range(7):
+        publisher._measure(now, 1)
+    commits(20)
+    assert is_expected()
+    now += 10**9
+    publisher._measure(now, 1)
+    assert publisher._period_ns == 0, "nothing is expected after a long pause"
+    commits(20)
+    assert is_expected()
 
 
 def test_a_topic_that_cannot_be_published_stops_no_other(types, told) -> None:
