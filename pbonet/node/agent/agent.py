@@ -167,7 +167,8 @@ class Agent:
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
         self._stopped = StoppedProcesses(
-            self.name, self._processes, self._note, self._send_alive
+            *(self.name, self._processes, self._note, self._send_alive),
+            busy=self._has_tables,
         )
         self._link: RtpuLink | None = None
         self._apart: dict[str, float] = {}
@@ -354,7 +355,7 @@ class Agent:
         self._takeovers.start()
         ways = self._ways = PeerLatencies(
             link,
-            *(self.info, self._recorders.send, self._note),
+            *(self.info(), self._recorders.send, self._note),
             listeners=(stops, self._takeovers),
             silent=beats.is_silent,
             token_came=beats.token_came,
@@ -389,6 +390,11 @@ class Agent:
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
+
+    def _has_tables(self) -> bool:
+        """Return whether the RTPU process has a table."""
+        link = self._link
+        return link is not None and link.info is not None and bool(link.info.tables)
 
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""
@@ -713,6 +719,7 @@ class Agent:
         """Carry the tables that are now open, and update the recordings."""
         self._recorders.update(info.recordings, info.claims)
         self._overview.informed(info)
+        self._stopped.hurry()
         ways, beats = self._ways, self._heartbeat
         if ways is not None and beats is not None:
             if info.tables.keys() - beats.groups():

@@ -31,7 +31,7 @@ from msgspec import Struct
 from pbonet.node.wire import process_setup
 from pbonet.xm.net import direct, key_expressions, session
 
-from .retransmission import Retransmission
+from .retransmission import IDLE, Retransmission
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -47,8 +47,11 @@ LEAST = 1e-3
 LINGER = 60.0
 """Seconds for which an agent stays in the group of a table that its RTPU has closed or
 lost."""
-FIND_PERIOD = 1.0
-"""Seconds between searches for new connections."""
+FIND_PERIOD = 10.0
+"""Seconds between searches for connections of which zenoh has told nothing."""
+SELDOM = 0.5
+"""Longest time between checks of links while nobody depends on them: without a table,
+and without others whose messages this agent passes on."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
@@ -202,16 +205,25 @@ class Heartbeat:
         self._over = False
         self._wake = threading.Event()
         self._retransmission = Retransmission()
+        self._passes_on = True
+        """Whether there is more than one link, so that others may depend on this agent."""
+        self._listener: zenoh.LinkEventsListener[None] | None = None
         self._thread = threading.Thread(
             target=self._work, name="pbonet beat", daemon=True
         )
 
     def start(self) -> None:
         """Start to look after the links, and to give signs of life in groups."""
+        self._listener = self._session.info.declare_link_events_listener(
+            direct(self._on_link)
+        )
         self._thread.start()
 
     def stop(self) -> None:
         """End both."""
+        if self._listener is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._listener.undeclare()  # type: ignore[no-untyped-call]
         self._over = True
         self._wake.set()
         if self._thread.is_alive():
@@ -380,6 +392,11 @@ class Heartbeat:
         elif back:
             self._report(Change(name, agent.machine, seen=True, last=False))
 
+    def _on_link(self, _event: zenoh.LinkEvent) -> None:
+        """Have the connections found at once; runs in zenoh's own thread."""
+        self._next_find = 0.0
+        self._wake.set()
+
     def _part(self, subsystem: str, name: str) -> None:
         """Forget an agent with which this one has no group any more."""
         if (agent := self._agents.get(name)) is not None:
@@ -403,10 +420,13 @@ class Heartbeat:
         """Do what is due; return the seconds until the links want care again."""
         if now >= self._next_find:
             self._next_find = now + FIND_PERIOD
-            self._retransmission.find()
-        pause = min(self._retransmission.tend(), self._next_find - now)
+            self._find()
+        pause = self._retransmission.tend()
         if not self._groups:
-            return max(LEAST, pause)
+            idle = pause >= IDLE and not self._passes_on
+            pause = max(pause, SELDOM) if idle else pause
+            return max(LEAST, min(pause, self._next_find - now))
+        pause = min(pause, self._next_find - now)
         if now >= self._next_beat:
             self._next_beat = now + PERIOD
             self._leave_those_over(now)
@@ -416,6 +436,12 @@ class Heartbeat:
         self._check(now)
         pause = min(pause, self._next_beat - now, self._until_silent(now))
         return max(LEAST, pause)
+
+    def _find(self) -> None:
+        """Find the connections, and whether others' messages go through this agent."""
+        self._retransmission.find()
+        with contextlib.suppress(zenoh.ZError):
+            self._passes_on = len(self._session.info.links()) > 1
 
     def _leave_those_over(self, now: float) -> None:
         """Leave the groups of tables that the RTPU has not had for `LINGER`."""

@@ -46,7 +46,7 @@ class World:
         self.there = [agent(versions=VERSIONS)]
         link = SimpleNamespace(info=SimpleNamespace(routers_zid=list, links=list))
         self.ways = PeerLatencies(
-            link, lambda: agent("arm0"), partners=lambda: {"arm1"}
+            link, agent("arm0"), partners=lambda: {"arm1"}
         )
         monkeypatch.setattr(self.ways, "_ask", self._ask)
         monkeypatch.setattr(peer_latency, "LAYERS", VERSIONS)
@@ -118,7 +118,7 @@ class Fleet:
         )
         self.ways = PeerLatencies(
             link,
-            lambda: agent("arm0"),
+            agent("arm0"),
             listeners=(listener,),
             partners=lambda: set(partners),
             **how,
