@@ -52,6 +52,7 @@ from .duplicate_agents import DuplicateAgents
 from .heartbeat import ALWAYS, Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
+from .link_watchdog import NearestRouter
 from .machine_state import copy_speed, machine_info
 from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
@@ -166,6 +167,7 @@ class Agent:
         self._links: Links | None = None
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
+        self._nearest: NearestRouter | None = None
         self._stopped = StoppedProcesses(
             *(self.name, self._processes, self._note, self._send_alive),
             busy=self._has_tables,
@@ -318,6 +320,13 @@ class Agent:
         )
         self._term = KeyTerm(self._key_folder, self.name, self._note, self._unlinked)
         self._term.start()
+        self._nearest = NearestRouter(
+            self._session,
+            self._dials if self._rank else [],
+            beats.is_needed,
+            self.name,
+        )
+        self._nearest.start()
         if self.config.metrics is not None:
             self._metrics = MetricsServer(
                 self.name, self.config.metrics, self._key_folder, self
@@ -535,12 +544,14 @@ class Agent:
             self._takeovers,
             self._stops,
         )
-        for part in (*network, self._duplicates, self._term, self._stopped):
+        others = self._duplicates, self._term, self._nearest, self._stopped
+        for part in (*network, *others):
             if part is not None:
                 part.stop()
         ways, beats = self._ways, self._heartbeat
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
+        self._nearest = None
         self._stops = self._takeovers = self._metrics = None
         self._heartbeat = None
         if self._restarter is not None:

@@ -206,7 +206,7 @@ class Heartbeat:
         self._wake = threading.Event()
         self._retransmission = Retransmission()
         self._passes_on = True
-        """Whether there is more than one link, so that others may depend on this agent."""
+        """Whether there is more than one link: others may depend on this agent."""
         self._listener: zenoh.LinkEventsListener[None] | None = None
         self._thread = threading.Thread(
             target=self._work, name="pbonet beat", daemon=True
@@ -258,6 +258,10 @@ class Heartbeat:
         """Return the subsystems in whose groups this agent is."""
         with self._guard:
             return {*self._groups}
+
+    def is_needed(self) -> bool:
+        """Return whether this agent, or another one, depends on its links."""
+        return self._passes_on or bool(self._groups)
 
     def partners(self) -> set[str]:
         """Return the other agents of the groups, also those out of sight."""
@@ -422,11 +426,11 @@ class Heartbeat:
             self._next_find = now + FIND_PERIOD
             self._find()
         pause = self._retransmission.tend()
-        if not self._groups:
-            idle = pause >= IDLE and not self._passes_on
-            pause = max(pause, SELDOM) if idle else pause
-            return max(LEAST, min(pause, self._next_find - now))
+        if pause >= IDLE and not self.is_needed():
+            pause = max(pause, SELDOM)
         pause = min(pause, self._next_find - now)
+        if not self._groups:
+            return max(LEAST, pause)
         if now >= self._next_beat:
             self._next_beat = now + PERIOD
             self._leave_those_over(now)
