@@ -48,10 +48,10 @@ LINGER = 60.0
 """Seconds for which an agent stays in the group of a table that its RTPU has closed or
 lost."""
 FIND_PERIOD = 10.0
-"""Seconds between searches for connections of which zenoh has told nothing."""
+"""Seconds between searches for connections that zenoh has not reported."""
 SELDOM = 0.5
-"""Longest time between checks of links while nobody depends on them: without a table,
-and without others whose messages this agent passes on."""
+"""The same between checks of links on which no agent depends: this one has no table, and
+passes no messages on."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1

@@ -22,7 +22,7 @@ log = logging.getLogger("pbonet.node")
 PERIOD: Final = 0.2
 """Seconds between two checks."""
 SELDOM: Final = 1.0
-"""The same while there is no table: no task runs then, and nobody waits for signs."""
+"""The same while there is no table: no task runs then, and no sign is expected."""
 
 
 class StoppedProcesses:
