@@ -50,8 +50,8 @@ lost."""
 FIND_PERIOD = 10.0
 """Seconds between searches for connections that zenoh has not reported."""
 SELDOM = 0.5
-"""The same between checks of links on which no agent depends: this one has no table, and
-passes no messages on."""
+"""The same between checks of links on which no agent depends: this one has no table,
+and passes no messages on."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
