@@ -214,9 +214,8 @@ class Heartbeat:
 
     def start(self) -> None:
         """Start to look after the links, and to give signs of life in groups."""
-        self._listener = self._session.info.declare_link_events_listener(
-            direct(self._on_link)
-        )
+        # Called by a thread of its own: zenoh's must not wait while it opens a link.
+        self._listener = self._session.info.declare_link_events_listener(self._on_link)
         self._thread.start()
 
     def stop(self) -> None:
@@ -397,7 +396,7 @@ class Heartbeat:
             self._report(Change(name, agent.machine, seen=True, last=False))
 
     def _on_link(self, _event: zenoh.LinkEvent) -> None:
-        """Have the connections found at once; runs in zenoh's own thread."""
+        """Have the connections found at once."""
         self._next_find = 0.0
         self._wake.set()
 
