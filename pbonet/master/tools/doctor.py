@@ -22,6 +22,7 @@ from pbonet.master.diagnosis import Finding, Level, keys_of, keys_term, link_ver
 from pbonet.master.subsystem import client_name
 from pbonet.versions import REMEDY
 from pbonet.xm.net import (
+    access_control,
     client_of_router,
     credentials,
     messages as m,
@@ -236,6 +237,7 @@ def agents(
             yield from _timed(client, info)
         yield from _processors_and_links(client, infos)
         yield from _pairs(client, [info.name for info in infos])
+        yield from crowded(infos)
         yield from losses(infos)
         for text in m.mismatched(infos):
             yield Finding(Level.FAIL, text, REMEDY)
@@ -347,6 +349,27 @@ def meshed(name: str, report: m.LinkReport) -> Iterator[Finding]:
             f"beyond {client_of_router.MESH} machines start a router (`pbonet router`) "
             "and name it as routers in each agent.toml, instead of connect",
         )
+
+
+def crowded(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+    """Warn of machines on which many agents are linked with each other.
+
+    Each agent dials those that were there before it, so the last one dials all.
+    """
+    dialled: dict[str, int] = {}
+    for info in infos:
+        here = sum(one.startswith(access_control.LOCAL) for one in info.dials)
+        dialled[info.machine] = max(dialled.get(info.machine, 0), here)
+    hosts = {info.machine: info.host for info in infos}
+    for machine, count in sorted(dialled.items()):
+        if count >= client_of_router.MESH:
+            yield Finding(
+                Level.WARN,
+                f"{count + 1} agents of {hosts[machine]} are linked each with each",
+                f"beyond {client_of_router.MESH} start a router there (`pbonet router "
+                "--listen tcp/127.0.0.1:7447`) and name it as routers in each "
+                "agent.toml, or have fewer RTPUs",
+            )
 
 
 _Pairs = list[tuple[tuple[str, str], m.Way | None]]

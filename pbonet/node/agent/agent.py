@@ -52,6 +52,7 @@ from .duplicate_agents import DuplicateAgents
 from .heartbeat import ALWAYS, Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
+from .link_watchdog import NearestRouter
 from .machine_state import copy_speed, machine_info
 from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
@@ -166,8 +167,10 @@ class Agent:
         self._links: Links | None = None
         self._mail: Mail | None = None
         self._term: KeyTerm | None = None
+        self._nearest: NearestRouter | None = None
         self._stopped = StoppedProcesses(
-            self.name, self._processes, self._note, self._send_alive
+            *(self.name, self._processes, self._note, self._send_alive),
+            busy=self._has_tables,
         )
         self._link: RtpuLink | None = None
         self._apart: dict[str, float] = {}
@@ -319,6 +322,13 @@ class Agent:
         )
         self._term = KeyTerm(self._key_folder, self.name, self._note, self._unlinked)
         self._term.start()
+        self._nearest = NearestRouter(
+            self._session,
+            self._dials if self._rank else [],
+            beats.is_needed,
+            self.name,
+        )
+        self._nearest.start()
         if self.config.metrics is not None:
             self._metrics = MetricsServer(
                 self.name, self.config.metrics, self._key_folder, self
@@ -356,7 +366,7 @@ class Agent:
         self._takeovers.start()
         ways = self._ways = PeerLatencies(
             link,
-            *(self.info, self._recorders.send, self._note),
+            *(self.info(), self._recorders.send, self._note),
             listeners=(stops, self._takeovers),
             silent=beats.is_silent,
             token_came=beats.token_came,
@@ -391,6 +401,11 @@ class Agent:
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
+
+    def _has_tables(self) -> bool:
+        """Return whether the RTPU process has a table."""
+        link = self._link
+        return link is not None and link.info is not None and bool(link.info.tables)
 
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""
@@ -531,12 +546,14 @@ class Agent:
             self._takeovers,
             self._stops,
         )
-        for part in (*network, self._duplicates, self._term, self._stopped):
+        others = self._duplicates, self._term, self._nearest, self._stopped
+        for part in (*network, *others):
             if part is not None:
                 part.stop()
         ways, beats = self._ways, self._heartbeat
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None
+        self._nearest = None
         self._stops = self._takeovers = self._metrics = None
         self._heartbeat = None
         if self._restarter is not None:
@@ -715,6 +732,7 @@ class Agent:
         """Carry the tables that are now open, and update the recordings."""
         self._recorders.update(info.recordings, info.claims)
         self._overview.informed(info)
+        self._stopped.hurry()
         ways, beats = self._ways, self._heartbeat
         if ways is not None and beats is not None:
             if info.tables.keys() - beats.groups():

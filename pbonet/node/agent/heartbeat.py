@@ -31,7 +31,7 @@ from msgspec import Struct
 from pbonet.node.wire import process_setup
 from pbonet.xm.net import direct, key_expressions, session
 
-from .retransmission import Retransmission
+from .retransmission import IDLE, Retransmission
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -47,8 +47,11 @@ LEAST = 1e-3
 LINGER = 60.0
 """Seconds for which an agent stays in the group of a table that its RTPU has closed or
 lost."""
-FIND_PERIOD = 1.0
-"""Seconds between searches for new connections."""
+FIND_PERIOD = 10.0
+"""Seconds between searches for connections that zenoh has not reported."""
+SELDOM = 0.5
+"""The same between checks of links on which no agent depends: this one has no table,
+and passes no messages on."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
@@ -202,16 +205,24 @@ class Heartbeat:
         self._over = False
         self._wake = threading.Event()
         self._retransmission = Retransmission()
+        self._passes_on = True
+        """Whether there is more than one link: others may depend on this agent."""
+        self._listener: zenoh.LinkEventsListener[None] | None = None
         self._thread = threading.Thread(
             target=self._work, name="pbonet beat", daemon=True
         )
 
     def start(self) -> None:
         """Start to look after the links, and to give signs of life in groups."""
+        # Called by a thread of its own: zenoh's must not wait while it opens a link.
+        self._listener = self._session.info.declare_link_events_listener(self._on_link)
         self._thread.start()
 
     def stop(self) -> None:
         """End both."""
+        if self._listener is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._listener.undeclare()  # type: ignore[no-untyped-call]
         self._over = True
         self._wake.set()
         if self._thread.is_alive():
@@ -246,6 +257,10 @@ class Heartbeat:
         """Return the subsystems in whose groups this agent is."""
         with self._guard:
             return {*self._groups}
+
+    def is_needed(self) -> bool:
+        """Return whether this agent, or another one, depends on its links."""
+        return self._passes_on or bool(self._groups)
 
     def partners(self) -> set[str]:
         """Return the other agents of the groups, also those out of sight."""
@@ -380,6 +395,11 @@ class Heartbeat:
         elif back:
             self._report(Change(name, agent.machine, seen=True, last=False))
 
+    def _on_link(self, _event: zenoh.LinkEvent) -> None:
+        """Have the connections found at once."""
+        self._next_find = 0.0
+        self._wake.set()
+
     def _part(self, subsystem: str, name: str) -> None:
         """Forget an agent with which this one has no group any more."""
         if (agent := self._agents.get(name)) is not None:
@@ -403,8 +423,11 @@ class Heartbeat:
         """Do what is due; return the seconds until the links want care again."""
         if now >= self._next_find:
             self._next_find = now + FIND_PERIOD
-            self._retransmission.find()
-        pause = min(self._retransmission.tend(), self._next_find - now)
+            self._find()
+        pause = self._retransmission.tend()
+        if pause >= IDLE and not self.is_needed():
+            pause = max(pause, SELDOM)
+        pause = min(pause, self._next_find - now)
         if not self._groups:
             return max(LEAST, pause)
         if now >= self._next_beat:
@@ -416,6 +439,12 @@ class Heartbeat:
         self._check(now)
         pause = min(pause, self._next_beat - now, self._until_silent(now))
         return max(LEAST, pause)
+
+    def _find(self) -> None:
+        """Find the connections, and whether others' messages go through this agent."""
+        self._retransmission.find()
+        with contextlib.suppress(zenoh.ZError):
+            self._passes_on = len(self._session.info.links()) > 1
 
     def _leave_those_over(self, now: float) -> None:
         """Leave the groups of tables that the RTPU has not had for `LINGER`."""

@@ -7,27 +7,32 @@ sees no token and no request can be routed to it, as long as the link lasts. Thi
 happens if a router with several links was delayed for a moment (decision 0194).
 
 zenoh cannot close a single link. Shutting down its socket has the same effect as
-pulling a cable: both routers notice at once, and the dialling side dials again.
+pulling a cable: both routers notice at once, and the dialling side dials again. A
+client dials the endpoints of its list, and so comes back to the first router of it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ipaddress
+import logging
 import os
 import socket
 import stat
 import struct
+import threading
 from typing import TYPE_CHECKING, NamedTuple
+
+import zenoh
 
 from pbonet.xm.net import access_control
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    import zenoh
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from pbonet.xm.net import AgentInfo
+
+log = logging.getLogger("pbonet.node")
 
 LOOKS = 3
 """Number of checks, one second apart, after which an unseen neighbour is cut off."""
@@ -35,6 +40,14 @@ PAUSE = 10
 """Number of checks until the same link may be cut again."""
 MOST = 256
 """Maximum number of remembered neighbours; each start of an agent counts as one."""
+NEAREST_LOOK = 10.0
+"""Seconds between checks whether a router is back that the agent prefers."""
+STEADY = 3
+"""How many of these checks it must have answered, one after the other."""
+AWAY = 60
+"""How many are left out after a change: zenoh may have taken another one."""
+ANSWER_TIME = 0.5
+"""Seconds in which a router must accept a connection."""
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -111,12 +124,97 @@ class LinkWatchdog:
 
     def _cut(self, zid: str, known: Neighbour) -> bool:
         """Shut down the sockets of a neighbour's links; return whether it had any."""
-        ends = {
-            (plain(str(one.src)), plain(str(one.dst)))
-            for one in self._session.info.links()
-            if str(one.zid) == zid
-        }
-        return sum(_is_link(one, ends, known) and _shut(one) for one in _sockets()) > 0
+        links = [one for one in self._session.info.links() if str(one.zid) == zid]
+        return _cut(links, known)
+
+
+class NearestRouter:
+    """Takes an agent that is a client back to a router that it prefers.
+
+    It is done while no agent depends on the link: all tokens of the agent are gone for
+    some milliseconds then, and a table would lose its machine.
+
+    Args:
+        session: The agent's session.
+        routers: Endpoints of the routers, the nearest first.
+        needed: Returns whether an agent depends on the link.
+        name: The agent.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        routers: Sequence[str],
+        needed: Callable[[], bool],
+        name: str = "",
+    ) -> None:
+        self._session, self._routers = session, list(routers)
+        self._needed, self._name = needed, name
+        self._answered = 0
+        """In how many checks a nearer one has answered; negative: a pause."""
+        self._over = threading.Event()
+        self._thread = threading.Thread(
+            target=self._watch, name="pbonet nearest", daemon=True
+        )
+
+    def start(self) -> None:
+        """Start to check, if there is more than one router."""
+        if len(self._routers) > 1:
+            self._thread.start()
+
+    def stop(self) -> None:
+        """End that."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._over.wait(NEAREST_LOOK):
+            with contextlib.suppress(zenoh.ZError, OSError):
+                self.check()
+
+    def check(self) -> bool:
+        """Cut the link if a nearer router is there for a while; return whether so."""
+        links = self._session.info.links()
+        if self._answered < 0:
+            self._answered += 1
+            return False
+        there = len(links) == 1 and not self._needed() and self._has_nearer(links[0])
+        self._answered = self._answered + 1 if there else 0
+        if self._answered < STEADY:
+            return False
+        self._answered = -AWAY
+        log.info("%s: a nearer router is there again, and is used", self._name)
+        return _cut(links)
+
+    def _has_nearer(self, link: zenoh.Link) -> bool:
+        """Return whether one that comes before the router of a link answers."""
+        used = plain(str(link.dst))
+        for number, endpoint in enumerate(self._routers):
+            if used in resolved(endpoint):
+                return any(map(_answers, self._routers[:number]))
+        return False  # the link leads to another agent of this machine
+
+
+def _answers(endpoint: str) -> bool:
+    """Return whether connections to a network endpoint are accepted."""
+    host, _, port = inside(endpoint).rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_TIME).close()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def _cut(links: Iterable[zenoh.Link], known: Neighbour | None = None) -> bool:
+    """Shut down the sockets of links; return whether there were any.
+
+    Args:
+        links: The links.
+        known: The agent at their other end, if it is one.
+    """
+    ends = {(plain(str(one.src)), plain(str(one.dst))) for one in links}
+    return sum(_is_link(one, ends, known) and _shut(one) for one in _sockets()) > 0
 
 
 def _sockets() -> Iterator[socket.socket]:
@@ -131,7 +229,9 @@ def _sockets() -> Iterator[socket.socket]:
                 yield one
 
 
-def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Neighbour) -> bool:
+def _is_link(
+    one: socket.socket, ends: set[tuple[str, str]], known: Neighbour | None
+) -> bool:
     """Return whether a socket carries one of the links to a neighbour."""
     if one.family not in {socket.AF_INET, socket.AF_INET6, socket.AF_UNIX}:
         return False
@@ -145,7 +245,8 @@ def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Neighbour) -
         return False
     places = {end for pair in ends for end in pair}
     return (
-        known.here
+        known is not None
+        and known.here
         and _CREDENTIALS.unpack(found)[0] == known.pid
         and not places.isdisjoint({near, far})
     )

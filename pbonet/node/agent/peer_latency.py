@@ -54,8 +54,9 @@ PERIOD = 1.0
 """Seconds between round trips to one agent."""
 WATCHED = 8
 """Other agents whose identity an agent knows though it shares nothing with them."""
-ASKED = 2
-"""How many of these it asks each second."""
+ASKED = 1
+"""How many of these it asks each second: a question costs each side half a millisecond
+of CPU time, most of it for waking zenoh's threads."""
 CHECKED = 10
 """Seconds between two checks of which tokens there are."""
 _END = "end"
@@ -122,7 +123,7 @@ class PeerLatencies:
     def __init__(
         self,
         link: zenoh.Session,
-        me: Callable[[], m.AgentInfo],
+        me: m.AgentInfo,
         tell: Callable[[rtpu_messages.Clocks], None] | None = None,
         note: Callable[[rtpu_messages.Note], None] | None = None,
         *,
@@ -183,16 +184,16 @@ class PeerLatencies:
     def start(self) -> None:
         """Start to ask every second."""
         self._subscriber = self._session.declare_subscriber(
-            key_expressions.all_rtpus(self._me().domain, _END),
+            key_expressions.all_rtpus(self._me.domain, _END),
             direct(self._on_end),
         )
         self._changes = self._session.declare_subscriber(
-            key_expressions.all_rtpus(self._me().domain, _CHANGED),
+            key_expressions.all_rtpus(self._me.domain, _CHANGED),
             direct(self._on_change),
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._tokens = self._session.liveliness().declare_subscriber(
-            key_expressions.all_rtpus(self._me().domain, "alive"),
+            key_expressions.all_rtpus(self._me.domain, "alive"),
             direct(self._on_token),
             history=True,
         )
@@ -218,7 +219,7 @@ class PeerLatencies:
 
     def _announce(self, leaf: str) -> None:
         with contextlib.suppress(zenoh.ZError):
-            me = self._me()
+            me = self._me
             key = key_expressions.rtpu(me.domain, me.name, leaf)
             self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
 
@@ -337,7 +338,7 @@ class PeerLatencies:
         """
         with self._guard:
             self._gone.clear()
-        found = set(session.rtpus(self._session, self._me().domain))
+        found = set(session.rtpus(self._session, self._me.domain))
         with self._guard:
             found -= self._gone - self._alive
             missing = self._alive - found
@@ -379,7 +380,7 @@ class PeerLatencies:
             measure: Measure the paths to all now; else nothing is sent, and the report
                 has what is known.
         """
-        me = self._me()
+        me = self._me
         others = self._measure_now(me.name) if measure else {}
         counts = dialling.links(self._session)
         with self._guard:
@@ -439,13 +440,13 @@ class PeerLatencies:
             self._quietly(self._ask_due)
             self._quietly(self._relink_unseen)
             if self._tell is not None and (others := self._apart()):
-                self._tell(rtpu_messages.Clocks(self._me().machine, others))
+                self._tell(rtpu_messages.Clocks(self._me.machine, others))
 
     def _ask_new(self) -> None:
         """Ask the agents that have appeared, if they are partners or watched."""
         with self._guard:
             new, self._new = self._new, set()
-        me = self._me().name
+        me = self._me.name
         partners, watched = self._wanted(me)
         with self._guard:
             known = {*partners, *watched, *self._peers}
@@ -458,7 +459,7 @@ class PeerLatencies:
         """Ask all partners, and the next of the others."""
         with self._guard:
             new, self._new = self._new, set()
-        me = self._me().name
+        me = self._me.name
         partners, watched = self._wanted(me)
         asked = set(partners)
         if watched:
@@ -506,7 +507,7 @@ class PeerLatencies:
             self._back.clear()
         for name in self._watchdog.cut_silent(seen):
             text = f"the link to agent {name} transferred nothing; it is opened again"
-            log.warning("%s: %s", self._me().name, text)
+            log.warning("%s: %s", self._me.name, text)
             if self._note is not None:
                 self._note(
                     rtpu_messages.Note(int(Severity.WARNING), "LINK_RENEWED", text)
@@ -521,7 +522,7 @@ class PeerLatencies:
 
     def _apart(self) -> list[rtpu_messages.Apart]:
         """Return the offsets of other machines' clocks from this one's."""
-        mine, now_ns = self._me().machine, time.monotonic_ns()
+        mine, now_ns = self._me.machine, time.monotonic_ns()
         with self._guard:
             return [
                 rtpu_messages.Apart(
@@ -562,7 +563,7 @@ class PeerLatencies:
 
     def _ask_once(self, name: str, peer: Peer, *, kept: bool = True) -> None:
         """Make one round trip to an agent; listeners learn of it if it is kept."""
-        me = self._me()
+        me = self._me
         begin = time.monotonic_ns()
         found = self._ask(key_expressions.rtpu(me.domain, name, "status"))
         end = time.monotonic_ns()

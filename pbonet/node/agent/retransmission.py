@@ -123,7 +123,7 @@ class Retransmission:
         self._connections: dict[int, Connection] = {}
 
     def find(self) -> None:
-        """Find the connections; to be called every second."""
+        """Find the connections; to be called when there may be others."""
         found = set(_connected())
         for fd in self._connections.keys() - found:
             del self._connections[fd]

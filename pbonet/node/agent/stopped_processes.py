@@ -21,6 +21,8 @@ log = logging.getLogger("pbonet.node")
 
 PERIOD: Final = 0.2
 """Seconds between two checks."""
+SELDOM: Final = 1.0
+"""The same while there is no table: no task runs then, and no sign is expected."""
 
 
 class StoppedProcesses:
@@ -31,6 +33,7 @@ class StoppedProcesses:
         processes: Returns the identifiers of its processes, with what each one is.
         note: Called with reports for masters.
         alive: Called at each check: the RTPU process gets a sign of life.
+        busy: Returns whether the RTPU has a table.
     """
 
     def __init__(
@@ -39,10 +42,12 @@ class StoppedProcesses:
         processes: Callable[[], Mapping[int, str]],
         note: Callable[[rtpu_messages.Note], None],
         alive: Callable[[], None] = lambda: None,
+        busy: Callable[[], bool] = lambda: True,
     ) -> None:
         self._name, self._processes, self._note = name, processes, note
-        self._alive = alive
-        self._over = threading.Event()
+        self._alive, self._busy = alive, busy
+        self._over = False
+        self._wake = threading.Event()
         self._thread = threading.Thread(
             target=self._watch, name="pbonet stopped", daemon=True
         )
@@ -53,12 +58,21 @@ class StoppedProcesses:
 
     def stop(self) -> None:
         """End the checks."""
-        self._over.set()
+        self._over = True
+        self._wake.set()
         if self._thread.is_alive():
             self._thread.join()
 
+    def hurry(self) -> None:
+        """Check now: there may be a table."""
+        self._wake.set()
+
     def _watch(self) -> None:
-        while not self._over.wait(PERIOD):
+        while True:
+            self._wake.wait(PERIOD if self._busy() else SELDOM)
+            self._wake.clear()
+            if self._over:
+                return
             for pid, what in self._processes().items():
                 if process_setup.resume(pid):
                     text = f"{what} (process {pid}) was stopped by a signal and has "

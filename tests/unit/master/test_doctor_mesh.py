@@ -1,4 +1,4 @@
-"""``pbonet doctor`` warns of agents that are linked with too many machines."""
+"""``pbonet doctor`` warns of agents that are linked with too many others."""
 
 from pbonet.master.tools import doctor
 from pbonet.xm.net import client_of_router, messages as m
@@ -23,3 +23,36 @@ def test_links_of_its_own_to_many_machines():
 
 def test_many_machines_by_a_router():
     assert not warned(hops=2)
+
+
+def test_agents_of_one_machine_that_are_linked_each_with_each():
+    def warned(count, routers=()):
+        sockets = [f"unixsock-stream/run/a{n}.sock" for n in range(count)]
+        infos = [
+            agent(f"a{n}", routers or sockets[:n], "one") for n in range(count)
+        ] + [agent("b", [*sockets[:3], "tcp/10.0.0.7:7447"], "two")]
+        return [str(one) for one in doctor.crowded(infos)]
+
+    most = client_of_router.MESH
+    assert not warned(most)
+    (text,) = warned(most + 1)
+    assert text.startswith(f"WARN {most + 1} agents of one-pc are linked each with")
+    assert "pbonet router --listen tcp/127.0.0.1:7447" in text
+    assert not warned(most + 1, ["tcp/127.0.0.1:7447"])
+
+
+def agent(name, dials, machine):
+    return m.AgentInfo(
+        name=name,
+        domain="d",
+        host=f"{machine}-pc",
+        machine=machine,
+        core=1,
+        cores=2,
+        pid=1,
+        rtpu_pid=2,
+        backend="fifo",
+        version="0",
+        python="3",
+        dials=list(dials),
+    )

@@ -14,10 +14,12 @@ from pbonet.node.agent.heartbeat import (
     HELD,
     LINGER,
     PERIOD,
+    SELDOM,
     Beat,
     Change,
     Heartbeat,
 )
+from pbonet.node.agent.retransmission import BUSY, IDLE
 from pbonet.xm.net import session
 
 SILENT = session.SILENT_MS * 1e-3
@@ -41,6 +43,7 @@ class Link:
 
     def __init__(self):
         self.declared, self.sent = [], []
+        self.info = SimpleNamespace(links=list)
 
     def declare_subscriber(self, key, *_args, **_more):
         return self._declare(key)
@@ -303,6 +306,47 @@ def test_an_agent_without_a_table_gives_and_hears_none(now, link) -> None:
     beats = Heartbeat(link, me, print)
     assert beats._turn(now[0]) > PERIOD, "and does not wake up for them"
     assert link.declared == link.sent == []
+
+
+def test_links_on_which_nobody_depends_are_looked_after_seldom(now, link) -> None:
+    """That is without a table, and without others whose messages go through here."""
+    me = SimpleNamespace(domain="d", name="arm0", machine="here")
+    beats = Heartbeat(link, me, print)
+    due, links, finds = [IDLE], ["a router"], []
+    link.info.links = lambda: links
+    beats._retransmission = SimpleNamespace(
+        tend=lambda: due[0], find=lambda: finds.append(now[0])
+    )
+
+    def pause():
+        return beats._turn(now[0])
+
+    assert pause() == SELDOM
+    due[0] = BUSY
+    assert pause() == BUSY, "something is sent again"
+    due[0] = IDLE
+    links.append("another agent")
+    beats._on_link(None)
+    assert pause() == IDLE
+    assert len(finds) == 2, "when zenoh tells of a link, and not each second"
+    links.pop()
+    beats._on_link(None)
+    assert pause() == SELDOM
+    beats.join(["t"])
+    assert pause() <= IDLE
+
+
+def test_silence_is_judged_when_it_is_due(beats, now, changes) -> None:
+    """And not at the next sign of life: 0.45 s are promised."""
+    turn(beats, now)
+    now[0] += PERIOD / 2
+    beats._note_beat(sample("arm1", "m"))
+    for _ in range(10):
+        now[0] += beats._turn(now[0])
+        if changes:
+            break
+    assert changes == [Change("arm1", "m", seen=False, last=True)]
+    assert now[0] - beats._agents["arm1"].heard < SILENT + 0.01
 
 
 def test_one_that_joins_gives_a_sign_at_once_and_counts_silence_from_then(

@@ -45,9 +45,7 @@ class World:
     def __init__(self, monkeypatch):
         self.there = [agent(versions=VERSIONS)]
         link = SimpleNamespace(info=SimpleNamespace(routers_zid=list, links=list))
-        self.ways = PeerLatencies(
-            link, lambda: agent("arm0"), partners=lambda: {"arm1"}
-        )
+        self.ways = PeerLatencies(link, agent("arm0"), partners=lambda: {"arm1"})
         monkeypatch.setattr(self.ways, "_ask", self._ask)
         monkeypatch.setattr(peer_latency, "LAYERS", VERSIONS)
         self.ways._table_version = 1
@@ -118,7 +116,7 @@ class Fleet:
         )
         self.ways = PeerLatencies(
             link,
-            lambda: agent("arm0"),
+            agent("arm0"),
             listeners=(listener,),
             partners=lambda: set(partners),
             **how,

@@ -1,4 +1,7 @@
-"""Links that stand and tell nothing are cut: which, and when."""
+"""Links that are cut: those that tell nothing, and to a router that is not the nearest.
+
+Which, and when.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,14 @@ import os
 import socket
 from types import SimpleNamespace
 
+import msgspec
 import pytest
+import zenoh
+from watching import wait_for
 
 from pbonet.node.agent import link_watchdog
+from pbonet.node.agent.link_watchdog import AWAY, STEADY, NearestRouter
+from pbonet.xm.net import client_of_router, run_folder, session
 from pbonet.xm.net.agents import AgentInfo
 
 ZID = "aa"
@@ -148,3 +156,77 @@ def test_neighbours_that_are_remembered_are_bounded():
         found.met(agent(f"a{n}", f"z{n}"), here=False)
     said.linked = ("z0", "z1")
     assert [one.name for one in found.unseen([]).values()] == ["a1"]
+
+
+class Routed:
+    """A client of two routers, each of which is there or not."""
+
+    def __init__(self):
+        with contextlib.ExitStack() as held:
+            taken = [held.enter_context(socket.socket()) for _ in range(2)]
+            for one in taken:
+                one.bind(("127.0.0.1", 0))
+            self.ends = [f"tcp/127.0.0.1:{one.getsockname()[1]}" for one in taken]
+        self.routers = {}
+        for number in range(2):
+            self.start(number)
+        places = run_folder.Places("d", "arm0")
+        self.session = client_of_router.open_session(places, self.ends, rank=1)
+
+    def start(self, number):
+        settings = session.router_settings(listen=[self.ends[number]])
+        config = zenoh.Config.from_json5(msgspec.json.encode(settings).decode())
+        self.routers[number] = zenoh.open(config)
+
+    def wait_used(self, number):
+        """Wait until the client has a link to this router."""
+        end = link_watchdog.plain(self.ends[number])
+
+        def used():
+            found = [str(one.dst) for one in self.session.info.links()]
+            return [*map(link_watchdog.plain, found)] == [end]
+
+        wait_for(used, f"router {number}")
+
+    def close(self):
+        for one in (self.session, *self.routers.values()):
+            one.close()
+
+
+@pytest.fixture
+def routed(tmp_path, monkeypatch):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+    made = Routed()
+    yield made
+    made.close()
+
+
+def test_a_client_goes_back_to_the_nearest_router_when_nobody_needs_the_link(routed):
+    """For a table its machine is lost while the link is made again."""
+    needed = []
+    found = NearestRouter(routed.session, routed.ends, lambda: bool(needed))
+    routed.wait_used(0)
+    assert not any(found.check() for _ in range(2 * STEADY)), "it is the nearest"
+    routed.routers[0].close()
+    routed.wait_used(1)
+    assert not any(found.check() for _ in range(2 * STEADY)), "the other is away"
+    routed.start(0)
+    needed.append("a table")
+    assert not any(found.check() for _ in range(2 * STEADY))
+    needed.clear()
+    assert [found.check() for _ in range(STEADY)] == [False] * (STEADY - 1) + [True]
+    routed.wait_used(0)
+    routed.routers[0].close()
+    routed.wait_used(1)
+    routed.start(0)
+    assert not any(found.check() for _ in range(AWAY)), "not again and again"
+    assert any(found.check() for _ in range(STEADY))
+
+
+def test_a_link_to_another_agent_of_the_machine_is_no_link_to_a_router(made):
+    link, other = made("unixsock-stream"), made()
+    info = SimpleNamespace(links=lambda: [link.said])
+    routers = [other.said.dst, "tcp/127.0.0.1:1"]
+    found = NearestRouter(SimpleNamespace(info=info), routers, lambda: False)
+    assert not any(found.check() for _ in range(2 * STEADY))
+    assert not link.cut()

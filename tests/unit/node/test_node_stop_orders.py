@@ -217,7 +217,7 @@ def test_the_end_of_one_that_has_missed_an_order_changes_nothing(orders, agents)
 def test_only_one_that_is_seen_and_does_not_answer_has_ended():
     heard = []
     listener = SimpleNamespace(ended=heard.append)
-    ways = PeerLatencies(SimpleNamespace(), lambda: None, listeners=(listener,))
+    ways = PeerLatencies(SimpleNamespace(), None, listeners=(listener,))
     end = SimpleNamespace(key_expr=key_expressions.rtpu("d", "arm1", "end"))
     ways._on_end(end)
     assert heard == [], "a machine that is cut off cannot announce anything"
@@ -233,7 +233,7 @@ def test_one_that_answers_after_its_end_is_lost_when_it_is_not_seen(
 ):
     """With the other's key one could hide the loss of a machine."""
     link = SimpleNamespace(info=SimpleNamespace(routers_zid=list))
-    ways = PeerLatencies(link, lambda: info("arm0"))
+    ways = PeerLatencies(link, info("arm0"))
     found = info("arm1", "arm")
     monkeypatch.setattr(ways, "_ask", lambda _key: found if answers else "no answer")
     ways._alive = {"arm0", "arm1"}

@@ -3,6 +3,7 @@
 import struct
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import given, strategies as st
 
 from pbonet import tbuf, xm
 from pbonet.errors import ProtocolError, XmError
+from pbonet.node.agent import link_ends
+from pbonet.node.wire import Clock
 from pbonet.tbuf import layout, places
 from pbonet.tbuf.native import READER, WRITER, In, Out, parts
 
@@ -148,6 +151,46 @@ def test_a_record_is_old_if_the_other_clock_is_unknown_or_not_as_measured(far, k
     assert there.take(good(stamp=stamp, age=1_000_000), now, *known)
     assert reader.read()
     assert reader.time_ns == 1, "0 would mean that there is no time"
+
+
+def test_an_agent_knows_no_age_without_the_clock_and_takes_nothing_of_a_stopped_one(
+    monkeypatch,
+):
+    """After a cut a clock may be unknown: that is never taken as the time of here."""
+    monkeypatch.setattr(link_ends.process_setup, "go_before_others", bool)
+    declared = SimpleNamespace(undeclare=lambda: None)
+    clock, refused = [None], [False]
+    reader = tbuf.Reader("vision:y", SIX)
+    receiver = link_ends.Receiver(
+        SimpleNamespace(declare_subscriber=lambda *_: declared),
+        places.name_to_read("vision:y"),
+        "key",
+        who="agent arm0 from eye0",
+        clock=lambda: clock[0],
+        refuses=lambda: refused[0],
+        misfit=pytest.fail,
+    )
+
+    def come():
+        """Let a record come, sent just now; return its time here, if it is taken."""
+        message = good(stamp=time.monotonic_ns(), age=0)
+        receiver._again = 0  # the clock is asked for at times only
+        receiver._take(
+            SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: message))
+        )
+        return reader.time_ns if reader.read() else None
+
+    try:
+        assert come() == 1
+        clock[0] = Clock(0, 0)
+        assert time.monotonic_ns() - come() < HOUR
+        clock[0] = None
+        assert come() == 1
+        refused[0] = True
+        assert come() is None
+    finally:
+        receiver.stop()
+        reader.close()
 
 
 @given(st.binary(max_size=200))
