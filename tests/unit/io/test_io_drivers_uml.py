@@ -26,9 +26,9 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def results():
-    """What tests/support/devices_in_uml.py prints; one guest for all tests."""
+    """Return what buses_and_converters.py prints; one guest for all tests."""
     options = [one for module in MODULES for one in ("-m", module)]
-    file = ROOT / "tests" / "support" / "devices_in_uml.py"
+    file = ROOT / "tests" / "support" / "uml" / "buses_and_converters.py"
     done = subprocess.run(
         [sys.executable, ROOT / "scripts" / "umlrun.py", *options, file],
         capture_output=True,
