@@ -237,7 +237,7 @@ class Lines:
 def gpio(stack: ExitStack) -> list[Case]:
     """Return the cases of one line, and of its edges."""
     chips = [Lines() for _ in range(2)]
-    devices = []
+    devices: list[Any] = []
     for chip, driver, wait in zip(
         chips, ("gpio", "gpio_edges"), (Wait.ALL, Wait.NONE), strict=True
     ):

@@ -18,6 +18,7 @@ class Opened(Protocol):
 
     def is_wanted(self) -> bool:
         """Return whether another task waits for one of its ports."""
+        ...
 
     def write_safe(self, *, wait: bool = True) -> None:
         """Write the safe values; see `pbonet.io.drivers.Device`."""
