@@ -51,6 +51,12 @@ def test_a_program_that_is_killed_leaves_its_safe_frame_on_the_bus(results):
     assert results["can"]["killed"] == [[0x201, [*b"go"]], [0, [2, 0]]]
 
 
+def test_drives_of_a_module_that_is_killed_are_stopped_on_the_bus(results):
+    left = results["can"]["drives"]
+    assert sorted(identity for identity, _ in left) == [0x201, 0x205]
+    assert {tuple(data[:2]) for _, data in left} == {(2, 0)}, "quick stop"
+
+
 def test_filters_of_the_kernel_hold(results):
     assert results["can"]["filtered"] == [0x181, 0x18FF0012, 0x181]
 
