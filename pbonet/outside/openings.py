@@ -23,6 +23,9 @@ class Opened(Protocol):
     def write_safe(self, *, wait: bool = True) -> None:
         """Write the safe values; see `pbonet.io.drivers.Device`."""
 
+    def give_up(self) -> None:
+        """Write the safe values, close the device, and wait for it."""
+
     def close(self) -> None:
         """Write the safe values and close the device."""
 
@@ -54,19 +57,20 @@ class Openings:
     def make_safe(self, *, close: bool) -> list[Exception]:
         """Write the safe values of all devices; return what could not be done.
 
-        Where another task waits for one of them, all are closed: it may need others of
-        them as well, and was refused at the first one.
+        Where another task waits for one of them, all are given up: it may need others
+        of them as well, and was refused at the first one.
 
         Args:
             close: Close them in any case: the task ends.
         """
         errors: list[Exception] = []
         wanted = [device for device in self._open if device.is_wanted()]
-        close = close or bool(wanted)
         for device in self._open:
             try:
                 if close:
                     device.close()
+                elif wanted:
+                    device.give_up()
                 elif device.safe is not None:
                     device.write_safe()
             except Exception as error:  # noqa: BLE001 - the driver may be anybody's

@@ -27,7 +27,7 @@ from msgspec import Struct
 from pbonet.errors import DeviceError
 from pbonet.outside import openings
 
-from . import database, guard
+from . import database, guard, port_claims
 from .modes import Mode, Wait
 
 if TYPE_CHECKING:
@@ -248,6 +248,17 @@ class Device(ABC):
                 self.write_safe()
         finally:
             self.shut()
+
+    def give_up(self) -> None:
+        """Close the device for another task, and wait for it in turn.
+
+        Raises:
+            DeviceError: The safe values could not be written; it is closed.
+        """
+        try:
+            self.close()
+        finally:
+            self.outside.ask(port_claims.mark, self.entry, self.opening, default=None)
 
     def shut(self) -> None:
         """Close the device without its safe values: it is lost, or was not used."""

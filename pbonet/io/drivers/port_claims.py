@@ -22,6 +22,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pbonet.errors import DeviceError, DeviceTakenError
+from pbonet.outside import openings
 from pbonet.xm.net import run_folder
 
 from . import database
@@ -140,13 +141,15 @@ def _lock(kind: int, entry: Entry, opening: Opening, begin: int = 0) -> bytes:
     return _FLOCK.pack(kind, os.SEEK_SET, first, count, 0)
 
 
-_Ports = tuple["Path", int, int]
+_Ports = tuple[int, "Path", int, int]
 _marks: Final[dict[_Ports, int]] = {}
-"""The marks of this process, by file and ports: what is locked for them."""
+"""The marks of this process, by task, file and ports: what is locked for them."""
 
 
 def _ports(entry: Entry, opening: Opening) -> _Ports:
-    return _path(entry), entry.first + opening.start, entry.first + opening.end
+    first = entry.first
+    task = id(openings.current())  # a bench may have several in one process
+    return task, _path(entry), first + opening.start, first + opening.end
 
 
 def _mark_of(entry: Entry, opening: Opening) -> int:
@@ -154,7 +157,7 @@ def _mark_of(entry: Entry, opening: Opening) -> int:
     return _marks.get(_ports(entry, opening), -1) if _marks else -1
 
 
-def _mark(entry: Entry, opening: Opening) -> None:
+def mark(entry: Entry, opening: Opening) -> None:
     """Say that this task waits for ports; harmless where it has said so."""
     if _mark_of(entry, opening) < 0:
         fd = _open(_path(entry))
@@ -319,7 +322,7 @@ def _refused(entry: Entry, opening: Opening, who: list[User]) -> DeviceError:
     """Return the error for ports that are taken; among tasks, wait for them."""
     are_tasks = bool(database.owner()) and all(one.owner for one in who)
     if are_tasks:
-        _mark(entry, opening)
+        mark(entry, opening)
     return (DeviceTakenError if are_tasks else DeviceError)(
         "a port of the device is taken",
         where=opening.name,

@@ -81,10 +81,9 @@ def test_tasks_of_one_device_take_each_others_place(nodes, tmp_path):
     try:
         arm.start(tmp_path / "shared.job")
         is_given(1)
-        arm.swap("first", "third")
-        is_given(3)
-        arm.swap("third", "first")
-        is_given(1)
+        for going, coming, number in (("first", "third", 3), ("third", "first", 1)) * 2:
+            arm.swap(going, coming)
+            is_given(number)
         os.kill(task("first").tid, signal.SIGKILL)
         is_given(2)
         wait_for(lambda: task("second").state == "ON", "its state")

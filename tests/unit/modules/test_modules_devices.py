@@ -266,6 +266,18 @@ def test_actuators_of_one_device_take_each_others_place(named):
     assert voltages(named) == [1000, 500]
 
 
+def test_two_tasks_change_places_at_a_device_again_and_again(named):
+    old, new = outlet(), outlet(offset=11.0)
+    old.on()
+    for going, coming, first in ((old, new, 100), (new, old, 200)) * 3:
+        going.off(handover=True)
+        coming.on()
+        coming.step()
+        assert voltages(named)[0] == first
+    for bench in (old, new):
+        bench.kill()
+
+
 def test_a_successor_that_cannot_open_the_device_leaves_it_to_the_old_one(named):
     old, new = outlet(), outlet()
     old.on()
