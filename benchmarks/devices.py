@@ -1,6 +1,6 @@
 """What a driver costs inside `cycle`, beside the bare library or system call.
 
-One read each, of data that are there already, in turns with the bare call; opened as in
+One call each, of data that are there already, in turns with the bare call; opened as in
 a task that is recorded. Median and 99 % quantile in us.
 
     python -m benchmarks.devices [--calls 1000]
@@ -22,12 +22,12 @@ import tty
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, NamedTuple
 from unittest import mock
 
 import can
 
-from benchmarks import killed_devices
+from benchmarks import device_libraries, killed_devices
+from benchmarks.device_libraries import Case
 from pbonet.io.drivers import (
     Entry,
     Mode,
@@ -40,21 +40,9 @@ from pbonet.io.drivers import (
 )
 from pbonet.outside import Tape, using
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 GOAL = 50.0
 """us that a driver may take in a cycle beside the bare call."""
 MISSED = 3
-
-
-class Case(NamedTuple):
-    """A read through a driver, the same without it, and what provides the data."""
-
-    name: str
-    prepare: Callable[[], object]
-    driver: Callable[[], object]
-    bare: Callable[[], object]
 
 
 def cases(stack: ExitStack) -> list[Case]:
@@ -165,6 +153,7 @@ def cases(stack: ExitStack) -> list[Case]:
             *("can (virtual), one frame", lambda: buses[0].send(frame)),
             *(lambda: bus(1), lambda: buses[1].recv(0)),
         ),
+        *device_libraries.cases(stack, folder),
     ]  # fmt: skip
 
 

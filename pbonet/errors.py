@@ -55,6 +55,7 @@ from a task to the master without losing anything.
     │   └── SeveralError                   several places failed, each with its error
     ├── LogError (ValueError)              not a log, damaged, or too new
     └── DeviceError (OSError)              a device is missing or does not answer
+        ├── DeviceTakenError               ... or another task has it
         └── SppError                       ... or a special purpose processor
 """
 
@@ -483,6 +484,12 @@ class DeviceError(PbonetError, OSError):
     """A device is missing, refuses, or does not answer."""
 
     code = "DEVICE"
+
+
+class DeviceTakenError(DeviceError):
+    """Another task has a port of a device; this one waits for it."""
+
+    code = "DEVICE_TAKEN"
 
 
 class SppError(DeviceError):

@@ -1,11 +1,13 @@
 """Run a Python file as root on a kernel of its own: User-Mode Linux.
 
     python scripts/umlrun.py [-m MODULE[:"NAME=VALUE ..."]] ... FILE [ARGUMENT ...]
+    python scripts/umlrun.py --kernel KERNEL FILE [ARGUMENT ...]
 
-The kernel is a process of this machine (Debian: `apt-get install user-mode-linux`); it
-needs no rights. Its root file system is this machine's own, so the file finds what this
-Python has installed. /dev, /proc, /sys, /run and /dev/shm are the guest's. The modules
-named by -m are loaded before. Output and exit status are those of the file.
+The kernel is a process of this machine (Debian: `apt-get install user-mode-linux`; one
+with simulated devices is built by umlkernel.py); it needs no rights. Its root file
+system is this machine's own, so the file finds what this Python has installed. /dev,
+/proc, /sys, /run and /dev/shm are the guest's. The modules named by -m are loaded
+before. Output and exit status are those of the file.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 KERNEL: Final = "linux.uml"
 MODULES: Final = (Path("/usr/lib/uml/modules"), Path("/lib/modules"))
@@ -37,18 +39,29 @@ LOST: Final = 125
 """Exit status where the guest gives none."""
 
 
-def run(file: str, arguments: list[str], modules: list[str], seconds: float) -> int:
+class Guest(NamedTuple):
+    """What runs a file."""
+
+    kernel: str
+    """The program."""
+    modules: list[str]
+    """Modules that are loaded before, as `-m` has them."""
+    seconds: float
+    """How long it may take."""
+
+
+def run(file: str, arguments: list[str], how: Guest) -> int:
     """Run a file in a guest; return its exit status."""
-    kernel = shutil.which(KERNEL)
+    kernel = shutil.which(how.kernel)
     if kernel is None:
-        told = f"umlrun: there is no {KERNEL}; Debian's package is user-mode-linux"
+        told = f"umlrun: there is no {how.kernel}; Debian's package is user-mode-linux"
         print(told, file=sys.stderr)
         return LOST
     with tempfile.TemporaryDirectory(prefix="umlrun-") as folder:
         work = Path(folder)
         job = {
             "command": [sys.executable, str(Path(file).resolve()), *arguments],
-            "modules": modules,
+            "modules": how.modules,
             "cwd": str(Path.cwd()),
         }
         (work / "job").write_text(json.dumps(job))
@@ -59,8 +72,9 @@ def run(file: str, arguments: list[str], modules: list[str], seconds: float) -> 
         options = (
             *("mem=512M", "quiet", f"init={init}", "con=null", "con0=null,fd:2"),
             *("root=/dev/root", "rootfstype=hostfs", "rootflags=/", "rw", "ssl=null"),
+            "random.trust_cpu=on",  # the host's numbers; Python waits for some
         )
-        told = guarded([kernel, *options], folder, seconds)
+        told = guarded([kernel, *options], folder, how.seconds)
         return report(work, told)
 
 
@@ -108,10 +122,7 @@ def guest(work: Path) -> None:
         job = json.loads((work / "job").read_text())
         with (work / "stdout").open("w") as out, (work / "stderr").open("w") as err:
             try:
-                loader = Loader()
-                for module in job["modules"]:
-                    name, _, values = module.partition(":")
-                    loader.load(name, values)
+                load(job["modules"])
             except (OSError, LookupError) as error:
                 print(f"umlrun: {error}", file=err, flush=True)
             done = subprocess.run(
@@ -126,6 +137,20 @@ def guest(work: Path) -> None:
 def do(*command: str) -> None:
     """Run a command of the system, which must succeed."""
     subprocess.run(command, check=True)
+
+
+def load(modules: list[str]) -> None:
+    """Load modules; a kernel that has everything built in needs none.
+
+    Raises:
+        LookupError: The kernel has none of a name.
+        OSError: One is refused.
+    """
+    if modules:
+        loader = Loader()
+        for module in modules:
+            name, _, values = module.partition(":")
+            loader.load(name, values)
 
 
 class Loader:
@@ -180,6 +205,7 @@ def main() -> int:
     """Run the file that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-m", dest="modules", action="append", default=[])
+    parser.add_argument("--kernel", default=KERNEL)
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--guest", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("file", nargs="?")
@@ -189,7 +215,7 @@ def main() -> int:
         guest(a.guest)
     if not a.file:
         parser.error("a file is needed")
-    return run(a.file, a.arguments, a.modules, a.seconds)
+    return run(a.file, a.arguments, Guest(a.kernel, a.modules, a.seconds))
 
 
 if __name__ == "__main__":

@@ -114,7 +114,7 @@ def law_of(law: Law, n: int) -> tuple[Vector, Vector]:
 
 
 def port_range(bits: int, *, signed: bool) -> tuple[int, int]:
-    """Return the smallest and the largest value of a port."""
-    if signed:
+    """Return the smallest and the largest value of a port; one bit has no sign."""
+    if signed and bits > 1:
         return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
     return 0, (1 << bits) - 1

@@ -4,7 +4,7 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from pbonet import Answer, Params, PortBasedObject
-from pbonet.errors import DeviceError
+from pbonet.errors import DeviceError, DeviceTakenError
 
 P = TypeVar("P", bound=Params)
 NEVER = 1
@@ -12,18 +12,24 @@ NEVER = 1
 
 
 class OverDevice(PortBasedObject[P], abstract=True):
-    """A module over one device, opened in `init` and, after an error, in `on`.
+    """A module over one device, opened in `init`.
 
-    When the task fails or ends the device is closed, and so has its safe values.
+    When the task fails or ends the device is closed, and so has its safe values; `on`
+    opens it again. So it does where another task had the device in `init`, or got it
+    while this one was OFF: the two can take each other's place.
     """
 
     _device: Any = None
 
     def init(self) -> None:
-        self._device = self._open()
+        try:
+            self._device = self._open()
+        except DeviceTakenError as error:
+            self.task.warn(f"it is opened when this task is turned on: {error}")
 
     def on(self) -> None:
-        if self._device is None:
+        if self._device is None or not self._device.is_open:
+            self._give_up()
             self._device = self._open()
 
     def error(self, error: Exception) -> Answer:  # noqa: ARG002 - whichever it is

@@ -1,4 +1,4 @@
-"""The devices that a task has open for writing: made safe whenever it is not ON.
+"""The devices that a task has open: made safe, or given up, whenever it is not ON.
 
 A task's executor makes its own `Openings` the current one before it runs code of the
 module. `open_device` enters what it opens there. A program without an executor has one
@@ -7,30 +7,40 @@ for all.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 
-class Writer(Protocol):
-    """An open device with safe values."""
+class Opened(Protocol):
+    """An open device."""
+
+    safe: Any
+    """Its safe values; None: it is left as it is."""
+
+    def is_wanted(self) -> bool:
+        """Return whether another task waits for one of its ports."""
+        ...
 
     def write_safe(self, *, wait: bool = True) -> None:
         """Write the safe values; see `pbonet.io.drivers.Device`."""
+
+    def give_up(self) -> None:
+        """Write the safe values, close the device, and wait for it."""
 
     def close(self) -> None:
         """Write the safe values and close the device."""
 
 
 class Openings:
-    """The open devices of one task that have safe values, the oldest first."""
+    """The open devices of one task, the oldest first."""
 
     def __init__(self) -> None:
-        self._open: list[Writer] = []
+        self._open: list[Opened] = []
 
-    def add(self, device: Writer) -> None:
+    def add(self, device: Opened) -> None:
         """Enter a device that was opened."""
         self._open.append(device)
 
-    def remove(self, device: Writer) -> None:
+    def remove(self, device: Opened) -> None:
         """Forget a device that was closed or lost; harmless if it is not here."""
         self._open = [one for one in self._open if one is not device]
 
@@ -41,18 +51,28 @@ class Openings:
             DeviceError: A device is gone.
         """
         for device in self._open:
-            device.write_safe(wait=False)
+            if device.safe is not None:
+                device.write_safe(wait=False)
 
     def make_safe(self, *, close: bool) -> list[Exception]:
         """Write the safe values of all devices; return what could not be done.
 
+        Where another task waits for one of them, all are given up: it may need others
+        of them as well, and was refused at the first one.
+
         Args:
-            close: Close them as well: the task ends.
+            close: Close them in any case: the task ends.
         """
         errors: list[Exception] = []
+        wanted = [device for device in self._open if device.is_wanted()]
         for device in self._open:
             try:
-                (device.close if close else device.write_safe)()
+                if close:
+                    device.close()
+                elif wanted:
+                    device.give_up()
+                elif device.safe is not None:
+                    device.write_safe()
             except Exception as error:  # noqa: BLE001 - the driver may be anybody's
                 errors.append(error)
         return errors

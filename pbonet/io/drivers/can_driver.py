@@ -184,6 +184,7 @@ class CanDevice(FrameDevice[Frame]):
     """A channel of a CAN bus; each opened port is a socket of its own."""
 
     settings_type: ClassVar[type[Settings]] = CanSettings
+    packages: ClassVar[tuple[str, ...]] = ("can",)
 
     def connect(self) -> None:
         """Open the channel; see `Device.connect`."""

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
+from contextlib import suppress
+from importlib import import_module
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -25,7 +27,7 @@ from msgspec import Struct
 from pbonet.errors import DeviceError
 from pbonet.outside import openings
 
-from . import guard
+from . import database, guard, port_claims
 from .modes import Mode, Wait
 
 if TYPE_CHECKING:
@@ -77,6 +79,8 @@ class Device(ABC):
     settings_type: ClassVar[type[Settings]] = Settings
     safe_type: ClassVar[Any]
     """The type of its safe values."""
+    packages: ClassVar[tuple[str, ...]] = ()
+    """Packages that `connect` imports."""
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         self.entry, self.opening, self.outside = entry, opening, outside
@@ -104,22 +108,48 @@ class Device(ABC):
         before = set(sys.modules)
         try:
             self.outside.ask(self.connect, default=None)
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, DeviceError):
+                self._note_fault(error)
             self._release()
             raise
         self._is_open = True
-        if self.safe is None:
-            return
-        try:
-            self.outside.ask(self.check_safe, default=None)
-            if claim is not None or self.outside.plays:
-                loaded = [name for name in sys.modules if name not in before]
-                self._watch(guard.Told(self.safe, loaded))
-        except BaseException:
-            self.shut()
-            raise
-        if claim is not None or self.outside.plays:
+        is_claimed = claim is not None or self.outside.plays
+        if self.safe is not None:
+            try:
+                self.outside.ask(self.check_safe, default=None)
+                if is_claimed:
+                    self._watch(guard.Told(self.safe, _loaded_since(before)))
+            except BaseException:
+                self.shut()
+                raise
+        if is_claimed:
             self._openings.add(self)
+
+    def prepare(self) -> None:
+        """Load what opening needs: it is opened later, in an `on` that must be short.
+
+        Opening names a package that is missing.
+        """
+        before = set(sys.modules)
+        for name in self.packages:
+            with suppress(ImportError):
+                import_module(name)
+        if self.safe is not None:
+            guard.prepare(self.entry, self.name, _loaded_since(before))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is open: neither closed, nor lost, nor given up for another."""
+        return self._is_open
+
+    def is_wanted(self) -> bool:
+        """Return whether another task waits for one of its ports."""
+        claim = self._claim
+        return self._is_open and self.outside.ask(
+            lambda: claim is not None and claim.is_wanted(self.entry, self.opening),
+            default=False,
+        )
 
     def _watch(self, told: guard.Told) -> None:
         """Have the claim guarded; a replay has none, and calls nothing."""
@@ -130,6 +160,11 @@ class Device(ABC):
                 self._guarded = guard.watch(self.entry, self.opening, told, claim.fd)
 
         self.outside.ask(watch, default=None)
+
+    def _note_fault(self, error: DeviceError) -> None:
+        """Write an error down, for `pbonet devices`."""
+        if self._claim is not None:
+            self._claim.note(str(error), database.owner())
 
     def _release(self) -> None:
         number, self._guarded = self._guarded, 0
@@ -213,6 +248,17 @@ class Device(ABC):
                 self.write_safe()
         finally:
             self.shut()
+
+    def give_up(self) -> None:
+        """Close the device for another task, and wait for it in turn.
+
+        Raises:
+            DeviceError: The safe values could not be written; it is closed.
+        """
+        try:
+            self.close()
+        finally:
+            self.outside.ask(port_claims.mark, self.entry, self.opening, default=None)
 
     def shut(self) -> None:
         """Close the device without its safe values: it is lost, or was not used."""
@@ -298,16 +344,19 @@ class Device(ABC):
             )
         try:
             return self.outside.ask(call, *args, default=default)
-        except DeviceError:  # it was asked for what cannot be, and works
+        except DeviceError as error:  # it refuses or is silent, and stays open
+            self._note_fault(error)
             raise
         except OSError as error:
-            self.shut()
-            raise DeviceError(
+            gone = DeviceError(
                 "the device is gone",
                 where=f"{self.name} ({self.entry.address})",
                 got=error.strerror or str(error),
                 remedy="check cable and power, then open it again",
-            ) from None
+            )
+            self._note_fault(gone)
+            self.shut()
+            raise gone from None
 
     def _no_command(self, command: str) -> DeviceError:
         return DeviceError(
@@ -324,6 +373,11 @@ class Device(ABC):
     def __exit__(self, *_: object) -> None:
         """Close the device."""
         self.close()
+
+
+def _loaded_since(before: set[str]) -> list[str]:
+    """Return the modules that were loaded since, in their order."""
+    return [name for name in sys.modules if name not in before]
 
 
 def settings_of(kind: type[Settings], entry: Entry, name: str) -> Settings:

@@ -160,7 +160,7 @@ class PortDevice(Device):
         o = self.opening
         for port, value in enumerate(self.safe, o.start):
             bits = o.size if o.trunc_lsb else min(o.size, self.port_bits(port))
-            least = -(1 << bits - 1) if o.signed else 0
+            least = -(1 << bits - 1) if o.signed and bits > 1 else 0
             if not least <= value < least + (1 << bits):
                 raise DeviceError(
                     "a safe value is beyond what its port can have",
@@ -250,11 +250,11 @@ def convert(value: int, bits: int, size: int, *, signed: bool, trunc_lsb: bool) 
         value: The value; what exceeds `bits` is cut off.
         bits: How many bits it has.
         size: How many bits the result has.
-        signed: Pad with the sign, and return a signed number.
+        signed: Pad with the sign, and return a signed number; one bit has none.
         trunc_lsb: A reduced value loses its lowest bits.
     """
     value &= (1 << bits) - 1
-    if signed and size > bits and value >> (bits - 1):
+    if signed and size > bits > 1 and value >> (bits - 1):
         value |= (1 << size) - (1 << bits)
     if size < bits:
         value = value >> (bits - size) if trunc_lsb else value & ((1 << size) - 1)

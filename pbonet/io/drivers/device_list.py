@@ -1,4 +1,4 @@
-"""The devices of a machine with the users of their ports, for `pbonet devices`."""
+"""The devices of a machine, their users and their last errors, for `pbonet devices`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pbonet.config import DRIVERS
 from pbonet.xm.net import messages as m
 
 from .opening import driver
-from .port_claims import MOST_PORTS, users
+from .port_claims import MOST_PORTS, fault, users
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 
 def listed(entries: Mapping[str, Entry]) -> list[m.DeviceInfo]:
-    """Return devices with the users of their ports, by name."""
+    """Return devices with the users of their ports and their last errors, by name."""
     return [_listed(name, entry) for name, entry in sorted(entries.items())]
 
 
 def _listed(name: str, entry: Entry) -> m.DeviceInfo:
     ports = range(entry.ports or MOST_PORTS - entry.first)
+    last = fault(entry)
     return m.DeviceInfo(
         name=name,
         driver=entry.driver,
@@ -37,4 +38,5 @@ def _listed(name: str, entry: Entry) -> m.DeviceInfo:
             )
             for one in users(entry, ports)
         ],
+        fault=last and m.DeviceFault(text=last.text, task=last.owner, age=last.age),
     )

@@ -158,6 +158,7 @@ class DynamixelDevice(RequestDevice[Packets]):
 
     kind: ClassVar[Kind] = "RCB"
     settings_type: ClassVar[type[Settings]] = DynamixelSettings
+    packages: ClassVar[tuple[str, ...]] = ("serial",)
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         super().__init__(entry, opening, outside)

@@ -50,6 +50,7 @@ class EthercatDevice(MemoryDevice):
     """The process image of one bus."""
 
     settings_type: ClassVar[type[Settings]] = EthercatSettings
+    packages: ClassVar[tuple[str, ...]] = ("pysoem",)
     can_trunc_lsb = False
 
     def connect(self) -> None:

@@ -4,7 +4,8 @@ The address is the chip's device file, such as ``/dev/gpiochip0``; physical port
 its line k. ``gpio`` reads and writes lines, ``gpio_edges`` returns their edges with the
 kernel's stamps.
 
-Its tests have chips that a test makes up. It was not run with hardware here.
+Its tests have chips that a test makes up, and gpio-sim in User-Mode Linux. It was not
+run with hardware here.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ class _Lines(Device):
     """Lines of one chip, requested together."""
 
     kind: ClassVar[Kind] = "PIO"
+    packages: ClassVar[tuple[str, ...]] = ("gpiod", "gpiod.line")
 
     def open(self, claim: Claim | None) -> None:
         """Open the device, and note how many lines it has; see `Device.open`."""

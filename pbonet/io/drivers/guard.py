@@ -24,6 +24,8 @@ from msgspec import Struct
 from pbonet.config import Entry
 from pbonet.errors import DeviceError
 
+from . import database
+
 if TYPE_CHECKING:
     from .modes import Opening
 
@@ -48,12 +50,22 @@ class Watch(Struct, tag="watch", frozen=True, kw_only=True):
     safe: Any
     modules: list[str]
     """Python modules that were loaded to open it, to be loaded in advance."""
+    owner: str
+    """The task, as `database.owner` has it."""
 
 
 class Forget(Struct, tag="forget", frozen=True, kw_only=True):
     """A device that was closed, or is lost."""
 
     number: int
+
+
+class Prepare(Struct, tag="prepare", frozen=True, kw_only=True):
+    """A device that will be opened, so that its driver is loaded in advance."""
+
+    entry: Entry
+    name: str
+    modules: list[str]
 
 
 def flat(opening: Opening) -> tuple[str, int, int, int, str, int, bool, bool]:
@@ -96,6 +108,7 @@ class Guard:
             opening=flat(opening),
             safe=told.safe,
             modules=told.modules,
+            owner=database.owner(),
         )
         socket.send_fds(self._sock, [msgspec.msgpack.encode(message)], [claim])
         if (fault := self._answer()) != DONE:
@@ -119,6 +132,16 @@ class Guard:
             self._answer()
         finally:
             self._sock.settimeout(_ANSWER_TIME)
+
+    def prepare(self, entry: Entry, name: str, modules: list[str]) -> None:
+        """Have it load the driver of a device that will be opened.
+
+        Raises:
+            OSError: It does not answer.
+        """
+        message = Prepare(entry=entry, name=name, modules=modules)
+        self._sock.send(msgspec.msgpack.encode(message))
+        self._answer()
 
     def _answer(self) -> str:
         data = self._sock.recv(4096)
@@ -181,6 +204,17 @@ def watch(entry: Entry, opening: Opening, told: Told, claim: int) -> int:
         got=why,
         remedy="check 'ulimit -u' and the free memory; with safe=None nothing guards",
     )
+
+
+def prepare(entry: Entry, name: str, modules: list[str]) -> None:
+    """Start the guard of this process and have it load a driver, ahead of `watch`.
+
+    What fails here fails again in `watch`, which says so.
+    """
+    try:
+        guard().prepare(entry, name, modules)
+    except OSError:
+        lose()
 
 
 def forget(number: int) -> None:

@@ -24,12 +24,14 @@ import msgspec
 from pbonet.errors import PbonetError
 from pbonet.outside import Outside
 
-from .guard import DONE, Forget, Watch
+from .guard import DONE, Forget, Prepare, Watch
 from .modes import Mode, Opening, Wait
 from .opening import driver
 from .port_claims import SAFE_TIME, Claim
 
 if TYPE_CHECKING:
+    from pbonet.config import Entry
+
     from .device import Device
 
 TRY_TIME: Final = SAFE_TIME / 2
@@ -44,6 +46,8 @@ class Watched(NamedTuple):
 
     device: Device
     claim: Claim
+    owner: str
+    """The task."""
 
 
 class GuardProcess:
@@ -57,7 +61,7 @@ class GuardProcess:
     def __init__(self, sock: socket.socket, task: int) -> None:
         self._sock, self._task = sock, task
         self._watched: dict[int, Watched] = {}
-        self._decoder = msgspec.msgpack.Decoder(Watch | Forget)
+        self._decoder = msgspec.msgpack.Decoder(Watch | Forget | Prepare)
 
     def wait(self) -> None:
         """Return when the task has ended."""
@@ -94,7 +98,12 @@ class GuardProcess:
                 os.close(gone.claim.fd)  # the task releases it
             return ""
         try:
-            self._watched[message.number] = Watched(_made(message), Claim(fds[0]))
+            if isinstance(message, Prepare):
+                _loaded(message.entry, message.name, message.modules)
+                return ""
+            device = _made(message)
+            watched = Watched(device, Claim(fds[0]), message.owner)
+            self._watched[message.number] = watched
         except Exception as error:  # noqa: BLE001 - the task raises it
             for fd in fds:
                 os.close(fd)
@@ -117,16 +126,21 @@ class GuardProcess:
 def _made(message: Watch) -> Device:
     """Return a device as it was opened, to be opened again when the task is gone."""
     name, start, end, _, _, size, signed, trunc_lsb = message.opening
-    for module in message.modules:
-        with contextlib.suppress(Exception):  # it may be a part of the task only
-            import_module(module)
-    cls = driver(message.entry, name)
+    cls = _loaded(message.entry, name, message.modules)
     opening = Opening(
         *(name, start, end, Mode.WRITE, Wait.ALL), *(size, signed, trunc_lsb)
     )
     device = cls(message.entry, opening, Outside(f"guard of {name}"))
     device.take_safe(message.safe)
     return device
+
+
+def _loaded(entry: Entry, name: str, modules: list[str]) -> type[Device]:
+    """Load modules, and the driver of a device; return it."""
+    for module in modules:
+        with contextlib.suppress(Exception):  # it may be a part of the task only
+            import_module(module)
+    return driver(entry, name)
 
 
 def _make_safe(one: Watched) -> None:
@@ -141,6 +155,7 @@ def _make_safe(one: Watched) -> None:
             if time.monotonic() > deadline:
                 text = f"{one.device.name} was not made safe: {fault}"
                 syslog.syslog(syslog.LOG_CRIT, text)
+                one.claim.note(text, one.owner)
                 return
             time.sleep(_AGAIN)
     finally:

@@ -55,6 +55,7 @@ class I2cDevice(PortDevice):
 
     kind: ClassVar[Kind] = "PIO"
     settings_type: ClassVar[type[Settings]] = I2cSettings
+    packages: ClassVar[tuple[str, ...]] = ("smbus2",)
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         super().__init__(entry, opening, outside)

@@ -8,8 +8,8 @@ stamp. With a trigger of the kernel they keep their rate whatever the task does.
 
 A device has one buffer, so one opening. While it runs, most devices refuse ``iio_adc``.
 
-Its tests have a folder of plain files and a pipe. What a kernel without a trigger says
-was tried in User-Mode Linux. It was not run with hardware here.
+Its tests have a folder of plain files and a pipe, and in User-Mode Linux a converter
+with a trigger and one without. It was not run with hardware here.
 """
 
 from __future__ import annotations

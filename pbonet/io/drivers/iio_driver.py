@@ -5,8 +5,8 @@ is the k-th channel: one of the setting `channels`, by default all that can be r
 (``iio_adc``) or written (``iio_dac``), in the order of their numbers. A counter of an
 encoder is a channel of ``iio_adc`` too, such as ``count0``.
 
-Its tests have a folder of plain files in place of sysfs. It was not run with hardware
-here.
+Its tests have a folder of plain files in place of sysfs, and converters of a kernel in
+User-Mode Linux. It was not run with hardware here.
 """
 
 from __future__ import annotations

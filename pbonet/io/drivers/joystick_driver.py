@@ -7,7 +7,8 @@ has a sign; `status("RANGE", port)` gives its least and largest value.
 The kernel gives events of 24 bytes: time, kind, code and value (``linux/input.h``). No
 library is needed for that.
 
-Its tests have recorded events on a pipe. It was not run with hardware here.
+Its tests have recorded events on a pipe, and uinput in User-Mode Linux. It was not run
+with hardware here.
 """
 
 from __future__ import annotations

@@ -57,6 +57,7 @@ class ModbusDevice(RequestDevice[Request]):
 
     kind: ClassVar[Kind] = "RCB"
     settings_type: ClassVar[type[Settings]] = ModbusSettings
+    packages: ClassVar[tuple[str, ...]] = ("serial",)
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         super().__init__(entry, opening, outside)

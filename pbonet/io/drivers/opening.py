@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from pbonet.config import DRIVERS, Entry
-from pbonet.errors import DeviceError
+from pbonet.errors import DeviceError, DeviceTakenError
 from pbonet.io import require_devices
 from pbonet.outside import Outside
 
@@ -84,6 +84,8 @@ def open_device(
         A `StreamDevice`, `FrameDevice`, `PortDevice` or `MemoryDevice`, by its driver.
 
     Raises:
+        DeviceTakenError: Another task has a port. This task, if it lives on, waits for
+            it: when the other one is no longer ON, it closes the device.
         DeviceError: There is no such device, it cannot what is asked for, a port is
             taken, or the hardware cannot be opened.
     """
@@ -108,9 +110,18 @@ def open_device(
     _take_safe(device, mode, safe)
     # A refusal is recorded and raised again; a claim is no answer, and is not recorded.
     claims: list[port_claims.Claim] = []
-    outside.ask(lambda: claims.append(port_claims.claim(entry, chosen)), default=None)
+    outside.ask(lambda: claims.append(_claim(device)), default=None)
     device.open(claims[0] if claims else None)
     return device
+
+
+def _claim(device: Device) -> port_claims.Claim:
+    """Claim the ports of a device; where it has to wait for them, prepare the rest."""
+    try:
+        return port_claims.claim(device.entry, device.opening)
+    except DeviceTakenError:
+        device.prepare()
+        raise
 
 
 def _take_safe(device: Device, mode: Mode, safe: object) -> None:

@@ -3,6 +3,10 @@
 A file per physical device is locked at one byte for each port. The kernel drops such a
 lock with the process that holds it, so a task that was killed has no ports any more.
 The file also says who has a port, for `pbonet devices`.
+
+A task that was refused a port, because another task has it, waits for it while it
+lives: it has a second lock, of a mark. The other one sees the mark when it is no longer
+ON, and gives the port up.
 """
 
 from __future__ import annotations
@@ -17,7 +21,8 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from pbonet.errors import DeviceError
+from pbonet.errors import DeviceError, DeviceTakenError
+from pbonet.outside import openings
 from pbonet.xm.net import run_folder
 
 from . import database
@@ -35,7 +40,13 @@ _FLOCK = struct.Struct("hhqqi4x")
 _RECORD = struct.Struct("<Ii56s")
 """Mode, process, and RTPU/TASK of a port's user."""
 _RECORDS_AT = 1 << 20
-"""Where the records begin: beyond every port's byte."""
+"""Where the records begin: beyond every port's byte, and every mark."""
+_FAULT = struct.Struct("<Q56s448s")
+"""When it was, in nanoseconds of the clock that no one sets; RTPU/TASK; the text."""
+_FAULT_AT = 1 << 19
+"""Where the last error of the device is."""
+_MARKS_AT = 1 << 18
+"""Where the marks of tasks that wait for a port begin, one byte for each port."""
 APART: Final[Mapping[str, Any]] = {"unit": 1, "table": "holding"}
 """Settings of drivers that tell devices at one address apart, and their defaults."""
 MOST_PORTS = 1 << 16
@@ -46,6 +57,8 @@ _MARGIN: Final = 1.0
 """Seconds that a port is waited for beyond that."""
 _AGAIN: Final = 0.005
 """Seconds between two attempts to claim."""
+_TURN: Final = 0.1
+"""Seconds in which a task gets a port that it waits for: who has it is just ending."""
 
 
 class User(NamedTuple):
@@ -57,6 +70,16 @@ class User(NamedTuple):
     """RTPU/TASK, or empty for a program."""
     mode: Mode
     pid: int
+
+
+class Fault(NamedTuple):
+    """The last error of a physical device."""
+
+    text: str
+    owner: str
+    """RTPU/TASK, or empty for a program."""
+    age: float
+    """Seconds since then."""
 
 
 class Claim:
@@ -88,10 +111,67 @@ class Claim:
         Raises:
             BlockingIOError: Another claim has one of them.
         """
-        first = entry.first + opening.start
-        count = opening.end - opening.start + 1
-        lock = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, first, count, 0)
+        lock = _lock(fcntl.F_WRLCK, entry, opening)
         fcntl.fcntl(self.fd, fcntl.F_OFD_SETLK, lock)
+
+    def note(self, text: str, owner: str) -> None:
+        """Write down an error of the device, for `pbonet devices`.
+
+        Args:
+            text: The error.
+            owner: The task that had the device, as `database.owner` has it.
+        """
+        record = _FAULT.pack(
+            time.monotonic_ns(), owner.encode()[:56], text.encode()[:448]
+        )
+        with suppress(OSError):
+            os.pwrite(self.fd, record, _FAULT_AT)
+
+    def is_wanted(self, entry: Entry, opening: Opening) -> bool:
+        """Return whether a task waits for one of the ports."""
+        asked = _lock(fcntl.F_WRLCK, entry, opening, _MARKS_AT)
+        kind, *_ = _FLOCK.unpack(fcntl.fcntl(self.fd, fcntl.F_OFD_GETLK, asked))
+        return bool(kind != fcntl.F_UNLCK)
+
+
+def _lock(kind: int, entry: Entry, opening: Opening, begin: int = 0) -> bytes:
+    """Return a lock of an opening's ports, or of their marks."""
+    count = opening.end - opening.start + 1
+    first = begin + entry.first + opening.start
+    return _FLOCK.pack(kind, os.SEEK_SET, first, count, 0)
+
+
+_Ports = tuple[int, "Path", int, int]
+_marks: Final[dict[_Ports, int]] = {}
+"""The marks of this process, by task, file and ports: what is locked for them."""
+
+
+def _ports(entry: Entry, opening: Opening) -> _Ports:
+    first = entry.first
+    task = id(openings.current())  # a bench may have several in one process
+    return task, _path(entry), first + opening.start, first + opening.end
+
+
+def _mark_of(entry: Entry, opening: Opening) -> int:
+    """Return what is locked as this task waits for ports; -1: it does not."""
+    return _marks.get(_ports(entry, opening), -1) if _marks else -1
+
+
+def mark(entry: Entry, opening: Opening) -> None:
+    """Say that this task waits for ports; harmless where it has said so."""
+    if _mark_of(entry, opening) < 0:
+        fd = _open(_path(entry))
+        lock = _lock(fcntl.F_RDLCK, entry, opening, _MARKS_AT)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
+        _marks[_ports(entry, opening)] = fd
+
+
+def _unmark(entry: Entry, opening: Opening) -> None:
+    """Say that this task has the ports; harmless where it did not wait for them."""
+    fd = _mark_of(entry, opening)
+    if fd >= 0:
+        del _marks[_ports(entry, opening)]
+        os.close(fd)
 
 
 def claim(entry: Entry, opening: Opening) -> Claim:
@@ -100,21 +180,31 @@ def claim(entry: Entry, opening: Opening) -> Claim:
     Ports of a process that has ended are waited for: its guard makes the device safe.
 
     Raises:
+        DeviceTakenError: Another task has one of them, and this one waits for it.
         DeviceError: One of them is taken; the error names its user.
     """
     last = entry.first + opening.end
     if last >= MOST_PORTS:
         raise _no_such(opening, last)
-    deadline = time.monotonic() + SAFE_TIME + _MARGIN
+    begin = time.monotonic()
+    deadline = begin + SAFE_TIME + _MARGIN
+    try:
+        turn = begin + _TURN * (_mark_of(entry, opening) >= 0)
+    except OSError as error:
+        raise _unusable(opening, error) from None
     while True:
         try:
-            return _claimed(entry, opening)
+            made = _claimed(entry, opening)
         except BlockingIOError:
             who = list(users(entry, range(opening.start, opening.end + 1)))
-            if not all(map(_has_ended, who)) or time.monotonic() > deadline:
-                raise _taken(opening, who) from None
+            ends = deadline if all(map(_has_ended, who)) else turn
+            if time.monotonic() >= ends:
+                raise _refused(entry, opening, who) from None
         except OSError as error:
             raise _unusable(opening, error) from None
+        else:
+            _unmark(entry, opening)
+            return made
         time.sleep(_AGAIN)
 
 
@@ -186,6 +276,24 @@ def users(entry: Entry, ports: range) -> Iterator[User]:
         os.close(fd)
 
 
+def fault(entry: Entry) -> Fault | None:
+    """Return the last error of a physical device, if it has had one."""
+    try:
+        fd = os.open(_path(entry), os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None  # no port was ever claimed
+    try:
+        at_ns, owner, text = _FAULT.unpack(os.pread(fd, _FAULT.size, _FAULT_AT))
+    except (OSError, struct.error):
+        return None
+    finally:
+        os.close(fd)
+    if not at_ns:
+        return None
+    said, who = (one.rstrip(b"\0").decode(errors="replace") for one in (text, owner))
+    return Fault(said, who, (time.monotonic_ns() - at_ns) * 1e-9)
+
+
 def _locked(fd: int, begin: int, end: int) -> Iterator[int]:
     """Yield the locked bytes in a range, in order."""
     if begin >= end:
@@ -210,8 +318,12 @@ def _path(entry: Entry) -> Path:
     return run_folder.claims() / hashlib.sha256(name.encode()).hexdigest()[:32]
 
 
-def _taken(opening: Opening, who: list[User]) -> DeviceError:
-    return DeviceError(
+def _refused(entry: Entry, opening: Opening, who: list[User]) -> DeviceError:
+    """Return the error for ports that are taken; among tasks, wait for them."""
+    are_tasks = bool(database.owner()) and all(one.owner for one in who)
+    if are_tasks:
+        mark(entry, opening)
+    return (DeviceTakenError if are_tasks else DeviceError)(
         "a port of the device is taken",
         where=opening.name,
         expected=f"ports {opening.start} to {opening.end} free",
@@ -219,7 +331,8 @@ def _taken(opening: Opening, who: list[User]) -> DeviceError:
             f"port {one.port}: {one.owner or 'a program'} (process {one.pid})"
             for one in who
         ),
-        remedy="let that task read it, and take the value from the table",
+        remedy="let that task read it, and take the value from the table; to take its "
+        "place, open it in on, and swap the tasks",
     )
 
 

@@ -36,6 +36,7 @@ class SerialDevice(StreamDevice):
     """A serial line; its address is the device file."""
 
     settings_type: ClassVar[type[Settings]] = SerialSettings
+    packages: ClassVar[tuple[str, ...]] = ("serial",)
 
     def connect(self) -> None:
         """Open the line; see `Device.connect`."""

@@ -5,7 +5,8 @@ the same number of bytes, with the device selected from the first to the last. I
 as long as the bus takes for them. A device that is missing looks like one that answers
 zeros or ones.
 
-Its tests have a bus that a test makes up. It was not run with hardware here.
+Its tests have a bus that a test makes up, and spidev in User-Mode Linux on a bus that
+sends back what it is sent. It was not run with hardware here.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class SpiDevice(StreamDevice):
     """One chip select of a bus."""
 
     settings_type: ClassVar[type[Settings]] = SpiSettings
+    packages: ClassVar[tuple[str, ...]] = ("spidev",)
     waits = frozenset({Wait.ALL})
     default_wait = Wait.ALL
 

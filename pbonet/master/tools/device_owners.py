@@ -60,3 +60,6 @@ def lines(devices: Sequence[dict[str, Any]]) -> Iterator[str]:
         for user in one["users"]:
             who = user["task"] or "a program"
             yield f"  port {user['port']}: {user['mode']} {who}, process {user['pid']}"
+        if fault := one.get("fault"):
+            who = fault["task"] or "a program"
+            yield f"  last error, {fault['age']:.0f} s ago, {who}: {fault['text']}"

@@ -53,6 +53,17 @@ class Mpu6050(Chip[Place], HeardOf[Place]):
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
         name = self.params.device
         first = len(SETUP) + 1
+        device = open_device(name, first, len(REGISTERS) - 1, mode=Mode.READ)
+        try:
+            self._begin()
+        except Exception:
+            device.close()
+            raise
+        return device
+
+    def _begin(self) -> None:
+        """Set the chip up, if it is one."""
+        name = self.params.device
         with open_device(name, 0, mode=Mode.READ) as port:
             (found,) = port.read()
         if found != ITS_NAME:
@@ -65,7 +76,6 @@ class Mpu6050(Chip[Place], HeardOf[Place]):
             )
         with open_device(name, 1, len(SETUP), mode=Mode.WRITE, safe=None) as setup:
             setup.write(self._setup())
-        return open_device(name, first, len(REGISTERS) - 1, mode=Mode.READ)
 
     def _setup(self) -> tuple[int, ...]:
         """Return the values of the registers `SETUP`."""

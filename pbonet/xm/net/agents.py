@@ -196,6 +196,17 @@ class PortUser(Struct, kw_only=True):
     pid: int
 
 
+class DeviceFault(Struct, kw_only=True):
+    """The last error of a device."""
+
+    text: str
+    """The error."""
+    task: str
+    """``RTPU/TASK`` that had the error; empty: a program without one."""
+    age: float
+    """Seconds since then."""
+
+
 class DeviceInfo(Struct, kw_only=True):
     """An I/O device of an agent."""
 
@@ -210,3 +221,5 @@ class DeviceInfo(Struct, kw_only=True):
     """Number of ports; 0: as many as the driver finds."""
     users: list[PortUser] = []
     """Its ports that are taken, by tasks of any RTPU of the machine."""
+    fault: DeviceFault | None = None
+    """The last error of the physical device, of whichever port."""

@@ -20,6 +20,7 @@ from . import message_parts as values
 from .agents import (
     HELD_REMEDY as HELD_REMEDY,  # noqa: PLC0414 - taken from here
     AgentInfo as AgentInfo,  # noqa: PLC0414 - taken from here
+    DeviceFault as DeviceFault,  # noqa: PLC0414 - taken from here
     DeviceInfo as DeviceInfo,  # noqa: PLC0414 - taken from here
     LinkReport as LinkReport,  # noqa: PLC0414 - taken from here
     Lost as Lost,  # noqa: PLC0414 - taken from here

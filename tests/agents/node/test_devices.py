@@ -81,6 +81,7 @@ def test_a_device_of_a_machine_is_read_told_freed_and_replayed(nodes, tmp_path):
         "first": 2,
         "ports": 8,
         "users": [user],
+        "fault": None,
     }
     error = arm.refused(
         MethodError, arm.spawn, "other", "reads", text=rmod("reads", "Y1")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -11,12 +13,13 @@ import sys
 import termios
 import tty
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 from watching import wait_for
 
-from pbonet.errors import DeviceError
+from pbonet.errors import DeviceError, DeviceTakenError
 from pbonet.io import no_devices
 from pbonet.io.drivers import (
     Entry,
@@ -153,6 +156,57 @@ def test_the_ports_of_a_killed_process_are_free(devices):
     open_device("m", 3).close()
 
 
+@pytest.mark.usefixtures("devices")
+def test_a_task_that_is_refused_a_port_waits_for_it_and_a_program_does_not():
+    with open_device("m", 1) as first, open_device("m", 2) as other:
+        with database.using(kept("m")), pytest.raises(DeviceError, match="m") as caught:
+            open_device("m", 1)
+        assert not isinstance(caught.value, DeviceTakenError)
+        assert not first.is_wanted()
+        with pytest.raises(DeviceTakenError, match="swap the tasks"):
+            open_device("m", 1)
+        assert (first.is_wanted(), other.is_wanted()) == (True, False)
+    with open_device("m", 1) as second:
+        assert not second.is_wanted()
+
+
+WAITS = """
+import sys, time
+from pbonet.errors import DeviceTakenError
+from pbonet.io.drivers import Entry, database, open_device
+database.use({"m": Entry(driver="file", address=sys.argv[1], ports=8)}, "arm9/x")
+try:
+    open_device("m", 1)
+except DeviceTakenError:
+    print("refused", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_task_that_has_ended_waits_for_no_port(devices):
+    command = [sys.executable, "-c", WAITS, devices["file"]]
+    with open_device("m", 1) as first:
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as other:
+            assert other.stdout.readline() == b"refused\n"
+            assert first.is_wanted()
+            other.kill()
+        assert not first.is_wanted()
+
+
+def test_devices_are_listed_with_their_last_errors(devices):
+    assert listed(kept("m"))[0].fault is None
+    with open_device("m", 1, mode=Mode.READ) as m:
+        os.truncate(devices["file"], 2)
+        with pytest.raises(DeviceError):
+            m.read(64)
+        found = listed(kept("m"))[0].fault
+        assert "m (" in found.text
+        assert (found.task, found.age >= 0.0) == ("arm0/reads", True)
+        with pytest.raises(DeviceError):
+            open_device("gone", mode=Mode.READ)
+        assert "No such file" in listed(kept("gone"))[0].fault.text
+
+
 def test_devices_are_listed_with_the_users_of_their_ports(devices):
     whole = {"all": Entry(driver="file", address=str(devices["file"]))}
     names = "m", "high", "line"
@@ -198,7 +252,10 @@ def test_the_file_of_a_device_is_removed_when_nothing_has_it_open():
     folder = run_folder.claims()
     with open_device("m", 1):
         cleanup.sweep_claims()
-        with pytest.raises(DeviceError, match="arm0/reads"):
+        with (
+            database.using(kept("m")),  # a program, which waits for no port
+            pytest.raises(DeviceError, match="arm0/reads"),
+        ):
             open_device("m", 1)
     assert len([*folder.iterdir()]) == 1
     cleanup.sweep_claims()
@@ -340,6 +397,51 @@ def test_lines_over_a_network():
                 assert udp.write(b"again") == 5
 
 
+@pytest.mark.parametrize("driver", ["serial", "tcp", "udp"])
+def test_garbage_passes_through_a_line_and_nothing_hangs(devices, driver):
+    """A hundred thousand bytes, as fast as the line takes them."""
+    many = random.Random(driver).randbytes(100_000)
+    with (
+        far_end(driver, devices) as (entry, send),
+        database.using({"x": entry}),
+        open_device("x", mode=Mode.RW, wait=Wait.NONE, safe=None) as line,
+    ):
+        line.write(b"begin")
+        give = send()
+        found = b""
+        for k in range(0, len(many), 1000):
+            give(many[k : k + 1000])
+            while len(found) < k + 1000:
+                found += line.read(4096)
+    assert found == many
+
+
+@contextmanager
+def far_end(driver, devices):
+    """Give the entry of a line, and what returns a function that sends to it."""
+    if driver == "serial":
+        give = functools.partial(os.write, devices["master"])
+        yield database.entry("line"), lambda: give
+    elif driver == "tcp":
+        with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+            where = f"127.0.0.1:{server.getsockname()[1]}"
+
+            def accept():
+                return stack.enter_context(server.accept()[0]).sendall
+
+            yield Entry(driver="tcp", address=where), accept
+    else:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.bind(("127.0.0.1", 0))
+
+            def send():
+                where = other.recvfrom(9)[1]
+                return lambda data: other.sendto(data, where)
+
+            where = f"127.0.0.1:{other.getsockname()[1]}"
+            yield Entry(driver="udp", address=where), send
+
+
 def test_what_was_read_replays_without_a_device(devices):
     def run():
         with open_device("m", 1, mode=Mode.READ) as m:
@@ -380,6 +482,7 @@ def test_a_simulation_opens_none(devices):
         (0x7BC, 12, 32, "signed", 0x7BC),
         (0xFFF, 12, 8, "signed", -1),
         (-2, 16, 12, "", 0xFFE),
+        (1, 1, 32, "signed", 1),
     ],
 )
 def test_sizes_are_converted(value, bits, size, how, result):
@@ -433,10 +536,12 @@ def test_devices_are_shown_with_their_tasks():
         "ports": 8,
         "users": [user, {**user, "port": 4, "task": ""}],
     }
-    theirs = {**mem, "kind": "", "ports": 0, "users": []}
+    fault = {"text": "it is gone", "task": "arm0/reads", "age": 6.7}
+    theirs = {**mem, "kind": "", "ports": 0, "users": [], "fault": fault}
     assert [*device_owners.lines([mem, theirs])] == [
         "arm0 (a) mem: MEM, file x, 8 ports",
         "  port 3: READ arm0/reads, process 7",
         "  port 4: READ a program, process 7",
         "arm0 (a) mem: class ?, file x",
+        "  last error, 7 s ago, arm0/reads: it is gone",
     ]

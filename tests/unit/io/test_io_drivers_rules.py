@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
 import sys
+from contextlib import suppress
 
 import msgspec
 import pytest
@@ -65,6 +67,22 @@ def test_it_is_lost_and_its_ports_are_free(rig):
     with pytest.raises(DeviceError, match="the device is not open"):
         rig.use(one)
     assert listed({"x": rig.entry()})[0].users == []
+
+
+@pytest.mark.parametrize("rig", ["iio_buffer", "joystick"], indirect=True)
+def test_garbage_ends_in_values_or_an_error(rig):
+    """A hundred thousand bytes, as fast as the pipe takes them, and part of a piece."""
+    device = opened(rig)
+    many, errors = random.Random(1).randbytes(100_001), []
+    os.set_blocking(rig.fd, False)
+    while not errors:
+        with suppress(BlockingIOError):
+            many = many[os.write(rig.fd, many) :]
+        try:
+            assert rig.use(device)
+        except DeviceError as error:
+            errors.append(str(error))
+    assert rig.lost in errors[0]
 
 
 @pytest.mark.parametrize(
@@ -151,6 +169,7 @@ def test_its_guard_leaves_it_with_its_safe_values(rig):
         opening=guard.flat(device.opening),
         safe=device.safe,
         modules=[],
+        owner="arm0/reads",
     )
     near, far = socket.socketpair()
     with near, far:

@@ -26,9 +26,9 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def results():
-    """What tests/support/devices_in_uml.py prints; one guest for all tests."""
+    """Return what buses_and_converters.py prints; one guest for all tests."""
     options = [one for module in MODULES for one in ("-m", module)]
-    file = ROOT / "tests" / "support" / "devices_in_uml.py"
+    file = ROOT / "tests" / "support" / "uml" / "buses_and_converters.py"
     done = subprocess.run(
         [sys.executable, ROOT / "scripts" / "umlrun.py", *options, file],
         capture_output=True,
@@ -49,6 +49,12 @@ def test_two_openings_of_a_can_bus_talk(results):
 
 def test_a_program_that_is_killed_leaves_its_safe_frame_on_the_bus(results):
     assert results["can"]["killed"] == [[0x201, [*b"go"]], [0, [2, 0]]]
+
+
+def test_drives_of_a_module_that_is_killed_are_stopped_on_the_bus(results):
+    left = results["can"]["drives"]
+    assert sorted(identity for identity, _ in left) == [0x201, 0x205]
+    assert {tuple(data[:2]) for _, data in left} == {(2, 0)}, "quick stop"
 
 
 def test_filters_of_the_kernel_hold(results):

@@ -113,7 +113,9 @@ def test_a_folder_that_is_none_is_named(folder):
         open_device("x", mode=Mode.READ)
 
 
-@pytest.mark.parametrize("text", ["", "4.5\n", "nan\n", "65536\n", "-32769\n"])
+@pytest.mark.parametrize(
+    "text", ["", "4.5\n", "nan\n", "65536\n", "-32769\n", "\0" * 100_000, "9" * 100_000]
+)
 def test_a_value_that_is_no_number_is_refused_and_the_device_works_on(folder, text):
     with device(folder), open_device("x", mode=Mode.READ) as adc:
         (folder / "in_temp_raw").write_text(text)

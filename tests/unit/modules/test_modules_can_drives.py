@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 import struct
+from contextlib import suppress
 from typing import NamedTuple
 
 import can
@@ -433,6 +435,29 @@ def test_what_happens_to_one_drive_stops_all(rig, event, told):
     it.serve(0.01)
     assert it.drives[0].state == "quick stop active"
     assert it.task.state is State.ERROR
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_garbage_on_the_bus_ends_in_an_error_or_nowhere(rig, seed):
+    """A hundred thousand bytes, in frames that are none of a drive or damaged."""
+    chance = random.Random(seed)
+    kinds = [0x80, 0x180, 0x280, 0x580, 0x700]
+    identities = [kind + node for kind in kinds for node in (1, 5, 9)] + [0x7FF]
+    it = rig()
+    it.start(qd_ref=[1.0, 1.0])
+    for _ in range(125):
+        for _ in range(100):
+            size = 8 if seed else chance.randrange(9)
+            it.drives[0].send(chance.choice(identities), chance.randbytes(size))
+        with suppress(MethodError):
+            if it.task.state is State.ON:
+                it.run()
+        it.serve(0.0)
+    assert it.task.state in {State.ON, State.ERROR}
+    assert np.isfinite(it.task.outputs.q).all()
+    it.task.kill()
+    it.serve(1.0)
+    assert "enabled" not in it.states()
 
 
 @pytest.mark.parametrize("stays", [False, True])

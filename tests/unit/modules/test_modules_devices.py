@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import random
 import socket
 import struct
 import threading
@@ -229,13 +230,110 @@ def test_an_actuator_gets_its_safe_values_whatever_ends(iio, end):
         bench.kill()
 
 
+@pytest.fixture
+def named(iio):
+    """The devices are those of a task; a program does not wait for a port."""
+    entries = {name: database.entry(name) for name in ("temp", "dac")}
+    with database.using(entries, "arm0/x"):
+        yield iio
+
+
+def test_actuators_of_one_device_take_each_others_place(named):
+    """The device has its safe values until the next one has opened it."""
+    old, new = outlet(), outlet(offset=11.0)
+    (notice,) = new.notices()
+    assert "it is opened when this task is turned on" in str(notice)
+    assert "port 0: arm0/x" in str(notice)
+    old.on()
+    old.step()
+    with pytest.raises(MethodError, match="a port of the device is taken"):
+        new.on()
+    new.clear()
+    old.off(handover=True)
+    assert voltages(named) == [1000, 500]
+    new.on()
+    new.step()
+    assert voltages(named) == [100, 800]
+    with pytest.raises(MethodError, match="a port of the device is taken"):
+        old.on()
+    old.clear()
+    new.off()
+    old.on()
+    old.step()
+    assert voltages(named) == [200, 700]
+    for bench in (new, old):
+        bench.kill()
+    assert voltages(named) == [1000, 500]
+
+
+def test_two_tasks_change_places_at_a_device_again_and_again(named):
+    old, new = outlet(), outlet(offset=11.0)
+    old.on()
+    for going, coming, first in ((old, new, 100), (new, old, 200)) * 3:
+        going.off(handover=True)
+        coming.on()
+        coming.step()
+        assert voltages(named)[0] == first
+    for bench in (old, new):
+        bench.kill()
+
+
+def test_a_successor_that_cannot_open_the_device_leaves_it_to_the_old_one(named):
+    old, new = outlet(), outlet()
+    old.on()
+    old.off(handover=True)
+    (named / "out_voltage1_raw").rename(named / "away")
+    with pytest.raises(MethodError, match="the device has no such ports"):
+        new.on()
+    (named / "away").rename(named / "out_voltage1_raw")
+    old.on()
+    old.step()
+    assert voltages(named) == [200, 700]
+    new.kill()
+    old.kill()
+
+
+@pytest.mark.parametrize("end", ["error", "kill"])
+def test_a_sensor_is_another_tasks_when_the_first_one_fails_or_ends(named, end):
+    told = {"device": "temp", "scale": 1.0, "signed": True}
+    old, new = (on_bench(LinearSensor, told, n=1) for _ in range(2))
+    old.on()
+    if end == "error":
+        (named / "in_temp0_raw").write_text("far too hot\n")
+        old.step(check=False)
+        (named / "in_temp0_raw").write_text("7\n")
+    else:
+        old.kill()
+    new.on()
+    new.step()
+    assert new.outputs.y == [7.0 if end == "error" else -80.0]
+    new.kill()
+
+
+@pytest.mark.usefixtures("named")
+def test_a_handover_of_a_device_is_replayed_without_it():
+    def run():
+        old, new = outlet(), outlet(offset=11.0)
+        old.on()
+        old.step()
+        old.off(handover=True)
+        new.on()
+        new.step()
+        values = new.outputs.y.tolist()
+        for bench in (new, old):
+            bench.kill()
+        return values
+
+    assert replayed(run) == pytest.approx([12.0, 3.0])
+
+
 def test_relays_and_buttons_are_lines_of_a_chip(monkeypatch, tmp_path):
     """A relay begins with its safe value, also one that is closed then."""
     rig = Gpio(monkeypatch, tmp_path)
     chip = rig.chip
     told = {"device": "x", "scale": 1.0}
     with database.using({"x": rig.entry()}):
-        safe = {**told, "safe": (1.0, 0.0)}
+        safe = {**told, "safe": (1.0, 0.0), "signed": True}  # one bit has no sign
         relays = on_bench(LinearActuator, safe, u=[0.0, 1.0], critical=True)
         assert chip.values == {2: [1, 1], 3: [0, 0]}, "at the request, and after init"
         relays.on()
@@ -654,6 +752,14 @@ def test_frames_are_found_in_whatever_pieces_they_come(piece):
     found = [frames.newest(data[k : k + piece]) for k in range(0, len(data), piece)]
     assert [one for one in found if one] == [ONE, TWO]
     assert frames.damaged == 1 + 13
+
+
+def test_frames_are_found_behind_garbage():
+    frames = Frames()
+    many = random.Random(1).randbytes(100_000)
+    for k in range(0, len(many), 500):
+        assert frames.newest(many[k : k + 500]) is None
+    assert frames.newest(frame(*ONE)) is not None or frames.newest(frame(*TWO)) == TWO
 
 
 def test_of_a_force_sensor_that_is_faster_the_newest_frame_counts(line):

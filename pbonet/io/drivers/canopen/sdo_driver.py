@@ -188,6 +188,7 @@ class CanopenDevice(RequestDevice[Sdo]):
 
     kind: ClassVar[Kind] = "RCB"
     settings_type: ClassVar[type[Settings]] = CanopenSettings
+    packages: ClassVar[tuple[str, ...]] = ("can",)
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         super().__init__(entry, opening, outside)

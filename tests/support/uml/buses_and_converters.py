@@ -115,6 +115,33 @@ def killed(name, seen):
     return [(one[0], list(one.data)) for one in frames]
 
 
+DRIVES = """
+import time
+from pbonet.io.drivers import Entry, database
+from pbonet.modules.robot_interfaces.can_speed import CanSpeed
+from pbonet.testing import Bench
+told = {"device": "can0", "nodes": (1, 5), "counts": (2000.0,), "rated": (0.5,)}
+entry = Entry(driver="can", address="vcan0", first=6)
+with database.using({"can0": entry}, "uml/drives"):
+    bench = Bench(CanSpeed, params=told, ndof=2, freq=100, critical=True)
+    bench.on()
+    bench.step()
+    print("ready", flush=True)
+    time.sleep(600)
+"""
+
+
+def killed_drives(seen):
+    """Return what a module that was killed leaves on the bus for its drives."""
+    command = [sys.executable, "-c", DRIVES]
+    with seen, subprocess.Popen(command, stdout=subprocess.PIPE) as program:
+        program.stdout.readline()
+        while seen.read(99):
+            pass  # what it sent while it lived
+        program.kill()
+        return [(one.id, list(one.data)) for one in collected(seen, 2)]
+
+
 def can():
     link("add", "vcan0", "type", "vcan")
     down = refused(open_device, "can")
@@ -128,6 +155,7 @@ def can():
         Frame(0x181, b"last"),
     ]
     left = killed("can", open_device("can", 3, mode=Mode.READ))
+    drives = killed_drives(open_device("can", 3, mode=Mode.READ, wait=Wait.NONE))
     before = time.time_ns()
     with (
         open_device("can", 0, mode=Mode.RW, safe=None) as a,
@@ -151,6 +179,7 @@ def can():
     plain = [one._replace(stamp_ns=0) for one in got]
     return {
         "killed": left,
+        "drives": drives,
         "down": down,
         "nothing": nothing,
         "taken": taken,
