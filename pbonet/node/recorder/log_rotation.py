@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import platform
 import socket
 import time
 from collections import deque
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -39,6 +41,8 @@ FRESH: Final = 60.0
 """Seconds after its last change in which a file may belong to another recorder."""
 AFTER: Final = 1.0
 """Seconds written after an error, if only the last seconds are kept."""
+PORTION: Final = 0.02
+"""Seconds in which what was kept is written, until the rings are emptied again."""
 MOST_CHUNKS: Final = 1 << 15
 """Chunks of a file, which takes 0.2 kB of memory for each; at low rates, 4.5 hours."""
 SHARE: Final = 4
@@ -100,6 +104,10 @@ class LogFiles:
         self._due = False
         """Whether an error waits for a file."""
         self._kept: deque[tuple[float, Do, bytes]] = deque()
+        self._portion = PORTION if by is None else math.inf
+        if wanted.last:
+            # It takes as long as a ring of large records takes to be full.
+            import_module("mcap.writer")
         self._done: set[Path] = set()
         limits = wanted.limits
         most = limits.runs_mb / SHARE or limits.log_mb
@@ -108,7 +116,8 @@ class LogFiles:
     def turn(self) -> None:
         """Begin a file if it is time, end it if it is full, remove old ones."""
         now = self.by.clock()
-        if self._wanted.last and self.writer is not None and now > self._wrong:
+        over = self._wanted.last and now > self._wrong and not self.behind
+        if over and self.writer is not None:
             self._finish()
         elif self.writer is not None and self._is_full(now):
             self._goes_on = True
@@ -117,6 +126,7 @@ class LogFiles:
         if wanted and self.writer is None and now >= self._retry:
             self._retry = now + RETRY
             self._open()
+        self._write_kept(self._portion)
         if self._wanted.limits.runs_mb and now >= self._sweep:
             self._sweep = now + SWEEP
             self._let_go()
@@ -128,14 +138,44 @@ class LogFiles:
             do: Writes it.
             records: The records that are lost if it fails, as read from a ring.
         """
-        if self._wanted.last and self.writer is None:
-            now = self.by.clock()
-            self._kept.append((now, do, records))
-            while self._kept[0][0] < now - self._wanted.last:
-                self._kept.popleft()
-            return
-        if not self.write(do):
-            self.unwritten += len(parse(records)) if records else 0
+        if self._wanted.last:
+            self._keep(do, records)
+        elif not self.write(do):
+            self._count(records)
+
+    def _keep(self, do: Do, records: bytes) -> None:
+        """Keep something; forget what is older than the last seconds.
+
+        What is to be written may wait as long again.
+        """
+        now = self.by.clock()
+        self._kept.append((now, do, records))
+        wanted = self._due or self.writer is not None
+        oldest = now - self._wanted.last * (2.0 if wanted else 1.0)
+        while self._kept[0][0] < oldest:
+            _, _, gone = self._kept.popleft()
+            if wanted:
+                self._count(gone)
+
+    def _count(self, records: bytes) -> None:
+        """Count records as lost."""
+        self.unwritten += len(parse(records)) if records else 0
+
+    @property
+    def behind(self) -> bool:
+        """Whether something that was kept is to be written now."""
+        there = self.writer is not None and bool(self._kept)
+        return there and self._kept[0][0] <= self._wrong
+
+    def _write_kept(self, seconds: float) -> None:
+        """Write what was kept, in this time or a little more."""
+        end = time.monotonic() + seconds
+        while self.behind:
+            _, do, records = self._kept.popleft()
+            if not self.write(do):
+                self._count(records)
+            if time.monotonic() >= end:
+                return
 
     def write(self, do: Do) -> bool:
         """Write something if there is a file; return whether it was written."""
@@ -157,7 +197,8 @@ class LogFiles:
             self.turn()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Write what was kept and is to be written, and finish the file."""
+        self._write_kept(math.inf)
         self._finish()
 
     def _finish(self) -> None:
@@ -185,9 +226,6 @@ class LogFiles:
             self._full(error)
             return
         self._goes_on, self._due, self._begun = False, False, self.by.clock()
-        kept, self._kept = self._kept, deque()
-        for _, do, records in kept:
-            self.put(do, records)
         if lost:
             text = f"{lost} records were lost before {self.writer.path}"
             self._say(Severity.WARNING, "LOG_CONTINUED", text)
@@ -226,13 +264,14 @@ class LogFiles:
             seconds=self.by.seconds,
             part=part,
             goes_on=self._goes_on,
+            last=wanted.last,
         )
 
     def _full(self, error: OSError | LogError) -> None:
         """Continue without a file; a new one is tried at intervals."""
         writer, self.writer = self.writer, None
         self._retry = self.by.clock() + RETRY
-        self._goes_on = False
+        self._goes_on, self._due = False, bool(self._wanted.last)
         if writer is not None:
             with contextlib.suppress(OSError):
                 writer.close()

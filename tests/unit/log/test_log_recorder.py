@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import time
 from types import SimpleNamespace
@@ -11,15 +12,17 @@ import msgspec
 import pytest
 from watching import wait_for
 
-from pbonet.config.model import AgentConfig
+from pbonet.config.model import AgentConfig, Variable
 from pbonet.log import Log, TaskAbout
 from pbonet.node.agent.agent import Agent
 from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders
 from pbonet.node.recorder import log_rotation, recorder_process as recording
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.task import ring_bytes
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import codec, messages as m
+from pbonet.xm.net.messages import Event
 
 ABOUT = TaskAbout(
     domain="d",
@@ -97,6 +100,48 @@ def test_a_log_goes_on_in_another_file_when_it_has_many_chunks(
     recorder.end()
     assert len(Log(tmp_path / "r").parts) >= 2
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_rings_are_emptied_while_what_was_kept_is_written(
+    tmp_path, monkeypatch
+) -> None:
+    """It may be much, and a ring of large records is full in some tens of ms."""
+    monkeypatch.setattr(log_rotation, "PORTION", 0.0)
+    asked = msgspec.structs.replace(wanted(tmp_path), last=600.0)
+    recorder = recording.Recorder(asked, [].append)
+    ring = Ring.create("d.arm.a", 1 << 12, msgspec.json.encode(ABOUT))
+    cycles = itertools.count(1)
+
+    def run():
+        """Fill most of the ring, and let the recorder take a pass."""
+        for _ in range(20):
+            ring.put(b"", cycle=next(cycles), now_ns=1)
+        recorder.turn()
+
+    for _ in range(10):
+        run()
+    error = Event(
+        n=1, time=1, wall=1.0, severity=40, code="X", rtpu="arm0", text="it", task="a"
+    )
+    recorder.event(error)
+    passes = 0
+    while not recorder.pause:
+        run()
+        passes += 1
+    assert passes >= 10
+    assert ring.lost == 0
+    recorder.end()
+    ring.destroy()
+    found = Log(tmp_path / "r").arrays("a")["cycle"].tolist()
+    assert found == list(range(1, len(found) + 1))
+    assert len(found) >= 200, "all that was kept, and what came meanwhile"
+
+
+def test_a_ring_has_room_for_some_records_however_large_they_are() -> None:
+    assert ring_bytes(ABOUT) == 1 << 20
+    picture = Variable(name="P", type="uint8", nelem=4_000_000)
+    large = msgspec.structs.replace(ABOUT, outvar=[picture])
+    assert ring_bytes(large) >= 16 * 4_000_000
 
 
 def test_without_a_limit_it_stays_in_one(ring, tmp_path) -> None:
