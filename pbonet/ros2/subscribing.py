@@ -103,7 +103,7 @@ class Selection:
 class Trajectory:
     """A JointTrajectory as rows of time, positions, velocities and accelerations.
 
-    What a message does not give, and rows behind its last point, are not a number.
+    What a message does not give, and rows after its last point, are not a number.
 
     Args:
         types: The types of messages.
