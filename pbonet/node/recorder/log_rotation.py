@@ -101,9 +101,11 @@ class LogFiles:
         self._begun = 0.0
         self._wrong = 0.0
         """The time until which everything is written, after an error."""
-        self._due = False
-        """Whether an error waits for a file."""
         self._kept: deque[tuple[float, Do, bytes]] = deque()
+        self._late = 0
+        """Records that waited too long for the open file."""
+        self.behind = False
+        """Whether the last portion left something that is to be written."""
         self._portion = PORTION if by is None else math.inf
         if wanted.last:
             # It takes as long as a ring of large records takes to be full.
@@ -116,13 +118,13 @@ class LogFiles:
     def turn(self) -> None:
         """Begin a file if it is time, end it if it is full, remove old ones."""
         now = self.by.clock()
-        over = self._wanted.last and now > self._wrong and not self.behind
+        over = self._wanted.last and now > self._wrong and not self._is_due
         if over and self.writer is not None:
             self._finish()
         elif self.writer is not None and self._is_full(now):
             self._goes_on = True
             self._finish()
-        wanted = not self._wanted.last or self._due
+        wanted = not self._wanted.last or self._is_due
         if wanted and self.writer is None and now >= self._retry:
             self._retry = now + RETRY
             self._open()
@@ -150,32 +152,34 @@ class LogFiles:
         """
         now = self.by.clock()
         self._kept.append((now, do, records))
-        wanted = self._due or self.writer is not None
-        oldest = now - self._wanted.last * (2.0 if wanted else 1.0)
+        oldest = now - self._wanted.last * (2.0 if self._is_due else 1.0)
         while self._kept[0][0] < oldest:
+            due = self._is_due
             _, _, gone = self._kept.popleft()
-            if wanted:
-                self._count(gone)
+            if due:
+                self._late += self._count(gone)
 
-    def _count(self, records: bytes) -> None:
-        """Count records as lost."""
-        self.unwritten += len(parse(records)) if records else 0
+    def _count(self, records: bytes) -> int:
+        """Count records as lost; return how many they are."""
+        count = len(parse(records)) if records else 0
+        self.unwritten += count
+        return count
 
     @property
-    def behind(self) -> bool:
-        """Whether something that was kept is to be written now."""
-        there = self.writer is not None and bool(self._kept)
-        return there and self._kept[0][0] <= self._wrong
+    def _is_due(self) -> bool:
+        """Whether the oldest of what was kept is to be written."""
+        return bool(self._kept) and self._kept[0][0] <= self._wrong
 
     def _write_kept(self, seconds: float) -> None:
         """Write what was kept, in this time or a little more."""
         end = time.monotonic() + seconds
-        while self.behind:
+        while self._is_due and self.writer is not None:
             _, do, records = self._kept.popleft()
             if not self.write(do):
                 self._count(records)
             if time.monotonic() >= end:
-                return
+                break
+        self.behind = self._is_due and self.writer is not None
 
     def write(self, do: Do) -> bool:
         """Write something if there is a file; return whether it was written."""
@@ -193,7 +197,6 @@ class LogFiles:
         """Write what was kept, and everything in the next second."""
         if self._wanted.last:
             self._wrong = self.by.clock() + AFTER
-            self._due = self.writer is None
             self.turn()
 
     def close(self) -> None:
@@ -206,6 +209,10 @@ class LogFiles:
         if writer is not None and self.write(lambda writer: writer.close()):
             self._done.add(writer.path)
             self._retry = 0.0
+            if self._late:
+                text = f"{self._late} records waited too long for the disk; they are "
+                text += f"not in {writer.path}"
+                self._say(Severity.WARNING, "NOT_RECORDED", text)
         self.writer = None
 
     def _is_full(self, now: float) -> bool:
@@ -225,7 +232,7 @@ class LogFiles:
         except (OSError, LogError) as error:
             self._full(error)
             return
-        self._goes_on, self._due, self._begun = False, False, self.by.clock()
+        self._goes_on, self._late, self._begun = False, 0, self.by.clock()
         if lost:
             text = f"{lost} records were lost before {self.writer.path}"
             self._say(Severity.WARNING, "LOG_CONTINUED", text)
@@ -271,7 +278,7 @@ class LogFiles:
         """Continue without a file; a new one is tried at intervals."""
         writer, self.writer = self.writer, None
         self._retry = self.by.clock() + RETRY
-        self._goes_on, self._due = False, bool(self._wanted.last)
+        self._goes_on = False
         if writer is not None:
             with contextlib.suppress(OSError):
                 writer.close()

@@ -52,8 +52,10 @@ _SEED_BYTES: Final = 6
 """Of a seed, which any program that reads JSON keeps exactly."""
 _LEAST_RING: Final = 1 << 20
 """Bytes of a ring for records; the smallest."""
-_LEAST_RECORDS: Final = 16
-"""Records for which a ring has room at least: some passes of the recorder."""
+_MOST_RING: Final = 1 << 25
+"""Bytes of a ring for large records; all of them are memory that the task holds."""
+_RECORDS: Final = 16
+"""Records for which a ring has room, up to that: some passes of the recorder."""
 _REST: Final = 1 << 14
 """Bytes of a record for its head, and for what a cycle hears from outside."""
 
@@ -95,8 +97,11 @@ def record_bytes(told: TaskAbout) -> int:
 
 
 def ring_bytes(told: TaskAbout) -> int:
-    """Return how large a ring the task needs for its records."""
-    return max(_LEAST_RING, _LEAST_RECORDS * record_bytes(told))
+    """Return how large a ring the task gets for its records.
+
+    A record that is larger than the largest ring is counted as lost.
+    """
+    return max(_LEAST_RING, min(_RECORDS * record_bytes(told), _MOST_RING))
 
 
 def cut_off(*fds: int) -> None:
