@@ -194,10 +194,14 @@ class LogFiles:
         return True
 
     def went_wrong(self) -> None:
-        """Write what was kept, and everything in the next second."""
+        """Write what was kept, and everything in the next second.
+
+        Only the first of some errors begins to write: the rings are emptied meanwhile.
+        """
         if self._wanted.last:
             self._wrong = self.by.clock() + AFTER
-            self.turn()
+            if self.writer is None:
+                self.turn()
 
     def close(self) -> None:
         """Write what was kept and is to be written, and finish the file."""

@@ -125,6 +125,10 @@ def test_rings_are_emptied_while_what_was_kept_is_written(
     for _ in range(10):
         run()
     recorder.event(ERROR)
+    waiting = len(recorder._files._kept)
+    for _ in range(5):  # as when many tasks fail at once
+        recorder.event(ERROR)
+    assert len(recorder._files._kept) == waiting + 5, "no pass is late"
     passes = 0
     while not recorder.pause:
         run()
