@@ -126,7 +126,7 @@ def run(scheduler: str, bursts: int) -> Seen:
             prepare(scheduler, Path(folder)),
             Place(domain=DOMAIN, libraries=(str(HERE),)),
             lines,
-            # It ends in the rest behind the last burst, where its tasks obey at once.
+            # It ends in the rest after the last burst, where its tasks obey at once.
             embed=HERE / "agent.toml",
             seconds=(bursts * (WORK + REST) + 1.5) * HYPERPERIOD_NS * 1e-9,
             runs=Path(folder, "runs"),

@@ -164,7 +164,7 @@ class History(Struct):
         return cycles[number - 1] if 0 < number <= len(cycles) else None
 
     def missed(self, task: str, begin_ns: int, end_ns: int) -> list[int]:
-        """Return the deadlines behind `begin_ns`, up to `end_ns`, that were not met."""
+        """Return the deadlines after `begin_ns`, up to `end_ns`, that were not met."""
         return [
             at for name, at in self.misses if name == task and begin_ns < at <= end_ns
         ]

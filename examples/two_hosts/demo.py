@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 PORT = 7447
 PULLED, PLUGGED, AFTER, LONGEST = 3.0, 5.0, 2.0, 30.0
-"""When the cable is pulled and plugged in, how long all goes on behind that, and how
+"""When the cable is pulled and plugged in, how long all goes on after that, and how
 long it lasts at most, s."""
 FRESH = 0.25
 """A target younger than this is seen, s."""

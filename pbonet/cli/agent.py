@@ -36,7 +36,7 @@ def command(
     router: A[
         list[str] | None,
         Option(
-            "Be a client of this router (pbonet router), or of the next one named.",
+            "Connect to this router (pbonet router), or to the next one named.",
             "ENDPOINT",
             env="PBONET_ROUTER",
         ),
@@ -75,14 +75,14 @@ def command(
     with_parent: A[int, Option("End when this parent process ends.", "PID")] = 0,
     verbose: A[bool, Option("Log what happens.", names=("--verbose", "-v"))] = False,
 ) -> int:
-    """Be the agent of one RTPU (executor), which runs tasks on its core.
+    """Start the agent of an RTPU (executor), which runs tasks on its core.
 
     It runs until SIGTERM or Ctrl-C. 'pbonet run' starts agents where there are none.
 
     Examples:
-        Be RTPU arm0 on core 1:
+        Start RTPU arm0 on core 1:
         pbonet agent --name arm0 --core 1
-        Be one that other machines reach, as its file says:
+        Start one that other machines can reach, configured by a file:
         pbonet agent --config agent.toml --listen tcp/0.0.0.0:7447 --keys keys/arm0
     """
     from pbonet.config import agent_settings

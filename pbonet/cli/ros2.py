@@ -8,7 +8,7 @@ from typing import Annotated as A
 from . import options
 from .parser import Option
 
-HELP = "Be a node of ROS 2, whose nodes speak rmw_zenoh."
+HELP = "Make a subsystem a node of ROS 2, with rmw_zenoh."
 
 
 def bridge(
@@ -21,7 +21,9 @@ def bridge(
     router: A[
         str, Option("The router of ROS 2; tcp/localhost:7447 if left out.", "ENDPOINT")
     ] = "",
-    listen: A[str, Option("Be the router of ROS 2 at this endpoint.", "ENDPOINT")] = "",
+    listen: A[
+        str, Option("Serve as ROS 2's router at this endpoint.", "ENDPOINT")
+    ] = "",
     control: A[
         bool, Option("Let nodes change the subsystem: on, off, swap, set.")
     ] = False,
@@ -34,7 +36,7 @@ def bridge(
     Examples:
         Show the variables to nodes whose router runs on this machine:
         pbonet ros2 bridge arm.sbs
-        Be their router, and publish what a file says:
+        Serve as their router, and publish what a file says:
         pbonet ros2 bridge arm.sbs --listen tcp/localhost:7447 --topics arm.toml
         Let them command the subsystem, too:
         pbonet ros2 bridge arm.sbs --control

@@ -26,7 +26,7 @@ class Section(NamedTuple):
 def split(text: str) -> tuple[str, dict[str, Section]]:
     """Return an RMOD's own text, and those of the parts below it by name.
 
-    What stands behind EOF and is no part stays in the text, for its reader to refuse.
+    Text after EOF that is no part stays in the text, for its reader to refuse.
     """
     chunks = _chunks(text)
     sections: dict[str, Section] = {}

@@ -97,7 +97,7 @@ def _condition(reader: Reader, line: Line) -> Condition:
 
 
 def _said(line: Line) -> Condition:
-    """Return what stands behind the keyword, without a comment."""
+    """Return what follows the keyword, without a comment."""
     words = line.words
     if not words:
         raise fault(
@@ -163,7 +163,7 @@ def _task(reader: Reader, line: Line) -> JobTask:
             rest[0].place,
             expected=_TASK,
             got=f"{quote(rest[0].text)} here",
-            remedy="write the RTPU first and FIXED behind it, then FREQ and Hz, then "
+            remedy="write the RTPU first, FIXED after it, then FREQ and Hz, then "
             "FALLBACK and an RMOD, then TAKEOVER and seconds, then RESTART",
         )
     return JobTask(
@@ -179,7 +179,7 @@ def _task(reader: Reader, line: Line) -> JobTask:
 
 
 def _is_fixed(rest: list[Word]) -> bool:
-    """Take FIXED from the words behind the RTPU; return whether it was there."""
+    """Take FIXED from the words after the RTPU; return whether it was there."""
     if not rest or rest[0].text != "FIXED":
         return False
     del rest[0]
@@ -201,7 +201,7 @@ def _restart(word: Word) -> Restart:
 
 
 def _taken(rest: list[Word], keyword: str) -> Word | None:
-    """Take a keyword and the word behind it; return that, or None without them."""
+    """Take a keyword and the word after it; return that word, or None without them."""
     if len(rest) < _PAIR or rest[0].text != keyword:
         return None
     word = rest[1]

@@ -173,7 +173,7 @@ class Reader:
         """Take ``EOF`` and make sure that nothing follows it.
 
         Raises:
-            ConfigError: Another line stands here, or text behind ``EOF``.
+            ConfigError: Another line is here, or text after ``EOF``.
         """
         line = self.take()
         if line.keyword != "EOF":

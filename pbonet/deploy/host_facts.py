@@ -115,7 +115,7 @@ async def ask(shell: Shell, machine: Machine) -> Facts:
     """Return what a machine has.
 
     Raises:
-        NodeError: It has no Python that can tell, or told nonsense.
+        NodeError: It has no suitable Python, or its answer makes no sense.
         UnreachableError: The connection was lost.
     """
     program = steps.packaged("print_facts.py").encode()

@@ -368,7 +368,7 @@ cdef bint follows(const ring_record *one, const ring_record *r) noexcept nogil:
 
 cdef bint take(const char *base, uint64_t *at, uint64_t n, sequences *found,
                bint last) noexcept nogil:
-    """Find the sequences at a place, and move it behind them; 0 when they are not all there."""
+    """Find the sequences at a place, and move it past them; 0 when they are not all there."""
     if not bytes_at(base, at, n, &found.consumed, &found.n_consumed):
         return 0
     if not bytes_at(base, at, n, &found.inputs, &found.n_inputs):

@@ -57,6 +57,11 @@ class Cycles(ABC):
             KeyError: There is no such task.
         """
 
+    @property
+    def only_last(self) -> bool:
+        """Whether only the last seconds before each error were to be recorded."""
+        return False
+
     def missed(self) -> dict[str, int]:
         """Return how many releases each task has missed, if they were counted."""
         return {}

@@ -74,6 +74,8 @@ class TaskLife:
         self.origin = Origin(told.get(MACHINE, here[0]), told.get(RUN, here[1]), moves)
         self.table = Table(*self.origin[:2], about.domain, about.subsystem)
         """The table in which its commits are numbered."""
+        self.only_last = part.about is not None and part.about.last > 0
+        """Whether only the last seconds before an error were to be recorded."""
         self.name = about.task
         """Name of the task in this log; `SUBSYSTEM/TASK` if two subsystems have one."""
 
@@ -428,12 +430,22 @@ class Log(Cycles):
                 found |= {key: counts.get(key, 0) for key in ("missed", "failed")}
                 yield one.time_ns, task, found
 
+    @property
+    def only_last(self) -> bool:
+        """Whether only the last seconds before each error were to be recorded."""
+        return any(life.only_last for life in self._lives)
+
     def lost(self) -> dict[str, int]:
-        """Return how many records of each task did not fit its ring."""
+        """Return how many records of each task did not fit its ring.
+
+        Those before the first one count only if it was to be recorded.
+        """
         found: dict[str, int] = {}
         for life in self._lives:
-            last = [one[-1] for one in (life.commits, life.steps) if one]
-            count = max((int(head(one)["lost"]) for one in last), default=0)
+            each = [one for one in (life.commits, life.steps) if one]
+            count = max((int(head(one[-1])["lost"]) for one in each), default=0)
+            if life.only_last and each:
+                count -= min(int(head(one[0])["lost"]) for one in each)
             if count:
                 found[life.name] = found.get(life.name, 0) + count
         return found

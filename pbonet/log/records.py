@@ -177,6 +177,8 @@ class RunAbout(Struct, kw_only=True):
     """2, 3, ... after a recorder was lost or a file was full."""
     goes_on: bool = False
     """Whether nothing is missing between the previous file and this one."""
+    last: float = 0.0
+    """Seconds before an error that were kept; 0: everything was to be recorded."""
     seconds: float = 0.0
     """Elapsed virtual time of a simulation; 0: the run was in real time."""
     format: int = FORMAT

@@ -152,7 +152,7 @@ class Download(_Transfer):
         link: The link.
         to: System and component of the other end.
         count: How many items there are, if that is known: then it is asked for them
-            at once, and told whether all came.
+            at once, and receives an acknowledgement when all have come.
         judge: Called with each item; other than `ACCEPTED` ends the download with it.
     """
 

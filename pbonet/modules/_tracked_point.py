@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 class TrackedPoint:
     """Place and velocity of a point, by a filter of second order.
 
-    Each look corrects place and velocity by shares of how far the point is from where
-    it was expected: 1 - s^2 and (1 - s)^2 per time since the last look. So errors of
-    the past fade by s with each look, without overshoot.
+    Each measurement corrects place and velocity by shares of how far the point is from
+    where it was expected: 1 - s^2 and (1 - s)^2 per time since the last one. So errors
+    of the past fade by s with each one, without overshoot.
     """
 
     def __init__(self) -> None:
@@ -25,11 +25,11 @@ class TrackedPoint:
 
     @property
     def known(self) -> bool:
-        """Whether there was a look since `forget`."""
+        """Whether there was a measurement since `forget`."""
         return self._time is not None
 
     def forget(self) -> None:
-        """Begin with the next look, as if there had been none."""
+        """Begin with the next measurement, as if there had been none."""
         self._time = None
 
     def correct(self, place: Vector, time: float, smooth: float) -> None:

@@ -226,9 +226,9 @@ class PortBasedObject(Generic[P]):
 
         Returns:
             `Answer.OFF`: cleared; the task is OFF, `off` is not called.
-            `Answer.CONTINUE`: cleared, and safe to go on: behind ``fail()``, or, after
-            an exception, with what follows the method; the outputs of a cycle that
-            raised are discarded.
+            `Answer.CONTINUE`: cleared, and safe to go on: at the line after ``fail()``,
+            or, after an exception, with what follows the method; the outputs of a cycle
+            that raised are discarded.
             `Answer.ERROR` (the default): the task waits in ERROR for an operator.
             On the way of the signal kill, `kill` follows whatever is answered.
         """

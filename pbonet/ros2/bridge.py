@@ -47,7 +47,7 @@ class Network(msgspec.Struct, frozen=True):
     router: str = ""
     """The endpoint of their router; empty without `listen`: `ROUTER`."""
     listen: str = ""
-    """Be their router at this endpoint."""
+    """Serve as their router at this endpoint."""
     insecure: bool = False
     """Whether to listen beyond this machine."""
 
@@ -187,7 +187,7 @@ def run(
     control: bool = False,
     as_data: bool = False,
 ) -> None:
-    """Be the node of ROS 2 of a subsystem until interrupted.
+    """Serve as the node of ROS 2 of a subsystem until interrupted.
 
     Args:
         path: The ``.sbs`` file, or a ``.job`` file that names it.

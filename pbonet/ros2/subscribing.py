@@ -155,7 +155,7 @@ class _KnownLayout:
 class Trajectory:
     """A JointTrajectory as rows of time, positions, velocities and accelerations.
 
-    What a message does not give, and rows behind its last point, are not a number.
+    What a message does not give, and rows after its last point, are not a number.
 
     Args:
         types: The types of messages.

@@ -395,7 +395,7 @@ class Bench(Generic[M]):
 
         Raises:
             StateError: The task is not ON.
-            MethodError: The handler, or `on` behind an abort, failed and `error` did
+            MethodError: The handler, or `on` after an abort, failed and `error` did
                 not put it right.
         """
         if not self._watch.in_critical:

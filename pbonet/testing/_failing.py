@@ -89,7 +89,7 @@ class Failing:
             self._call_handler()
 
     def aborted(self, cycle: int, calls: Sequence[int]) -> None:
-        """Be where an aborted cycle was left: its handler has answered, no more."""
+        """Go where an aborted cycle was left: its handler has answered, no more."""
         self.rest()
         self.unsure = (
             f"the cycle after cycle {cycle} was aborted, and what it had done by then "

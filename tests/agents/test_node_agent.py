@@ -117,6 +117,14 @@ def test_second_agent_of_one_name_on_the_machine_is_refused(nodes):
     assert nodes.client().call("arm0", m.Hello(), m.AgentInfo).name == "arm0"
 
 
+def test_an_rtpu_process_keeps_its_agent_though_that_one_s_lock_was_removed(nodes):
+    first = nodes.agent_process("arm0")
+    run_folder.Places(nodes.domain, "arm0").lock.unlink()
+    with pytest.raises(DuplicateNameError, match=f"with `kill {first.pid}`"):
+        Agent(nodes.config("arm0")).start()
+    assert nodes.client().call("arm0", m.Hello(), m.AgentInfo).pid == first.pid
+
+
 def test_second_agent_of_one_name_elsewhere_is_refused(nodes, monkeypatch):
     """Another runtime folder stands for another machine: only a token tells."""
     there = f"tcp/127.0.0.1:{free_port()}"

@@ -369,7 +369,7 @@ class _Walk:
         if variable.type.startswith("struct"):
             raise self._fault(
                 node,
-                what=f"a condition cannot look into {name}",
+                what=f"a condition cannot read {name}",
                 expected="a variable of numbers",
                 got=f"TYPE {variable.type}",
                 remedy="let its writer put the relevant value into another variable",

@@ -59,7 +59,7 @@ def check_ages(configuration: Configuration) -> Iterator[Problem]:
     """Yield inputs that a connector takes for valid even without a writer.
 
     Only the last connector of a chain may continue with a value of any age, its Z2:
-    there is nothing to fall back to behind it.
+    there is nothing to fall back to after it.
     """
     for task in configuration.tasks:
         if task.rmod.module != BY_AGE:

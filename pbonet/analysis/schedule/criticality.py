@@ -90,7 +90,7 @@ def muf(tasks: Iterable[Timing], limit: float = 1.0) -> dict[str, Assigned]:
 
     The set is the first N tasks, from the shortest period on, whose utilization stays
     within `limit`; the first that does not fit ends it, even if a later one would fit.
-    A task with unknown execution time counts as nothing, and it and all behind it are
+    A task with unknown execution time counts as nothing, and it and all after it are
     marked as assumed. A criticality fixed by the RMOD is kept; the task's load counts.
 
     Args:

@@ -32,15 +32,15 @@ def command(
     show: A[bool, Option("Print the configuration, for zenohd, and end.")] = False,
     verbose: A[bool, Option("Log what happens.", names=("--verbose", "-v"))] = False,
 ) -> int:
-    """Be a router, by which agents and masters of many machines meet.
+    """Start a router that connects agents and masters of many machines.
 
     It is zenoh's router and takes zenohd's configuration file; options replace what the
     file says. It runs until SIGTERM or Ctrl-C. Agents are its clients with --router.
 
     Examples:
-        Be the router of a laboratory:
+        Start the router of a laboratory:
         pbonet router --keys keys/router --listen tls/0.0.0.0:7447
-        Be its second one, linked to the first:
+        Start a second one, linked to the first:
         pbonet router --config router.json5 --connect tls/10.0.0.8:7447
         Write a file for zenohd:
         pbonet router --keys keys/router --listen tls/0.0.0.0:7447 --show

@@ -105,7 +105,7 @@ def rm(
     """Remove a mailbox with its interrupts; its senders get an error.
 
     Examples:
-        Remove one whose program is no more:
+        Remove one whose program no longer exists:
         pbonet mailbox rm arm1:door
         Remove one of this machine's programs:
         pbonet mailbox rm bell

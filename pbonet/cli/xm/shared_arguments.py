@@ -72,7 +72,7 @@ def show_list(
         kind: ``sem``, ``queue`` or ``mailbox``.
         rtpus: The RTPUs; all if none is named.
         reach: Where agents are found.
-        head: Titles of the columns behind the name.
+        head: Titles of the columns after the name.
         row: Returns these columns for a resource.
         as_data: Print JSON.
     """

@@ -105,7 +105,7 @@ class DynamixelLine(SharedLine[Packets]):
         return packet(request.number, request.instruction, request.values)
 
     def unframed(self, request: Packets) -> bytes | None:
-        """Return the statuses of all servos, one behind the other.
+        """Return the statuses of all servos, one after the other.
 
         Each is the servo's number, how many bytes follow, its error, and its values.
         """

@@ -2,7 +2,7 @@
 
 See `guard`. A device that does not answer is tried again for some seconds, each one in
 a thread of its own, so that none waits for another one. What cannot be made safe is
-told to the system's log.
+reported to the system's log.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class GuardProcess:
         poll.register(self._sock, select.POLLIN)
         while True:
             ready = {fd for fd, _ in poll.poll()}
-            # What it has told before its end counts.
+            # What it has reported before its end counts.
             if self._sock.fileno() in ready:
                 if not self._take():
                     poll.unregister(self._sock)

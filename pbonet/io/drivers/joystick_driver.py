@@ -132,7 +132,7 @@ class JoystickDevice(PortDevice):
         for _, _, kind, code, value in EVENT.iter_unpack(data):
             if kind == SYN and code == DROPPED:
                 self._ask_kernel()
-                break  # what comes behind it is older, or comes again
+                break  # what follows is older, or comes again
             if (kind, code) in self._values:
                 self._values[kind, code] = value if kind == ABS else int(value != 0)
         return [self._values[one] for one in self._opened]

@@ -93,7 +93,7 @@ def update(  # noqa: PLR0917 - as calls give them
 
 
 def shifted(plan: Floats, shift: float) -> Floats:
-    """Return the plan as it begins `shift` steps later; behind its end it is 0."""
+    """Return the plan as it begins `shift` steps later; after its end it is 0."""
     steps = len(plan)
     at = np.arange(steps) + shift
     first = np.minimum(at.astype(np.int64), steps)

@@ -116,7 +116,7 @@ def improve(m: Any, w: SimpleNamespace) -> None:  # noqa: ANN401 - has the varia
 
 
 def shifted(plan: Any, w: SimpleNamespace) -> Any:  # noqa: ANN401 - tensors
-    """Return the plan as it begins later; behind its end it is 0."""
+    """Return the plan as it begins later; after its end it is 0."""
     at = w.times + w.shift
     first = at.to(torch.int64).clamp(max=w.steps)
     part = (at - first)[:, None]

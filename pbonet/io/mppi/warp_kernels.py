@@ -123,7 +123,7 @@ def shift_plan(
     steps: int,
     shift: wp.float32,
 ):
-    """Let the plan begin later; behind its end it is 0."""
+    """Let the plan begin later; after its end it is 0."""
     t, j = wp.tid()
     at = wp.float32(t) + shift
     first = wp.min(int(at), steps)

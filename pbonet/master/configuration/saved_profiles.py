@@ -219,7 +219,7 @@ class Store:
         """Add a task's profile to the saved one; return the result and its file.
 
         Runs of the same module with the same configuration on the same machine count
-        together. A later look at a process that was saved before replaces the earlier.
+        together. A later profile of a process replaces an earlier one.
 
         Raises:
             StateError: It has counted too few cycles.

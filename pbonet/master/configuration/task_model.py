@@ -93,7 +93,7 @@ class TaskModel:
         """Tasks that were killed by order, and not spawned again."""
 
     def __iter__(self) -> Iterator[Member]:
-        return iter(list(self._members.values()))  # others may look meanwhile
+        return iter(list(self._members.values()))  # others may read meanwhile
 
     def __contains__(self, task: str) -> bool:
         return task in self._members

@@ -237,7 +237,7 @@ def bind(
 
     Args:
         command: The command.
-        words: The words behind its name.
+        words: The words after its name.
         knows: Tells whether the subsystem has a task of a name.
 
     Raises:

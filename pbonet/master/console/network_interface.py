@@ -50,7 +50,7 @@ _SESSIONS: Final = 100
 _CLIENT: Final = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 _TOKEN_TIME: Final = 1.0
 _LOOK: Final = 0.2
-"""Seconds between looks whether serving is to end."""
+"""Seconds between checks whether serving is to end."""
 
 log = logging.getLogger("pbonet.master")
 

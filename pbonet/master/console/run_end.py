@@ -75,6 +75,15 @@ class Outcome(Struct, kw_only=True):
             return 0
         return min((one.status for one in self.shortfalls), default=0)
 
+    def log_line(self) -> str:
+        """Return what stands in the log, and where it is."""
+        what = "every cycle"
+        if self.recording is not None and self.recording.only_last:
+            what = "what came before each error"
+        if any(one.status == Status.UNRECORDED for one in self.shortfalls):
+            what = "what was recorded"
+        return f"{what} is in {self.log}"
+
     def last_line(self) -> str:
         """Return what a run that has not failed lacks; empty if nothing."""
         texts = "; ".join(one.text for one in self.shortfalls)

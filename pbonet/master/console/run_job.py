@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _PERIOD: Final = 0.5
 """Seconds between two readings of the status."""
 _PATIENCE: Final = 10
-"""For so many looks an RTPU may be out of reach: its agent may be restarted."""
+"""Number of checks in which an RTPU may be out of reach: its agent may be restarted."""
 
 
 class Run:
@@ -468,10 +468,7 @@ def run(
     for fault in outcome.faults:
         view.say(f"ERROR> {fault}")
     if outcome.log:
-        every = all(one.status != Status.UNRECORDED for one in outcome.shortfalls)
-        view.say(
-            f"{'every cycle' if every else 'what was recorded'} is in {outcome.log}"
-        )
+        view.say(outcome.log_line())
     if text := outcome.last_line():
         view.say(text)
     return outcome

@@ -25,13 +25,13 @@ class Source(StrEnum):
 
 
 class Cause(Struct, frozen=True, kw_only=True):
-    """A cause, with those behind it."""
+    """A cause, with its own causes."""
 
     what: str
     source: Source
     because: tuple[Cause, ...] = ()
     remedy: str = ""
-    """The remedy; empty where a cause behind it says so."""
+    """The remedy; empty where one of its own causes says so."""
 
 
 class Explanation(Struct, frozen=True, kw_only=True):

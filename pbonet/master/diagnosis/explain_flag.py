@@ -18,7 +18,7 @@ _RAISED = re.compile(r"(.*) \((\S+)\)", re.DOTALL)
 
 
 def flag(chain: Chain) -> tuple[str, list[Cause]]:
-    """Return whether the flag is up, and each of its causes with those behind it."""
+    """Return whether the flag is up, and each of its causes with their own causes."""
     facts = chain.facts
     raised: dict[str, list[str]] = {}
     for name, status in facts.rtpus.items():

@@ -47,7 +47,7 @@ class Chain:
             kind: One of the parts.
             name: Its name.
             source: Where it was read.
-            remedy: What to do where nothing behind it has a remedy.
+            remedy: What to do where none of its own causes has a remedy.
         """
         what, causes = self.explained(kind, name)
         known = any(map(_has_remedy, causes))

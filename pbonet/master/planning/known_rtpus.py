@@ -1,7 +1,7 @@
 """Facts about a subsystem's RTPUs: their machines, and what tasks can open there.
 
-It is asked of their agents, or told by the user; else each RTPU counts as a machine of
-its own, and a task stays where it is if it opens something by name.
+Their agents are asked for it, or the user gives it; else each RTPU counts as a machine
+of its own, and a task stays where it is if it opens something by name.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class KnownRtpus(Struct, frozen=True, kw_only=True):
     shares: dict[str, CoreShare] = {}
     """The share of each one's core for tasks; empty: not known."""
     asked: bool = False
-    """Agents told it."""
+    """Agents reported it."""
 
 
 def as_stated(sbs: SbsFile, pairs: Iterable[str]) -> KnownRtpus:

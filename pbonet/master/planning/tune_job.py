@@ -221,7 +221,7 @@ def _cost(files: Files, cost: str) -> str:
             "the job does not say which error is to be small",
             where=job.file,
             expected="a line such as COST rms(Q_REF - Q_MEZ)",
-            remedy="write it behind POST, or give --cost",
+            remedy="write it after POST, or give --cost",
         )
     cost_of(line)
     if problems := legality.check_cost(line, files.table.variables):

@@ -19,7 +19,6 @@ from msgspec import structs
 
 from pbonet.config import TaskType, parse_rmod
 from pbonet.errors import NodeError, PbonetError, Severity
-from pbonet.log import HEAD_DTYPE, RECORD
 from pbonet.node import rt
 from pbonet.node.agent import SharedMemoryStatus
 from pbonet.node.ring import Ring
@@ -33,11 +32,11 @@ from pbonet.node.rtpu import (
     obey_neighbour,
     rtpu_snapshot,
 )
-from pbonet.node.task import Host, RtpuChannel, inspect
+from pbonet.node.task import Host, RtpuChannel, inspect, record_bytes, ring_bytes
 from pbonet.node.wire import CoreWait, Neighbours, rtpu_messages
 from pbonet.outside import using
 from pbonet.pbo import State
-from pbonet.svar import Table, var_bytes
+from pbonet.svar import Table
 
 from .virtual_loop import Channel, pair, running
 
@@ -53,10 +52,6 @@ if TYPE_CHECKING:
     from pbonet.node.wire import EventLog
 
     from .virtual_loop import VirtualLoop
-
-_RING = 1 << 20
-_HEARD = 1 << 14
-"""Bytes that are kept free in a ring for what a cycle hears from outside."""
 
 
 class SharedState:
@@ -466,12 +461,10 @@ class VirtualTask(Host):
 
     def record(self, told: TaskAbout) -> Ring:
         """Return a ring that no other process can open."""
-        variables = [*told.invar, *told.outvar, *told.inconst, *told.outconst]
-        size = RECORD.size + HEAD_DTYPE.itemsize + _HEARD
-        size += sum(16 + var_bytes(one) for one in variables)
-        ring = Ring.create(self.spec.ring, max(_RING, 16 * size))
+        room = ring_bytes(told)
+        ring = Ring.create(self.spec.ring, room)
         Path(ring.path).unlink()
-        self._batch = max(1, _RING // (4 * size))
+        self._batch = max(1, room // (4 * record_bytes(told)))
         self.ring = ring
         self._rtpu.world.record(self, told)
         return ring

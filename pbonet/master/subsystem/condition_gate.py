@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LOOK_TIME: Final = 0.02
-"""Seconds between two looks whether conditions hold by now."""
+"""Seconds between two checks whether conditions hold."""
 
 
 class ConditionGate:

@@ -91,7 +91,7 @@ def followed(
         task_set: The subsystem's tasks.
         why: What the block does, for messages.
         variables: What may change in it, and the RTPU that changes it.
-        done: Tasks that the block re-initializes behind the change.
+        done: Tasks that the block re-initializes after the change.
 
     Raises:
         SeveralError: As `renew`. Where the block fails itself it is a warning.

@@ -37,7 +37,7 @@ def prove(
     Args:
         task_set: The subsystem's tasks.
         items: What was carried out.
-        kills: What is to be done behind it.
+        kills: What is to be done after it.
         clock: By which first cycles are waited for.
         stopped: Ends the wait when it is set.
 

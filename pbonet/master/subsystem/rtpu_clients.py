@@ -302,7 +302,7 @@ class RtpuClients:
         except PbonetError as failure:  # the stop itself has been carried out
             errors = [failure]
         for error in errors:
-            logger("pbonet.master").info("not told of the stop: %s", error)
+            logger("pbonet.master").info("the stop was not reported: %s", error)
 
     def release(self) -> list[PbonetError]:
         """Give every RTPU back; return what went wrong."""

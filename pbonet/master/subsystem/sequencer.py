@@ -42,7 +42,7 @@ _KEPT_ERRORS: Final = 100
 _ATTEMPTS: Final = 2
 """How often a change after an error is tried before its own error counts."""
 _PAUSE_LOOK: Final = 0.1
-"""Seconds between two looks during a pause."""
+"""Seconds between two checks during a pause."""
 
 
 class Phase(StrEnum):

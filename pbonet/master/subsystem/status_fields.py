@@ -1,7 +1,7 @@
 """Fields of `status` (Stewart 1994, sections 4.4.1 and 6.7.1).
 
 An agent only ever adds up: its counters run from the moment the task was turned on and
-are never reset, because several interfaces look at one task. "Since the last status" is
+are never reset, because several interfaces read one task. "Since the last status" is
 made here, by subtracting what the same interface saw last time.
 """
 

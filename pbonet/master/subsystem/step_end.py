@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 FAILURES: Final = ("ERROR", "SHUTDOWN")
 """Signals that end a wait with an error."""
 _PACE: Final = 0.1
-"""Seconds between two looks when no condition is waited for; events come earlier."""
+"""Seconds between two checks when no condition is waited for; events come earlier."""
 _SETTLE_TIME: Final = 0.5
 """Seconds that a task may be ON after its signal ERROR before it counts as ON."""
 _SIGNAL: Final = re.compile(r"(?:(\S+) +)?([A-Za-z_]\S*)")
@@ -248,5 +248,5 @@ class StepEnds:
             f"no {' or '.join(map(str, ends))} within {timeout:g} s",
             where=self._name,
             got="; ".join(filter(None, seen)),
-            remedy="give it more time, or look at 'status' why it does not come",
+            remedy="give it more time, or see in 'status' why it does not come",
         )

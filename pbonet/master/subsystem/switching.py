@@ -106,7 +106,7 @@ class Plan:
         self._originals: list[tuple[Member, str]] = []
         """Tasks, and for whom each is to stand by."""
         self._parted: list[tuple[Member, str]] = []
-        """Tasks, and whose fallbacks they are no more."""
+        """Tasks, and whose fallbacks they no longer are."""
         self._begun = False
 
     def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
@@ -263,7 +263,7 @@ def _recall_lost(task_set: SubsystemTasks, name: str, news: Sequence[str]) -> No
     """Enter a task that was lost into the model if one of its successors knows it.
 
     A master that was opened after the loss has not seen it; its fallback on another
-    RTPU names it. It may be ON if its RTPU does not answer, and is no more if it does.
+    RTPU names it. It may be ON if its RTPU does not answer; if it does, it is not.
     """
     standbys = [task_set.model.get(new) for new in news]
     for one in standbys:

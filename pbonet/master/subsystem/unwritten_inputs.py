@@ -37,7 +37,7 @@ class UnwrittenInputs:
     def seen(self, causes: Iterable[str]) -> None:
         """Take note of the present causes, as RTPUs tell them."""
         self._causes = {
-            cause.partition(" (")[0]  # behind it stands who raised it
+            cause.partition(" (")[0]  # the rest names who raised it
             for cause in causes
             if cause.startswith(UNFED)
         }
@@ -64,7 +64,7 @@ class UnwrittenInputs:
     def _flag(self, problems: Sequence[legality.Problem]) -> bool:
         """Bring the flag in line; return whether it is up for these problems.
 
-        It does not go down in between. An entry that stood at the last look is raised
+        It does not go down in between. An entry that was up at the last check is raised
         again: its keeper may have withdrawn it since.
         """
         cause = _cause(problems) if problems else ""

@@ -493,7 +493,7 @@ def cores(
     allowed: Sequence[int],
     neighbours: Sequence[Neighbour] = (),
 ) -> Iterator[Finding]:
-    """Look whether RTPUs have cores of their own, and leave one to housekeeping."""
+    """Check that RTPUs have cores of their own, and leave one to housekeeping."""
     for one in neighbours:
         yield Finding(Level.PASS, f"{one} has core {one.core} of this machine")
     yield from _shared(infos, neighbours)

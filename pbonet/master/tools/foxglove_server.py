@@ -55,7 +55,7 @@ class Viewer:
         self._sdk = _sdk()
         self._context = self._sdk.Context()
         self._fresh: set[str] = set()
-        """Topics that a viewer has just started to look at."""
+        """Topics that a viewer has just subscribed to."""
         self._seen: dict[str, tuple[str | None, int]] = {}
         """The writer and the number of the value that was sent last."""
         self._follower = Follower(subsystem, EventFilter.of({}))

@@ -41,7 +41,7 @@ class Played(Struct, kw_only=True):
     refused: int = 0
     """Values that the table refused: not finite, or outside LIMIT."""
     late: float = 0.0
-    """Seconds by which the latest came behind its time."""
+    """Seconds by which the latest one was late."""
 
     def __str__(self) -> str:
         """Return it in one line."""
@@ -191,7 +191,7 @@ def play(
 ) -> list[Played]:
     """Play what tasks committed into a table, at the times at which they did.
 
-    An interrupt ends it; the values stand then, as behind a task that was turned off.
+    An interrupt ends it; the values then remain, as after a task is turned off.
 
     Args:
         path: The log, or the folder of a run.

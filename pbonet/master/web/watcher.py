@@ -301,7 +301,7 @@ class Watcher(Source):
         drawn = subsystem.graph()
         complete = {one.name for one in drawn.tasks} == {one[0] for one in shape}
         graph = self._present.complete(drawn, statuses)
-        self._shape = shape if complete else None  # it is drawn again at the next look
+        self._shape = shape if complete else None  # it is drawn again the next time
         if graph == self._graph:
             return
         with self._lock:

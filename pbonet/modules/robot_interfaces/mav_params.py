@@ -18,7 +18,9 @@ class Wishes(Params):
     want: A[str, param("none", "NAME=VALUE ... that the vehicle is to have")] = ""
     known: A[
         str,
-        param("none", "read: all that the vehicle told; set all: it tells all again"),
+        param(
+            "none", "read: all that the vehicle reported; set all: it reports all again"
+        ),
     ] = ""
     component: A[int, param("none", "that of its autopilot", ge=1, le=255)] = 1
 

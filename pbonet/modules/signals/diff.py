@@ -37,7 +37,7 @@ class Diff(PortBasedObject[Smoothing], module_class="signal"):
 
     def init(self) -> None:
         self._before = np.zeros_like(self.z)
-        self._once = np.zeros_like(self.z)  # behind the first lag
+        self._once = np.zeros_like(self.z)  # after the first lag
 
     def on(self) -> None:
         self._before[:] = self.z

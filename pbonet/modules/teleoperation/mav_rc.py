@@ -79,7 +79,7 @@ class MavRc(PortBasedObject[Sticks], module_class="teleoperation"):
         self.ok, self.buttons = 1, self._pressed
 
     def stable(self, dt: float) -> None:  # noqa: ARG002
-        """Be neutral."""
+        """Write the neutral position."""
         self._receive()
         if self._heard_ns:
             self._lose()

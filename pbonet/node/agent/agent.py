@@ -80,7 +80,8 @@ ANEW_TIME = 10.0
 TOKEN_TIME = 1.0
 """Seconds for which the token of a killed predecessor may remain."""
 LOCK_TIME = 0.3
-"""Seconds for which an ending RTPU process may hold the name, to clean up."""
+"""Seconds for which an ending RTPU process may hold the name, to clean up, and within
+which one notices that its agent has left."""
 READY_TIME = 5.0
 """Seconds for which masters do not see an agent that spawns tasks again."""
 LET_GO_TIME = 2.0
@@ -202,6 +203,7 @@ class Agent:
             PbonetError: Something necessary is not available.
         """
         survive_cuts()  # it carries tables between machines
+        self._refuse_used_rtpu()
         text = f"agent {self.name}, process {os.getpid()}"
         self._lock, self._rank = client_of_router.take_place(
             self.places, text, routed=bool(self.config.routers), patience=LOCK_TIME
@@ -420,6 +422,24 @@ class Agent:
         }
         if before or self._apart:
             self._note(rtpu_messages.Alive(self._apart))
+
+    def _refuse_used_rtpu(self) -> None:
+        """Raise if the RTPU process has a live agent, though its lock was removed."""
+        deadline = time.monotonic() + LOCK_TIME
+        while not run_folder.is_held(self.places.lock):
+            left = cleanup.read(self.places.state)
+            if left is None or left.agent in {0, os.getpid()}:
+                return
+            if time.monotonic() > deadline:
+                raise DuplicateNameError(
+                    "the RTPU process of that name has an agent already",
+                    where=f"{self.name}, process {left.pid}",
+                    got=f"its agent is process {left.agent}, and its lock "
+                    f"{self.places.lock} was removed",
+                    remedy="choose another name, or end that agent with "
+                    f"`kill {left.agent}`",
+                )
+            time.sleep(0.02)
 
     def _refuse_duplicate(self) -> None:
         """Raise if an agent of that name is alive anywhere in the domain."""

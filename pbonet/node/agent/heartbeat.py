@@ -175,8 +175,8 @@ class Heartbeat:
             thread or in one of its own.
         holds: Returns whether a machine must carry out orders before it is answered.
         met: Called with an agent that is heard for the first time, in the same way.
-        machine_of: Returns the machine of an agent that has told it otherwise, in the
-            form used in keys.
+        machine_of: Returns the machine of an agent that has reported it otherwise, in
+            the form used in keys.
     """
 
     def __init__(
@@ -229,7 +229,7 @@ class Heartbeat:
             self._thread.join()
 
     def join(self, subsystems: Collection[str], *, since: float | None = None) -> None:
-        """Be in the groups of exactly these subsystems; others are left after `LINGER`.
+        """Join the groups of exactly these subsystems; others are left after `LINGER`.
 
         Args:
             subsystems: Those of which the RTPU has the table.
@@ -459,7 +459,7 @@ class Heartbeat:
                     self._say_goodbye(subsystem, now)
 
     def _say_goodbye(self, subsystem: str, now: float) -> None:
-        """Give the last sign of life in a group, behind those before it."""
+        """Give the last sign of life in a group, after those before it."""
         goodbye = Beat(self._machine, round(now * 1e9), {}, leaves=True)
         with contextlib.suppress(zenoh.ZError):
             self._session.put(  # pyright: ignore[reportUnknownMemberType]

@@ -3,7 +3,7 @@
 Every second an agent asks its partners for their identity, which are those with which
 it shares a subsystem or a link, and measures the offset of the other machine's clock
 (`pbonet.node.wire.clock_offsets`). It also asks `ASKED` of the `WATCHED` agents that
-come behind it in a circle of all names (`watched_agents`), in turn. So each agent is
+come after it in a circle of all names (`watched_agents`), in turn. So each agent is
 known to a few that it has nothing to do with: they tell of its loss, and repeat a stop
 to it. Of all others an agent knows only that they are there.
 """
@@ -331,7 +331,7 @@ class PeerLatencies:
             self.need(name)
 
     def _check_tokens(self) -> None:
-        """Compare what the tokens' subscriber has told with all that are there.
+        """Compare the tokens that the subscriber has reported with all that exist.
 
         A search beside a subscriber may miss a token (`session.alive`), so one must be
         missed twice; and it may find one that has gone meanwhile.
@@ -360,7 +360,7 @@ class PeerLatencies:
     def table_version(self) -> int:
         """Return the version of table packets that all agents in sight understand.
 
-        It is the oldest of this agent's while one of them has not told its own.
+        It is the oldest of this agent's while one of them has not reported its own.
         """
         return self._table_version
 
@@ -556,7 +556,8 @@ class PeerLatencies:
                     peer = self._peers.setdefault(name, Peer())
                 self._ask_once(name, peer)
         with self._guard:
-            if not self._new and time.monotonic() >= self._heard_by:  # all have told
+            # All have reported by then.
+            if not self._new and time.monotonic() >= self._heard_by:
                 infos = [peer.info for peer in self._peers.values()]
                 ranges = [i.understands("table") if i else None for i in infos]
                 self._table_version = spoken(LAYERS["table"], ranges)
@@ -616,7 +617,7 @@ def _port(address: str) -> str:
 
 
 def watched_agents(me: str, others: Iterable[str], most: int | None) -> list[str]:
-    """Return the agents that come behind `me` in a circle of all names, by their sums.
+    """Return the agents that come after `me` in a circle of all names, by their sums.
 
     So each agent is watched by as many as it watches. The circle is not in order of the
     names: those of one machine are often alike, and would be lost together.

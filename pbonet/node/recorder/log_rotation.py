@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import platform
 import socket
 import time
 from collections import deque
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -39,6 +41,8 @@ FRESH: Final = 60.0
 """Seconds after its last change in which a file may belong to another recorder."""
 AFTER: Final = 1.0
 """Seconds written after an error, if only the last seconds are kept."""
+PORTION: Final = 0.02
+"""Seconds in which what was kept is written, until the rings are emptied again."""
 MOST_CHUNKS: Final = 1 << 15
 """Chunks of a file, which takes 0.2 kB of memory for each; at low rates, 4.5 hours."""
 SHARE: Final = 4
@@ -97,9 +101,15 @@ class LogFiles:
         self._begun = 0.0
         self._wrong = 0.0
         """The time until which everything is written, after an error."""
-        self._due = False
-        """Whether an error waits for a file."""
         self._kept: deque[tuple[float, Do, bytes]] = deque()
+        self._late = 0
+        """Records that waited too long for the open file."""
+        self.behind = False
+        """Whether the last portion left something that is to be written."""
+        self._portion = PORTION if by is None else math.inf
+        if wanted.last:
+            # It takes as long as a ring of large records takes to be full.
+            import_module("mcap.writer")
         self._done: set[Path] = set()
         limits = wanted.limits
         most = limits.runs_mb / SHARE or limits.log_mb
@@ -108,15 +118,17 @@ class LogFiles:
     def turn(self) -> None:
         """Begin a file if it is time, end it if it is full, remove old ones."""
         now = self.by.clock()
-        if self._wanted.last and self.writer is not None and now > self._wrong:
+        over = self._wanted.last and now > self._wrong and not self._is_due
+        if over and self.writer is not None:
             self._finish()
         elif self.writer is not None and self._is_full(now):
             self._goes_on = True
             self._finish()
-        wanted = not self._wanted.last or self._due
+        wanted = not self._wanted.last or self._is_due
         if wanted and self.writer is None and now >= self._retry:
             self._retry = now + RETRY
             self._open()
+        self._write_kept(self._portion)
         if self._wanted.limits.runs_mb and now >= self._sweep:
             self._sweep = now + SWEEP
             self._let_go()
@@ -128,14 +140,46 @@ class LogFiles:
             do: Writes it.
             records: The records that are lost if it fails, as read from a ring.
         """
-        if self._wanted.last and self.writer is None:
-            now = self.by.clock()
-            self._kept.append((now, do, records))
-            while self._kept[0][0] < now - self._wanted.last:
-                self._kept.popleft()
-            return
-        if not self.write(do):
-            self.unwritten += len(parse(records)) if records else 0
+        if self._wanted.last:
+            self._keep(do, records)
+        elif not self.write(do):
+            self._count(records)
+
+    def _keep(self, do: Do, records: bytes) -> None:
+        """Keep something; forget what is older than the last seconds.
+
+        What is to be written may wait as long again.
+        """
+        now = self.by.clock()
+        self._kept.append((now, do, records))
+        oldest = now - self._wanted.last * (2.0 if self._is_due else 1.0)
+        while self._kept[0][0] < oldest:
+            due = self._is_due
+            _, _, gone = self._kept.popleft()
+            if due:
+                self._late += self._count(gone)
+
+    def _count(self, records: bytes) -> int:
+        """Count records as lost; return how many they are."""
+        count = len(parse(records)) if records else 0
+        self.unwritten += count
+        return count
+
+    @property
+    def _is_due(self) -> bool:
+        """Whether the oldest of what was kept is to be written."""
+        return bool(self._kept) and self._kept[0][0] <= self._wrong
+
+    def _write_kept(self, seconds: float) -> None:
+        """Write what was kept, in this time or a little more."""
+        end = time.monotonic() + seconds
+        while self._is_due and self.writer is not None:
+            _, do, records = self._kept.popleft()
+            if not self.write(do):
+                self._count(records)
+            if time.monotonic() >= end:
+                break
+        self.behind = self._is_due and self.writer is not None
 
     def write(self, do: Do) -> bool:
         """Write something if there is a file; return whether it was written."""
@@ -150,14 +194,18 @@ class LogFiles:
         return True
 
     def went_wrong(self) -> None:
-        """Write what was kept, and everything in the next second."""
+        """Write what was kept, and everything in the next second.
+
+        Only the first of some errors begins to write: the rings are emptied meanwhile.
+        """
         if self._wanted.last:
             self._wrong = self.by.clock() + AFTER
-            self._due = self.writer is None
-            self.turn()
+            if self.writer is None:
+                self.turn()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Write what was kept and is to be written, and finish the file."""
+        self._write_kept(math.inf)
         self._finish()
 
     def _finish(self) -> None:
@@ -165,6 +213,10 @@ class LogFiles:
         if writer is not None and self.write(lambda writer: writer.close()):
             self._done.add(writer.path)
             self._retry = 0.0
+            if self._late:
+                text = f"{self._late} records waited too long for the disk; they are "
+                text += f"not in {writer.path}"
+                self._say(Severity.WARNING, "NOT_RECORDED", text)
         self.writer = None
 
     def _is_full(self, now: float) -> bool:
@@ -184,10 +236,7 @@ class LogFiles:
         except (OSError, LogError) as error:
             self._full(error)
             return
-        self._goes_on, self._due, self._begun = False, False, self.by.clock()
-        kept, self._kept = self._kept, deque()
-        for _, do, records in kept:
-            self.put(do, records)
+        self._goes_on, self._late, self._begun = False, 0, self.by.clock()
         if lost:
             text = f"{lost} records were lost before {self.writer.path}"
             self._say(Severity.WARNING, "LOG_CONTINUED", text)
@@ -226,6 +275,7 @@ class LogFiles:
             seconds=self.by.seconds,
             part=part,
             goes_on=self._goes_on,
+            last=wanted.last,
         )
 
     def _full(self, error: OSError | LogError) -> None:

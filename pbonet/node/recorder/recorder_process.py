@@ -118,6 +118,11 @@ class Recorder:
             self._files.write(lambda writer: writer.flush())
         self._report()
 
+    @property
+    def pause(self) -> float:
+        """Seconds until the next pass."""
+        return 0.0 if self._files.behind else PERIOD
+
     def end(self) -> None:
         """Write what is left, and finish the log."""
         self.turn()
@@ -375,7 +380,7 @@ def main(argv: list[str]) -> int:
         recorder.take(told)
     while not stop and not pipe.over:
         recorder.turn()
-        for message in pipe.take(PERIOD):
+        for message in pipe.take(recorder.pause):
             recorder.take(message)
     recorder.end()
     return 0

@@ -178,20 +178,6 @@ static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s,
         s->dl_ns = event + s->period;
 }
 
-/* Have a server without a level while events come without end and its capacity is used
- * up; its level is back when there is capacity again. */
-static inline void rt_latch_flood(struct rt_table *t, int i, struct rt_state *s,
-                                  rt_cpu_fn cpu)
-{
-    int hangs = s->overrun == RT_HUNG, excess = s->spent && !s->owed;
-    if (!s->flooded || excess == hangs)
-        return;
-    s->overrun = excess ? RT_HUNG : RT_IN_TIME;
-    if (!excess)
-        rt_overruns(s, cpu(&t->slots[i], 0));
-    rt_emit(t, RT_BEGUN, i, s->overrun, 0, 0);
-}
-
 /* Whether all callers of a task have called and no turn has seen it yet. */
 static inline int rt_is_called(const struct rt_slot *slot)
 {
@@ -279,12 +265,10 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     }
     if (s->begun || s->owed || s->kind == RT_SYNCHRONOUS)
         rt_latch_watch(t, i, s, now);
-    if (s->armed && rt_is_server(s)) {
+    if (s->armed && rt_is_server(s))
         rt_latch_event(t, i, s, now);
-        rt_latch_flood(t, i, s, cpu);
-    } else if (s->armed && s->kind == RT_SYNCHRONOUS) {
+    else if (s->armed && s->kind == RT_SYNCHRONOUS)
         rt_latch_device(t, i, s, now);
-    }
     if (s->overrun)
         rt_latch_overrun(t, i, s, cpu);
     if (s->armed && s->wait_ns && s->wait_ns <= now)

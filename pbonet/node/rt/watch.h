@@ -291,6 +291,19 @@ static inline void rt_refill(struct rt_table *t, int i, struct rt_state *s, int6
     rt_set_rank(t, i, s, s->crit);
 }
 
+/* Have a server without a level while events come without end and its capacity is used
+ * up; its level is back in the turn in which there is capacity again. */
+static inline void rt_level_flood(struct rt_table *t, int i, struct rt_state *s)
+{
+    int hangs = s->overrun == RT_HUNG, excess = s->spent && !s->owed;
+    if (!s->flooded || excess == hangs)
+        return;
+    s->overrun = excess ? RT_HUNG : RT_IN_TIME;
+    if (!excess)
+        rt_overruns(s, s->clock);
+    rt_emit(t, RT_BEGUN, i, s->overrun, 0, 0);
+}
+
 /* Check a server. In a critical section it keeps its criticality, and what it uses there
  * beyond its capacity is deducted later. */
 static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64_t now,
@@ -307,6 +320,7 @@ static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64
     }
     if (s->spent && s->active)
         rt_overruns(s, s->clock);
+    rt_level_flood(t, i, s);
     s->check_ns = s->owed ? s->locked_ns
                   : s->active && !s->spent ? rt_later(now, s->left) : 0;
 }

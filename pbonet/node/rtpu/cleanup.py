@@ -56,11 +56,20 @@ class Leftovers(Struct, kw_only=True):
     tasks: list[TaskLeft] = []
     mark: str = ""
     """Its `process_setup.MARK`."""
+    agent_pid: int = 0
+    """The agent that uses it; 0: none."""
+    agent_started: int = 0
 
     @property
     def alive(self) -> bool:
         """Whether the RTPU process that wrote this still runs."""
         return process_setup.is_alive(self.pid, self.started)
+
+    @property
+    def agent(self) -> int:
+        """The process of the live agent that uses it; 0: none."""
+        used = self.alive and process_setup.is_alive(self.agent_pid, self.agent_started)
+        return self.agent_pid if used else 0
 
 
 def write(path: Path, state: Leftovers) -> None:

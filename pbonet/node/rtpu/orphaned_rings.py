@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from .task_handle import Task
 
 MOST: Final = 16
-"""Rings of an RTPU that wait for a recorder, of 1 MiB each; more are not left."""
+"""Rings of an RTPU that wait for a recorder; more are not left."""
+MOST_BYTES: Final = 1 << 26
+"""When these have so many bytes, no further one is left."""
 _ENDING: Final = ".ring"
 _LEFT: Final = "~"
 """Occurs in no name of a domain, subsystem, task or RTPU."""
@@ -72,7 +74,8 @@ def ring_damage(task: Task) -> str:
 
 def _leave(path: Path, recording: Recording, pid: int) -> bool:
     """Give a ring another name; return False where it need not or cannot wait."""
-    if len(_left(recording.domain, recording.rtpu)) >= MOST:
+    left = _left(recording.domain, recording.rtpu)
+    if len(left) >= MOST or sum(map(_size, left)) >= MOST_BYTES:
         return False
     plain = path.name.removesuffix(_ENDING)
     name = f"{plain}{_LEFT}{recording.rtpu}.{pid}{_ENDING}"
@@ -84,6 +87,13 @@ def _leave(path: Path, recording: Recording, pid: int) -> bool:
     except OSError:
         return False
     return True
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0  # a recorder has removed it
 
 
 def is_left(name: str) -> bool:

@@ -88,6 +88,8 @@ class Rtpu:
     """Carries out a signal that a task's module sends to another task; never waits."""
     _budget: ranking.CoreBudget | None = None
     """Of its core; None in virtual time."""
+    agent_pid = 0
+    """The agent that uses it now; 0: none."""
 
     def __init__(
         self,
@@ -251,6 +253,8 @@ class Rtpu:
                 for t in self.tasks.values()
             ],
             mark=process_setup.mark(),
+            agent_pid=self.agent_pid,
+            agent_started=process_setup.start_time(self.agent_pid),
         )
         try:
             cleanup.write(self.places.state, state)

@@ -137,7 +137,8 @@ class AgentLink:
             self._grace_timer = None
         self._grace = hello.grace
         back = self._agent_pid != 0
-        self._agent_pid = hello.agent_pid
+        self._agent_pid = self._rtpu.agent_pid = hello.agent_pid
+        self._rtpu.save()
         self._writer = writer
         self._snapshots.forget()
         self._outbox.clear()
@@ -155,6 +156,8 @@ class AgentLink:
         self._writer = None
         if self._end.done():
             return
+        self._rtpu.agent_pid = 0
+        self._rtpu.save()
         task = asyncio.create_task(agent_loss.give_up(self._rtpu))
         self._running.add(task)
         task.add_done_callback(self._running.discard)
@@ -279,13 +282,19 @@ async def _serve(
         try:
             await rtpu.close()
         finally:
-            clean_up(places)
+            clean_up(places, rtpu.agent_pid)
 
 
-def clean_up(places: run_folder.Places) -> None:
-    """Remove all that is not needed any more; one failure does not prevent the rest."""
+def clean_up(places: run_folder.Places, agent: int = 0) -> None:
+    """Remove all that is not needed any more; one failure does not prevent the rest.
+
+    Args:
+        places: The RTPU's files.
+        agent: The process of its last agent; 0: it has ended.
+    """
     with contextlib.ExitStack() as last_first:
-        last_first.callback(_remove_dead_agent, places)
+        if not process_setup.start_time(agent):
+            last_first.callback(_remove_dead_agent, places)
         last_first.callback(places.remove, places.ctl, places.state, places.log)
         last_first.callback(cleanup.sweep_claims)
         last_first.callback(core_trace.sweep)

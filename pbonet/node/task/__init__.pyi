@@ -7,4 +7,8 @@ from .step_failures import RAISED as RAISED, own_place as own_place, placed as p
 from .task_channel import INTERRUPT as INTERRUPT, RtpuChannel as RtpuChannel
 from .task_output import PIPE_BYTES as PIPE_BYTES, Lines as Lines
 from .task_ports import check_ports as check_ports
-from .task_process import Host as Host
+from .task_process import (
+    Host as Host,
+    record_bytes as record_bytes,
+    ring_bytes as ring_bytes,
+)

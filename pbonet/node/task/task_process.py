@@ -28,7 +28,7 @@ from pbonet.node.ring import Ring
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
 from pbonet.outside import ModuleAnswers, Tape, use
 from pbonet.pbo import State, bind, decode_params, text_of
-from pbonet.svar import Action, Table
+from pbonet.svar import Action, Table, var_bytes
 from pbonet.xm import live_on
 
 from . import journal, task_channel
@@ -50,6 +50,14 @@ if TYPE_CHECKING:
 
 _SEED_BYTES: Final = 6
 """Of a seed, which any program that reads JSON keeps exactly."""
+_LEAST_RING: Final = 1 << 20
+"""Bytes of a ring for records; the smallest."""
+_MOST_RING: Final = 1 << 25
+"""Bytes of a ring for large records; all of them are memory that the task holds."""
+_RECORDS: Final = 16
+"""Records for which a ring has room, up to that: some passes of the recorder."""
+_REST: Final = 1 << 14
+"""Bytes of a record for its head, and for what a cycle hears from outside."""
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
@@ -80,6 +88,20 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     host.settle()
     host.live()
     return 0
+
+
+def record_bytes(told: TaskAbout) -> int:
+    """Return how large a record of the task may be, with all its variables."""
+    variables = [*told.invar, *told.outvar, *told.inconst, *told.outconst]
+    return _REST + sum(16 + var_bytes(one) for one in variables)
+
+
+def ring_bytes(told: TaskAbout) -> int:
+    """Return how large a ring the task gets for its records.
+
+    A record that is larger than the largest ring is counted as lost.
+    """
+    return max(_LEAST_RING, min(_RECORDS * record_bytes(told), _MOST_RING))
 
 
 def cut_off(*fds: int) -> None:
@@ -254,7 +276,8 @@ class Host:
 
     def record(self, told: TaskAbout) -> Ring:
         """Return the ring for the task's records."""
-        return Ring.create(self.spec.ring, about=msgspec.json.encode(told))
+        room, about = ring_bytes(told), msgspec.json.encode(told)
+        return Ring.create(self.spec.ring, room, about)
 
     def settle(self) -> None:
         """Prepare the process for real time, then report that the task is OFF."""

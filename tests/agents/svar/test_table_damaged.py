@@ -10,10 +10,11 @@ import subprocess
 import sys
 
 import pytest
-from nodekit import alive, wait_gone
+from nodekit import CORE, alive, wait_gone
 from watching import wait_for
 
 from pbonet.errors import SvarDamagedError, TaskDiedError
+from pbonet.node.restart import desired_state
 from pbonet.xm.net import messages as m
 
 SURVIVOR = """
@@ -183,3 +184,35 @@ def test_tasks_of_an_overwritten_table_go_to_error_with_one_sentence(
     arm.spawn("a", "counts")
     arm.on("a")
     arm.wait_cycles("a", 5)
+
+
+def is_kept_on(nodes, rtpu):
+    """Tell whether an agent would turn a task on again."""
+    kept = desired_state.path_of(nodes.domain, rtpu)
+    return kept.exists() and '"on":["a"]' in kept.read_text()
+
+
+def is_on(master):
+    return {one.task: one.state for one in master.status().values()} == {"a": "ON"}
+
+
+def test_the_rtpus_of_a_core_whose_schedule_was_truncated_start_again(
+    nodes, shared_memory
+):
+    """Its RTPU processes and tasks have it in their memory, and die."""
+    nodes.agent_processes("arm0", "arm1")
+    masters = {}
+    for rtpu, subsystem in (("arm0", "arm"), ("arm1", "leg")):
+        master = masters[rtpu] = nodes.master(rtpu, subsystem)
+        master.spawn("a", "counts", restart="on")
+        master.on("a")
+    wait_for(lambda: all(is_kept_on(nodes, rtpu) for rtpu in masters), "their state")
+    before = {rtpu: nodes.state(rtpu).pid for rtpu in masters}
+    (path,) = shared_memory.glob(f"*core{CORE}")
+    os.truncate(path, 0)
+    for rtpu, old in before.items():
+        nodes.wait_restarted(rtpu, old)
+    for master in masters.values():
+        wait_for(lambda one=master: is_on(one), "the task is there again")
+        assert "SIGBUS" in master.wait_event("RTPU_DIED").text
+        master.wait_cycles("a", 5)

@@ -161,7 +161,7 @@ def test_a_background_task_may_compute_while_it_waits(core) -> None:
 @pytest.mark.parametrize("settings", WAITING)
 def test_what_short_events_use_is_not_the_wait_s(core, settings) -> None:
     one = core(**settings)
-    for _ in range(100):
+    for _ in range(90):  # beyond a second they would be events without end
         one.at(one.now + 7 * MS, event=one.now + 7 * MS)
         one.at(one.now + 3 * MS, event=one.now, cpu_ns=3 * MS)
     assert not one.status().hung
@@ -514,3 +514,21 @@ def test_a_section_that_outlasts_the_period_ends_nothing_that_came_back(core) ->
     found = one.at(20 * MS + 100 * US, locked=False)
     assert kinds(found, Event.CRIT) == []
     assert one.status().rank == 6
+
+
+@pytest.mark.parametrize("kind", [Kind.DEFERRABLE, Kind.SPORADIC])
+def test_events_without_end_cost_the_level_only_while_no_capacity_is_left(
+    core, kind
+) -> None:
+    """It goes and comes back in the turn in which the capacity does."""
+    one = core(kind=kind, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(9 * MS, event=9 * MS)
+    for _ in range(120):
+        for event in (one.now + MS, one.now + MS + US):  # one ends, the next begins
+            one.at(event, event=event)
+        one.at(one.table.step(one.now), cpu_ns=2 * MS)
+        assert (one.status().level == 0) == one.status().flooded
+        found = one.at(one.table.step(one.now))
+        assert kinds(found, Event.REFILL)
+        assert one.status().level > 0
+    assert one.status().flooded

@@ -277,12 +277,15 @@ def test_a_task_that_is_not_there_offers_the_nearest(tmp_path) -> None:
     assert caught.value.remedy == "did you mean pid?"
 
 
-def test_what_fits_no_ring_is_counted(tmp_path) -> None:
-    writer = LogWriter(tmp_path / "run.mcap", run())
+@pytest.mark.parametrize(("last", "lost"), [(0.0, 7), (1.0, 4)])
+def test_what_fits_no_ring_is_counted(tmp_path, last, lost) -> None:
+    """Unless it came before the last seconds, which alone were to be recorded."""
+    writer = LogWriter(tmp_path / "run.mcap", run(last=last))
     number = writer.add_task(about("pid", PLAIN))
-    writer.add(number, record(bytes(48), cycle=1) + record(bytes(48), cycle=9, lost=7))
+    for cycle, before in ((4, 3), (12, 7)):
+        writer.add(number, record(bytes(48), cycle=cycle, lost=before))
     writer.close()
-    assert Log(tmp_path).lost() == {"pid": 7}
+    assert Log(tmp_path).lost() == {"pid": lost}
 
 
 def test_a_hidden_variable_is_not_in_the_file(tmp_path) -> None:

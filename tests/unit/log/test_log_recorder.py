@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import time
 from types import SimpleNamespace
@@ -11,15 +12,17 @@ import msgspec
 import pytest
 from watching import wait_for
 
-from pbonet.config.model import AgentConfig
+from pbonet.config.model import AgentConfig, Variable
 from pbonet.log import Log, TaskAbout
 from pbonet.node.agent.agent import Agent
 from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders
-from pbonet.node.recorder import log_rotation, recorder_process as recording
+from pbonet.node.recorder import Time, log_rotation, recorder_process as recording
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.task import ring_bytes
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import codec, messages as m
+from pbonet.xm.net.messages import Event
 
 ABOUT = TaskAbout(
     domain="d",
@@ -31,6 +34,10 @@ ABOUT = TaskAbout(
     freq=1.0,
     rmod="",
     rmod_name="a.rmod",
+)
+
+ERROR = Event(
+    n=1, time=1, wall=1.0, severity=40, code="X", rtpu="arm0", text="it", task="a"
 )
 
 
@@ -99,6 +106,116 @@ def test_a_log_goes_on_in_another_file_when_it_has_many_chunks(
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3, 4, 5]
 
 
+def test_rings_are_emptied_while_what_was_kept_is_written(
+    tmp_path, monkeypatch
+) -> None:
+    """It may be much, and a ring of large records is full in some tens of ms."""
+    monkeypatch.setattr(log_rotation, "PORTION", 0.0)
+    asked = msgspec.structs.replace(wanted(tmp_path), last=600.0)
+    recorder = recording.Recorder(asked, [].append)
+    ring = Ring.create("d.arm.a", 1 << 12, msgspec.json.encode(ABOUT))
+    cycles = itertools.count(1)
+
+    def run():
+        """Fill most of the ring, and let the recorder take a pass."""
+        for _ in range(20):
+            ring.put(b"", cycle=next(cycles), now_ns=1)
+        recorder.turn()
+
+    for _ in range(10):
+        run()
+    recorder.event(ERROR)
+    waiting = len(recorder._files._kept)
+    for _ in range(5):  # as when many tasks fail at once
+        recorder.event(ERROR)
+    assert len(recorder._files._kept) == waiting + 5, "no pass is late"
+    passes = 0
+    while not recorder.pause:
+        run()
+        passes += 1
+    assert passes >= 10
+    assert ring.lost == 0
+    recorder.end()
+    ring.destroy()
+    found = Log(tmp_path / "r").arrays("a")["cycle"].tolist()
+    assert found == list(range(1, len(found) + 1))
+    assert len(found) >= 200, "all that was kept, and what came meanwhile"
+
+
+def test_the_recorder_rests_in_the_second_after_an_error(ring, tmp_path) -> None:
+    """It continues at once only after a portion that was not enough."""
+    asked = msgspec.structs.replace(wanted(tmp_path), last=600.0)
+    recorder = recording.Recorder(asked, [].append)
+    recorder.event(ERROR)
+    for cycle in range(1, 4):
+        ring.put(b"", cycle=cycle, now_ns=1)
+        recorder.turn()
+        assert recorder.pause == recording.PERIOD
+    recorder.end()
+    assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3]
+
+
+class Clock:
+    """A recorder of the last second, by a time of its own."""
+
+    def __init__(self, folder, said):
+        self.now = 100.0
+        asked = msgspec.structs.replace(wanted(folder), last=1.0)
+        by = Time(lambda: self.now, 0, "here")
+        self.recorder = recording.Recorder(asked, said.append, by)
+        self.files = self.recorder._files
+
+    def turn(self, now, ring=None, cycle=0):
+        self.now = now
+        if ring is not None:
+            ring.put(b"", cycle=cycle, now_ns=1)
+        self.recorder.turn()
+
+
+def test_records_of_which_no_error_wants_a_file_are_not_lost(ring, tmp_path) -> None:
+    """No file can be made: lost are those of the second before and after the error."""
+    said = []
+    blocked = tmp_path / "r"
+    blocked.write_text("a file where a folder should be")
+    clock = Clock(tmp_path, said)
+    clock.turn(100.0, ring, 1)
+    clock.recorder.event(ERROR)
+    for n, now in enumerate((100.5, 103.0, 104.5, 106.0, 107.5)):
+        clock.turn(now, ring, 2 + n)
+    assert clock.files.unwritten == 2
+    blocked.unlink()
+    clock.turn(120.0)
+    assert not blocked.exists(), "there is nothing to be written to a file"
+    clock.recorder.end()
+    assert codes(said) == ["LOG_FULL"]
+
+
+def test_what_waits_too_long_to_be_written_is_counted_and_told(ring, tmp_path) -> None:
+    said = []
+    clock = Clock(tmp_path, said)
+    clock.files._portion = 0.0  # one at a time: a disk that is slow
+    for cycle in range(1, 21):
+        clock.turn(100.0 + cycle / 100, ring, cycle)
+    clock.recorder.event(ERROR)
+    clock.turn(102.3)
+    lost = clock.files.unwritten
+    assert 0 < lost < 20
+    clock.recorder.end()
+    (note,) = [one for one in said if isinstance(one, rtpu_messages.Note)]
+    assert note.code == "NOT_RECORDED"
+    assert note.text.startswith(f"{lost} records waited too long for the disk")
+    assert len(Log(tmp_path / "r").arrays("a")["cycle"]) == 20 - lost
+
+
+@pytest.mark.parametrize(
+    ("size", "room"), [(8, 1 << 20), (1_000_000, 16 * 1_000_000), (1 << 30, 1 << 25)]
+)
+def test_a_ring_has_room_for_some_records_within_a_limit(size, room) -> None:
+    picture = Variable(name="P", type="uint8", nelem=size)
+    large = msgspec.structs.replace(ABOUT, outvar=[picture])
+    assert room <= ring_bytes(large) <= min(max(2 * room, 1 << 20), 1 << 25)
+
+
 def test_without_a_limit_it_stays_in_one(ring, tmp_path) -> None:
     recorder = begin(tmp_path, [])
     for n in range(3):
@@ -154,6 +271,17 @@ def test_the_ring_of_a_task_that_nobody_records_is_removed(
     asked = msgspec.structs.replace(wanted(tmp_path), tasks=tasks) if tasks else None
     orphaned_rings.let_ring_go(gone(), asked)
     assert files(shared_memory) == []
+
+
+def test_large_rings_that_no_recorder_comes_for_are_bounded_in_bytes(
+    tmp_path, shared_memory, monkeypatch
+) -> None:
+    monkeypatch.setattr(orphaned_rings, "MOST_BYTES", 3 << 20)
+    for pid in range(4):
+        Ring.create("d.arm.a", 1 << 21).close()
+        orphaned_rings.let_ring_go(gone(pid=pid), wanted(tmp_path))
+    assert len(files(shared_memory)) == 2
+    orphaned_rings.sweep("d", "arm0")
 
 
 def test_rings_that_no_recorder_comes_for_are_bounded_and_swept(

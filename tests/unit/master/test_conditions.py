@@ -170,7 +170,7 @@ def test_what_is_older_than_its_maxage_answers_nothing():
         (
             "RAW > 0",
             "condition",
-            "lift.job:5:6: a condition cannot look into RAW (expected a variable of "
+            "lift.job:5:6: a condition cannot read RAW (expected a variable of "
             "numbers, got TYPE struct[8]); let its writer put the relevant value "
             "into another variable",
         ),

@@ -26,17 +26,20 @@ GONE = UnreachableError("no agent answers", where="arm1")
 
 
 class Fleet:
-    """RTPUs of one machine; each carries out its part, or answers as it is told."""
+    """RTPUs of one host name; each carries out its part, or answers as it is told."""
 
     def __init__(self, *, came=State.OFF, **answers):
         self.answers = answers
         self.came = came
         """The state of `both` when it is asked for; None: nobody answers."""
+        self.machines = {}
+        """Boot identities by RTPU, if they differ."""
         self.sent = []
         """(RTPU, request) in the order in which they were sent."""
 
-    def agent(self, _rtpu):
-        return SimpleNamespace(machine="here", host="robot")
+    def agent(self, rtpu):
+        machine = self.machines.get(rtpu, "here")
+        return SimpleNamespace(machine=machine, host="robot")
 
     def call(self, rtpu, request, _result, **_limit):
         self.sent.append((rtpu, request))
@@ -118,6 +121,19 @@ def test_those_that_leave_together_are_told_at_once(model):
     assert (list(first.calls), list(second.calls)) == (["a"], ["b"])
     assert (first.slowest, second.slowest) == (1 / 5.0, 1 / 100.0)
     assert last == "arm2"
+
+
+@pytest.mark.parametrize(
+    ("machines", "far"), [({}, []), ({"arm0": "another boot"}, ["a"])]
+)
+def test_machines_are_told_apart_by_their_boot_and_not_by_their_name(
+    model, machines, far
+):
+    """A successor is called by an agent for tasks of another machine only."""
+    fleet = Fleet()
+    fleet.machines = machines
+    send(model, fleet, ITEMS, 1.0)
+    assert fleet.sent[0][1].far == far
 
 
 def test_one_fails(model):

@@ -1,6 +1,7 @@
 """What a run lacks, though nothing failed: its last line and its exit status."""
 
 import signal
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -111,6 +112,24 @@ def test_each_shortfall_has_its_own_status_in_a_strict_run(status):
     assert outcome(one, strict=False).last_line() == "WARNING> so it was"
     assert outcome(one, faults=["a fault"]).status == 1
     assert msgspec.json.decode(msgspec.json.encode(outcome(one)))["shortfalls"]
+
+
+@pytest.mark.parametrize(
+    ("only_last", "found", "text"),
+    [
+        (False, (), "every cycle is in runs/j"),
+        (True, (), "what came before each error is in runs/j"),
+        (
+            True,
+            [Shortfall(Status.UNRECORDED, "lost")],
+            "what was recorded is in runs/j",
+        ),
+    ],
+)
+def test_the_line_of_the_log_says_what_it_has(only_last, found, text):
+    ended = outcome(*found)
+    ended.log, ended.recording = "runs/j", SimpleNamespace(only_last=only_last)
+    assert ended.log_line() == text
 
 
 def test_of_several_shortfalls_the_smallest_status_counts_and_all_are_told():

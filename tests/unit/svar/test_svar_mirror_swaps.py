@@ -7,16 +7,23 @@ import itertools
 import pytest
 from test_svar_mirror import Side, carry, meet, on
 
+from pbonet.errors import SvarOwnerError
 from pbonet.svar.mirror import mirror_outbox, packets, table_mirror
 
 
 @pytest.fixture
-def sides():
+def strangers():
+    """Three machines that have not exchanged anything yet."""
     made = [Side("a", keep=True), Side("b", keep=False), Side("c", keep=False)]
-    meet(*made)
     yield made
     for side in made:
         side.close()
+
+
+@pytest.fixture
+def sides(strangers):
+    meet(*strangers)
+    return strangers
 
 
 def told(one, **how):
@@ -47,6 +54,28 @@ def test_the_count_goes_on_wherever_the_writer_is(sides):
         carry(side, *(other for other in sides if other is not side))
         assert all(one.table.info("Q").owner is None for one in sides), turn
     assert seen == [[n, n, n] for n in range(1, 19)]
+
+
+def test_tasks_of_machines_of_one_host_name_take_over_from_each_other(strangers):
+    """As robots of one image have it: a machine is known by its boot."""
+    sides = a, b, c = strangers
+    for side in sides:
+        side.mirror.host = "robot"
+    one = on(a, "one", "Q")
+    two = b.task("two", "Q")
+    meet(*sides)
+    for old, there, new, here in [(one, a, two, b), (two, b, one, a)] * 2:
+        with pytest.raises(SvarOwnerError, match="@robot"):
+            new.claim()
+        old.release()
+        carry(there, here, c)
+        new.array("Q")[:] = here.table.read("Q") + 1.0
+        new.claim()
+        carry(here, there, c)
+        assert here.table.info("Q").owner == ("two" if new is two else "one")
+        assert c.table.info("Q").owner == f"{here.table.info('Q').owner}@robot"
+    assert [side.table.read("Q").tolist() for side in sides] == [[5, 5, 5]] * 3
+    assert not any(side.mirror.conflicts() or side.table.illegal for side in sides)
 
 
 def test_what_the_old_writer_wrote_comes_behind_the_new_one(sides):
