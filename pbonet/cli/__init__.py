@@ -5,7 +5,7 @@ status 2, an interrupt with status 130. ``--json`` gives data, also for an error
 ``--debug`` adds the stack to a message.
 
 Each start loads only what its words need: ``--version`` nothing, a verb what it uses.
-What it loads stays to its end, so the garbage collector seldom looks at it.
+What it loads stays to its end, so the garbage collector seldom runs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _COLLECT_AFTER = 20_000
-"""New objects before the garbage collector looks at them; Python's 700 are reached
+"""New objects before the garbage collector runs; the 700 of Python are reached
 about thirty times while a verb loads."""
 
 
