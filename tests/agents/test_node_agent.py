@@ -123,6 +123,9 @@ def test_an_rtpu_process_keeps_its_agent_though_that_one_s_lock_was_removed(node
     with pytest.raises(DuplicateNameError, match=f"with `kill {first.pid}`"):
         Agent(nodes.config("arm0")).start()
     assert nodes.client().call("arm0", m.Hello(), m.AgentInfo).pid == first.pid
+    nodes.forget_session()
+    first.terminate()
+    assert first.wait(LIMIT) == 0
 
 
 def test_second_agent_of_one_name_elsewhere_is_refused(nodes, monkeypatch):

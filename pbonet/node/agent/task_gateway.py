@@ -102,7 +102,9 @@ class TaskGateway:
         self._over = False
         self._pool = ThreadPoolExecutor(CONNECTIONS, "pbonet relay")
         path.unlink(missing_ok=True)  # of a killed agent
-        self._listener = sockets.Listener(str(path), "AF_UNIX", backlog=CONNECTIONS)
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(str(path))
+        self._listener.listen(CONNECTIONS)
         self._thread = threading.Thread(
             target=self._accept, name="pbonet post", daemon=True
         )
@@ -111,10 +113,10 @@ class TaskGateway:
     def stop(self) -> None:
         """Stop accepting requests."""
         self._over = True
-        with contextlib.suppress(OSError), sockets.Client(str(self._path), "AF_UNIX"):
-            pass  # wakes the accepting thread
+        self._listener.shutdown(socket.SHUT_RDWR)  # wakes the accepting thread
         self._thread.join()
         self._listener.close()
+        self._path.unlink(missing_ok=True)
         with self._guard:
             wires = list(self._open)
         for wire in wires:
@@ -124,9 +126,10 @@ class TaskGateway:
     def _accept(self) -> None:
         while not self._over:
             try:
-                link = self._listener.accept()
+                accepted, _ = self._listener.accept()
             except OSError:
                 continue
+            link = sockets.Connection(accepted.detach())
             if len(self._open) >= CONNECTIONS:
                 link.close()
                 continue

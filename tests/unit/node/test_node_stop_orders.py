@@ -497,6 +497,16 @@ def test_a_task_here_uses_nothing_of_such_a_machine(orders, tmp_path):
         gate.stop()
 
 
+def test_a_gateway_ends_though_its_socket_was_removed(tmp_path):
+    """As programs do that tidy up temporary folders."""
+    path = tmp_path / "post"
+    gate = TaskGateway(Session(), "d", "arm0", path, print)
+    path.unlink()
+    ending = threading.Thread(target=gate.stop, daemon=True)
+    ending.start()
+    wait_for(lambda: not ending.is_alive(), "its end")
+
+
 def test_what_a_wait_took_of_such_a_machine_is_given_back(orders, tmp_path):
     """The stop came while the task here waited; the answer came after it."""
     orders.met(info("arm1", "arm"))
