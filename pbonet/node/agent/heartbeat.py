@@ -50,8 +50,8 @@ lost."""
 FIND_PERIOD = 10.0
 """Seconds between searches for connections that zenoh has not reported."""
 SELDOM = 0.5
-"""The same between checks of links on which nobody depends: this agent has no table,
-is not used, and passes no messages on."""
+"""Seconds between checks of links that are not needed: this agent has no table, is not
+used, and passes no messages on."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
@@ -261,7 +261,7 @@ class Heartbeat:
             return {*self._groups}
 
     def is_needed(self) -> bool:
-        """Return whether this agent, or anybody else, depends on its links."""
+        """Return whether an agent, a master or a program depends on its links."""
         return self._passes_on or bool(self._groups) or self._used()
 
     def partners(self) -> set[str]:

@@ -131,13 +131,13 @@ class LinkWatchdog:
 class NearestRouter:
     """Takes an agent that is a client back to a router that it prefers.
 
-    It is done while nobody depends on the link: all tokens of the agent are gone for
-    some milliseconds then, and a table would lose its machine.
+    It is done while no agent, master or program depends on the link: all tokens of the
+    agent are gone for some milliseconds then, and a table would lose its machine.
 
     Args:
         session: The agent's session.
         routers: Endpoints of the routers, the nearest first.
-        needed: Returns whether anybody depends on the link.
+        needed: Returns whether one of these depends on the link.
         name: The agent.
     """
 
