@@ -15,6 +15,9 @@ from setuptools.command.build_ext import build_ext
 sys.path.insert(0, str(Path(__file__).parent / "scripts"))
 import preflight
 
+_INCLUDED = {".h", ".pxd", ".pxi"}
+"""Files that native parts include; a change of one builds all of them again."""
+
 
 class Build(build):
     """Builds the native parts first, so that what they lack is reported alone."""
@@ -34,6 +37,11 @@ class BuildNative(build_ext):
         """Build, if this machine has what is needed."""
         if lacks := preflight.lacks_to_compile():
             sys.exit("\n".join(f"pbonet: {sentence}" for sentence in lacks))
+        included = [
+            str(file) for file in Path("pbonet").rglob("*") if file.suffix in _INCLUDED
+        ]
+        for part in self.extensions:
+            part.depends = [*part.depends, *included]
         super().run()
 
 

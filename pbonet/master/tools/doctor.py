@@ -7,6 +7,7 @@ import itertools
 import platform
 import shutil
 import time
+from collections import Counter
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -354,18 +355,21 @@ def meshed(name: str, report: m.LinkReport) -> Iterator[Finding]:
 def crowded(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
     """Warn of machines on which many agents are linked with each other.
 
-    Each agent dials those that were there before it, so the last one dials all.
+    Each agent dials those that were there before it, so the last one dials all; some
+    may have ended since.
     """
-    dialled: dict[str, int] = {}
+    agents = Counter(info.machine for info in infos)
+    dialled: Counter[str] = Counter()
     for info in infos:
         here = sum(one.startswith(access_control.LOCAL) for one in info.dials)
-        dialled[info.machine] = max(dialled.get(info.machine, 0), here)
+        dialled[info.machine] = max(dialled[info.machine], here)
     hosts = {info.machine: info.host for info in infos}
-    for machine, count in sorted(dialled.items()):
-        if count >= client_of_router.MESH:
+    for machine, before in sorted(dialled.items()):
+        count = min(before + 1, agents[machine])
+        if count > client_of_router.MESH:
             yield Finding(
                 Level.WARN,
-                f"{count + 1} agents of {hosts[machine]} are linked each with each",
+                f"{count} agents of {hosts[machine]} are linked each with each",
                 f"beyond {client_of_router.MESH} start a router there (`pbonet router "
                 "--listen tcp/127.0.0.1:7447`) and name it as routers in each "
                 "agent.toml, or have fewer RTPUs",

@@ -357,6 +357,7 @@ class Agent:
             *(link, self.info(), self._on_sight, stops.holds),
             met=self._on_first_sign,
             machine_of=self._machine_of,
+            used=self._is_used,
         )
         self._takeovers = Takeovers(
             self.name,
@@ -408,6 +409,14 @@ class Agent:
         """Return whether the RTPU process has a table."""
         link = self._link
         return link is not None and link.info is not None and bool(link.info.tables)
+
+    def _is_used(self) -> bool:
+        """Return whether masters or programs elsewhere use this RTPU.
+
+        Without the link a master loses it, and a program what it holds here.
+        """
+        mail = self._mail
+        return bool(self._claims) or (mail is not None and mail.is_used())
 
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""

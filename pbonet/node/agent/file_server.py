@@ -84,6 +84,11 @@ class FileServer:
             f.FileMove: self._move,
         }
 
+    def is_used(self) -> bool:
+        """Return whether clients have unfinished files here."""
+        with self._guard:
+            return bool(self._parts)
+
     def lost(self, client: str) -> None:
         """Remove the unfinished files of a client that is gone."""
         with self._guard:

@@ -50,8 +50,8 @@ lost."""
 FIND_PERIOD = 10.0
 """Seconds between searches for connections that zenoh has not reported."""
 SELDOM = 0.5
-"""The same between checks of links on which no agent depends: this one has no table,
-and passes no messages on."""
+"""Seconds between checks of links that are not needed: this agent has no table, is not
+used, and passes no messages on."""
 FORGET = 60.0
 """Seconds after which an agent that is out of sight is forgotten."""
 HELD = -1
@@ -177,6 +177,7 @@ class Heartbeat:
         met: Called with an agent that is heard for the first time, in the same way.
         machine_of: Returns the machine of an agent that has reported it otherwise, in
             the form used in keys.
+        used: Returns whether masters or programs elsewhere use this agent's RTPU.
     """
 
     def __init__(
@@ -188,9 +189,10 @@ class Heartbeat:
         *,
         met: Callable[[str], None] = lambda _name: None,
         machine_of: Callable[[str], str | None] = lambda _name: None,
+        used: Callable[[], bool] = lambda: False,
     ) -> None:
         self._session, self._report, self._holds = link, report, holds
-        self._met, self._machine_of = met, machine_of
+        self._met, self._machine_of, self._used = met, machine_of, used
         self._domain, self._name = me.domain, me.name
         self._machine = key_expressions.machine(me.machine)
         self._decoder = msgspec.msgpack.Decoder(Beat)
@@ -259,8 +261,8 @@ class Heartbeat:
             return {*self._groups}
 
     def is_needed(self) -> bool:
-        """Return whether this agent, or another one, depends on its links."""
-        return self._passes_on or bool(self._groups)
+        """Return whether an agent, a master or a program depends on its links."""
+        return self._passes_on or bool(self._groups) or self._used()
 
     def partners(self) -> set[str]:
         """Return the other agents of the groups, also those out of sight."""

@@ -49,6 +49,10 @@ class Mail:
         """Start a request, which is answered when it is done; returns at once."""
         self._resources.take(request, reply)
 
+    def is_used(self) -> bool:
+        """Return whether programs elsewhere hold, or wait for, something here."""
+        return self._resources.is_used()
+
     def end_waits(self) -> None:
         """Release all resources, which can then be removed."""
         self._resources.stop()

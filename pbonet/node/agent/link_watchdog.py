@@ -131,13 +131,13 @@ class LinkWatchdog:
 class NearestRouter:
     """Takes an agent that is a client back to a router that it prefers.
 
-    It is done while no agent depends on the link: all tokens of the agent are gone for
-    some milliseconds then, and a table would lose its machine.
+    It is done while no agent, master or program depends on the link: all tokens of the
+    agent are gone for some milliseconds then, and a table would lose its machine.
 
     Args:
         session: The agent's session.
         routers: Endpoints of the routers, the nearest first.
-        needed: Returns whether an agent depends on the link.
+        needed: Returns whether one of these depends on the link.
         name: The agent.
     """
 
@@ -163,10 +163,10 @@ class NearestRouter:
             self._thread.start()
 
     def stop(self) -> None:
-        """End that."""
+        """End that; a name that is being resolved is not waited for."""
         self._over.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(ANSWER_TIME)
 
     def _watch(self) -> None:
         while not self._over.wait(NEAREST_LOOK):
@@ -183,9 +183,13 @@ class NearestRouter:
         self._answered = self._answered + 1 if there else 0
         if self._answered < STEADY:
             return False
+        if self._over.is_set() or self._needed():  # since the router was asked
+            return False
         self._answered = -AWAY
-        log.info("%s: a nearer router is there again, and is used", self._name)
-        return _cut(links)
+        has_cut = _cut(links)
+        if has_cut:
+            log.info("%s: back to a nearer router, which answers again", self._name)
+        return has_cut
 
     def _has_nearer(self, link: zenoh.Link) -> bool:
         """Return whether one that comes before the router of a link answers."""

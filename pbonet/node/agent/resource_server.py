@@ -149,6 +149,12 @@ class ResourceServer:
         self._pool.shutdown(wait=True)
         mailboxes.forget()
 
+    def is_used(self) -> bool:
+        """Return whether clients have resources, unfinished files or requests here."""
+        with self._change:
+            found = bool(self._held) or self._queued > 0
+        return found or self._fileserver.is_used()
+
     # -- clients -----------------------------------------------------------------------
 
     def _on_token(self, sample: zenoh.Sample) -> None:

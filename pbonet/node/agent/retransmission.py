@@ -120,22 +120,23 @@ class Retransmission:
     """All TCP connections of this process."""
 
     def __init__(self) -> None:
-        self._connections: dict[int, Connection] = {}
+        self._connections: dict[tuple[int, int], Connection] = {}
+        """By file descriptor and inode: a new one often has the number of the last."""
 
     def find(self) -> None:
         """Find the connections; to be called when there may be others."""
         found = set(_connected())
-        for fd in self._connections.keys() - found:
-            del self._connections[fd]
-        for fd in found - self._connections.keys():
-            self._connections[fd] = Connection(fd)
+        for key in self._connections.keys() - found:
+            del self._connections[key]
+        for key in found - self._connections.keys():
+            self._connections[key] = Connection(key[0])
 
     def tend(self) -> float:
         """Shorten the pauses; return the seconds until this is to be called again."""
         now = time.monotonic()
-        for fd, one in list(self._connections.items()):
+        for key, one in list(self._connections.items()):
             if not one.tend(now):
-                del self._connections[fd]
+                del self._connections[key]
         if not self._connections:
             return NEVER
         busy = any(one.is_busy for one in self._connections.values())
@@ -160,14 +161,18 @@ def _set_limit(one: socket.socket, milliseconds: int) -> None:
     one.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
 
 
-def _connected() -> Iterator[int]:
-    """Yield the file descriptors of established TCP connections of this process."""
+def _connected() -> Iterator[tuple[int, int]]:
+    """Yield the established TCP connections of this process.
+
+    Each is given by its file descriptor and its inode.
+    """
     for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 - numbers, no paths
         fd = int(name)
         with contextlib.suppress(OSError):
-            if not stat.S_ISSOCK(os.fstat(fd).st_mode):
+            found = os.fstat(fd)
+            if not stat.S_ISSOCK(found.st_mode):
                 continue
             with _opened(fd) as one:
                 data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
             if data[0] == _ESTABLISHED:
-                yield fd
+                yield fd, found.st_ino

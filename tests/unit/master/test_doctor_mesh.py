@@ -26,10 +26,10 @@ def test_many_machines_by_a_router():
 
 
 def test_agents_of_one_machine_that_are_linked_each_with_each():
-    def warned(count, routers=()):
+    def warned(count, routers=(), ended=0):
         sockets = [f"unixsock-stream/run/a{n}.sock" for n in range(count)]
         infos = [
-            agent(f"a{n}", routers or sockets[:n], "one") for n in range(count)
+            agent(f"a{n}", routers or sockets[:n], "one") for n in range(ended, count)
         ] + [agent("b", [*sockets[:3], "tcp/10.0.0.7:7447"], "two")]
         return [str(one) for one in doctor.crowded(infos)]
 
@@ -39,6 +39,7 @@ def test_agents_of_one_machine_that_are_linked_each_with_each():
     assert text.startswith(f"WARN {most + 1} agents of one-pc are linked each with")
     assert "pbonet router --listen tcp/127.0.0.1:7447" in text
     assert not warned(most + 1, ["tcp/127.0.0.1:7447"])
+    assert not warned(most + 1, ended=1)
 
 
 def agent(name, dials, machine):

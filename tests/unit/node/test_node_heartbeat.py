@@ -311,7 +311,8 @@ def test_an_agent_without_a_table_gives_and_hears_none(now, link) -> None:
 def test_links_on_which_nobody_depends_are_looked_after_seldom(now, link) -> None:
     """That is without a table, and without others whose messages go through here."""
     me = SimpleNamespace(domain="d", name="arm0", machine="here")
-    beats = Heartbeat(link, me, print)
+    used = []
+    beats = Heartbeat(link, me, print, used=lambda: bool(used))
     due, links, finds = [IDLE], ["a router"], []
     link.info.links = lambda: links
     beats._retransmission = SimpleNamespace(
@@ -331,6 +332,11 @@ def test_links_on_which_nobody_depends_are_looked_after_seldom(now, link) -> Non
     assert len(finds) == 2, "when zenoh tells of a link, and not each second"
     links.pop()
     beats._on_link(None)
+    assert pause() == SELDOM
+    used.append("a program on another machine holds a semaphore of this one")
+    assert pause() == IDLE
+    assert beats.is_needed()
+    used.clear()
     assert pause() == SELDOM
     beats.join(["t"])
     assert pause() <= IDLE

@@ -214,6 +214,10 @@ def test_a_client_goes_back_to_the_nearest_router_when_nobody_needs_the_link(rou
     needed.append("a table")
     assert not any(found.check() for _ in range(2 * STEADY))
     needed.clear()
+    asked = iter([False] * STEADY + [True])  # needed while the router was asked
+    late = NearestRouter(routed.session, routed.ends, lambda: next(asked))
+    assert not any(late.check() for _ in range(STEADY))
+    routed.wait_used(1)
     assert [found.check() for _ in range(STEADY)] == [False] * (STEADY - 1) + [True]
     routed.wait_used(0)
     routed.routers[0].close()

@@ -458,6 +458,7 @@ def test_a_wait_for_such_a_machine_ends(orders, monkeypatch):
         zenoh_.called[key_expressions.customer("d", "*")](came)
         new = {"initial": 0}
         made = r.Attach(name="turn", kind="sem", create=new, id="1", **one)
+        assert not server.is_used()
         server.take(made, answers.put)
         handle = pack.answer(answers.get(timeout=60)).result["handle"]
         wait = r.Take(handle=handle, take="t", wait=1e6, id="2", **one)
@@ -470,6 +471,10 @@ def test_a_wait_for_such_a_machine_ends(orders, monkeypatch):
             assert not answer.ok or answer.result["code"] == 0
             turn.v()
             assert turn.value == 1
+            assert server.is_used(), "the agent keeps its link: else the token goes"
+            gone = SimpleNamespace(key_expr=token, kind=zenoh.SampleKind.DELETE)
+            zenoh_.called[key_expressions.customer("d", "*")](gone)
+            wait_for(lambda: not server.is_used(), "the end of its use")
             turn.destroy()
     finally:
         server.stop()
