@@ -251,7 +251,7 @@ def judged(releases: list[tuple[int, int]], late: list[tuple[int, int]]) -> Rele
     """
     lost = {True: Losses(), False: Losses()}
     for (begin, one), (end, other) in pairwise(releases):
-        missed = round((end - begin) / PERIOD) - 1
+        missed = max(round((end - begin) / PERIOD) - 1, 0)
         was_late = most_late(late, begin, end) >= LATE
         on_time, excused = lost[one != other]
         lost[one != other] = Losses(

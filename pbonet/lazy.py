@@ -32,16 +32,11 @@ def attach(
             ``from .file import Name as Name`` for each name, and
             ``from . import file as file`` for each file that is used as a whole.
     """
-    listed = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
-    homes = {
-        name: home
-        for home, several, one in _IMPORT.findall(listed)
-        for name in _NAME.findall(several or one)
-    }
-    names = sorted(homes, key=lambda name: (not name.isupper(), name))
+    listed = homes(file)
+    names = sorted(listed, key=lambda name: (not name.isupper(), name))
 
     def load(name: str) -> object:
-        home = homes.get(name)
+        home = listed.get(name)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         if home == ".":
@@ -49,6 +44,20 @@ def attach(
         return getattr(import_module(home, package), name)
 
     return load, lambda: names, names
+
+
+def homes(file: str) -> dict[str, str]:
+    """Return where each name of a package that calls `attach` comes from.
+
+    Args:
+        file: The package's ``__file__``.
+    """
+    listed = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
+    return {
+        name: home
+        for home, several, one in _IMPORT.findall(listed)
+        for name in _NAME.findall(several or one)
+    }
 
 
 def logger(name: str) -> logging.Logger:

@@ -15,6 +15,7 @@ cdef enum:
 
 cdef double SMALL = 1e-9
 cdef double NEARLY = 1e-6
+cdef double FLAT = 1e-3     # below it, twice a sine gives no axis of full precision
 
 cdef struct motion:
     double way[3]       # m
@@ -102,18 +103,22 @@ cdef void by_turn(double x, double y, double z, double *m) noexcept nogil:
     m[8] = 1.0 - c * (x * x + y * y)
 
 
-cdef void half_turn(const double *m, double *turn) noexcept nogil:
-    """Write half a turn: its axis is the eigenvector of 1, up to its sign."""
+cdef void near_half(const double *m, double cosine, double *turn) noexcept nogil:
+    """Make a turn of nearly pi of twice its sine along its axis, which says too little."""
     cdef int i, column = 0
-    cdef double square = 0.0
+    cdef double axis[3]
+    cdef double square = 0.0, along = 0.0, size = 0.0, factor
     for i in range(1, 3):
         if m[4 * i] > m[4 * column]:
             column = i
+    for i in range(3):      # the symmetric part is cosine * 1 + (1 - cosine) * axis axis^T
+        axis[i] = 0.5 * (m[3 * i + column] + m[3 * column + i]) - cosine * (i == column)
+        square += axis[i] * axis[i]
+        along += axis[i] * turn[i]
+        size += turn[i] * turn[i]
+    factor = atan2(0.5 * sqrt(size), cosine) / sqrt(square)
     for i in range(3):
-        turn[i] = m[3 * i + column] + (i == column)
-        square += turn[i] * turn[i]
-    for i in range(3):
-        turn[i] *= M_PI / sqrt(square)
+        turn[i] = axis[i] * (-factor if along < 0.0 else factor)
 
 
 cdef void turn_from(const double *m, double *turn) noexcept nogil:
@@ -122,13 +127,10 @@ cdef void turn_from(const double *m, double *turn) noexcept nogil:
     cdef int i
     turn[0], turn[1], turn[2] = m[7] - m[5], m[2] - m[6], m[3] - m[1]
     size = sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
-    if size > SMALL:
-        factor = atan2(0.5 * size, cosine) / size
-    elif cosine > 0.0:
-        factor = 0.5
-    else:
-        half_turn(m, turn)
+    if cosine < 0.0 and size < FLAT:
+        near_half(m, cosine, turn)
         return
+    factor = atan2(0.5 * size, cosine) / size if size > SMALL else 0.5
     for i in range(3):
         turn[i] *= factor
 

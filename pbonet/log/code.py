@@ -8,6 +8,8 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pbonet.lazy import homes
+
 from .records import CodeFile
 
 if TYPE_CHECKING:
@@ -24,8 +26,8 @@ def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
     """Return the files with modules' code, their own first, with their hashes.
 
     Included are files of the module's folder and of pbonet's library and devices that
-    any ``import`` statement names; installed packages are not. A module in C is its
-    shared object.
+    any ``import`` statement names, and of native ones their sources; installed packages
+    are not. A module in C is its shared object.
     """
     found: dict[Path, CodeFile] = {}
     waiting = [Path(path) for path in paths]
@@ -73,9 +75,10 @@ def _statements(node: ast.AST) -> Iterator[ast.stmt]:
 
 
 def _beside(folder: Path, name: str) -> Iterator[Path]:
-    path = folder.joinpath(*name.split(".")).with_suffix(".py")
-    if path.is_file():
-        yield path
+    path = folder.joinpath(*name.split("."))
+    for file in (path.with_suffix(".py"), path.with_suffix(".pyx")):
+        if file.is_file():
+            yield file
 
 
 def _of_pbonet(name: str) -> Iterator[Path]:
@@ -85,5 +88,19 @@ def _of_pbonet(name: str) -> Iterator[Path]:
         spec = importlib.util.find_spec(name)
     except (ImportError, ValueError):
         return
-    if spec is not None and spec.origin and spec.origin.endswith(".py"):
+    if spec is None:
+        yield from _offered(*name.rpartition(".")[::2])
+    elif spec.origin and spec.origin.endswith(".py"):
         yield Path(spec.origin)
+    elif spec.origin:
+        yield from _beside(Path(spec.origin).parent, name.rpartition(".")[2])
+
+
+def _offered(package: str, name: str) -> Iterator[Path]:
+    """Yield the file from which a package takes a name that it offers."""
+    spec = importlib.util.find_spec(package)
+    face = Path(spec.origin) if spec is not None and spec.origin else Path()
+    if face.name == "__init__.py" and face.with_suffix(".pyi").is_file():
+        home = homes(str(face)).get(name, ".")
+        if home != ".":
+            yield from _of_pbonet(importlib.util.resolve_name(home, package))

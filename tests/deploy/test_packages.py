@@ -21,7 +21,7 @@ from pbonet.versions import LAYERS
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
 PAGE = ROOT / "pbonet" / "master" / "web" / "dist"
-CARRIED = {".py", ".pyi", ".pxd", ".pxi", ".h", ".rmod", ".trace", ".typed"}
+CARRIED = {".py", ".pyi", ".pyx", ".pxd", ".pxi", ".h", ".rmod", ".trace", ".typed"}
 CARRIED |= {".service", ".sysusers", ".tmpfiles", ".conf"}
 
 

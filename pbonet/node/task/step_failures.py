@@ -219,11 +219,16 @@ def name_bad_inputs(error: PbonetError, instance: PortBasedObject[Any]) -> None:
         if port.kind is not Kind.INVAR or array.dtype.kind != "f":
             continue
         where = np.flatnonzero(~np.isfinite(array))
-        if where.size and port.name not in error.what:
+        if where.size and not _named(port.name, error.what):
             bad.append(f"{port.name}[{where[0]}]")
     if bad:
         verb = "is no finite number" if len(bad) == 1 else "are no finite numbers"
         add_remedy(error, f"of its inputs, {' and '.join(bad)} {verb}")
+
+
+def _named(variable: str, text: str) -> bool:
+    """Return whether a text names a variable, and not only a longer name."""
+    return re.search(rf"(?<![\w^]){re.escape(variable)}(?![\w^])", text) is not None
 
 
 def placed(text: str, place: str) -> str:

@@ -114,6 +114,8 @@ def test_the_benchmark_tells_the_machine_s_losses_from_those_of_a_swap():
     due = 3 * period - ms  # as the machine stood still at the first swap
     late = [(due, due + period), (6 * period - ms, 6 * period - ms + ms // 4)]
     assert cmodules.judged(releases, late) == (12, (1, 1), (1, 0))
+    twice = sorted([*releases, (4 * period, 0)])
+    assert cmodules.judged(twice, []) == (13, (1, 0), (2, 0)), "nothing is made good"
 
 
 def logged(call, job, runs):

@@ -18,7 +18,7 @@ from log_of_python_tasks import RMOD, Shop, Task, drive
 
 from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError
-from pbonet.log import Did, Log
+from pbonet.log import Did, Log, code_of
 from pbonet.node.recorder.recorder_process import Recorder
 from pbonet.node.ring._ring import Ring
 from pbonet.node.wire import rtpu_messages
@@ -372,3 +372,14 @@ def test_a_step_of_the_clock_does_not_reach_into_a_log(
     times = life.commits.times - life.commits.times[0]
     assert times.tolist() == [0, 1, 2]
     assert abs(log.begin_time_ns - day) < 60 * 10**9, "the time at which it began"
+
+
+def test_code_of_the_library_and_its_devices_counts_native_code_too():
+    """By the source, which is the same wherever it was compiled."""
+    library = Library()
+
+    def names(module):
+        return {Path(one.path).name for one in code_of([library.load(module).path])}
+
+    assert names("pid") == {"pid.py", "_values.py", "_takeover.pyx"}
+    assert names("puma_pidg") >= {"arm.py", "_friction.pyx", "_poses.pyx", "puma560.py"}

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import product
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pbonet.errors import ParameterError
-from pbonet.io import difference, is_rotation, rotation, turn_of
+from pbonet.io import (
+    FreeMotion,
+    difference,
+    fault_of_pose,
+    is_rotation,
+    rotation,
+    turn_of,
+)
 from pbonet.io.puma560 import PUMA560
 from pbonet.modules._dh import Geometry, gap
 from pbonet.modules._puma_arm import PumaArm
@@ -93,14 +104,65 @@ def test_any_number_of_joints_will_do() -> None:
 # -------------------------------------------------------------------------- rotations
 
 
-def test_turns_and_rotation_matrices_return() -> None:
-    for angle in (0.0, 1e-12, 1e-6, 0.3, 2.0, 3.1, np.pi - 1e-7, np.pi):
-        for axis in (*np.eye(3), *RNG.normal(size=(20, 3))):
-            turn = angle * axis / np.linalg.norm(axis)
-            matrix = rotation(turn)
-            assert is_rotation(matrix)
-            assert rotation(turn_of(matrix)) == pytest.approx(matrix, abs=2e-8)
-            assert np.linalg.norm(turn_of(matrix)) == pytest.approx(angle, abs=1e-7)
+def turns(rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Yield turns of all sizes about any axis, many near none, half one, and axes."""
+    near = 10.0 ** np.arange(-16.0, 0.0)
+    for angle in (0.0, 0.3, 0.5 * np.pi, 2.0, np.pi, *near, *(np.pi - near)):
+        for axis in (*np.eye(3), *-np.eye(3), *rng.normal(size=(20, 3))):
+            yield angle * axis / np.linalg.norm(axis)
+
+
+def test_turns_rotations_and_displacements_are_scipy_s() -> None:
+    other = Rotation.random(random_state=3).as_matrix()
+    for turn in turns(np.random.default_rng(7)):
+        matrix = Rotation.from_rotvec(turn).as_matrix()
+        assert is_rotation(matrix)
+        assert np.abs(rotation(turn) - matrix).max() < 1e-14
+        found = turn_of(matrix)
+        assert np.linalg.norm(found) < np.pi + 1e-15
+        assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(turn), abs=1e-12)
+        assert np.abs(Rotation.from_rotvec(found).as_matrix() - matrix).max() < 1e-11
+        pose = np.column_stack((other, [0.1, 0.2, 0.3]))
+        wanted = np.column_stack((matrix @ other, [0.3, 0.1, 0.2]))
+        step = difference(wanted, pose)
+        assert step[:3] == pytest.approx([0.2, -0.1, -0.1])
+        moved = Rotation.from_rotvec(step[3:]).as_matrix() @ other
+        assert np.abs(moved - wanted[:, :3]).max() < 1e-11
+
+
+def test_a_free_base_is_placed_as_pinocchio_places_it() -> None:
+    """Signs of the quaternion, too: all branches, near half turns and none."""
+    rng = np.random.default_rng(8)
+    q, v = np.zeros(9), np.zeros(8)
+    motion = FreeMotion(q, v)
+    for turn in turns(rng):
+        matrix = Rotation.from_rotvec(turn).as_matrix()
+        place, velocity = rng.normal(size=(2, 3))
+        pose = np.column_stack((matrix, place))
+        assert motion.set(pose, np.r_[velocity, place], velocity[:2], place[:2])
+        wanted = pin.SE3ToXYZQUAT(pin.SE3(matrix, place))
+        assert np.abs(q[:7] - wanted).max() < 1e-15
+        assert np.abs(v[:3] - matrix.T @ velocity).max() < 1e-14
+        assert np.abs(v[3:6] - matrix.T @ place).max() < 1e-14
+        assert (q[7:].tolist(), v[6:].tolist()) == (
+            velocity[:2].tolist(),
+            place[:2].tolist(),
+        )
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_no_pose_has_an_element_that_is_no_number(bad: float) -> None:
+    still = np.zeros(6), np.zeros(1), np.zeros(1)
+    motion = FreeMotion(np.zeros(8), np.zeros(7))
+    for row, column in product(range(3), range(4)):
+        pose = np.eye(3, 4)
+        assert motion.set(pose, *still)
+        assert not fault_of_pose(pose)
+        pose[row, column] = bad
+        assert not motion.set(pose, *still)
+        assert fault_of_pose(pose) == "it has elements that are not finite"
+        assert is_rotation(pose[:, :3]) is (column == 3)
+    assert not motion.set(np.eye(3, 4), np.full(6, bad), *still[1:])
 
 
 def test_difference_takes_one_pose_to_the_other(geometry: Geometry) -> None:

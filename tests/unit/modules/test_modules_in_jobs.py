@@ -46,6 +46,8 @@ ELSEWHERE = {
     "gravity": "test_modules_in_jobs.py",
 }
 """Modules that run in virtual time in another test, with what they control."""
+SYSTEM = {".job", ".rmod"}
+"""Files that say which modules an example has."""
 REAL = {"mppi_arm": "../../integration/modules/test_mppi.py"}
 """One whose plans come from another process, in real time."""
 TWINS = {
@@ -174,6 +176,12 @@ def test_all_others_run_elsewhere_or_have_a_twin() -> None:
     assert set(TWINS.values()) <= set(RMODS)
     here = Path(__file__).parent
     assert all((here / place).is_file() for place in {**ELSEWHERE, **REAL}.values())
+    for name, place in ELSEWHERE.items():
+        if place != Path(__file__).name:
+            example = place.removeprefix("test_").removesuffix("_demo.py")
+            files = (FOLDER.parents[1] / "examples" / example).glob("*.*")
+            text = "\n".join(one.read_text() for one in files if one.suffix in SYSTEM)
+            assert re.search(rf"^(TASK|MODULE) +{name}\b", text, re.MULTILINE), name
 
 
 def test_a_replay_names_the_files_of_robots_and_trajectories_that_changed(tmp_path):

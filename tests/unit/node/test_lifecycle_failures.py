@@ -48,6 +48,24 @@ def test_a_failure_with_parts_keeps_them():
     assert "in no_device" in caught.value.debug
 
 
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("slip", "; of its inputs, X[1] is no finite number"),
+        ("X_REF and X^ slip", "; of its inputs, X[1] is no finite number"),
+        ("X is wrong", ""),
+    ],
+)
+def test_an_error_names_inputs_that_are_no_numbers_if_it_does_not(said, told):
+    bench = make(cycle=lambda self: self.task.fail(said))
+    bench.on()
+    bench.inputs.x = [1.0, np.inf]
+    bench.step(check=False)
+    assert str(bench.executor.failure) == f"scale.cycle: {said}{told}"
+    assert bench.task.errmsg == f"scale.cycle: {said}{told}"
+    assert bench.notices()[0].text == f"scale.cycle: {said}{told}"
+
+
 def test_fail_carries_text_and_number():
     bench = make(cycle=lambda self: self.task.fail("slip", 42))
     bench.on()
