@@ -204,7 +204,7 @@ def _check(
 
 
 def _must_name(joints: list[str], trajectory: Any) -> None:  # noqa: ANN401
-    """Refuse joints that nobody would move, and values of none."""
+    """Refuse joints that the action does not have, and values of no joint."""
     names = list(trajectory.joint_names)
     others = sorted(set(names) - set(joints))
     if others or len(names) > len(joints):
@@ -348,7 +348,7 @@ class TrajectoryAction:
         Raises:
             PbonetError: It is rejected.
         """
-        if self._over:  # nobody would judge it
+        if self._over:  # the thread that judges goals has ended
             raise _refused("the bridge ends", "a bridge that goes on")
         if self._find(goal_id) is not None:
             raise _refused("its identity was used before", "a new one")
