@@ -421,8 +421,9 @@ class TablePublisher:
         expected = self._last_ns + self._period_ns
         early = _EARLY * self._period_ns
         share = min(early / max(_AWAKE_NS[0], 1), 1.0)  # less of a short period
+        is_regular = self._count > _SOME or early > _GLANCE_NS
         phases = (
-            (expected - early, _GLANCE_NS),
+            (expected - early, _GLANCE_NS if is_regular else 2 * _NEAR_NS),
             (expected - share * _AWAKE_NS[0], 2 * _NEAR_NS),
             (expected + share * _AWAKE_NS[1], 0),
             (expected + _LATE * self._period_ns, _NEAR_NS),
@@ -439,13 +440,8 @@ class TablePublisher:
         seen late moves it little.
         """
         since, self._seen_ns = now - self._seen_ns, now
-        faster = steps > 1 and since < _LOST * steps * self._period_ns
-        if (
-            since > _LONGEST_NS
-            or not (steps and self._period_ns)
-            or faster
-            or self._strays > _SOME
-        ):
+        known = steps and self._period_ns and self._strays <= _SOME
+        if since > _LONGEST_NS or not known:
             regular = 0 < since < _LONGEST_NS and steps > 0
             self._period_ns = since / steps if regular else 0.0
             self._last_ns, self._count, self._strays = float(now), 1, 0
