@@ -237,10 +237,10 @@ def setpoint_of(message: Any, setpoint: Vector, yaw: float) -> bool:  # noqa: AN
         kind = POSITION
     mask = m.type_mask
     counted = [0.0 if _ignored(kind, mask, k) else v for k, v in enumerate(values)]
-    if not finite(*counted):
-        return False
     if kind == POSITION and m.coordinate_frame in BODY:
         _turn(counted, yaw)
+    if not finite(*counted):
+        return False
     setpoint[0], setpoint[1], setpoint[2:] = kind, mask, counted
     return True
 
@@ -248,10 +248,12 @@ def setpoint_of(message: Any, setpoint: Vector, yaw: float) -> bool:  # noqa: AN
 def _is_understood(frame: int, mask: int) -> bool:
     """Return whether a target is local, or moves ahead or to the right of the vehicle.
 
-    Of x and y both must count, or neither: they are turned together.
+    Of x and y both must count, or neither: they are turned together. Whether a yaw
+    there is relative differs by autopilot, so none may count.
     """
     both = [mask >> k & 3 in {0, 3} for k in (3, 6)]
-    return frame == LOCAL_NED or (frame in BODY and mask & X == X and all(both))
+    ahead = mask & X == X and mask & YAW and all(both)
+    return frame == LOCAL_NED or (frame in BODY and bool(ahead))
 
 
 def _turn(values: list[float], yaw: float) -> None:

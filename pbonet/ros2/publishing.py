@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from pbonet.errors import ConfigError, PbonetError, SvarError, SvarMissingError
@@ -44,9 +45,11 @@ _LATE: Final = 1.0
 _PHASE, _RATE = 0.1, 0.005
 """Least shares of the lateness of a commit by which the next one is expected later, and
 by which the period grows."""
+_REST_NS: Final = 2_000_000
+"""Nanoseconds for which the thread sleeps at most without a look at the table."""
 _LOST, _SOME = 0.5, 5
 """Share of a period by which a commit is no longer the expected one, and the number of
-commits that count from there on."""
+commits that count from there on. So many in a row, and the period is another one."""
 _SOON: Final = 0.95
 """Share of the shortest time between two messages after which one may be sent."""
 _LONGEST_NS: Final = 200_000_000
@@ -252,7 +255,8 @@ class Outgoing:
     def prepare(self) -> None:
         """Encode for nothing: code that has not run for long takes twice the time."""
         if self._sent:
-            self.filling.encode(self._values, 0)
+            with suppress(PbonetError):  # `turn` warns of it
+                self.filling.encode(self._values, 0)
 
     def turn(self, now: int) -> None:
         """Publish the variables if one has changed, none is too old, and it is time."""
@@ -296,7 +300,7 @@ class TablePublisher:
         self._ended = threading.Event()
         self._period_ns = 0.0
         self._last_ns = 0.0
-        self._seen_ns = self._count = 0
+        self._seen_ns = self._count = self._strays = 0
         self._heads: dict[int, int] = {}
         self._generation = -1
         self._thread = threading.Thread(
@@ -361,15 +365,17 @@ class TablePublisher:
             self._leave()
 
     def _rest(self, now: int) -> None:
-        """Sleep until shortly before the next commit.
+        """Sleep until shortly before the next commit, but not for long.
 
-        What is left to do is done after that: zenoh's threads need the core now.
+        Another task may commit before. What is left to do is done after that: zenoh's
+        threads need the core now.
         """
         period = self._period_ns
         if period and not any(one.behind for one in self._outgoing):
             gone = max(int((now - self._last_ns) / period), 1)
             until = self._last_ns + (gone + 1 - _EARLY) * period
-            time.sleep(max(until - now_ns(), 0.0) * 1e-9)
+            left_ns = min(until - now_ns(), _REST_NS)
+            time.sleep(max(left_ns, 0.0) * 1e-9)
 
     def _publish(self, one: Outgoing, now: int) -> None:
         """Publish a topic if it is time; the others go on whatever it does."""
@@ -413,9 +419,13 @@ class TablePublisher:
         due = [one.due_ns for one in self._outgoing if one.behind]
         until = min([now + _LONGEST_NS, *due])
         expected = self._last_ns + self._period_ns
+        early = _EARLY * self._period_ns
+        share = min(early / max(_AWAKE_NS[0], 1), 1.0)  # less of a short period
+        is_regular = self._count > _SOME or early > _GLANCE_NS
         phases = (
-            (expected - _AWAKE_NS[0], 2 * _NEAR_NS),
-            (expected + _AWAKE_NS[1], 0),
+            (expected - early, _GLANCE_NS if is_regular else 2 * _NEAR_NS),
+            (expected - share * _AWAKE_NS[0], 2 * _NEAR_NS),
+            (expected + share * _AWAKE_NS[1], 0),
             (expected + _LATE * self._period_ns, _NEAR_NS),
             (until, _GLANCE_NS),
         )
@@ -430,17 +440,20 @@ class TablePublisher:
         seen late moves it little.
         """
         since, self._seen_ns = now - self._seen_ns, now
-        if since > _LONGEST_NS or not steps or not self._period_ns:
+        known = steps and self._period_ns and self._strays <= _SOME
+        if since > _LONGEST_NS or not known:
             regular = 0 < since < _LONGEST_NS and steps > 0
             self._period_ns = since / steps if regular else 0.0
-            self._last_ns, self._count = float(now), 1
+            self._last_ns, self._count, self._strays = float(now), 1, 0
             return
         self._count = k = self._count + 1
         expected = self._last_ns + steps * self._period_ns
         late = now - expected
-        if abs(late) > _LOST * self._period_ns:  # a pause, or some in one go
+        if abs(late) > _LOST * self._period_ns:  # a pause, or another task
             self._last_ns, self._count = float(now), _SOME
+            self._strays += 1
             return
+        self._strays = 0
         self._last_ns = expected + late * max(_PHASE, (4 * k - 2) / (k * k + k))
         self._period_ns += late * max(_RATE, 6 / (k * k + k)) / steps
 

@@ -17,7 +17,16 @@ from pbonet.errors import PbonetError, ProtocolError
 from pbonet.svar import now_ns
 from pbonet.xm.net import direct
 
-from .wire_format import Attachment, End, Kind, Node, Qos, parse_token, tokens_of
+from .wire_format import (
+    Attachment,
+    End,
+    Kind,
+    Node,
+    Qos,
+    must_be_short,
+    parse_token,
+    tokens_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -367,6 +376,7 @@ class RosNode:
                 query.attachment.to_bytes() if query.attachment else b""
             )
             data = query.payload.to_bytes() if query.payload else b""
+            must_be_short(len(data))
             request = self.types.decode(f"{end.type}_Request", data)
         except ProtocolError as error:
             _refuse(query, str(error))

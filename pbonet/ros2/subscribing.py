@@ -15,8 +15,8 @@ from pbonet.svar import now_ns
 
 from . import field_paths
 from .cdr_template import Layout
-from .message_types import TRAJECTORY, nanoseconds, seconds
-from .wire_format import Attachment
+from .message_types import HEADER, TRAJECTORY, nanoseconds, seconds
+from .wire_format import Attachment, must_be_short
 
 if TYPE_CHECKING:
     import zenoh
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 HOME: Final = "ros2"
 """The part before the colon of a link that a bridge writes."""
-LONGEST: Final = 1 << 20
-"""Bytes of the longest message that is decoded, as of a link's record."""
 _NAMES: Final = ("name", "joint_names")
 """Fields of messages that name joints."""
 _COLUMNS: Final = ("positions", "velocities", "accelerations")
@@ -41,6 +39,9 @@ _SENDERS: Final = 100
 _STAMP: Final = struct.Struct("=iI")
 _LEARN_NS: Final = 100_000_000
 """Nanoseconds after which another layout of messages is learnt."""
+_LEARNT: Final = 4096
+"""Bytes of the longest message whose layout is learnt; that takes a time that grows
+with its messages within."""
 _LONG_AGO_NS: Final = 3600_000_000_000
 _AHEAD_NS: Final = 100_000_000
 """Nanoseconds by which a header's stamp may be ahead of this machine's clock. By as
@@ -101,7 +102,7 @@ class Selection:
             return None
         places = field_paths.slices(layout, message, self._sources, order)
         stamp = -1
-        if hasattr(message, "header"):
+        if _has_header(types, name):
             stamp = layout.place(message.header.stamp, "sec", "int32", None)
         return _KnownLayout(layout, places, stamp)
 
@@ -257,6 +258,13 @@ def _must_name_joints(types: MessageTypes, name: str, where: str) -> None:
         )
 
 
+def _has_header(types: MessageTypes, name: str) -> bool:
+    return any(
+        (one.name, one.type, one.size) == ("header", HEADER, None)
+        for one in types.fields(name)
+    )
+
+
 Reading = Selection | Trajectory
 
 
@@ -267,15 +275,14 @@ def reading(types: MessageTypes, about: Subscribe, where: str) -> Reading:
         ConfigError: A type or field does not exist, or a size is not said.
     """
     kind = Trajectory if about.type == TRAJECTORY else Selection
-    if about.stamp == "header" and types.has(about.type):
-        names = [field.name for field in types.fields(about.type)]
-        if "header" not in names:
-            raise ConfigError(
-                f"{about.type} has no header with a stamp",
-                where=where,
-                expected="stamp = 'arrival'",
-                got="stamp = 'header'",
-            )
+    by_header = about.stamp == "header" and types.has(about.type)
+    if by_header and not _has_header(types, about.type):
+        raise ConfigError(
+            f"{about.type} has no header with a stamp",
+            where=where,
+            expected="stamp = 'arrival'",
+            got="stamp = 'header'",
+        )
     return kind(types, about, where)
 
 
@@ -323,13 +330,7 @@ class Incoming:
         Raises:
             ProtocolError: It is too long, or no such message.
         """
-        if len(sample.payload) > LONGEST:
-            raise ProtocolError(
-                "a message is too long, and was not read",
-                expected=f"at most {LONGEST} bytes",
-                got=f"{len(sample.payload)} bytes",
-                remedy="let its node send less",
-            )
+        must_be_short(len(sample.payload))
         if sample.attachment is not None:
             self._count(Attachment.unpack(sample.attachment.to_bytes()))
         stamp_ns = self._read(sample.payload.to_bytes())
@@ -357,7 +358,8 @@ class Incoming:
     def _learn(self, data: bytes) -> None:
         """Learn the layout of a message, but not too often, as layouts may change."""
         now = now_ns()
-        if isinstance(self._record, Selection) and now > self._learn_ns:
+        short = len(data) <= _LEARNT
+        if isinstance(self._record, Selection) and short and now > self._learn_ns:
             self._learn_ns = now + _LEARN_NS
             self._known = self._record.known(self._types, self.about.type, data)
 

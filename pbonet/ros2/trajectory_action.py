@@ -158,7 +158,7 @@ class Goal:
         """When that was written, and when the end was first seen; `time.monotonic`."""
         self.waiting: list[Future[Any]] = []
         times = rows[: len(wanted.trajectory.points), 0]
-        _check(wanted, times, rows[: len(times), 1 : 1 + len(joints)])
+        _check(wanted, times, rows[: len(times), 1 : 1 + 2 * len(joints)])
         self.duration = float(times[-1])
         self.target = rows[len(times) - 1, 1 : 1 + len(joints)].copy()
         self.path = _tolerances(wanted.path_tolerance, joints)
@@ -174,13 +174,22 @@ class Goal:
 def _check(
     wanted: Any,  # noqa: ANN401 - as above
     times: NDArray[np.float64],
-    positions: NDArray[np.float64],
+    numbers: NDArray[np.float64],
 ) -> None:
-    """Refuse what `ros_trajectory` cannot follow."""
+    """Refuse what `ros_trajectory` cannot follow.
+
+    Args:
+        wanted: The goal.
+        times: The time of each point.
+        numbers: Its positions, and its velocities.
+    """
+    positions, rates = np.hsplit(numbers, 2)
     if len(times) == 0 or times[-1] <= 0 or (np.diff(times) <= 0).any():
         raise _refused("its times do not grow", "points at growing times above 0")
     if not np.isfinite(positions).all():
         raise _refused("a point has no positions", "positions of all joints")
+    if np.isinf(rates).any():
+        raise _refused("a velocity is infinite", "finite ones, or none")
     if wanted.multi_dof_trajectory.points:
         raise _refused("it has joints with several degrees", "`trajectory` alone")
     if wanted.component_path_tolerance or wanted.component_goal_tolerance:
@@ -194,6 +203,19 @@ def _check(
         )
 
 
+def _must_name(joints: list[str], trajectory: Any) -> None:  # noqa: ANN401
+    """Refuse joints that the action does not have, and values of no joint."""
+    names = list(trajectory.joint_names)
+    others = sorted(set(names) - set(joints))
+    if others or len(names) > len(joints):
+        raise _refused(
+            f"it moves the joint {others[0]}, too" if others else "a joint is twice",
+            " ".join(joints),
+        )
+    if any(len(one.positions) > len(names) for one in trajectory.points):
+        raise _refused("a point has too many positions", f"{len(names)}")
+
+
 def _tolerances(given: Iterable[Any], joints: list[str]) -> NDArray[np.float64]:
     """Return the tolerance of each joint's position; infinity: none."""
     found = np.full(len(joints), np.inf)
@@ -201,6 +223,10 @@ def _tolerances(given: Iterable[Any], joints: list[str]) -> NDArray[np.float64]:
         if one.name not in joints:
             raise _refused(
                 f"it has a tolerance for the joint {one.name}", " ".join(joints)
+            )
+        if not np.isfinite((one.position, one.velocity, one.acceleration)).all():
+            raise _refused(
+                f"a tolerance for the joint {one.name} is not finite", "a number"
             )
         if one.velocity > 0 or one.acceleration > 0:
             raise _refused(
@@ -281,13 +307,13 @@ class TrajectoryAction:
         self._statuses = node.publisher(
             f"{base}/status", "action_msgs/msg/GoalStatusArray", _STATUS_QOS
         )
-        requests = node.queue(f"ros {self.name}")
         answers: tuple[tuple[str, str, Callable[[Any], Any]], ...] = (
             ("send_goal", f"{FOLLOW}_SendGoal", self._take),
             ("cancel_goal", CANCEL, self._cancel),
             ("get_result", f"{FOLLOW}_GetResult", self._result),
         )
         for end, kind, answer in answers:
+            requests = node.queue(f"ros {self.name} {end}")  # a stop waits for no goal
             node.serve(f"{base}/{end}", kind, answer, requests)
         self._thread.start()
 
@@ -322,17 +348,20 @@ class TrajectoryAction:
         Raises:
             PbonetError: It is rejected.
         """
+        if self._over:  # the thread that judges goals has ended
+            raise _refused("the bridge ends", "a bridge that goes on")
         if self._find(goal_id) is not None:
             raise _refused("its identity was used before", "a new one")
         self._points.read(wanted.trajectory, self._writer.value)
+        _must_name(self._about.joints, wanted.trajectory)
         goal = Goal(goal_id, wanted, self._writer.value, self._about.joints)
         self._attach()
+        self._send(goal)
         if self._active is not None:
             self._end(
                 self._active,
                 Verdict(Status.ABORTED, Code.INVALID_GOAL, "a new goal replaced it"),
             )
-        self._send(goal)
         self._goals.append(goal)
         while len(self._goals) > _KEPT:
             self._goals.popleft()
@@ -382,11 +411,15 @@ class TrajectoryAction:
             elif goal is None or not _is_meant(goal, goal_id, before_ns):
                 response.return_code = int(CancelCode.REJECTED)
             else:
-                goal.status = Status.CANCELING
-                self._stop(goal)
-                self._publish_status()
+                self._begin_cancel(goal)
                 response.goals_canceling = [self._info(goal)]
         return response
+
+    def _begin_cancel(self, goal: Goal) -> None:
+        if goal.status is not Status.CANCELING:
+            goal.status = Status.CANCELING
+            self._stop(goal)
+            self._publish_status()
 
     def _stop(self, goal: Goal) -> None:
         """Let the task stop where it stands."""
@@ -453,7 +486,7 @@ class TrajectoryAction:
         if not there or state is None:
             silent = "the table" if state is None else state.silent
             return _aborted(Code.INVALID_GOAL, f"{silent} is no longer written")
-        if state.number < goal.number:
+        if state.number != goal.number:
             late = time.monotonic() - goal.sent > _TAKEN
             why = f"the task has not read the link for {_TAKEN:g} s"
             return _aborted(Code.INVALID_GOAL, why) if late else None

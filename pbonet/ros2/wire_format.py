@@ -19,6 +19,8 @@ from pbonet.errors import ProtocolError
 
 ADMIN: Final = "@ros2_lv"
 """The first part of all tokens."""
+LONGEST: Final = 1 << 20
+"""Bytes of the longest message or request that is decoded, as of a link's record."""
 MOST_DOMAIN: Final = 232
 """The largest domain id of ROS 2."""
 NAME: Final = re.compile(r"/?[A-Za-z_~][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -53,6 +55,21 @@ class Qos(Struct, frozen=True):
         """Return it as tokens have it, defaults included, which differ by version."""
         durability = _TRANSIENT_LOCAL if self.transient_local else _VOLATILE
         return f"{2 - self.reliable}:{durability}:1,{self.depth}:,:,:,,"
+
+
+def must_be_short(size: int) -> None:
+    """Refuse a message or request that is too long to be decoded.
+
+    Raises:
+        ProtocolError: It has more bytes than `LONGEST`.
+    """
+    if size > LONGEST:
+        raise ProtocolError(
+            "a message is too long, and was not read",
+            expected=f"at most {LONGEST} bytes",
+            got=f"{size} bytes",
+            remedy="let its node send less",
+        )
 
 
 class Attachment(NamedTuple):

@@ -78,6 +78,7 @@ static inline int pb_watch_sleep(struct pb_watch *w, int64_t until_ns, int64_t p
             w->glance_ns = now + pause_ns;
             if (pb_watch_moved(w)) return PB_MOVED;
         }
+        if (now + pause_ns < w->glance_ns) w->glance_ns = now + pause_ns; /* it was longer */
         if (atomic_exchange(&w->bell, 0)) return PB_RUNG; /* SYNC POINT W2 */
         if (now >= until_ns) return PB_OVER;
         if (w->n && w->glance_ns < at) at = w->glance_ns;

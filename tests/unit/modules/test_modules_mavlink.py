@@ -626,6 +626,9 @@ def test_velocities_ahead_of_the_vehicle_are_turned_and_other_frames_said() -> N
     assert texts(air) == []
     assert send(8, 0b010111111000) == north, "a place that moves with the vehicle"
     assert send(8, velocity | 0b1000) == north, "to the right alone"
+    assert send(8, velocity & ~0x400) == north, "a yaw, relative or not"
+    air.inputs.att = [nan] * 4
+    assert send(8, velocity) == north, "the heading is not known"
     assert texts(air) == ["set-points in this frame, or not finite, do not count"]
     air.kill()
 

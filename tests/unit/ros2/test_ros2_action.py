@@ -61,14 +61,14 @@ class Client:
     """Stands for the node: calls the services, and gets what is published."""
 
     def __init__(self, types):
-        self.types, self.calls = types, {}
+        self.types, self.calls, self.queues = types, {}, {}
         self.got = {"feedback": Queue(), "status": Queue()}
 
     def name_of(self, name):
         return f"/arm/{name}"
 
-    def queue(self, _name):
-        return None
+    def queue(self, name):
+        return name
 
     def publisher(self, topic, kind, _qos):
         got = self.got[topic.rpartition("/")[2]]
@@ -76,8 +76,9 @@ class Client:
             put=lambda data, _stamp: got.put(self.types.decode(kind, data))
         )
 
-    def serve(self, name, kind, answer, _requests):
+    def serve(self, name, kind, answer, requests):
         self.calls[name.rpartition("/")[2]] = kind, answer
+        self.queues[name.rpartition("/")[2]] = requests
 
     def call(self, name, **fields):
         kind, answer = self.calls[name]
@@ -99,6 +100,9 @@ class Client:
             owner, name = goal, path
             if path == "stamp":
                 set_stamp(goal.trajectory.header.stamp, value)
+                continue
+            if path == "velocities":
+                goal.trajectory.points[-1].velocities = np.array(value)
                 continue
             setattr(owner, name, value)
         goal_id = goal_id or self.identity(uuid.uuid4().bytes)
@@ -143,14 +147,21 @@ class Arm:
         self.miss = np.zeros(2)
         self.step()
 
-    def step(self, *, rests=False):
-        """Do a cycle; the arm is where it is to be, but for `miss`."""
+    def sent(self):
+        """Return the number of the newest record of the link."""
+        return self.bench.module._link.written
+
+    def step(self, *, rests=False, number=None):
+        """Do a cycle; the arm is where it is to be, but for `miss`.
+
+        With a number it has reached the end of that record.
+        """
         if rests:
             self.bench.module.stable(0.01)
         else:
             self.bench.step()
         module = self.bench.module
-        self.local.array("TRAJ")[:] = module.newest
+        self.local.array("TRAJ")[:] = (number, 0.0) if number else module.newest
         self.local.array("Q_DES")[:] = module.y
         self.local.array("Q_MEZ")[:] = module.y + self.miss
         assert self.local.commit() == 0
@@ -191,6 +202,7 @@ def client(types, arm, told):  # noqa: ARG001 - the table must be there
     layout = Table.layout_of(VARIABLES)
     action = TrajectoryAction(made, ABOUT, "d.arm", layout, Warnings(told.append))
     action.open()
+    made.close = action.close
     yield made
     action.close()
 
@@ -226,7 +238,11 @@ def test_a_goal_is_followed_to_its_end(arm, client) -> None:
         ([(0.0, [0, 0])], {}, "its times do not grow"),
         ([(0.1, [])], {}, "a point has no positions"),
         ([(0.1, [float("nan"), 0])], {}, "a point has no positions"),
+        ([(0.1, [0, 0])], {"velocities": [0, float("inf")]}, "is infinite"),
         ([(0.1, [0, 0])], {"names": ["lift", "other"]}, "has no joint turn"),
+        ([(0.1, [0, 0, 0])], {"names": [*JOINTS, "grip"]}, "moves the joint grip"),
+        ([(0.1, [0, 0, 0])], {"names": ["lift", *JOINTS]}, "a joint is twice"),
+        ([(0.1, [0, 0, 0])], {}, "too many positions"),
         ([(0.1 * k, [0, 0]) for k in range(1, 6)], {}, "too many points"),
         ([(0.1, [0, 0])], {"stamp": 10**18}, "ago"),
         ([(0.1, [0, 0])], {"stamp": 4 * 10**18}, "later"),
@@ -246,6 +262,7 @@ def test_a_goal_that_cannot_be_judged_is_rejected(arm, client, told) -> None:
         client.tolerance("lift", velocity=0.1),
         client.tolerance("lift", acceleration=0.1),
         client.tolerance("other", position=0.1),
+        client.tolerance("lift", position=float("nan")),
     ):
         for field in ("path_tolerance", "goal_tolerance"):
             assert not client.send(way, **{field: tolerance})[1]
@@ -296,6 +313,43 @@ def test_a_goal_is_canceled_and_the_arm_stands(arm, client) -> None:
     assert client.cancel(goal).return_code == 3
     seen = [client.got["status"].get(timeout=FAR) for _ in range(3)]
     assert [one.status_list[0].status for one in seen] == [2, 3, 5]
+
+
+def test_a_cancel_waits_for_no_goal_and_is_sent_once(arm, client) -> None:
+    assert len(set(client.queues.values())) == 3
+    goal, _ = client.send((10.0, [9.0, 9.0]))
+    waits = client.result(goal)
+    sent = arm.sent()
+    for _ in range(3):
+        answer = client.cancel(goal)
+        assert answer.return_code == 0
+        assert len(answer.goals_canceling) == 1
+    assert arm.sent() == sent + 1
+    assert arm.result(waits)[0] is Status.CANCELED
+
+
+def test_the_end_of_another_trajectory_is_not_that_of_the_goal(
+    arm, client, monkeypatch
+) -> None:
+    """As a link that was destroyed and made again counts from 1."""
+    monkeypatch.setattr(trajectory_action, "_TAKEN", 0.1)
+    goal, _ = client.send((0.1, [1.0, 2.0]))
+    waits = client.result(goal)
+    arm.until(waits.done, number=arm.sent() + 5)
+    assert waits.result().status == Status.ABORTED
+    assert "has not read the link" in waits.result().result.error_string
+
+
+def test_no_goal_begins_once_the_bridge_ends(arm, client, told) -> None:
+    goal, _ = client.send((10.0, [9.0, 9.0]))
+    waits = client.result(goal)
+    sent = arm.sent()
+    client.close()
+    assert waits.result(FAR).status == Status.ABORTED
+    assert not client.send((10.0, [9.0, 9.0]))[1]
+    assert "the bridge ends" in told[-1]
+    assert arm.sent() == sent + 1, "the record that stops it"
+    arm.until(lambda: not arm.bench.outputs.y_dot.any())
 
 
 def test_one_that_leaves_its_path_is_aborted_and_the_arm_stands(

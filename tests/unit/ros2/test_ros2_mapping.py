@@ -15,9 +15,9 @@ from pbonet.errors import ConfigError, ProtocolError, XmTakenError
 from pbonet.ros2.message_types import MessageTypes, dtype_of, nanoseconds, set_stamp
 from pbonet.ros2.publishing import Filling
 from pbonet.ros2.repeated_warnings import Warnings
-from pbonet.ros2.subscribing import LONGEST, Incoming, reading
+from pbonet.ros2.subscribing import Incoming, reading
 from pbonet.ros2.topics_file import Publish, Subscribe, by_names, read_topics
-from pbonet.ros2.wire_format import Attachment
+from pbonet.ros2.wire_format import LONGEST, Attachment
 from pbonet.svar import now_ns
 
 pytest.importorskip("rosbags")
@@ -324,6 +324,31 @@ def test_a_sender_that_encodes_otherwise_is_decoded(types) -> None:
     other_order = b"\0\0\0\0" + np.array([1.5], ">f8").tobytes()
     record = reading(types, about, "here")
     assert record.known(types, name, other_order) is None
+
+
+def test_a_field_named_header_may_be_something_else() -> None:
+    types, name = MessageTypes(), "my_msgs/msg/Count"
+    types.add(name, "uint32 header\nfloat64 data\n")
+    with contextlib.closing(Link(types, name, fields=["data"]).end) as end:
+        link = SimpleNamespace(end=end, types=types, number=0, about=end.about)
+        message = types.new(name)
+        for message.data in (1.5, 2.5):
+            Link.take(link, message)
+            assert end._writer.value.tolist() == [message.data]
+        assert end._known
+    about = Subscribe(topic="t", type=name, link="l", fields=["data"], stamp="header")
+    with pytest.raises(ConfigError, match="no header with a stamp"):
+        reading(types, about, "here")
+
+
+def test_the_layout_of_a_long_message_is_not_learnt(types) -> None:
+    """It takes many times as long as to decode it."""
+    link = Link(types, JOINTS, fields=["position[0:2]"])
+    with contextlib.closing(link.end):
+        link.take(joint_state(types, [], position=np.zeros(1000)))
+        assert link.end._known is None
+        link.take(joint_state(types, [], position=np.zeros(2)))
+        assert link.end._known
 
 
 def test_a_trajectory_is_rows_of_points(types) -> None:

@@ -12,7 +12,7 @@ import pytest
 from watching import wait_for
 
 from pbonet.config.model import Variable
-from pbonet.errors import AccessError, UnknownTaskError
+from pbonet.errors import AccessError, ProtocolError, UnknownTaskError
 from pbonet.ros2 import ros_node
 from pbonet.ros2.message_types import COMMAND, MessageTypes
 from pbonet.ros2.publishing import Filling, Outgoing, TablePublisher
@@ -20,7 +20,7 @@ from pbonet.ros2.repeated_warnings import Warnings
 from pbonet.ros2.ros_node import _SHORT, RosNode
 from pbonet.ros2.services import Services
 from pbonet.ros2.topics_file import Publish
-from pbonet.ros2.wire_format import Attachment, Node, Qos
+from pbonet.ros2.wire_format import LONGEST, Attachment, Node, Qos
 from pbonet.svar import Table, now_ns
 
 pytest.importorskip("rosbags")
@@ -159,9 +159,9 @@ def test_a_message_that_fails_holds_up_no_other(node, told) -> None:
 
 @pytest.fixture
 def ask(node, types):
-    def send(service):
+    def send(service, data=None):
         request = types.new(f"{COMMAND}_Request")
-        query = Query(types.encode(f"{COMMAND}_Request", request))
+        query = Query(data or types.encode(f"{COMMAND}_Request", request))
         node.session.called[service](query)
         return query.answers
 
@@ -215,6 +215,13 @@ def test_a_request_that_fails_is_answered(node, ask, told) -> None:
     assert ask("fails").get(timeout=60) == "/fails failed: no way"
     wait_for(lambda: told, "the warning")
     assert told == ["/fails: it failed inside pbonet: no way"]
+
+
+def test_a_request_that_is_too_long_is_not_decoded(node, ask, told) -> None:
+    node.serve("/long", COMMAND, lambda _: None)
+    answer = ask("long", bytes(LONGEST + 1)).get(timeout=60)
+    assert "a message is too long, and was not read" in answer
+    assert not told
 
 
 def test_an_answer_may_come_later(node, types, ask) -> None:
@@ -333,6 +340,35 @@ def test_the_next_commit_is_expected_when_it_comes() -> None:
     assert publisher._period_ns == 0, "nothing is expected after a long pause"
     commits(20)
     assert is_expected()
+    period = 50_000_000
+    commits(20)
+    assert is_expected(), "of a slower task"
+    for _ in range(8):  # until it is expected, two are seen in one go
+        now += 2_000_000
+        publisher._measure(now, 2)
+    period = 1_000_000
+    commits(20)
+    assert is_expected(), "of a faster one"
+
+
+def test_a_number_that_does_not_fit_stops_no_other_topic(types) -> None:
+    variables = [Variable(name="A", type="double")]
+    about = Publish(topic="A", type="std_msgs/msg/UInt8", fields={"data": "A"})
+    filling = Filling(types, about, {"A": variables[0]}, "here")
+    put = SimpleNamespace(put=None, end=SimpleNamespace(name="/A"))
+    topic = Outgoing(filling, put, 1000.0, Warnings(print))
+    table = Table.create("d.arm", variables)
+    try:
+        local = table.local("one", os.getpid(), outvar=["A"])
+        local.claim()
+        topic.attach(table)
+        local.array("A")[:] = 300.0
+        local.commit()
+        with pytest.raises(ProtocolError, match="does not fit"):
+            topic.turn(now_ns())
+        topic.prepare()
+    finally:
+        table.destroy()
 
 
 def test_a_topic_that_cannot_be_published_stops_no_other(types, told) -> None:
