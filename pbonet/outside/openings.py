@@ -66,7 +66,7 @@ class Openings:
         errors: list[Exception] = []
         try:
             wanted = [device for device in self._open if device.is_wanted()]
-        except OSError as error:  # they have their safe values all the same
+        except OSError as error:  # without that they still have safe values
             wanted = []
             errors.append(error)
         for device in self._open:

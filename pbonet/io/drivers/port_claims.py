@@ -170,7 +170,7 @@ def _ports(entry: Entry, opening: Opening) -> _Ports:
 def mark(entry: Entry, opening: Opening) -> None:
     """Say that this task waits for ports; harmless where it has said so.
 
-    A program waits for none: nobody turns it on when it has its turn.
+    A program waits for none: it is not turned on when it has its turn.
     """
     ports, mine = _ports(entry, opening), _of_this_task()
     if database.owner() and ports not in mine:
