@@ -239,9 +239,20 @@ def _has_ended(user: User) -> bool:
     try:
         stat = Path(f"/proc/{user.pid}/stat").read_bytes()
     except (FileNotFoundError, ProcessLookupError):
-        return True
+        return not _is_there(user.pid)
     after_name = stat.rpartition(b")")[2].split()
     return bool(int(after_name[6]) & _EXITING)
+
+
+def _is_there(pid: int) -> bool:
+    """Return whether there is a process, which ``/proc`` may hide (hidepid)."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def _open(path: Path) -> int:
