@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -45,12 +46,17 @@ def source() -> Path:
     Raises:
         LookupError: There is none.
     """
-    found = sorted(SOURCES.glob(PATTERN))
+    found = sorted(SOURCES.glob(PATTERN), key=version)
     if not found:
         raise LookupError(
             f"no {PATTERN} in {SOURCES}; Debian's package is linux-source"
         )
     return found[-1]
+
+
+def version(archive: Path) -> list[int]:
+    """Return the version in an archive's name: 6.12 is newer than 6.9."""
+    return [int(number) for number in re.findall(r"\d+", archive.name)]
 
 
 def build(jobs: int) -> Path:

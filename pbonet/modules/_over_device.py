@@ -33,7 +33,9 @@ class OverDevice(PortBasedObject[P], abstract=True):
             self._device = self._open()
 
     def error(self, error: Exception) -> Answer:  # noqa: ARG002 - whichever it is
-        self._give_up()
+        for device in self._opened():
+            with suppress(DeviceError):  # it may be lost, or refuse its safe values
+                device.give_up()
         return Answer.ERROR
 
     def kill(self) -> None:
@@ -42,6 +44,10 @@ class OverDevice(PortBasedObject[P], abstract=True):
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
         """Return the opened device."""
         raise NotImplementedError
+
+    def _opened(self) -> list[Any]:
+        """Return the devices that were opened; they may have been closed."""
+        return [] if self._device is None else [self._device]
 
     def _give_up(self) -> None:
         device, self._device = self._device, None

@@ -24,7 +24,7 @@ class Opened(Protocol):
         """Write the safe values; see `pbonet.io.drivers.Device`."""
 
     def give_up(self) -> None:
-        """Write the safe values, close the device, and wait for it."""
+        """Write the safe values, close the device if it took them, and wait for it."""
 
     def close(self) -> None:
         """Write the safe values and close the device."""
@@ -64,7 +64,11 @@ class Openings:
             close: Close them in any case: the task ends.
         """
         errors: list[Exception] = []
-        wanted = [device for device in self._open if device.is_wanted()]
+        try:
+            wanted = [device for device in self._open if device.is_wanted()]
+        except OSError as error:  # without that they still have safe values
+            wanted = []
+            errors.append(error)
         for device in self._open:
             try:
                 if close:

@@ -112,6 +112,7 @@ class Device(ABC):
             if isinstance(error, DeviceError):
                 self._note_fault(error)
             self._release()
+            self._await_turn()
             raise
         self._is_open = True
         is_claimed = claim is not None or self.outside.plays
@@ -253,11 +254,17 @@ class Device(ABC):
         """Close the device for another task, and wait for it in turn.
 
         Raises:
-            DeviceError: The safe values could not be written; it is closed.
+            DeviceError: The safe values could not be written. Where the device is not
+                lost, it stays open: its task and its guard have it.
         """
-        try:
-            self.close()
-        finally:
+        if self._is_open and self.safe is not None:
+            self.write_safe()
+        self.shut()
+        self._await_turn()
+
+    def _await_turn(self) -> None:
+        """Wait for the ports, which another task may have before they are opened."""
+        with suppress(OSError):  # then it is refused the ports, which says so
             self.outside.ask(port_claims.mark, self.entry, self.opening, default=None)
 
     def shut(self) -> None:
@@ -356,6 +363,7 @@ class Device(ABC):
             )
             self._note_fault(gone)
             self.shut()
+            self._await_turn()
             raise gone from None
 
     def _no_command(self, command: str) -> DeviceError:

@@ -4,22 +4,23 @@ A file per physical device is locked at one byte for each port. The kernel drops
 lock with the process that holds it, so a task that was killed has no ports any more.
 The file also says who has a port, for `pbonet devices`.
 
-A task that was refused a port, because another task has it, waits for it while it
-lives: it has a second lock, of a mark. The other one sees the mark when it is no longer
-ON, and gives the port up.
+A task that was refused a port, because another task has it, or that lost its device
+or could not open it, waits for the port while it lives: it has a second lock, of a
+mark. Who has the port sees the mark when it is no longer ON, and gives the port up.
 """
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import hashlib
 import os
-import select
 import struct
 import time
+import weakref
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from weakref import WeakKeyDictionary
 
 from pbonet.errors import DeviceError, DeviceTakenError
 from pbonet.outside import openings
@@ -30,7 +31,6 @@ from .modes import Mode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
     from pbonet.config import Entry
 
@@ -57,8 +57,8 @@ _MARGIN: Final = 1.0
 """Seconds that a port is waited for beyond that."""
 _AGAIN: Final = 0.005
 """Seconds between two attempts to claim."""
-_TURN: Final = 0.1
-"""Seconds in which a task gets a port that it waits for: who has it is just ending."""
+_EXITING: Final = 0x4
+"""The flag of a process that ends or has ended, in the ninth field of its ``stat``."""
 
 
 class User(NamedTuple):
@@ -141,37 +141,49 @@ def _lock(kind: int, entry: Entry, opening: Opening, begin: int = 0) -> bytes:
     return _FLOCK.pack(kind, os.SEEK_SET, first, count, 0)
 
 
-_Ports = tuple[int, "Path", int, int]
-_marks: Final[dict[_Ports, int]] = {}
-"""The marks of this process, by task, file and ports: what is locked for them."""
+_Ports = tuple[Path, int, int]
+_marks: Final[WeakKeyDictionary[openings.Openings, dict[_Ports, Claim]]] = (
+    WeakKeyDictionary()
+)
+"""The marks of this process, by task (a bench may have several in one), and ports."""
+
+
+def _of_this_task() -> dict[_Ports, Claim]:
+    """Return the marks of the present task; they are dropped with it."""
+    task = openings.current()
+    mine = _marks.get(task)
+    if mine is None:
+        mine = _marks[task] = {}
+        weakref.finalize(task, _drop, mine)
+    return mine
+
+
+def _drop(marks: dict[_Ports, Claim]) -> None:
+    for one in marks.values():
+        one.release()
 
 
 def _ports(entry: Entry, opening: Opening) -> _Ports:
-    first = entry.first
-    task = id(openings.current())  # a bench may have several in one process
-    return task, _path(entry), first + opening.start, first + opening.end
-
-
-def _mark_of(entry: Entry, opening: Opening) -> int:
-    """Return what is locked as this task waits for ports; -1: it does not."""
-    return _marks.get(_ports(entry, opening), -1) if _marks else -1
+    return _path(entry), entry.first + opening.start, entry.first + opening.end
 
 
 def mark(entry: Entry, opening: Opening) -> None:
-    """Say that this task waits for ports; harmless where it has said so."""
-    if _mark_of(entry, opening) < 0:
-        fd = _open(_path(entry))
+    """Say that this task waits for ports; harmless where it has said so.
+
+    A program waits for none: it is not turned on when it has its turn.
+    """
+    ports, mine = _ports(entry, opening), _of_this_task()
+    if database.owner() and ports not in mine:
+        made = Claim(_open(_path(entry)))
         lock = _lock(fcntl.F_RDLCK, entry, opening, _MARKS_AT)
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
-        _marks[_ports(entry, opening)] = fd
+        fcntl.fcntl(made.fd, fcntl.F_OFD_SETLK, lock)
+        mine[ports] = made
 
 
 def _unmark(entry: Entry, opening: Opening) -> None:
     """Say that this task has the ports; harmless where it did not wait for them."""
-    fd = _mark_of(entry, opening)
-    if fd >= 0:
-        del _marks[_ports(entry, opening)]
-        os.close(fd)
+    if made := _of_this_task().pop(_ports(entry, opening), None):
+        made.release()
 
 
 def claim(entry: Entry, opening: Opening) -> Claim:
@@ -186,19 +198,13 @@ def claim(entry: Entry, opening: Opening) -> Claim:
     last = entry.first + opening.end
     if last >= MOST_PORTS:
         raise _no_such(opening, last)
-    begin = time.monotonic()
-    deadline = begin + SAFE_TIME + _MARGIN
-    try:
-        turn = begin + _TURN * (_mark_of(entry, opening) >= 0)
-    except OSError as error:
-        raise _unusable(opening, error) from None
+    deadline = time.monotonic() + SAFE_TIME + _MARGIN
     while True:
         try:
             made = _claimed(entry, opening)
         except BlockingIOError:
             who = list(users(entry, range(opening.start, opening.end + 1)))
-            ends = deadline if all(map(_has_ended, who)) else turn
-            if time.monotonic() >= ends:
+            if not all(map(_has_ended, who)) or time.monotonic() > deadline:
                 raise _refused(entry, opening, who) from None
         except OSError as error:
             raise _unusable(opening, error) from None
@@ -229,17 +235,24 @@ def _claimed(entry: Entry, opening: Opening) -> Claim:
 
 
 def _has_ended(user: User) -> bool:
-    """Return whether the process has ended, also if its parent has not reaped it."""
+    """Return whether the process has ended, or is ending and still has its locks."""
     try:
-        fd = os.pidfd_open(user.pid)
-    except OSError as error:
-        return error.errno == errno.ESRCH
+        stat = Path(f"/proc/{user.pid}/stat").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return not _is_there(user.pid)
+    after_name = stat.rpartition(b")")[2].split()
+    return bool(int(after_name[6]) & _EXITING)
+
+
+def _is_there(pid: int) -> bool:
+    """Return whether there is a process, which ``/proc`` may hide (hidepid)."""
     try:
-        ended = select.poll()
-        ended.register(fd, select.POLLIN)
-        return bool(ended.poll(0))
-    finally:
-        os.close(fd)
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def _open(path: Path) -> int:
@@ -332,7 +345,7 @@ def _refused(entry: Entry, opening: Opening, who: list[User]) -> DeviceError:
             for one in who
         ),
         remedy="let that task read it, and take the value from the table; to take its "
-        "place, open it in on, and swap the tasks",
+        "place, open it in on, and swap the tasks; kill that one where it is OFF",
     )
 
 

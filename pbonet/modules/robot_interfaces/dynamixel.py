@@ -147,6 +147,9 @@ class Dynamixel(PositionAxes[Servos], HeardOf[Servos]):
             self._close_outputs()
             raise
 
+    def _opened(self) -> list[Any]:
+        return [*super()._opened(), *self._outputs]
+
     def _give_up(self) -> None:
         super()._give_up()
         self._close_outputs()

@@ -26,7 +26,7 @@ class Encoder(Counts[Place], OverDevice[Place]):
     reading is the position, as of an absolute encoder. With INDEX, the place where the
     index input becomes 1 is ZERO, as exact as the motion of one cycle, and HOMED says
     that it was passed. Off and on again, the task goes on from where it was; after the
-    device was lost it begins again.
+    device was lost, or another task's, it begins again.
     """
 
     def _open(self) -> Any:  # noqa: ANN401 - its class is that of the driver
@@ -43,6 +43,10 @@ class Encoder(Counts[Place], OverDevice[Place]):
                 device.close()
                 raise
         return device
+
+    def _opened(self) -> list[Any]:
+        index = self._index
+        return [*super()._opened(), *([] if index is None else [index])]
 
     def _give_up(self) -> None:
         super()._give_up()

@@ -72,6 +72,12 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
             )
         self._gain = spread(self.params.gain, self.y.size, "gain")
 
+    def on(self) -> None:
+        if self._device is None or not self._device.is_open:
+            self._close()  # another task had it
+            self._next_try_ns = self.task.now
+            self._poll()
+
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only
         self._poll()
 

@@ -42,6 +42,8 @@ class Actuates(PortBasedObject[What]):
 
     def cycle(self, dt: float) -> None:
         self.y[0] += 1.0
+        if self.params.value == 9:
+            raise RuntimeError("it fails")
         self._dac.write([self.params.value])
 """
 JOB = """
@@ -84,6 +86,14 @@ def test_tasks_of_one_device_take_each_others_place(nodes, tmp_path):
         for going, coming, number in (("first", "third", 3), ("third", "first", 1)) * 2:
             arm.swap(going, coming)
             is_given(number)
+        arm.set("first", "value", "9")
+        is_given(2)
+        wait_for(lambda: task("first").state == "ERROR", "its error")
+        arm.set("first", "value", "1")
+        arm.clear("first")
+        arm.swap("second", "first")
+        is_given(1)
+        wait_for(lambda: task("second").state == "OFF", "the standby")
         os.kill(task("first").tid, signal.SIGKILL)
         is_given(2)
         wait_for(lambda: task("second").state == "ON", "its state")

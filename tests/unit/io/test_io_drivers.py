@@ -73,8 +73,9 @@ def devices(tmp_path):
         "gone": Entry(driver="serial", address=str(tmp_path / "ttyUSB7")),
     }
     with database.using(entries, "arm0/reads"):
-        yield {"file": file, "master": master}
-    os.close(master)
+        ends = {"file": file, "master": master}
+        yield ends
+    os.close(ends["master"])
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,16 @@ from watching import wait_for
 
 from pbonet.errors import DeviceError
 from pbonet.io import no_devices
-from pbonet.io.drivers import Mode, database, guard, guard_process, listed, open_device
-from pbonet.outside import Player, Tape, using as recording
+from pbonet.io.drivers import (
+    Mode,
+    database,
+    guard,
+    guard_process,
+    listed,
+    open_device,
+    port_claims,
+)
+from pbonet.outside import Player, Tape, openings, using as recording
 
 
 @pytest.fixture(params=RIGS)
@@ -67,6 +75,12 @@ def test_it_is_lost_and_its_ports_are_free(rig):
     with pytest.raises(DeviceError, match="the device is not open"):
         rig.use(one)
     assert listed({"x": rig.entry()})[0].users == []
+    before = openings.current()
+    openings.use(openings.Openings())  # those of another task
+    other = port_claims.claim(one.entry, one.opening)
+    openings.use(before)
+    assert other.is_wanted(one.entry, one.opening), "it comes back to the first task"
+    other.release()
 
 
 @pytest.mark.parametrize("rig", ["iio_buffer", "joystick"], indirect=True)

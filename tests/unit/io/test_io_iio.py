@@ -38,10 +38,10 @@ def folder(tmp_path, monkeypatch):
     return folder
 
 
-def device(folder, driver="iio_adc", **settings):
+def device(folder, driver="iio_adc", owner="arm0/reads", **settings):
     first = settings.pop("first", 0)
     entry = Entry(driver=driver, address=str(folder), settings=settings, first=first)
-    return database.using({"x": entry}, "arm0/reads")
+    return database.using({"x": entry}, owner)
 
 
 def written(folder, name):
@@ -99,7 +99,8 @@ def test_values_are_written_with_the_sign_of_their_channel(folder):
 def test_what_cannot_be_is_refused_at_open(folder, settings, how, told):
     gc.collect()  # what tests before this one left open is not counted
     fds = len(list(Path("/proc/self/fd").iterdir()))
-    with device(folder, **settings), pytest.raises(DeviceError) as caught:
+    a_program = device(folder, owner="", **settings)  # a task would wait for the ports
+    with a_program, pytest.raises(DeviceError) as caught:
         open_device(**({"name": "x", "mode": Mode.READ} | how))
     assert told in str(caught.value)
     assert len(list(Path("/proc/self/fd").iterdir())) == fds

@@ -152,6 +152,21 @@ def test_a_lost_joystick_rests_is_reported_once_and_found_again(pad) -> None:
     bench.kill()
 
 
+def test_a_joystick_goes_from_one_task_to_another(pad) -> None:
+    with database.using({"pad": pad.entry()}, "arm0/x"):
+        old, new = module(), module()
+        for going, coming in ((old, new), (new, old)):
+            if going.state is State.OFF:
+                going.on()
+            going.off(handover=True)
+            pad.axes[Y] = (100, -100, 100)
+            coming.on()
+            coming.step()
+            assert coming.outputs.y[2] == 1.0, "in its first cycle"
+        for bench in (old, new):
+            bench.kill()
+
+
 @pytest.mark.usefixtures("pad")
 def test_a_missing_joystick_is_reported_at_once() -> None:
     (notice,) = module(device="no").notices()
