@@ -105,7 +105,9 @@ def test_a_backup_names_no_other_file_of_a_machine(tmp_path, path):
         backup._read(tmp_path)
 
 
-@pytest.mark.parametrize(("now", "got"), [(b"core = 9\n", "another"), (None, "No such")])
+@pytest.mark.parametrize(
+    ("now", "got"), [(b"core = 9\n", "another"), (None, "No such")]
+)
 def test_a_backup_whose_files_were_changed_is_refused(tmp_path, now, got):
     there = told(content())
     backup._write(tmp_path, there)
