@@ -518,7 +518,7 @@ def populate_pages(
     them are code and descriptions of Python's objects, which no cycle touches.
 
     Args:
-        copied: Where shared pages begin and end that are copied now all the same.
+        copied: Where shared pages begin and end that are copied now.
         spare: Bytes of the heap that are free for the temporaries of cycles.
         whole: Bytes. Larger areas are left alone: such are buffers of which little is
             used. OpenBLAS has one of 32 MB in each process.
