@@ -8,14 +8,14 @@ folder has them, and `pbonet deploy` gives them again.
 from __future__ import annotations
 
 import asyncio
-import base64
 import difflib
+import hashlib
 import shutil
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated as A, Final
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from pbonet.errors import ConfigFileError, NodeError
 from pbonet.xm.net import credentials
@@ -23,6 +23,7 @@ from pbonet.xm.net import credentials
 from . import set_up_hosts, steps
 from .host_reports import Report
 from .hosts_file import KEYS
+from .print_config_files import PATTERNS
 from .ssh import Shell
 from .steps import Put, Run, Step
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 MANIFEST: Final = "backup.json"
 FORMAT: Final = 1
 HOSTS: Final = "hosts.toml"
+_KEY: Final = f"{KEYS}/{credentials.KEY}"
+_EMPTY: Final = hashlib.sha256(b"").hexdigest()
 _JOB_FILES: Final = {".job", ".sbs", ".svar", ".rmod", ".seq", ".toml", ".py"}
 
 
@@ -41,7 +44,7 @@ class Copied(Struct, frozen=True, kw_only=True):
     """A file of a machine."""
 
     path: str
-    mode: int
+    mode: A[int, Meta(ge=0, le=0o7777)]
     owner: str
     """The user; a number where the machine has no name for it."""
     digest: str
@@ -50,9 +53,14 @@ class Copied(Struct, frozen=True, kw_only=True):
 
 
 class Content(Copied, frozen=True, kw_only=True):
-    """The same, with what is in it, in base 64; empty for private keys."""
+    """The same, with what is in it; empty for private keys."""
 
-    data: str
+    data: bytes
+
+    @property
+    def secret(self) -> bool:
+        """Whether its content was kept back, as it has a private key."""
+        return not self.data and self.digest != _EMPTY
 
 
 class Told(Struct, frozen=True, kw_only=True):
@@ -110,8 +118,14 @@ def save(file: HostsFile, folder: Path) -> list[Report]:
         async with Shell(machine, file) as shell:
             told = await _collect(shell)
         _write(folder / machine.name, told)
-        count = sum(bool(one.data) for one in told.files)
+        secret = [one.path for one in told.files if one.secret]
+        count = len(told.files) - len(secret)
         report.add("backup", "changed", f"{count} files, release {told.release or '-'}")
+        report.warnings += [
+            f"{path} has a private key, and is not in the backup"
+            for path in secret
+            if path != _KEY
+        ]
 
     return asyncio.run(set_up_hosts.each(file.machines, one, fail_fast=False))
 
@@ -164,11 +178,12 @@ async def _collect(shell: Shell) -> Told:
 
 
 def _is_plain(path: str) -> bool:
-    """Return whether a path stays in the folder of its machine.
+    """Return whether a path is one of those that a machine is configured by.
 
-    A machine in wrong hands could name one that leads out of it.
+    A machine in wrong hands could name one that leads out of the backup's folder, and
+    a backup in wrong hands one of any file of the machine.
     """
-    return path.startswith("/etc/") and ".." not in path.split("/")
+    return any(PurePosixPath(path).match(f"/{one}") for one in PATTERNS)
 
 
 def _save_job(job: Path, folder: Path) -> None:
@@ -184,10 +199,11 @@ def _write(folder: Path, told: Told) -> None:
         if one.data:
             path = folder / one.path.lstrip("/")
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(base64.b64decode(one.data))
+            path.write_bytes(one.data)
     files = [
         Copied(path=f.path, mode=f.mode, owner=f.owner, digest=f.digest, group=f.group)
         for f in told.files
+        if f.path == _KEY or not f.secret
     ]
     saved = Saved(
         format=FORMAT, files=files, enabled=told.enabled, release=told.release
@@ -216,22 +232,51 @@ def _read(folder: Path) -> Saved:
             got=str(found.format),
             remedy="restore it with the pbonet that made it",
         )
+    for one in found.files:
+        if not _is_plain(one.path):
+            raise ConfigFileError(
+                "the backup names a file that no machine is configured by",
+                where=str(path),
+                expected=", ".join(f"/{pattern}" for pattern in PATTERNS),
+                got=one.path,
+                remedy="restore another backup: this list was changed",
+            )
     return found
+
+
+def _saved_data(folder: Path, one: Copied) -> bytes:
+    """Return what a file of the backup has, if it is what was saved."""
+    path = folder / one.path.lstrip("/")
+    try:
+        data = b"" if one.digest == _EMPTY else path.read_bytes()
+    except OSError as error:
+        data, got = None, error.strerror or str(error)
+    else:
+        got = "another content"
+    if data is None or hashlib.sha256(data).hexdigest() != one.digest:
+        raise ConfigFileError(
+            "a file of the backup is not as it was saved",
+            where=str(path),
+            expected=f"SHA-256 {one.digest}",
+            got=got,
+            remedy="restore another backup; a configuration is changed in the file of "
+            "hosts, by pbonet deploy",
+        )
+    return data
 
 
 def _plan(folder: Path, saved: Saved, told: Told) -> Iterator[Step]:
     """Yield what gives a machine its files back."""
     there = {one.path: one for one in told.files}
     was = {one.path: one for one in saved.files}
-    key = f"{KEYS}/{credentials.KEY}"
     certificates = {f"{KEYS}/{name}" for name in (credentials.CERT, credentials.CA)}
-    other_key = key in was and (
-        key not in there or there[key].digest != was[key].digest
+    other_key = _KEY in was and (
+        _KEY not in there or there[_KEY].digest != was[_KEY].digest
     )
     again: set[str] = set()
     units = False
     for one in saved.files:
-        if one.path == key:
+        if one.path == _KEY:
             continue
         if one.path in certificates and other_key:
             what = f"{one.path} belongs to other keys: 'pbonet deploy' gives new ones"
@@ -248,7 +293,7 @@ def _plan(folder: Path, saved: Saved, told: Told) -> Iterator[Step]:
 def _file_step(folder: Path, one: Copied, there: Content | None) -> Step:
     put = Put(
         path=one.path,
-        data=(folder / one.path.lstrip("/")).read_bytes(),
+        data=_saved_data(folder, one),
         mode=one.mode,
         owner=one.owner,
         group=one.group,
@@ -257,7 +302,7 @@ def _file_step(folder: Path, one: Copied, there: Content | None) -> Step:
     if there is not None and there.digest == one.digest and not changed:
         return Step(name="file", state="same", what=one.path)
     what = f"{one.path}: {changed}" if changed else one.path
-    before = b"" if there is None else base64.b64decode(there.data)
+    before = b"" if there is None else there.data
     lines = difflib.unified_diff(
         before.decode("utf-8", "replace").splitlines(),
         put.data.decode("utf-8", "replace").splitlines(),

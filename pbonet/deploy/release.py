@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import subprocess
 import sys
@@ -253,11 +254,15 @@ def built(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps"]
     with tempfile.TemporaryDirectory(dir=folder, prefix=".new-") as new:
+        # In the checkout's own build folder are files that it has no more.
+        settings = Path(new) / "setup.cfg"
+        settings.write_text(f"[build]\nbuild_base = {Path(new).absolute() / 'build'}\n")
         done = subprocess.run(
             [*pip, "--wheel-dir", new, str(source)],
             check=False,
             capture_output=True,
             text=True,
+            env={**os.environ, "DIST_EXTRA_CONFIG": str(settings.absolute())},
         )
         made = [*Path(new).glob("pbonet-*.whl")]
         if done.returncode or not made:

@@ -112,7 +112,8 @@ class Shell:
         script = (
             'mkdir -p "$(dirname "$1")"; umask 077; cat > "$1.new" '
             '&& [ "$(wc -c < "$1.new")" -eq "$4" ] '  # else the connection was lost
-            '&& chown "$3" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1"'
+            '&& chown -- "$3" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1" '
+            '|| { rm -f "$1.new"; exit 1; }'
         )
         about = (f"{file.mode:04o}", f"{file.owner}:{file.group}", str(len(file.data)))
         await self.run("sh", "-ec", script, "sh", file.path, *about, data=file.data)
@@ -229,6 +230,11 @@ def _remedy(said: str, words: Sequence[str]) -> str:
     """Return what to do after a command that failed with these lines."""
     if "No space left" in said:
         return "make room on the machine (df -h /opt /etc), and repeat"
+    if "invalid user" in said or "invalid group" in said:
+        return (
+            "make this user and group on the machine (pbonet deploy makes pbonet), and "
+            "repeat"
+        )
     if "pip" in words and ("No matching distribution" in said or "Could not" in said):
         return (
             "without a way to a package index, give the wheels of all dependencies "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import msgspec
 
@@ -36,7 +36,8 @@ def pack(answer: object, where: str) -> tuple[int, bytes]:
         return _PLAIN, answer
     plain: type = type(answer)
     kind = _TUPLE if plain is tuple else _PACKED
-    got, whole = plain.__name__, cast("Any", answer)
+    got = plain.__name__
+    whole: Any = answer
     try:
         if not issubclass(plain, int):
             whole = _marked(list(whole) if kind == _TUPLE else whole)
@@ -69,7 +70,8 @@ def _marked(answer: Any) -> Any:  # noqa: ANN401 - whatever was answered
     Raises:
         _UnfitError: Of what cannot be recorded.
     """
-    kind: type = type(cast("object", answer))
+    whole: object = answer
+    kind: type = type(whole)
     if kind in _SCALARS:
         return answer
     if kind is list:

@@ -75,6 +75,10 @@ def wheel(sdist, tmp_path_factory):
     """A wheel that `pbonet deploy --build` has built, from the sdist alone."""
     source = unpacked(sdist, tmp_path_factory.mktemp("unpacked"))
     folder = tmp_path_factory.mktemp("wheel") / "wheels"
+    system = f"{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
+    left = source / "build" / f"lib.{system}" / "pbonet"  # by an earlier build
+    left.mkdir(parents=True)
+    (left / "removed.py").write_text("")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pbonet, "__file__", str(source / "pbonet" / "__init__.py"))
         patch.setenv("PIP_NO_BUILD_ISOLATION", "0")  # what pip reads as true
@@ -104,6 +108,8 @@ def test_what_deploy_builds_is_a_release_for_this_machine(wheel):
     assert release.machine == platform.machine()
     assert release.python == ".".join(map(str, sys.version_info[:2]))
     assert release.layers == LAYERS
+    with zipfile.ZipFile(wheel) as archive:
+        assert "pbonet/removed.py" not in archive.namelist()
 
 
 def test_a_wheel_carries_stubs_data_and_native_parts(wheel):

@@ -509,19 +509,22 @@ def drop_rights() -> None:
     """
 
 def prefault_stack(size: int = 1 << 19) -> None: ...
-def populate_pages(spare: int = 1 << 20, whole: int = 1 << 24) -> int:
+def populate_pages(
+    copied: Iterable[tuple[int, int]] = (), spare: int = 1 << 20, whole: int = 1 << 24
+) -> int:
     """Make private writable pages present that are not: what `init` has allocated.
 
     Pages that are shared with the fork server stay so until they are written: most of
     them are code and descriptions of Python's objects, which no cycle touches.
 
     Args:
+        copied: Where shared pages begin and end that are copied now.
         spare: Bytes of the heap that are free for the temporaries of cycles.
         whole: Bytes. Larger areas are left alone: such are buffers of which little is
             used. OpenBLAS has one of 32 MB in each process.
 
     Returns:
-        Bytes that were made present.
+        Bytes that were made present, without the copied ones.
 
     Raises:
         MemoryError: The heap cannot have so many spare bytes.

@@ -245,5 +245,6 @@ cdef extern from "guard.h" nogil:
     int rt_lock_memory()
     int rt_prefault_stack(size_t size)
     int rt_spare_heap(size_t size)
+    int rt_populate(size_t at, size_t size)
     size_t rt_populate_absent(size_t at, size_t size)
     void rt_timer_slack(unsigned long ns)

@@ -59,9 +59,12 @@ def prefault_stack(size_t size=1 << 19) -> None:
     rt_prefault_stack(size if size < 1 << 22 else 1 << 22)
 
 
-def populate_pages(size_t spare=1 << 20, size_t whole=1 << 24) -> int:
-    """Ask the kernel for the private writable pages that are not there (madvise)."""
+def populate_pages(copied=(), size_t spare=1 << 20, size_t whole=1 << 24) -> int:
+    """Ask the kernel for private writable pages (madvise): absent ones, and `copied`."""
+    cdef size_t begin, end
     total = 0
+    for begin, end in copied:
+        rt_populate(begin, end - begin)
     if rt_spare_heap(spare):
         raise MemoryError
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:

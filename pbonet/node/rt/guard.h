@@ -147,9 +147,15 @@ static inline void rt_timer_slack(unsigned long ns)
     prctl(PR_SET_TIMERSLACK, ns);
 }
 
-/* Make pages present for writing that are not there; not every kernel and mapping
- * supports it. Those that are there may be shared with the parent process, and stay so.
- * Returns how many bytes are made present. */
+/* Make pages present for writing; not every kernel and mapping supports it. Those that
+ * are shared with the parent process are copied. */
+static inline int rt_populate(size_t at, size_t size)
+{
+    return madvise((void *)at, size, 23 /* MADV_POPULATE_WRITE, Linux 5.14 */);
+}
+
+/* The same for those pages only that are not there: others may be shared with the parent
+ * process, and stay so. Returns how many bytes are made present. */
 static inline size_t rt_populate_absent(size_t at, size_t size)
 {
     enum { MOST = 1024 };
@@ -163,9 +169,7 @@ static inline size_t rt_populate_absent(size_t at, size_t size)
         for (size_t first = 0, last; first < pages; first = last) {
             for (last = first + 1; last < pages && !((present[first] ^ present[last]) & 1);)
                 last++;
-            if (!(present[first] & 1) &&
-                !madvise((void *)(here + first * page), (last - first) * page,
-                         23 /* MADV_POPULATE_WRITE, Linux 5.14 */))
+            if (!(present[first] & 1) && !rt_populate(here + first * page, (last - first) * page))
                 done += (last - first) * page;
         }
         here += pages * page;

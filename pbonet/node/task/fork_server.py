@@ -27,6 +27,7 @@ from pbonet.node import rt
 from pbonet.node.wire import process_setup, rtpu_messages
 
 from . import module_inspector, task_output, task_process
+from .code_pages import code_pages
 from .spare_process import SpareProcess
 
 FDS = 4
@@ -108,6 +109,7 @@ def share_objects() -> None:
     this process and in its children.
     """
     gc.collect()
+    code_pages()
     gc.freeze()
 
 

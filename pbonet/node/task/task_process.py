@@ -32,6 +32,7 @@ from pbonet.svar import Action, Table, var_bytes
 from pbonet.xm import live_on
 
 from . import journal, task_channel
+from .code_pages import code_pages
 from .deliver_timing_failure import TimingFailureDelivery
 from .executor import Executor
 from .parameters_in_task import get_params, set_param
@@ -284,7 +285,7 @@ class Host:
         notes: list[str] = []
         try:
             rt.lock_memory()
-            rt.populate_pages()
+            rt.populate_pages(code_pages())
         except RealTimeError as error:
             notes.append(f"memory is not locked: {error}")
         rt.prefault_stack()

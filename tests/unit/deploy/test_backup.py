@@ -1,6 +1,5 @@
 """What a backup has, and what is given back of it."""
 
-import base64
 import hashlib
 import os
 import pwd
@@ -10,17 +9,18 @@ from msgspec import structs
 
 from pbonet.deploy import backup, print_config_files, steps
 from pbonet.deploy.backup import Content, Told
+from pbonet.errors import ConfigFileError
 
 CONFIG = steps.config_of("arm0")
 
 
-def content(data=b"core = 1\n", **rights):
+def content(data=b"core = 1\n", path=CONFIG, **rights):
     """What a machine tells of a file."""
     given = {"mode": 0o640, "owner": "root", "group": "pbonet", **rights}
     return Content(
-        path=CONFIG,
+        path=path,
         digest=hashlib.sha256(data).hexdigest(),
-        data=base64.b64encode(data).decode(),
+        data=data,
         **given,
     )
 
@@ -71,3 +71,47 @@ def test_a_machine_tells_owner_group_and_mode(tmp_path):
     assert found["mode"] == 0o4750
     assert found["owner"] == pwd.getpwuid(os.getuid()).pw_name
     assert found["group"]
+
+
+def test_an_empty_file_is_given_back(plan):
+    empty = content(b"")
+    (same,) = plan(empty, empty)
+    assert same.state == "same"
+    assert plan(empty, content())[0].actions[0].data == b""
+
+
+def test_a_file_with_a_private_key_is_not_in_a_backup(tmp_path):
+    path = f"{steps.ETC}/keys/other.pem"
+    secret = structs.replace(content(path=path), data=b"")
+    there = told(secret, content())
+    backup._write(tmp_path, there)
+    (same,) = backup._plan(tmp_path, backup._read(tmp_path), there)
+    assert (same.state, same.what) == ("same", CONFIG)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("/etc/shadow", "/root/.ssh/authorized_keys", "etc/pbonet/arm0.toml"),
+        *("/etc/pbonet/../shadow", "/etc/pbonet/../../root/arm0.toml"),
+    ],
+)
+def test_a_backup_names_no_other_file_of_a_machine(tmp_path, path):
+    """It is written there by root."""
+    backup._write(tmp_path, told(content()))
+    manifest = tmp_path / backup.MANIFEST
+    manifest.write_text(manifest.read_text().replace(CONFIG, path))
+    with pytest.raises(ConfigFileError, match="no machine is configured by"):
+        backup._read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("now", "got"), [(b"core = 9\n", "another"), (None, "No such")]
+)
+def test_a_backup_whose_files_were_changed_is_refused(tmp_path, now, got):
+    there = told(content())
+    backup._write(tmp_path, there)
+    path = tmp_path / CONFIG.lstrip("/")
+    path.write_bytes(now) if now else path.unlink()
+    with pytest.raises(ConfigFileError, match=rf"not as it was saved .*got {got}"):
+        [*backup._plan(tmp_path, backup._read(tmp_path), there)]

@@ -58,6 +58,15 @@ def test_a_file_that_came_in_part_is_not_used(hosts, tmp_path):
     shell.left = 7
     put(b'core = 2\nkeys = "k"\n')
     assert path.read_bytes() == b"core = 1\n"
+    assert [*path.parent.iterdir()] == [path]
+
+
+@pytest.mark.parametrize("owner", ["nobody-of-this-name", "--reference=/etc/shadow"])
+def test_a_file_of_an_owner_that_does_not_exist_is_not_written(hosts, tmp_path, owner):
+    shell, path = Cut(hosts.machines[0], hosts), tmp_path / "etc" / "arm0.toml"
+    file = steps.Put(path=str(path), data=b"core = 1\n", owner=owner, group="root")
+    asyncio.run(shell.put(file))
+    assert not [*path.parent.iterdir()]
 
 
 @pytest.mark.parametrize("path", ["etc/pbonet/arm0.toml", "etc/pbonet/keys/key.pem"])

@@ -83,17 +83,43 @@ data[:half] = b'x' * half
 pid = os.fork()
 if pid:
     os._exit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
-before = own()
-made = _rt.populate_pages()
-print(made, own() - before, faults(data, half, 2 * half), faults(data, 0, half), half,
-      flush=True)
+before, at = own(), ctypes.addressof(ctypes.c_char.from_buffer(data))
+made = _rt.populate_pages([(at, at + (1 << 20))])
+print(made, own() - before, faults(data, half, 2 * half), faults(data, 0, 1 << 20),
+      faults(data, 1 << 20, half), half, flush=True)
 os._exit(0)
 """
-    made, grown, absent, shared, half = (int(n) for n in python(COUNTED + code).split())
+    found = python("import ctypes\n" + COUNTED + code).split()
+    made, grown, absent, copied, shared, half = (int(number) for number in found)
     assert made >= half
     assert half <= grown < half * 1.7
     assert absent < 100
-    assert shared >= half // 4096
+    assert copied < 10
+    assert shared >= (half - (1 << 20)) // 4096
+
+
+def test_a_task_copies_the_code_that_runs_it_before_its_first_cycle() -> None:
+    """Else its first timing failure and its first exception would wait for that."""
+    code = """
+from pbonet.node.task import code_pages, deliver_timing_failure, executor, fork_server
+classes = executor.Executor, deliver_timing_failure.TimingFailureDelivery
+codes = [one.__code__ for cls in classes for one in vars(cls).values()
+         if hasattr(one, "__code__")]
+fork_server.share_objects()
+for pages in ((), code_pages.code_pages()):
+    pid = os.fork()
+    if not pid:
+        _rt.populate_pages(pages)
+        taken = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        others, before = [0] * len(codes), [taken(), taken()][1]
+        others.extend(codes)  # counts a reference to each
+        print(taken() - before, flush=True)
+        os._exit(0)
+    os.waitpid(pid, 0)
+"""
+    shared, copied = (int(number) for number in python(COUNTED + code).split())
+    assert shared > 8
+    assert copied < shared // 3
 
 
 def test_a_large_buffer_of_which_little_is_used_stays_small() -> None:
