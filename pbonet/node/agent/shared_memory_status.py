@@ -339,7 +339,7 @@ class SharedMemoryStatus:
                 remedy="follow the core for a periodic task",
             )
 
-        def look() -> SlotStatus:
+        def snapshot() -> SlotStatus:
             now = core.snapshot(one.task.slot)
             if now.pid != one.slot.pid:  # another task has its place
                 raise StateError(
@@ -359,7 +359,7 @@ class SharedMemoryStatus:
             return core_trace.follow(
                 request.task,
                 core.status,
-                look,
+                snapshot,
                 names={each.slot.pid: each.task.task for each in seen},
                 seconds=request.seconds,
             )
