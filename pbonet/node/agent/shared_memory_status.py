@@ -16,6 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet import tbuf
+from pbonet.analysis.schedule import Kind
 from pbonet.errors import (
     NodeError,
     ProtocolError,
@@ -332,11 +333,11 @@ class SharedMemoryStatus:
         core = self._open()
         seen = self._read_slots()
         (one,) = self._of(request, seen)
-        if not one.slot.period_ns:
+        if one.slot.kind is Kind.BACKGROUND:
             raise StateError(
-                f"task {request.task} has no period, so it misses no release",
+                f"the background task {request.task} has no period, and misses nothing",
                 where=self._rtpu,
-                remedy="follow the core for a periodic task",
+                remedy="follow the core for another task",
             )
 
         def snapshot() -> SlotStatus:
