@@ -35,6 +35,8 @@ class Cycles(ABC):
 
     about: dict[str, Any]
     """The run: job, machine, start."""
+    where: str = ""
+    """Its file, for errors; empty: it has none."""
 
     @property
     @abstractmethod
@@ -104,6 +106,7 @@ class Cycles(ABC):
         )
         raise UnknownVariableError(
             f"no task of the run wrote {variable}",
+            where=self.where,
             expected=" or ".join(known) or "a run with tasks",
             remedy=did_you_mean(variable, known) or "name one that was written",
         )

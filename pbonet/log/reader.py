@@ -145,6 +145,7 @@ class Log(Cycles):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.where = str(path)
         self.parts = parts_of([self.path])
         runs = {part.about.run for part in self.parts if part.about}
         if len(runs) > 1:

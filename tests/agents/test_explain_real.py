@@ -94,8 +94,16 @@ def test_cycles_that_are_missed(arm, asked):
     assert not [*Path("/sys/kernel/tracing").glob("instances/pbonet-*")]
 
 
-def test_a_core_is_followed_for_longer_than_a_request_waits_for_a_sign(arm, asked):
+def test_a_core_is_followed_for_longer_than_a_request_waits_for_a_sign(
+    arm, asked, tmp_path
+):
     """The client repeats the request meanwhile, which is no second one."""
+    os.mkfifo(tmp_path / "fifo")
+    busy = rmod("overruns", "Y2", 50.0, local={"FIFO": tmp_path / "fifo"})
+    busy = busy.replace("FREQ 50\n", "").replace("periodic", "background")
+    (tmp_path / "busy.rmod").write_text(busy)
+    arm.spawn("busy")
+    assert "the background task busy has no period" in asked("miss", "busy", trace=9.0)
     arm.spawn("first")
     text = asked("miss", "first", trace=1.0)
     assert re.search(r", and none in the 1(\.\d+)? s in which it was followed", text)

@@ -401,7 +401,7 @@ def _not_critical(
         changes = transform(asked, must, first, limit=core.share) or ()
         aside = set_aside(asked, must, first, limit=core.share)
         ways = [
-            _by_crit(load, critical, aside),
+            _by_crit(load, there, aside),
             " and ".join(
                 f"run {c.name} at {c.factor} times its frequency, with at most "
                 f"{c.cost_ns / 1e9:.6g} s a cycle (period transformation)"
@@ -427,20 +427,30 @@ def _not_critical(
     )
 
 
-def _by_crit(load: Load, critical: list[str], aside: tuple[str, ...] | None) -> str:
-    """Return the CRIT lines with which MUF guarantees critical tasks, if there are."""
+def _by_crit(load: Load, there: list[Task], aside: tuple[str, ...] | None) -> str:
+    """Return the CRIT lines with which MUF guarantees critical tasks, if there are.
+
+    The critical tasks must share one criticality, at which deadlines decide; none of
+    the others may be above it, and those set aside must be below.
+    """
     if aside is None:
         return ""
-    lines = [
-        (names, crit)
-        for names, crit in (
-            ([n for n in critical if n in load.outside], criticality.INSIDE),
-            ([n for n in aside if n in load.critical_set], criticality.OUTSIDE),
-        )
-        if names
-    ]
-    given = (f"{' and '.join(names)} CRIT {crit}" for names, crit in lines)
-    return "give " + ", and ".join(given) if lines else ""
+    together: list[str] = []
+    below: list[str] = []
+    for task in there:
+        inside = criticality.INSIDE if task.name in load.critical_set else 0
+        crit = inside if task.rmod.crit is None else task.rmod.crit
+        if task.name in aside:
+            below += [task.name] * (crit > criticality.OUTSIDE)
+        elif is_server(task) or task.hz is None:
+            continue
+        elif crit > criticality.INSIDE or (
+            task.rmod.critical and crit < criticality.INSIDE
+        ):
+            together.append(task.name)
+    lines = [(together, criticality.INSIDE), (below, criticality.OUTSIDE)]
+    given = [f"{' and '.join(names)} CRIT {crit}" for names, crit in lines if names]
+    return "give " + ", and ".join(given) if given else ""
 
 
 def _too_much(load: Load, limit: float) -> Problem:

@@ -21,13 +21,14 @@ from .rate_space import RateSpace
 from .run_error import error_of, last_before
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from pbonet.analysis.allocation import Fit, Problem
     from pbonet.config import Variable
+    from pbonet.log import Series
 
 SAME = 1e-3
 """Relative difference of rates that is none."""
@@ -123,7 +124,10 @@ def _recorded(
         fault = f"{moved[0]} had no single rate in it"
         return RecordedRun(str(log.path), rates, math.nan, fault)
     _, parsed = cost_of(Condition(cost))
+    found = [one for name in parsed.variables for one in table if one.name == name]
     series = {name: log.series(name) for name in parsed.variables}
+    if fault := _misshaped(found, series):
+        return RecordedRun(str(log.path), rates, math.nan, fault)
     ends = [(one.seconds[0], one.seconds[-1]) for one in series.values() if len(one[0])]
     begin = max((first for first, _ in ends), default=0.0) + settle
     end = min((last for _, last in ends), default=0.0)
@@ -135,10 +139,19 @@ def _recorded(
         seconds, values = series[name]
         return last_before(seconds, values.reshape(len(values), -1), at)
 
-    found = [one for name in parsed.variables for one in table if one.name == name]
     error = error_of(cost, found, values_at, begin, end)
     fault = "" if error is not None else "no finite number"
     return RecordedRun(str(log.path), rates, math.nan if fault else error or 0.0, fault)
+
+
+def _misshaped(variables: Sequence[Variable], series: Mapping[str, Series]) -> str:
+    """Return which variable has another size in a run than in the job, if one has."""
+    for one in variables:
+        values = series[one.name].values
+        size = math.prod(values.shape[1:])
+        if len(values) and size != one.nelem:
+            return f"{one.name} has {size} elements in it, and {one.nelem} in the job"
+    return ""
 
 
 def _rate(log: Log, task: str) -> float:

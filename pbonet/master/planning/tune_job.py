@@ -167,10 +167,11 @@ def _from_logs(found: Fitted, cost: str, job: str) -> Tuning:
         rates: Mapping[str, float], why: str, error: float | None, fault: str = ""
     ) -> RunAt:
         predicted = error is None
-        periods = {name: 1 / hz for name, hz in rates.items()}
+        if error is None:
+            error = fit.error({name: 1 / hz for name, hz in rates.items()})
         return RunAt(
             rates=dict(rates),
-            error=fit.error(periods) if error is None else error,
+            error=error,
             loads=space.loads(rates),
             allowed=not fault and space.keeps(rates),
             why=why,

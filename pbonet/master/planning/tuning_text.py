@@ -83,13 +83,14 @@ def write_svg(found: Tuning, path: Path) -> None:
     figure = _figure(len(found.present.rates) + 1)
     names = list(found.present.rates)
     axes = figure.subplots(1, len(names) + 1, sharey=True, squeeze=False)[0]
+    runs = [one for one in found.runs if not one.fault]
     for axis, name in zip(axes, names, strict=False):
-        alone = [one for one in found.runs if _is_alone(one, found.present, name)]
+        alone = [one for one in runs if _is_alone(one, found.present, name)]
         alone.sort(key=lambda one: one.rates[name])
         points = [(1e3 / one.rates[name], one.error) for one in alone]
         axis.plot(*zip(*points, strict=True), "o-")
         axis.set_xlabel(f"period of {name}, ms")
-    for one in found.runs:
+    for one in runs:
         mark = {"color": "tab:blue" if one.allowed else "lightgrey"}
         axes[-1].plot(max(one.loads.values()), one.error, "o", **mark)
     best = found.best

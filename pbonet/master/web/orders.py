@@ -309,7 +309,8 @@ class Orders:
             if call.command.name == "stop":
                 return _Work("stop", self._stop, self._stops)
             perform = partial(self._perform, call, role)
-            pool = self._commands if role is Role.OPERATOR else self._looks
+            looks = role is not Role.OPERATOR or call.command.name == "explain"
+            pool = self._looks if looks else self._commands
             return _Work(call.command.name, perform, pool, starts=call.changes)
         if role is not Role.OPERATOR:
             raise _only_operators(str(request.__struct_config__.tag))

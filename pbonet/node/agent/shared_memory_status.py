@@ -16,6 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet import tbuf
+from pbonet.analysis.schedule import Kind
 from pbonet.errors import (
     NodeError,
     ProtocolError,
@@ -332,14 +333,14 @@ class SharedMemoryStatus:
         core = self._open()
         seen = self._read_slots()
         (one,) = self._of(request, seen)
-        if not one.slot.period_ns:
+        if one.slot.kind is Kind.BACKGROUND:
             raise StateError(
-                f"task {request.task} has no period, so it misses no release",
+                f"the background task {request.task} has no period, and misses nothing",
                 where=self._rtpu,
-                remedy="follow the core for a periodic task",
+                remedy="follow the core for another task",
             )
 
-        def read_slot() -> SlotStatus:
+        def snapshot() -> SlotStatus:
             now = core.snapshot(one.task.slot)
             if now.pid != one.slot.pid:  # another task has its place
                 raise StateError(
@@ -359,7 +360,7 @@ class SharedMemoryStatus:
             return core_trace.follow(
                 request.task,
                 core.status,
-                read_slot,
+                snapshot,
                 names={each.slot.pid: each.task.task for each in seen},
                 seconds=request.seconds,
             )

@@ -147,11 +147,13 @@ async def _obeyed(rtpu: Rtpu, subsystem: str, name: str, signal: str) -> None:
         PbonetError: It was refused, or failed.
     """
     key = subsystem, name
-    if key in rtpu.tasks or key in rtpu.tombs:
-        await control(rtpu, rtpu.need(*key), signal, ORDER_TIME)
+    if key in rtpu.tasks:
+        await control(rtpu, rtpu.tasks[key], signal, ORDER_TIME)
         return
     order = rtpu_messages.Order(subsystem, name, signal)
     found = await rtpu.ask_neighbours(order, ORDER_TIME + NEIGHBOUR_TIME)
+    if found.answer is None and key in rtpu.tombs:
+        rtpu.need(*key)  # says that it has died
     if found.answer is None:
         raise _on_no_rtpu(rtpu, name, found)
     if found.answer.error is not None:
@@ -161,8 +163,9 @@ async def _obeyed(rtpu: Rtpu, subsystem: str, name: str, signal: str) -> None:
 def _on_no_rtpu(rtpu: Rtpu, name: str, found: Neighbours) -> UnknownTaskError:
     asked = ", ".join([rtpu.name, *found.asked])
     silent = f"; no answer from {', '.join(found.silent)}" if found.silent else ""
+    which = "no RTPU of this machine" + " that answers" * bool(silent)
     return UnknownTaskError(
-        f"no RTPU of this machine has task {name}",
+        f"{which} has task {name}",
         where=rtpu.name,
         got=f"asked: {asked}{silent}",
         remedy="a module reaches tasks of its machine; let the master signal others, "

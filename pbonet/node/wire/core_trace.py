@@ -207,6 +207,11 @@ def uses(changes: Sequence[Switch], begin: float, end: float) -> dict[int, float
     return found
 
 
+def _missed(slot: SlotStatus) -> int:
+    """Return the releases without a cycle; one that failed was no such."""
+    return slot.missed - slot.failed
+
+
 def first_miss(look: Callable[[], SlotStatus], seconds: float) -> Window | None:
     """Wait until a task misses a release; None: it missed none in so many seconds.
 
@@ -221,7 +226,7 @@ def first_miss(look: Callable[[], SlotStatus], seconds: float) -> Window | None:
     while time.monotonic() < until:
         time.sleep(pause)
         now = look()
-        missed = now.missed - before.missed
+        missed = _missed(now) - _missed(before)
         if now.on_ns == before.on_ns and missed > 0:
             released = round((now.release_ns - before.release_ns) / period_ns)
             # With no more releases than misses, the misses came after the last one.

@@ -58,6 +58,26 @@ def test_the_crit_lines_of_the_remedy_guarantee_the_critical_task() -> None:
     assert (problem.severity, problem.tasks) == ("warn", ("t3",))
 
 
+def test_the_crit_lines_name_all_that_a_given_criticality_puts_elsewhere() -> None:
+    """CRITICAL t0 is below, t3 above; with t1 they are too much."""
+    tasks = [
+        task("t0", freq=200.0, maxc=0.002, crit=3, critical=True),
+        task("t1", freq=250.0, maxc=0.002),
+        task("t2", freq=100.0, maxc=0.004, crit=4, critical=True),
+        task("t3", freq=400.0, maxc=0.00025, crit=6),
+    ]
+    config = configuration(*tasks, rtpus=[rtpu(maxfreq=1000.0)])
+    (text,) = texts(config)
+    assert "give t0 and t2 and t3 CRIT 5, and t1 CRIT 3, or run" in text
+    new = {"t0": 5, "t2": 5, "t3": 5, "t1": 3}
+    tasks = tuple(
+        structs.replace(one, rmod=structs.replace(one.rmod, crit=new[one.name]))
+        for one in config.tasks
+    )
+    (problem,) = legality.check(structs.replace(config, tasks=tasks))
+    assert (problem.severity, problem.tasks) == ("warn", ("t1",))
+
+
 def test_a_soft_task_may_miss() -> None:
     assert texts(figure_6_1("MUF", softness=0.3)) == []
 

@@ -133,6 +133,7 @@ class Slot(Struct):
 
     release_ns: int
     missed: int
+    failed: int = 0
     on_ns: int = 1
     now_ns: int = 100_000_000
     period_ns: int = 10_000_000
@@ -144,11 +145,12 @@ class Slot(Struct):
         ([Slot(0, 0), Slot(10**7, 0), Slot(3 * 10**7, 1)], (1, 10**7, 5 * 10**7)),
         ([Slot(0, 2), Slot(10**7, 3)], (1, 10**7, 3 * 10**7)),
         ([Slot(0, 2), Slot(0, 3, now_ns=10**7)], (1, 0, 10**7)),
-        ([Slot(0, 5), Slot(0, 0, 2), Slot(0, 2, 2)], (2, 0, 3 * 10**7)),
+        ([Slot(0, 5), Slot(0, 0, 0, 2), Slot(0, 2, 0, 2)], (2, 0, 3 * 10**7)),
+        ([Slot(0, 0), Slot(10**7, 1, 1), Slot(10**7, 2, 1)], (1, 10**7, 3 * 10**7)),
     ],
 )
 def test_a_miss_is_seen_with_the_releases_around_it(slots, expected):
-    """One that was turned on again counts anew; one under way has its period."""
+    """One that was turned on again counts anew; a cycle that failed is none."""
     left = deque(slots)
     look = left.popleft
     assert first_miss(look, 30.0) == Window(*expected)

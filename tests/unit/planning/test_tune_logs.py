@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from chain_job import chain_job
 
+from pbonet.config import Variable
 from pbonet.errors import LogError, UnknownTaskError, VerificationError
 from pbonet.log import Log
 from pbonet.master.configuration import Place
-from pbonet.master.planning import tune
+from pbonet.master.planning import tune, tuning_text
+from pbonet.master.planning.recorded_runs import fit_logs
 
 pytest.importorskip("scipy")
 RATES = ((20, 20), (10, 20), (20, 10), (40, 40))
@@ -90,6 +92,30 @@ def test_what_the_runs_do_not_tell_is_refused(job, runs):
         tune(job, Place(), logs=runs, keep=["sense"], settle=9.0)
     with pytest.raises(LogError):
         tune(job, Place(), logs=[job.parent / "nowhere"], **how)
+
+
+def test_a_run_that_gives_no_error_is_named_and_does_not_count(job, runs, monkeypatch):
+    """One has two lives of a task, at two rates; another job has a larger variable."""
+    lives = Log.lives
+
+    def two_lives(self, task):
+        found = lives(self, task)
+        if self.path == runs[3]:
+            found += lives(Log(runs[0]), task)
+        return found
+
+    monkeypatch.setattr(Log, "lives", two_lives)
+    how = {"keep": ["sense"], "settle": 0.2}
+    found, _ = tune(job, Place(), logs=runs, **how)
+    (fault,) = [one for one in found.runs if one.fault]
+    assert (fault.why, fault.allowed) == (runs[3].name, False)
+    assert fault.fault == "a had no single rate in it"
+    assert fault.rates["a"] == 0
+    assert f"{fault.why}: {fault.fault}" in tuning_text.text(found)
+    tuning_text.write_svg(found, job.parent / "tune.svg")
+    larger = [Variable(name=name, type="double", nelem=2) for name in "YS"]
+    with pytest.raises(VerificationError, match="Y has 1 elements in it, and 2 in"):
+        fit_logs(runs, None, "ab", cost="rms(Y - S)", table=larger, settle=0.2)
 
 
 def test_a_task_with_one_rate_in_all_runs_keeps_it(job, runs):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec import structs
 
 from pbonet.errors import StateError
 from pbonet.master import Subsystem
@@ -91,6 +92,18 @@ def test_a_handler_of_errors_turns_another_task_off_without_the_master(subsystem
     ]
     assert "no RTPU of this machine has task d" in events[0].text
     assert "asked: r, s" in events[0].text
+
+
+def test_a_task_that_has_died_is_looked_for_on_the_other_rtpus(subsystem):
+    """`c` died on `r`, and is on `s` now; `d` died on `r`, and is nowhere."""
+    here, there = (subsystem.simulation.rtpus[name] for name in "rs")
+    for name in "cd":
+        here.tombs["x", name] = structs.replace(subsystem.status("c"), task=name)
+    subsystem.wait(0.2)
+    assert there.tasks["x", "c"].state is State.OFF
+    failed = [one.text for one in subsystem.events() if one.code == "SIGNAL_FAILED"]
+    assert len(failed) == 1
+    assert "x has no task d here (got it has died: " in failed[0]
 
 
 @pytest.mark.parametrize("again", ["\nAGAIN 1"])
