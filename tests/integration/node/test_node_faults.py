@@ -360,6 +360,7 @@ class TestHarming:
         arm.on("bad")
         wait_for(lambda: arm.status("bad").state == "ERROR", "the end of memory")
         assert "MemoryError" in arm.status("bad").error
+        assert arm.control("bad", "clear").state == "OFF"  # it obeys without memory
         arm.kill("bad")
 
     def test_blocked_signals(self, arm):
