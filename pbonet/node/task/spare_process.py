@@ -2,8 +2,8 @@
 
 A fork shares its memory with its parent until one of them writes to it. A task must not
 wait for a page in a cycle, so all of them are copied before it is OFF, which is half of
-what a spawn takes. The spare has done that when a request comes. Until then it runs
-only while no other process wants the core, if its server has the right to end that.
+what a spawn takes. The spare has done that when a request comes. It copies them only
+while no other process wants the core, if the system lets it return from that.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import signal
 import socket
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbonet.errors import RealTimeError
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 KEPT_TIME = 10.0
 """Seconds from the last request for which a spare takes memory."""
 TITLE = "pbonet-spare"
+_FIRST = "1000"
+"""The kernel's score of a process that it ends before others when memory is short."""
 _RECEIVING = 3
 """Descriptor of the socket on which it waits."""
 
@@ -47,7 +50,8 @@ class SpareProcess:
         self._become = become
         self._sock: socket.socket | None = None
         self._until = 0.0
-        self._yields = rt.may_set_priorities()
+        self._yields = True
+        """Whether it runs as SCHED_IDLE: the system lets it return from there."""
         self.pid = 0
         """Its process id; 0: there is none."""
 
@@ -56,7 +60,10 @@ class SpareProcess:
         self._until = time.monotonic() + KEPT_TIME
         if self.pid:
             return
-        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        except OSError:
+            return
         server = os.getpid()
         try:
             self.pid = os.fork()
@@ -66,8 +73,22 @@ class SpareProcess:
             if not self.pid:
                 self._live(far, server)
             self._sock = near
-            self._schedule(os.SCHED_IDLE)
+            self._yield_cores()
         far.close()
+
+    def _yield_cores(self) -> None:
+        """Let it run only while no other process wants the core.
+
+        Capabilities do not tell whether it may return from there: in a user namespace
+        a process has all of them, and the kernel refuses. Another one is made then.
+        """
+        try:
+            for policy in (os.SCHED_IDLE, os.SCHED_OTHER, os.SCHED_IDLE):
+                self._schedule(policy)
+        except OSError:
+            self._yields = False
+            self.drop()
+            self.prepare()
 
     def use(self, data: bytes, fds: list[int]) -> int:
         """Hand it a request; return its process id, or 0 if there is none.
@@ -78,7 +99,7 @@ class SpareProcess:
         if sock is None:
             return 0
         try:
-            self._schedule(os.SCHED_OTHER)
+            self._schedule(os.SCHED_OTHER)  # it may still copy its memory
             os.kill(pid, signal.SIGCONT)  # it may be stopped
             socket.send_fds(sock, [data], fds)
         except OSError:  # it has ended
@@ -103,6 +124,8 @@ class SpareProcess:
             return
         self._sock.close()
         with contextlib.suppress(OSError):
+            self._schedule(os.SCHED_OTHER)  # so that its end is not slow
+        with contextlib.suppress(OSError):
             os.kill(self.pid, signal.SIGKILL)
             os.waitpid(self.pid, 0)
         self.pid, self._sock = 0, None
@@ -114,8 +137,13 @@ class SpareProcess:
             fd = _alone_with(sock)
             if process_setup.set_parent_death_signal(signal.SIGKILL, server):
                 process_setup.set_title(TITLE)
+                before = _set_oom_score(_FIRST)
                 _copy_memory()
-                data, fds = self._receive(socket.socket(fileno=fd))
+                if self._yields:
+                    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+                with socket.socket(fileno=fd) as mine:
+                    data, fds = self._receive(mine)
+                _set_oom_score(before)
                 code = self._become(data, fds, server) if data else 0
         finally:
             os._exit(code)
@@ -128,6 +156,16 @@ def _alone_with(sock: socket.socket) -> int:
         os.dup2(fd, _RECEIVING, inheritable=False)
     os.closerange(_RECEIVING + 1, 1 << 20)
     return _RECEIVING
+
+
+def _set_oom_score(score: str) -> str:
+    """Set whom the kernel ends when memory is short; return what was set before."""
+    file = Path("/proc/self/oom_score_adj")
+    with contextlib.suppress(OSError):
+        before = file.read_text("ascii")
+        file.write_text(score, "ascii")
+        return before
+    return score
 
 
 def _copy_memory() -> None:

@@ -11,10 +11,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from watching import wait_for
 
 from pbonet.errors import NodeError
 from pbonet.node.rtpu.fork_client import Child, Server, Spawner
-from pbonet.node.task import fork_server
+from pbonet.node.task import fork_server, spare_process
 from pbonet.node.wire.process_setup import ORPHANED
 
 
@@ -88,3 +89,61 @@ def test_a_system_that_gives_no_process_is_named(monkeypatch):
     with pytest.raises(NodeError, match=r"cannot create a process .*Resource.*ulimit"):
         fork_server.beside(0, close=-1)
     assert sorted(Path("/proc/self/fd").iterdir()) == before
+
+
+@pytest.fixture
+def spare(monkeypatch):
+    """Give a spare that becomes 7 if it has a task's files and score, else 1."""
+    monkeypatch.setattr(spare_process, "_copy_memory", lambda: None)
+    score = Path("/proc/self/oom_score_adj")
+    before = score.read_text()
+
+    def become(data, fds, _server):
+        alone = [*Path("/proc/self/fd").iterdir()]  # and the folder that is read
+        is_task = score.read_text() == before and len(alone) == 3 + len(fds) + 1
+        return 7 if is_task and data == b"a request" else 1
+
+    made = spare_process.SpareProcess(fork_server.receive_with_fds, become)
+    yield made
+    made.drop()
+
+
+def used(spare):
+    """Hand a spare a request; return whether there was one that took it."""
+    with open(os.devnull, "rb") as null:  # noqa: PTH123
+        pid = spare.use(b"a request", [null.fileno()] * fork_server.FDS)
+    return pid and os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 7
+
+
+def test_a_spare_does_not_yield_where_it_could_not_return(spare, monkeypatch):
+    """As in a user namespace; a task must not stay behind all other processes."""
+
+    idle = set()
+
+    def refuses(pid, policy, _param):
+        if policy != os.SCHED_IDLE:
+            raise PermissionError(errno.EPERM, "refused")
+        idle.add(pid)
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuses)
+    spare.prepare()
+    assert idle
+    assert spare.pid not in idle
+    assert used(spare)
+
+
+@pytest.mark.parametrize("lacking", ["fork", "socketpair"])
+def test_a_spare_that_cannot_be_made_is_left_out(spare, monkeypatch, lacking):
+    def refuses(*_):
+        raise OSError(errno.EMFILE, "no more")
+
+    monkeypatch.setattr(socket if lacking == "socketpair" else os, lacking, refuses)
+    spare.prepare()
+    assert not used(spare)
+
+
+def test_a_spare_is_ended_first_when_memory_is_short(spare):
+    spare.prepare()
+    score = Path(f"/proc/{spare.pid}/oom_score_adj")
+    wait_for(lambda: score.read_text() == "1000\n", "its score")
+    assert used(spare)
