@@ -79,7 +79,7 @@ class SpareProcess:
     def _yield_cores(self) -> None:
         """Let it run only while no other process wants the core.
 
-        Capabilities do not tell whether it may return from there: in a user namespace
+        Capabilities do not show whether it may return from there: in a user namespace
         a process has all of them, and the kernel refuses. Another one is made then.
         """
         try:
