@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated as A
 
@@ -68,27 +69,29 @@ def command(
         Run a program of jobs:
         pbonet run carry.seq
     """
-    agents = None
-    if embed and not sim and wait is None:
-        from pbonet.master.console import launch_agents  # while the rest is loaded
+    with contextlib.ExitStack() as ending:
+        agents = None
+        if embed and not sim and wait is None:
+            from pbonet.master.console import launch_agents
 
-        agents = launch_agents(file, place, runs=runs)
-    from pbonet.master.console import run
+            launched = launch_agents(file, place, runs=runs)  # the rest is loaded then
+            agents = ending.enter_context(launched)
+        from pbonet.master.console import run
 
-    outcome = run(
-        file,
-        place,
-        seconds=seconds,
-        sim=sim,
-        embed=embed,
-        wait=wait,
-        record=record,
-        runs=runs,
-        profile=profile,
-        quiet=json_,
-        strict=strict,
-        agents=agents,
-    )
+        outcome = run(
+            file,
+            place,
+            seconds=seconds,
+            sim=sim,
+            embed=embed,
+            wait=wait,
+            record=record,
+            runs=runs,
+            profile=profile,
+            quiet=json_,
+            strict=strict,
+            agents=agents,
+        )
     outcome.recording = None
     options.show("", outcome, as_data=json_)
     return outcome.status

@@ -26,8 +26,6 @@ from pbonet.config.model import AgentConfig
 from pbonet.errors import PbonetError
 from pbonet.node.agent.agent import STOP_TIME, Agent
 from pbonet.node.rtpu import cleanup
-from pbonet.node.task import spare_process
-from pbonet.node.wire import process_setup
 from pbonet.xm.net import key_expressions, messages as m, run_folder, session
 from pbonet.xm.net.rpc import Client
 
@@ -218,15 +216,6 @@ def fork_server_of(rtpu):
     """Return the process id of the fork server of an RTPU process."""
     (child,) = Path(f"/proc/{rtpu}/task/{rtpu}/children").read_text().split()
     return int(child)
-
-
-def spare_of(server):
-    """Return the process that a fork server keeps for the next task; 0: none."""
-    for pid in process_setup.listed_children(server):
-        with contextlib.suppress(OSError):
-            if Path(f"/proc/{pid}/comm").read_text() == f"{spare_process.TITLE}\n":
-                return pid
-    return 0
 
 
 class Nodes:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from pbonet.config import Library
 from pbonet.master.configuration import Files
 from pbonet.master.subsystem import Embedded
+from pbonet.xm.net import open_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,13 +26,16 @@ def launch_agents(
         runs: Folder of the logs of these agents; None for theirs.
 
     Returns:
-        The agents, which end with this process at the latest.
+        The agents; leaving their context ends them, as the end of this process does.
 
     Raises:
         ConfigError: A file is missing or wrong; nothing was started.
+        NodeError: This process may open too few files; nothing was started.
         OSError: The system cannot create a process.
     """
     files = Files(path, Library(place.libraries))
+    files.recorded_job()  # nothing is started for a job that cannot be read
+    open_files.ensure("run")
     agents = Embedded(
         place.domain,
         libraries=[*map(str, files.library.folders)],

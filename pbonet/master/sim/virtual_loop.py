@@ -193,6 +193,17 @@ class Channel:
             return b""
         raise BlockingIOError
 
+    def recv_into(self, buffer: bytearray, size: int, flags: int) -> int:
+        """Return the size of the next message, and leave it there.
+
+        Raises:
+            BlockingIOError: There is none now.
+        """
+        del buffer, size, flags
+        if not self.messages and not self.other.closed:
+            raise BlockingIOError
+        return len(self.messages[0]) if self.messages else 0
+
     async def receive(self) -> bytes:
         """Wait for the next message and return it, as `recv` does."""
         while not (self.messages or self.other.closed or self.closed):

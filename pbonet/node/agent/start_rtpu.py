@@ -48,7 +48,7 @@ class Starting:
     ) -> None:
         self._places = places
         self._read, write = os.pipe()
-        config = msgspec.structs.replace(config, ready_fd=write)
+        config = msgspec.structs.replace(config, ready_fd=write, agent=os.getpid())
         command = [sys.executable, "-P", "-m", "pbonet.node.rtpu.rtpu_process"]
         try:
             with places.log.open("wb") as log:

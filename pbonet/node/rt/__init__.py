@@ -44,4 +44,3 @@ from ._rt import (
     set_timer_slack as set_timer_slack,
     thread_cpu_ns as thread_cpu_ns,
 )
-from .rt_capabilities import may_set_priorities as may_set_priorities

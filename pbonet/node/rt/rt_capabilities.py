@@ -80,11 +80,6 @@ def probe(errno: int) -> Probe:
     )
 
 
-def may_set_priorities() -> bool:
-    """Return whether this process may give processes any priority."""
-    return _capable(_CAP_SYS_NICE)
-
-
 def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> str:
     refused = f"SCHED_FIFO is refused ({os.strerror(errno)}), timing is soft: "
     if errno != _EPERM:

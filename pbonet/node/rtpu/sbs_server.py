@@ -81,6 +81,9 @@ class AgentLink:
     async def listen(self, places: run_folder.Places) -> None:
         """Listen on the runtime folder's socket, and wait for an agent at most grace.
 
+        The agent that has started this process is waited for while it lives: it may
+        still open its session.
+
         A file that exists there was left by a dead process: its lock is ours.
         """
         places.remove(places.ctl)
@@ -171,8 +174,13 @@ class AgentLink:
 
     def _start_grace(self) -> None:
         loop = asyncio.get_running_loop()
-        reason = f"no agent for {self._grace:g} s"
-        self._grace_timer = loop.call_later(self._grace, self._finish, reason)
+        self._grace_timer = loop.call_later(self._grace, self._end_grace)
+
+    def _end_grace(self) -> None:
+        if not self._agent_pid and os.getppid() == self._rtpu.config.agent:
+            self._start_grace()
+        else:
+            self._finish(f"no agent for {self._grace:g} s")
 
     def _finish(self, reason: str) -> None:
         if not self._end.done():

@@ -250,6 +250,7 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     except (NoAnswerError, StateError):
         pass  # it hangs in a method: force is what is left
     except TaskDiedError:
+        await task.end(END_TIME)  # it takes no messages before its end is noticed
         if _crashed(rtpu, task):
             raise  # in its `off` or `kill`
         return []

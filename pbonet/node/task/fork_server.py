@@ -28,7 +28,6 @@ from pbonet.node.wire import process_setup, rtpu_messages
 
 from . import module_inspector, task_output, task_process
 from .code_pages import code_pages
-from .spare_process import SpareProcess
 
 FDS = 4
 """Number of files in a request: socket, output, specification, crash text."""
@@ -127,23 +126,18 @@ class ForkServer:
         self._rest = False
         """A task has ended, and more of its processes may become children here."""
         self._decoder = msgspec.msgpack.Decoder(rtpu_messages.Fork)
-        self._spare = SpareProcess(receive_with_fds, _become_task)
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
 
     def serve(self) -> int:
         """Serve until the RTPU process closes the socket."""
         while True:
-            left = self._spare.time_left()
-            ready = self._selector.select(SETTLE_TIME if self._rest else left)
-            if left is not None and left <= 0.0:
-                self._spare.drop()
-            if not ready and self._rest:
+            ready = self._selector.select(SETTLE_TIME if self._rest else None)
+            if not ready:
                 self._rest = self._end_rest()
             for key, _ in ready:
                 if key.fileobj is self._control:
                     if not self._take_request():
-                        self._spare.drop()
                         self._end_rest()
                         return 0
                 else:
@@ -155,7 +149,7 @@ class ForkServer:
             return False
         request = self._decoder.decode(data)
         try:
-            pid = self._child(data, request, fds)
+            pid = self._fork(request, fds)
         except OSError as error:
             answer = rtpu_messages.Forked(request.n, 0, error.strerror or str(error))
         else:
@@ -163,18 +157,7 @@ class ForkServer:
         for fd in fds:
             os.close(fd)
         self._control.send(rtpu_messages.encode(answer))
-        self._spare.prepare()
         return True
-
-    def _child(self, data: bytes, request: rtpu_messages.Fork, fds: list[int]) -> int:
-        """Return the process id of a new child, the spare if that may be one."""
-        pid = self._spare.use(data, fds) if request.kind == "task" else 0
-        if not pid:
-            pid = self._fork(request, fds)
-        pidfd = os.pidfd_open(pid)
-        self._children[pidfd] = pid
-        self._selector.register(pidfd, selectors.EVENT_READ)
-        return pid
 
     def _fork(self, request: rtpu_messages.Fork, fds: list[int]) -> int:
         server = os.getpid()
@@ -182,11 +165,12 @@ class ForkServer:
         if pid == 0:
             code = CRASHED
             try:
-                if request.kind == "task":
-                    rt.populate_pages()  # at once: a fault for each costs more
                 code = become_child(request, fds, server)
             finally:
                 os._exit(code)
+        pidfd = os.pidfd_open(pid)
+        self._children[pidfd] = pid
+        self._selector.register(pidfd, selectors.EVENT_READ)
         return pid
 
     def _report_end(self, pidfd: int) -> None:
@@ -209,7 +193,7 @@ class ForkServer:
         They became children of this process when their own parent ended. One in the
         session of a living task may still be used by it.
         """
-        tasks, found = {*self._children.values(), self._spare.pid}, False
+        tasks, found = set(self._children.values()), False
         for pid in process_setup.children(os.getpid()):
             one = process_setup.stat(pid)
             if one is None or pid in tasks:
@@ -230,12 +214,6 @@ def _guard_mark() -> str:
     from pbonet.io.drivers import GUARD  # only where a task has left a process
 
     return GUARD
-
-
-def _become_task(data: bytes, fds: list[int], server: int) -> int:
-    """Turn the spare into the task of a request; return its exit code."""
-    request = msgspec.msgpack.decode(data, type=rtpu_messages.Fork)
-    return become_child(request, fds, server)
 
 
 def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:

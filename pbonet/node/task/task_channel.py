@@ -33,6 +33,8 @@ INTERRUPT = signal.SIGUSR2
 ORPHAN_SIGNAL = signal.SIGUSR1
 """Sent by the kernel when the parent has ended; handled in native code."""
 F_SETSIG = 10
+_SIZE = socket.MSG_PEEK | socket.MSG_TRUNC | socket.MSG_DONTWAIT
+"""Flags to learn the size of the next packet, which stays."""
 
 
 class Interrupted(BaseException):
@@ -93,9 +95,13 @@ class RtpuChannel:
         return True
 
     def receive(self) -> bytes | None:
-        """Return the next packet, b"" if the other end is closed, or None."""
+        """Return the next packet, b"" if the other end is closed, or None.
+
+        It takes no more memory than the packet needs: a module may have used it up.
+        """
         try:
-            return self.sock.recv(2 * rtpu_messages.LARGEST_PACKET, socket.MSG_DONTWAIT)
+            size = self.sock.recv_into(bytearray(1), 1, _SIZE)
+            return self.sock.recv(size, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return None
         except OSError:

@@ -63,6 +63,8 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     """Special purpose processors of the machine by name."""
     ready_fd: int = -1
     """Descriptor to which one `Ready` is written when commands are accepted."""
+    agent: int = 0
+    """Process id of the agent that starts it."""
 
 
 DUMP_SIGNAL = signal.SIGQUIT

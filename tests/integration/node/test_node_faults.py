@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from c_modules import put_misbehaving
-from nodekit import CORE, alive, level, rmod, spare_of, wait_gone, wait_hung
+from nodekit import CORE, alive, level, rmod, wait_gone, wait_hung
 from reference import Reference
 from watching import wait_for
 
@@ -350,16 +350,14 @@ class TestHarming:
         assert "module forks_without_end has started" in text
         assert "processes (expected at most 128 at a time)" in text
         server, good = arm.nodes.fork_server("arm0"), arm.status("good").tid
-        wait_for(
-            lambda: {*process_setup.children(server)} - {spare_of(server)} == {good},
-            "their end",
-        )
+        wait_for(lambda: process_setup.children(server) == [good], "their end")
 
     def test_memory_without_end(self, arm):
         arm.spawn("bad", "eats_memory")
         arm.on("bad")
         wait_for(lambda: arm.status("bad").state == "ERROR", "the end of memory")
         assert "MemoryError" in arm.status("bad").error
+        assert arm.control("bad", "clear").state == "OFF"  # it obeys without memory
         arm.kill("bad")
 
     def test_blocked_signals(self, arm):
@@ -428,30 +426,6 @@ def test_children_end_when_the_rtpu_process_is_killed(arm, tmp_path):
     os.kill(old, signal.SIGKILL)
     arm.nodes.wait_restarted("arm0", old)
     wait_gone(map(int, file.read_text().split()))
-
-
-def test_a_spare_is_the_next_task(arm):
-    """Also when it was stopped; when it was killed another process is forked."""
-    server = arm.nodes.fork_server("arm0")
-
-    def spare():
-        wait_for(lambda: spare_of(server), "a spare")
-        return spare_of(server)
-
-    arm.spawn("first", "counts")
-    pid = spare()
-    os.kill(pid, signal.SIGSTOP)
-    assert arm.spawn("second", "counts").tid == pid
-    pid = spare()
-    os.kill(pid, signal.SIGKILL)
-    wait_gone([pid])
-    assert arm.spawn("third", "counts").tid != pid
-    arm.on("third")
-    arm.kill("second")
-    assert arm.status("third").state == "ON"
-    pid = spare()
-    os.kill(server, signal.SIGKILL)
-    wait_gone([pid])
 
 
 @pytest.mark.parametrize("which", ["task", "fork server"])

@@ -1,6 +1,11 @@
 """A run whose tasks fail as they end: nothing is taken for a success."""
 
+import contextlib
+
 import pytest
+
+from pbonet.errors import NodeError
+from pbonet.master import console
 
 MODULE = """
 from typing import Annotated as A
@@ -39,3 +44,26 @@ def test_a_method_that_fails_at_the_end_is_an_error_of_the_run(call, tmp_path, m
         f"answer ({place}); it has ended; see that what it controls is safe, and "
         "correct its off() or kill()"
     ) in out + err
+
+
+def test_agents_that_were_started_early_end_with_a_run_that_cannot_begin(
+    call, monkeypatch, tmp_path
+):
+    left = []
+
+    @contextlib.contextmanager
+    def launched(*_, **__):
+        try:
+            yield left
+        finally:
+            left.append("ended")
+
+    def refuses(*_, agents, **__):
+        assert agents is left
+        raise NodeError("it cannot begin")
+
+    monkeypatch.setattr(console, "launch_agents", launched)
+    monkeypatch.setattr(console, "run", refuses)
+    status, _, err = call("run", tmp_path / "t.job")
+    assert (status, left) == (1, ["ended"])
+    assert "it cannot begin" in err

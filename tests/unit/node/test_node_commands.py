@@ -1,6 +1,7 @@
 """A command that waits for a task: how long it was given is what its error says."""
 
 import asyncio
+import contextlib
 import os
 import socket
 import subprocess
@@ -11,13 +12,15 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.errors import NoAnswerError
+from pbonet.node.rtpu import signal_tasks
 from pbonet.node.rtpu.task_handle import Task
 from pbonet.node.wire import CoreWait, core_wait
 from pbonet.node.wire.core_wait import MainThreadTimes, main_thread_times
 
 
-async def late(given):
-    """Return the error of a command that waited for an earlier one first."""
+@contextlib.asynccontextmanager
+async def running(exited, ended=lambda *_: None):
+    """Give a task of which only the files are real, and the far end of its socket."""
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     read, write = os.pipe()
     os.set_blocking(read, False)
@@ -28,26 +31,23 @@ async def late(given):
         pid=0,
         send_signal=lambda _: None,
         core_wait=lambda: CoreWait(0),
+        exited=exited,
+        crash_text=lambda: "",
+        close=lambda: None,
     )
-    facts = SimpleNamespace(name="servo", rmod=SimpleNamespace(freq=1.0))
+    facts = SimpleNamespace(
+        name="servo", slot=0, subsystem="arm", rmod=SimpleNamespace(freq=1.0)
+    )
     task = Task(
         *(facts, child),
         wake=lambda _: None,
         tell=lambda *_: None,
         changed=lambda: None,
-        ended=lambda *_: None,
+        ended=ended,
     )
     task._busy.clear()
-
-    async def turn(_):
-        return 0.0012
-
-    task._turn = turn
-    await task._lock.acquire()
     try:
-        with pytest.raises(NoAnswerError) as caught:
-            await task.command("off", lambda n: SimpleNamespace(n=n), given)
-        return caught.value
+        yield task, far
     finally:
         task._life.cancel()
         await asyncio.gather(task._life, return_exceptions=True)
@@ -58,10 +58,47 @@ async def late(given):
         os.close(write)
 
 
+async def late(given):
+    """Return the error of a command that waited for an earlier one first."""
+
+    async def turn(_):
+        return 0.0012
+
+    async with running(asyncio.Future()) as (task, _):
+        task._turn = turn
+        await task._lock.acquire()
+        with pytest.raises(NoAnswerError) as caught:
+            await task.command("off", lambda n: SimpleNamespace(n=n), given)
+        return caught.value
+
+
 def test_the_limit_that_was_given_is_told_not_what_was_left_of_it(monkeypatch):
     monkeypatch.setattr("pbonet.node.wire.rtpu_messages.encode", lambda _: b"off")
     error = asyncio.run(late(2.0))
     assert error.what == "the task did not finish 'off' within 2 s"
+
+
+async def killed_amid_its_end():
+    """Return what is known of a task at the answer to a `kill` amid its own end."""
+
+    def ended(task, code):
+        task.last_status = code
+
+    exited = asyncio.Future()
+    async with running(exited, ended) as (task, far):
+        far.close()
+        asyncio.get_running_loop().call_later(0.05, exited.set_result, 70)
+        rtpu = SimpleNamespace(
+            core=SimpleNamespace(snapshot=lambda _: SimpleNamespace(hung=False)),
+            tombs={},
+        )
+        await signal_tasks.kill(rtpu, task, 1.0)
+        return task.last_status
+
+
+def test_a_kill_is_answered_when_the_task_has_ended():
+    """One that ends by itself takes no messages before its end is noticed."""
+    assert asyncio.run(killed_amid_its_end()) == 70
 
 
 ASLEEP_THEN_BUSY = """

@@ -272,6 +272,26 @@ def test_a_start_ends_with_an_agent_that_is_refused(monkeypatch):
 
 
 @pytest.mark.usefixtures("run_dir")
+@pytest.mark.parametrize("lives", [True, False])
+def test_an_rtpu_process_waits_for_the_agent_that_starts_it(monkeypatch, lives):
+    """However long its session takes; without that agent it ends after the grace."""
+    if not lives:
+        monkeypatch.setattr(start_rtpu.os, "getpid", lambda: 1)
+    places = run_folder.Places("d", "arm0")
+    config = msgspec.structs.replace(CONFIG, grace=0.05)
+    link = rtpu_link.RtpuLink(places, config, Hears())
+    link.begin()
+    starting = link._starting
+    assert start_rtpu.readable(starting._read, LIMIT)
+    if lives:
+        with pytest.raises(subprocess.TimeoutExpired):
+            starting.process.wait(0.5)
+        assert link.open().pid == starting.process.pid
+    assert link.shut_down(LIMIT) or not lives
+    assert starting.process.wait(LIMIT) == 0
+
+
+@pytest.mark.usefixtures("run_dir")
 def test_a_start_that_was_given_up_is_not_waited_for(monkeypatch):
     """An agent that ends needs no RTPU process any more."""
     monkeypatch.setattr(start_rtpu, "START_TIME", float("inf"))
