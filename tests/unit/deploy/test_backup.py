@@ -4,6 +4,7 @@ import hashlib
 import os
 import pwd
 
+import msgspec
 import pytest
 from msgspec import structs
 
@@ -71,6 +72,8 @@ def test_a_machine_tells_owner_group_and_mode(tmp_path):
     assert found["mode"] == 0o4750
     assert found["owner"] == pwd.getpwuid(os.getuid()).pw_name
     assert found["group"]
+    said = msgspec.json.encode(found)
+    assert msgspec.json.decode(said, type=Content).data == b"core = 1\n"
 
 
 def test_an_empty_file_is_given_back(plan):
