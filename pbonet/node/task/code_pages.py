@@ -49,12 +49,14 @@ def _objects() -> Iterator[object]:
     for name, module in [*sys.modules.items()]:
         if name.startswith(RUNNING):
             yield from vars(module).values()
-    for found in gc.get_objects():
-        kind = type(found)
-        if kind is FunctionType and str(found.__module__).startswith(RUNNING):
+    objects: list[object] = gc.get_objects()
+    for found in objects:
+        if type(found) is FunctionType and str(found.__module__).startswith(RUNNING):
             yield found
             yield from _nested(found.__code__)
-        elif issubclass(kind, type) and str(found.__module__).startswith(RUNNING):
+        elif issubclass(type(found), type) and str(found.__module__).startswith(
+            RUNNING
+        ):
             yield found
             yield from vars(found).values()
 
