@@ -250,9 +250,10 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     except (NoAnswerError, StateError):
         pass  # it hangs in a method: force is what is left
     except TaskDiedError:
-        await task.end(END_TIME)  # it takes no messages before its end is noticed
         if _crashed(rtpu, task):
             raise  # in its `off` or `kill`
+        await task.end(END_TIME)  # before the `kill`; its end was not noticed yet
+        rtpu.bury(task.facts.subsystem, task.name)
         return []
     except PbonetError as error:
         failed = error

@@ -158,7 +158,6 @@ class Slow:
         self.begun, self.go_on = threading.Event(), threading.Event()
         monkeypatch.setattr(diagnosis, "ask", self.ask)
         monkeypatch.setattr(diagnosis, "explain", lambda _, asked: asked.name)
-        monkeypatch.setattr(diagnosis, "text", str)
 
     def ask(self, *_):
         self.begun.set()
@@ -220,7 +219,6 @@ def test_an_agent_that_is_away_is_looked_for_after_a_pause(monkeypatch):
     monkeypatch.setattr(subsystem_reader, "RETRY", 30.0)
     monkeypatch.setattr(diagnosis, "unreached", lambda *_: None)
     monkeypatch.setattr(diagnosis, "explain", lambda _, asked: asked.name)
-    monkeypatch.setattr(diagnosis, "text", str)
     reader = SubsystemReader(lambda: made, 30.0)
     first, second = Row("task", "a", ()), Row("task", "b", ())
     reader.start()

@@ -91,6 +91,7 @@ async def killed_amid_its_end():
         rtpu = SimpleNamespace(
             core=SimpleNamespace(snapshot=lambda _: SimpleNamespace(hung=False)),
             tombs={},
+            bury=lambda *_: None,
         )
         await signal_tasks.kill(rtpu, task, 1.0)
         return task.last_status

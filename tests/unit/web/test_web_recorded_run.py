@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from pbonet.cli import main
 from pbonet.errors import LogError
@@ -178,8 +179,11 @@ def test_a_run_of_several_jobs_has_the_tasks_of_all(tmp_path):
 
 def test_what_is_damaged_is_told(folder, tmp_path):
     log = folder / "arm0.mcap"
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    chunk = max(summary.chunk_indexes, key=lambda one: one.chunk_length)
     data = bytearray(log.read_bytes())
-    data[len(data) // 2] ^= 0xFF
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
     (tmp_path / "damaged.mcap").write_bytes(data)
     run = RecordedRun(tmp_path / "damaged.mcap")
     complaints = next(one for one in run.first() if one["kind"] == "complaints")
