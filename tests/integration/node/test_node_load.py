@@ -27,7 +27,7 @@ class Held:
         self.resident = [resident(pid) for pid in pids[1:]]
 
     def no_more_than(self, other):
-        """Tell whether as few descriptors are open; those of the last task close soon."""
+        """Tell whether as few descriptors are open: the last ones close soon."""
         gc.collect()  # closes what earlier tests have left in this process
         pairs = zip(self.descriptors, other.descriptors, strict=True)
         return all(now <= then for now, then in pairs)
