@@ -45,6 +45,15 @@ Host = A[
         "NAME",
     ),
 ]
+CoreShare = A[
+    float | None,
+    Option(
+        "Share of a core that tasks may use; what it grants if left out.",
+        "SHARE",
+        least=0.01,
+        most=1.0,
+    ),
+]
 TakeOver = A[bool, Option("Take the subsystem over from a master that still runs.")]
 Yes = A[bool, Option("Take over CRITICAL tasks that are ON without a question.")]
 

@@ -315,6 +315,14 @@ def test_rate_monotonic_tasks_below_a_server(sets, pair) -> None:
     assert simulate(tasks, [top], until_ns=600).missing == set()
 
 
+def in_milliseconds(sets: list[Demand]) -> list[Demand]:
+    """Return tasks with periods and costs of as many milliseconds."""
+    return [
+        Demand(name=t.name, period_ns=t.period_ns * 10**6, cost_ns=t.cost_ns * 10**6)
+        for t in sets
+    ]
+
+
 @settings(deadline=None)
 @given(
     st.sampled_from([ServerKind.DEFERRABLE, ServerKind.SPORADIC]),
@@ -323,10 +331,7 @@ def test_rate_monotonic_tasks_below_a_server(sets, pair) -> None:
 def test_a_server_of_the_safe_size_leaves_room(kind, sets) -> None:
     """The periods are no shorter than the server's, as section 6.5.2.1 has it."""
     assume(utilization(sets) <= 1)
-    scaled = [
-        Demand(name=t.name, period_ns=t.period_ns * 10**6, cost_ns=t.cost_ns * 10**6)
-        for t in sets
-    ]
+    scaled = in_milliseconds(sets)
     period = min(one.period_ns for one in scaled)
     size = safe_size(kind, utilization(sets))
     assert size <= server_size(kind, utilization(sets), tasks=1)
@@ -337,10 +342,7 @@ def test_a_server_of_the_safe_size_leaves_room(kind, sets) -> None:
 @settings(deadline=None)
 @given(demands(), st.sets(st.sampled_from(["t0", "t1", "t2", "t3", "t4"])))
 def test_a_proposed_transformation_does_what_it_is_for(sets, critical) -> None:
-    scaled = [
-        Demand(name=t.name, period_ns=t.period_ns * 10**6, cost_ns=t.cost_ns * 10**6)
-        for t in sets
-    ]
+    scaled = in_milliseconds(sets)
     must = {one.name for one in scaled} & critical
     changes = transform(scaled, critical)
     if changes is None:
@@ -368,10 +370,7 @@ def test_a_proposed_transformation_does_what_it_is_for(sets, critical) -> None:
 @given(demands(), st.sets(st.sampled_from(["t0", "t1", "t2", "t3", "t4"])))
 def test_a_criticality_does_what_a_transformation_does(sets, critical) -> None:
     """No module need be divided for MUF: as many others are guaranteed as well."""
-    scaled = [
-        Demand(name=t.name, period_ns=t.period_ns * 10**6, cost_ns=t.cost_ns * 10**6)
-        for t in sets
-    ]
+    scaled = in_milliseconds(sets)
     names = {one.name for one in scaled}
     aside = set_aside(scaled, critical)
     changes = transform(scaled, critical)

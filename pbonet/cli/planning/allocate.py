@@ -27,15 +27,7 @@ def command(
         ),
     ] = None,
     fix: A[list[str] | None, Option("A task that stays where it is.", "TASK")] = None,
-    limit: A[
-        float | None,
-        Option(
-            "Share of a core that tasks may use; what it grants if left out.",
-            "SHARE",
-            least=0.01,
-            most=1.0,
-        ),
-    ] = None,
+    limit: options.CoreShare = None,
     weight: A[
         float,
         Option(

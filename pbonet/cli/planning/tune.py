@@ -56,15 +56,7 @@ def command(
     settle: A[
         float, Option("Time of each run before its error counts.", "SECONDS", least=0.0)
     ] = 1.0,
-    limit: A[
-        float | None,
-        Option(
-            "Share of a core that tasks may use; what it grants if left out.",
-            "SHARE",
-            least=0.01,
-            most=1.0,
-        ),
-    ] = None,
+    limit: options.CoreShare = None,
     assume: A[
         float | None,
         Option(

@@ -7,6 +7,13 @@ from .cause_chain import (
 )
 from .explanations import explain as explain
 from .facts import Facts as Facts, Gap as Gap
+from .key_and_link_verdicts import (
+    Finding as Finding,
+    Level as Level,
+    keys_of as keys_of,
+    keys_term as keys_term,
+    link_verdict as link_verdict,
+)
 from .known_causes import (
     FLAG_CAUSES as FLAG_CAUSES,
     OWN_TEXT as OWN_TEXT,
@@ -14,10 +21,3 @@ from .known_causes import (
 )
 from .log_facts import read_log as read_log
 from .question import Question as Question, asked_by as asked_by
-from .verdicts import (
-    Finding as Finding,
-    Level as Level,
-    keys_of as keys_of,
-    keys_term as keys_term,
-    link_verdict as link_verdict,
-)

@@ -10,8 +10,8 @@ from pbonet.xm.net import messages as m, unreachable_reason
 
 from .cause_chain import Cause, Source
 from .event_causes import cause_of
+from .key_and_link_verdicts import Level, keys_of
 from .known_causes import REMEDIES
-from .verdicts import Level, keys_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

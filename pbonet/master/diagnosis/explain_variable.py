@@ -8,8 +8,8 @@ from pbonet.pbo import State
 
 from .cause_chain import Cause, Source
 from .event_causes import cause_of
+from .key_and_link_verdicts import Level, link_verdict
 from .known_causes import REMEDIES
-from .verdicts import Level, link_verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,8 +23,8 @@ from . import known_rtpus
 from .allocate_job import must_have_solver
 from .allocation_problem import problem_of
 from .parallel_runs import parallel_runs
-from .rate_space import RateSpace
-from .recorded_runs import fit_logs
+from .possible_rates import RateSpace
+from .rates_from_logs import fit_logs
 from .virtual_run import Wish
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Place
 
     from .parallel_runs import Runs
-    from .recorded_runs import Fitted
+    from .rates_from_logs import Fitted
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Rates of the grid, as factors of the present ones."""

@@ -95,8 +95,8 @@ def test_a_file_with_a_private_key_is_not_in_a_backup(tmp_path):
 @pytest.mark.parametrize(
     "path",
     [
-        *("/etc/shadow", "/root/.ssh/authorized_keys", "etc/pbonet/arm0.toml"),
-        *("/etc/pbonet/../shadow", "/etc/pbonet/../../root/arm0.toml"),
+        *("/etc/shadow", "/srv/other/authorized_keys", "etc/pbonet/arm0.toml"),
+        *("/etc/pbonet/../shadow", "/etc/pbonet/../../srv/arm0.toml"),
     ],
 )
 def test_a_backup_names_no_other_file_of_a_machine(tmp_path, path):

@@ -13,7 +13,7 @@ from pbonet.errors import LogError, UnknownTaskError, VerificationError
 from pbonet.log import Log
 from pbonet.master.configuration import Place
 from pbonet.master.planning import tune, tuning_text
-from pbonet.master.planning.recorded_runs import fit_logs
+from pbonet.master.planning.rates_from_logs import fit_logs
 
 pytest.importorskip("scipy")
 RATES = ((20, 20), (10, 20), (20, 10), (40, 40))

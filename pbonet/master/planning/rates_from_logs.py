@@ -17,7 +17,7 @@ from pbonet.config import Condition, cost_of
 from pbonet.errors import VerificationError
 from pbonet.log import Log
 
-from .rate_space import RateSpace
+from .possible_rates import RateSpace
 from .run_error import error_of, last_before
 
 if TYPE_CHECKING:
