@@ -34,6 +34,8 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 CONTINUE_PERIOD = 0.2
 """Seconds between signals that continue a process whose parent has ended."""
+SLOW_CONTINUE_PERIOD = 1.0
+"""The same for a process whose parent may still live, and continues it sooner."""
 EXEC_ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -61,9 +63,12 @@ def on_end_of_parent(parent: int, call: Callable[[], None] | None = None) -> boo
 
     The kernel sends SIGCONT then, as a stopped process would not see another signal,
     and from then on every 0.2 s: it may be stopped again, and often no process is left
-    that could continue it.
+    that could continue it. A signal that stops the process takes back a SIGCONT that it
+    has not seen yet, so without a function, where the process ends by itself and nobody
+    has a reason to stop it, SIGCONT comes every second before that, too.
     """
     seen = False
+    timer: ctypes.c_void_p | None = None
 
     def on_continue(*_: object) -> None:
         nonlocal seen
@@ -71,31 +76,43 @@ def on_end_of_parent(parent: int, call: Callable[[], None] | None = None) -> boo
             return
         seen = True
         with contextlib.suppress(OSError):  # then it ends unless it is stopped again
-            _continue_again_and_again()
+            _continue_every(CONTINUE_PERIOD, timer)
         if call is not None:
             call()
 
     signal.signal(signal.SIGCONT, on_continue)
+    if call is None:
+        with contextlib.suppress(OSError):
+            timer = _continue_every(SLOW_CONTINUE_PERIOD)
     return set_parent_death_signal(signal.SIGCONT, parent)
 
 
-def _continue_again_and_again() -> None:
-    """Have the kernel send SIGCONT to this process every 0.2 s.
+def _continue_every(
+    period: float, timer: ctypes.c_void_p | None = None
+) -> ctypes.c_void_p:
+    """Have the kernel send SIGCONT to this process again and again.
+
+    Args:
+        period: Seconds between two signals.
+        timer: The kernel's timer for it; a new one is made if there is none.
 
     Raises:
         OSError: The kernel gives no timer.
     """
-    event = (ctypes.c_int * 16)()  # struct sigevent: value, number, SIGEV_SIGNAL
-    event[ctypes.sizeof(ctypes.c_void_p) // ctypes.sizeof(ctypes.c_int)] = int(
-        signal.SIGCONT
-    )
-    timer = ctypes.c_void_p()
-    seconds, ns = divmod(round(CONTINUE_PERIOD * 1e9), 1_000_000_000)
-    period = (ctypes.c_long * 4)(seconds, ns, seconds, ns)
-    if _libc.timer_create(
-        time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)
-    ) or _libc.timer_settime(timer, 0, ctypes.byref(period), None):
+    if timer is None:
+        timer = ctypes.c_void_p()
+        event = (ctypes.c_int * 16)()  # struct sigevent: value, number, SIGEV_SIGNAL
+        number = ctypes.sizeof(ctypes.c_void_p) // ctypes.sizeof(ctypes.c_int)
+        event[number] = int(signal.SIGCONT)
+        if _libc.timer_create(
+            time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)
+        ):
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    seconds, ns = divmod(round(period * 1e9), 1_000_000_000)
+    times = (ctypes.c_long * 4)(seconds, ns, seconds, ns)
+    if _libc.timer_settime(timer, 0, ctypes.byref(times), None):
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return timer
 
 
 def adopt_descendants() -> None:

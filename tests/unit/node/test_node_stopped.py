@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
+import sys
+import textwrap
 
 import pytest
 from watching import wait_for
@@ -42,3 +45,30 @@ def test_what_has_ended_is_not_stopped() -> None:
     with subprocess.Popen(["/bin/true"]) as ended:
         pass
     assert not process_setup.resume(ended.pid)
+
+
+def test_a_stop_that_takes_the_end_of_the_parent_back_does_not_last() -> None:
+    # SIGSTOP removes a SIGCONT that is still waiting, here as it is blocked.
+    child = textwrap.dedent("""
+        import os, signal, time
+        from pbonet.node.wire import process_setup
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCONT})
+        parent = os.getppid()
+        process_setup.on_end_of_parent(parent)
+        print(os.getpid(), flush=True)
+        while os.getppid() == parent:
+            time.sleep(0.001)
+        os.kill(os.getpid(), signal.SIGSTOP)
+        print("goes on", flush=True)
+    """)
+    code = f"import subprocess, sys; subprocess.call([sys.executable, '-c', {child!r}])"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        pid = int(parent.stdout.readline())
+        parent.kill()
+        try:
+            assert parent.stdout.readline() == "goes on\n"
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
