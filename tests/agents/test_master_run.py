@@ -207,6 +207,11 @@ def parent_of(pid):
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
+def has_a_log(pid):
+    files = [one.resolve() for one in Path(f"/proc/{pid}/fd").iterdir()]
+    return any(one.suffix == ".mcap" and one.stat().st_size for one in files)
+
+
 def test_a_strict_run_whose_recorder_was_killed_says_what_is_missing(run, nodes):
     process = run("--strict")
     until_on(process)
@@ -215,6 +220,7 @@ def test_a_strict_run_whose_recorder_was_killed_says_what_is_missing(run, nodes)
         for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
         if "recorder_process" in command
     )
+    wait_for(lambda: has_a_log(recorder), "what a killed recorder cannot finish")
     os.kill(recorder, signal.SIGKILL)
     wait_gone([recorder])
     process.send_signal(signal.SIGINT)
