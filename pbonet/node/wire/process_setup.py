@@ -64,8 +64,8 @@ def on_end_of_parent(parent: int, call: Callable[[], None] | None = None) -> boo
     The kernel sends SIGCONT then, as a stopped process would not see another signal,
     and from then on every 0.2 s: it may be stopped again, and often no process is left
     that could continue it. A signal that stops the process takes back a SIGCONT that it
-    has not seen yet, so without a function, where the process ends by itself and nobody
-    has a reason to stop it, SIGCONT comes every second before that, too.
+    has not seen yet. Without a function, for a process that ends by itself and which no
+    user has a reason to stop, SIGCONT therefore comes every second before that, too.
     """
     seen = False
     timer: ctypes.c_void_p | None = None
