@@ -35,7 +35,8 @@ import numpy as np
 from benchmarks import rtbench
 from pbonet.config.model import Variable
 from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run, scan
-from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.log.cycle_columns import HEAD_DTYPE
+from pbonet.log.schema import RECORD
 from pbonet.master.tools.playback import Span, play
 from pbonet.node import rt
 from pbonet.node.wire import rtpu_messages

@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from .device import Entry
 from .spp import SppEntry
-from .types import numpy_type
+from .types import item_bytes, numpy_type
 
 Restart: TypeAlias = Literal["never", "off", "on"]
 """Treatment of a task whose RTPU process or machine was lost."""
@@ -67,6 +67,11 @@ class Variable(Struct, frozen=True, kw_only=True):
     def dtype(self) -> str:
         """The numpy type string of one element, such as ``<f8`` or ``V32``."""
         return numpy_type(self.type)
+
+    @property
+    def itemsize(self) -> int:
+        """The bytes of one element."""
+        return item_bytes(self.type)
 
 
 class SvarFile(Struct, frozen=True, kw_only=True):

@@ -111,14 +111,27 @@ def element_type(name: str) -> ElementType | None:
 
 
 @cache
+def _known(name: str) -> ElementType:
+    kind = element_type(name)
+    if kind is None:
+        msg = f"{name!r} is not a type of a state variable"
+        raise ValueError(msg)
+    return kind
+
+
 def numpy_type(name: str) -> str:
     """Return numpy's type string of `name`, such as ``<f8`` or ``V32``.
 
     Raises:
         ValueError: There is no such type.
     """
-    kind = element_type(name)
-    if kind is None:
-        msg = f"{name!r} is not a type of a state variable"
-        raise ValueError(msg)
-    return kind.dtype
+    return _known(name).dtype
+
+
+def item_bytes(name: str) -> int:
+    """Return the bytes of one element of the type that a file calls `name`.
+
+    Raises:
+        ValueError: There is no such type.
+    """
+    return _known(name).size

@@ -1,5 +1,6 @@
 from . import export as export, orders as orders, text as text
 from .code import code_of as code_of
+from .cycle_columns import HEAD_DTYPE as HEAD_DTYPE, head as head
 from .cycles import COLUMNS as COLUMNS, Cycles as Cycles
 from .damage import Lost as Lost
 from .events import LOG_SCHEMA as LOG_SCHEMA, log_message as log_message
@@ -12,7 +13,6 @@ from .reader import (
     TaskLife as TaskLife,
     files_of as files_of,
     last_run as last_run,
-    log_name as log_name,
 )
 from .records import (
     Attached as Attached,
@@ -22,6 +22,7 @@ from .records import (
     Step as Step,
     Table as Table,
     TaskAbout as TaskAbout,
+    log_name as log_name,
 )
 from .rewrite import merge as merge, recover as recover
 from .rows import Rows as Rows
@@ -29,13 +30,11 @@ from .scan import is_complete as is_complete
 from .schema import (
     CDR as CDR,
     COMMITS as COMMITS,
-    HEAD_DTYPE as HEAD_DTYPE,
     HELD as HELD,
     RECORD as RECORD,
     SAFE as SAFE,
     STABLE as STABLE,
     StepSchema as StepSchema,
-    head as head,
 )
 from .series import Series as Series
 from .states import timelines as timelines

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
-import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -56,6 +57,8 @@ class Moves(NamedTuple):
 
     def of(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the offsets at some times."""
+        import numpy as np  # not in a recorder, which asks for single times
+
         if not self.drifts:
             return np.full(times.shape, self.add[0], np.int64)
         begin, base = self.at[0], self.add[0]
@@ -70,7 +73,14 @@ class Moves(NamedTuple):
         """Return the offset at a time."""
         if not self.drifts:
             return self.add[0]
-        return int(self.of(np.array([time_ns], np.int64))[0])
+        begin, base = self.at[0], self.add[0]
+        after = bisect_right(self.at, time_ns)
+        if not 0 < after < len(self.at):
+            return self.add[max(after - 1, 0)]
+        first, last = self.at[after - 1] - begin, self.at[after] - begin
+        low, high = self.add[after - 1] - base, self.add[after] - base
+        slope = (high - low) / (last - first)
+        return round(slope * (time_ns - begin - first) + low) + base
 
     def then(self, more: Callable[[int], int], at: Iterable[int] = ()) -> Moves:
         """Return this conversion followed by another one.

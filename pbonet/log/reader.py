@@ -13,6 +13,7 @@ import numpy as np
 from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 
 from .clocks import common
+from .cycle_columns import ReadSchema, head
 from .cycles import COLUMNS, Cycles, Written
 from .damage import Lost, lost_in
 from .part import Part
@@ -28,7 +29,7 @@ from .records import (
     free_name,
 )
 from .rows import Rows
-from .schema import HEAD, TaskSchema, head
+from .schema import HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -67,7 +68,7 @@ class TaskLife:
         self.about = about
         self.part = part
         self.moves = moves
-        self.schema = TaskSchema(about)
+        self.schema = ReadSchema(about)
         self._pieces = [(part, keys)]
         told = part.channels[keys[0]].metadata
         here = (part.about.machine, part.about.run) if part.about else ("", "")
@@ -511,11 +512,6 @@ def last_run(folder: str | Path = "") -> Path:
             remedy="name a log, or run a job with `pbonet run`",
         )
     return runs[-1]
-
-
-def log_name(file: str, part: int) -> str:
-    """Return the file name of a recording's first file, second file, and so on."""
-    return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
 
 
 def _place_of(part: Part) -> tuple[bool, str, str, str, int, str]:

@@ -41,6 +41,11 @@ ATTACHED = "attached"
 name, as JSON."""
 
 
+def log_name(file: str, part: int) -> str:
+    """Return the file name of a recording's first file, second file, and so on."""
+    return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
+
+
 class Step(IntEnum):
     """The subject of a record of a task's ring.
 

@@ -12,22 +12,17 @@ message for each cycle, and the oldest no inputs from outside.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
-import numpy as np
 
-from pbonet.errors import LogError
 from pbonet.svar import group_of, var_bytes
 
 from ._messages import Layout
 from .fields import field_name
 from .records import SPAN_NS, Step
-from .rows import Rows
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pbonet.config import Variable
 
     from .records import TaskAbout
@@ -47,7 +42,6 @@ HEAD: Final[tuple[tuple[str, str, str], ...]] = (
     ("flags", "uint32", "flags of the copies"),
     ("kind", "uint32", "pbonet.log.Step"),
 )
-HEAD_DTYPE: Final = np.dtype([(name, kind) for name, kind, _ in HEAD])
 EARLIER: Final[tuple[tuple[str, str, str], ...]] = (
     ("int64", "release_ns", "release, CLOCK_MONOTONIC"),
     ("int32", "start_ns", "first line of the method, after the release"),
@@ -63,8 +57,9 @@ SAFE: Final = 1 << 29
 """The flag of a cycle in which the safe values were written."""
 RECORD: Final = struct.Struct("<IIIIII")
 """Size, pairs, bytes of out-vars, of inputs, of inputs from outside, and a spare."""
-_HEAD_BYTES: Final = HEAD_DTYPE.itemsize
-_EARLIER_BYTES: Final = sum(np.dtype(kind).itemsize for kind, _, _ in EARLIER)
+_SIZES: Final = {"int32": 4, "uint32": 4, "int64": 8, "uint64": 8}
+HEAD_BYTES: Final = sum(_SIZES[kind] for _, kind, _ in HEAD)
+_EARLIER_BYTES: Final = sum(_SIZES[kind] for kind, _, _ in EARLIER)
 _LENGTH: Final = struct.Struct("<I")
 COMMITS: Final = frozenset({Step.CYCLE, Step.CLAIM, Step.COMMIT})
 """Kinds of records that are written to a task's channel of cycles."""
@@ -76,13 +71,14 @@ _ROS: Final = {
 }
 
 
-def _bytes_of(variable: Variable) -> int:
-    return np.dtype(variable.dtype).itemsize * variable.nelem
+def bytes_of(variable: Variable) -> int:
+    """Return the bytes of a variable in a message."""
+    return variable.itemsize * variable.nelem
 
 
 def _unit(variable: Variable) -> int:
     """Return the alignment of an element in CDR."""
-    return 1 if _is_struct(variable) else np.dtype(variable.dtype).itemsize
+    return 1 if _is_struct(variable) else variable.itemsize
 
 
 def _align(size: int, unit: int) -> int:
@@ -100,12 +96,11 @@ class TaskSchema:
         self.about = about
         self._group = group_of(about.outvar, range(len(about.outvar)))
         self._shown = [v for v in about.outvar if v.name not in about.hidden]
-        last, end = self._places(_HEAD_BYTES)
+        last, end = self._places(HEAD_BYTES)
         earlier, earlier_end = self._places(_EARLIER_BYTES)
-        self._fields = [(one, place, last[one.name]) for one, place in self._groups()]
         self._blanks = _blanks(about)
         pieces = [
-            (place, _bytes_of(one), last[one.name], earlier[one.name])
+            (place, bytes_of(one), last[one.name], earlier[one.name])
             for one, place in self._groups()
         ]
         blanks = self._blanks.get(Step.CYCLE, [])
@@ -124,7 +119,7 @@ class TaskSchema:
         found: dict[str, int] = {}
         for variable in self._shown:
             found[variable.name] = at = _align(at, _unit(variable))
-            at += _bytes_of(variable)
+            at += bytes_of(variable)
         return found, _align(at, 4)
 
     @property
@@ -196,34 +191,10 @@ class TaskSchema:
             for kind, count, release, end, data in self.layout.fold(records, SPAN_NS)
         ]
 
-    def cycles(self, messages: Rows) -> Rows:
-        """Return the single cycles of messages, each as a message of its own.
-
-        Raises:
-            LogError: A message is shorter than its schema says.
-        """
-        found = self.layout.unfold(messages.data, messages.sizes)
-        if found is None:
-            raise LogError(
-                "a record is shorter than its channel's schema says",
-                expected="every field of each of its cycles",
-                got="a message that ends before",
-                remedy="the program that wrote this log is at fault",
-            )
-        data = found[0]
-        sizes, counts = (np.frombuffer(one, np.int64) for one in found[1:])
-        times = np.repeat(messages.times, counts)
-        rows = Rows(data, sizes, times, np.repeat(messages.places, counts))
-        if len(rows) != len(messages):
-            ends = heads(rows.firsts(self.prefix))["end_ns"]
-            last = np.repeat(np.cumsum(counts) - 1, counts)
-            rows.times = times + ends - ends[last]
-        return rows
-
     def _encode_step(self, text: memoryview, kind: int) -> bytes:
         """Return the message for a record between cycles."""
         n_bytes = RECORD.unpack_from(text)[2]
-        head = RECORD.size + _HEAD_BYTES
+        head = RECORD.size + HEAD_BYTES
         return b"".join((
             CDR,
             text[RECORD.size : head],
@@ -252,37 +223,16 @@ class TaskSchema:
             out[place : place + size] = message[first : first + size]
         return bytes(out)
 
-    def groups(self, cycles: Rows) -> list[bytes]:
-        """Return the group of out-vars of each cycle, as `group` does of one."""
-        rows, size = cycles.firsts(self.prefix), self._group.bytes
-        out = np.zeros((len(cycles), size), np.uint8)
-        for place, count, last, _ in self._pieces:
-            first = len(CDR) + last
-            out[:, place : place + count] = rows[:, first : first + count]
-        text = out.tobytes()
-        return [text[n * size : (n + 1) * size] for n in range(len(cycles))]
-
     def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
         """Return pairs, inputs and inputs from outside of a message, as bytes."""
         return _sequences(message, self.prefix)
-
-    def arrays(self, messages: Rows) -> dict[str, NDArray[Any]]:
-        """Return the columns of `HEAD` and the variables, one row per message."""
-        rows = messages.firsts(self.prefix)
-        found = heads(rows)
-        for variable, _, at in self._fields:
-            first = len(CDR) + at
-            part = rows[:, first : first + _bytes_of(variable)]
-            values = np.ascontiguousarray(part).view(np.dtype(variable.dtype))
-            found[variable.name] = values
-        return found
 
 
 class StepSchema:
     """The format of a task's other records: the head, and the data as bytes."""
 
     NAME: Final = "pbonet/Step"
-    PREFIX: Final = len(CDR) + _HEAD_BYTES
+    PREFIX: Final = len(CDR) + HEAD_BYTES
 
     @staticmethod
     def text() -> str:
@@ -295,18 +245,6 @@ class StepSchema:
         """Return the data of a message."""
         at = StepSchema.PREFIX + _LENGTH.size
         return message[at:]
-
-
-def heads(rows: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    """Return the columns of `HEAD` from the first bytes of messages."""
-    part = np.ascontiguousarray(rows[:, len(CDR) : len(CDR) + _HEAD_BYTES])
-    table = part.view(HEAD_DTYPE).reshape(-1)
-    return {name: table[name].copy() for name, _, _ in HEAD}
-
-
-def head(message: bytes) -> Any:  # noqa: ANN401 - numpy.void
-    """Return the head of one message, with the fields of `HEAD`."""
-    return np.frombuffer(message, HEAD_DTYPE, 1, len(CDR))[0]
 
 
 def _sequences(message: bytes, at: int) -> tuple[bytes, bytes, bytes]:
@@ -362,7 +300,7 @@ def _is_struct(variable: Variable) -> bool:
 
 def _ros_type(variable: Variable) -> str:
     if _is_struct(variable):
-        return f"uint8[{_bytes_of(variable)}]"
+        return f"uint8[{bytes_of(variable)}]"
     kind = _ROS[variable.dtype.lstrip("<")]
     return kind if variable.nelem == 1 else f"{kind}[{variable.nelem}]"
 

@@ -12,7 +12,6 @@ import itertools
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
-import numpy as np
 
 from pbonet.config import Variable
 from pbonet.errors import SvarLayoutError
@@ -20,6 +19,7 @@ from pbonet.errors import SvarLayoutError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
 _VARIABLES: Final = msgspec.msgpack.Decoder(tuple[Variable, ...])
@@ -46,7 +46,7 @@ def padded(size: int, unit: int = WORD) -> int:
 
 def var_bytes(variable: Variable) -> int:
     """Return the size of the variable in a group, in bytes."""
-    return padded(np.dtype(variable.dtype).itemsize * variable.nelem)
+    return padded(variable.itemsize * variable.nelem)
 
 
 def values_of(
@@ -57,6 +57,8 @@ def values_of(
     Raises:
         SvarLayoutError: There are too many, or a value does not fit the type.
     """
+    import numpy as np  # not in a recorder, which asks for sizes only
+
     dtype = np.dtype(variable.dtype)
     filled = np.zeros(variable.nelem, dtype)
     if values is None:
@@ -145,6 +147,8 @@ def layout_hash(variables: Sequence[Variable]) -> bytes:
 
 def initial_values(variables: Sequence[Variable]) -> NDArray[np.uint8]:
     """Return the keeper's first group: INIT of every variable, zeros elsewhere."""
+    import numpy as np
+
     sizes = [var_bytes(variable) for variable in variables]
     group = np.zeros(max(1, sum(sizes)), np.uint8)
     at = 0

@@ -17,7 +17,7 @@ from watching import wait_for
 
 from pbonet import xm
 from pbonet.log import Step
-from pbonet.log.schema import head
+from pbonet.log.cycle_columns import head
 from pbonet.testing import rerun, verify
 
 LINK = """MODULE {module}

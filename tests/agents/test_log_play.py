@@ -20,8 +20,9 @@ from watching import wait_for
 from pbonet.config import parse_svar
 from pbonet.errors import SvarOwnerError
 from pbonet.log import LogWriter, RunAbout, Step, TaskAbout
+from pbonet.log.cycle_columns import HEAD_DTYPE
 from pbonet.log.groups import pack
-from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.log.schema import RECORD
 from pbonet.svar import Table
 from pbonet.testing import verify
 

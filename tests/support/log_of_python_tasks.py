@@ -16,8 +16,9 @@ from pbonet.config import parse_rmod
 from pbonet.config.library import Library
 from pbonet.config.model import Limit, Variable
 from pbonet.log import Attached, Did, LogWriter, RunAbout
+from pbonet.log.cycle_columns import HEAD_DTYPE
 from pbonet.log.groups import pack
-from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.log.schema import RECORD
 from pbonet.node.ring._ring import Ring
 from pbonet.node.task import journal
 from pbonet.node.task.executor import Executor

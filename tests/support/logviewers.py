@@ -17,8 +17,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from pbonet.log import Log, field_name
+from pbonet.log.cycle_columns import head
 from pbonet.log.fields import OWN
-from pbonet.log.schema import StepSchema, head
+from pbonet.log.schema import StepSchema
 
 Channels = dict[str, list[dict[str, Any]]]
 _BYTES = ("consumed", "inputs", "heard")

@@ -9,7 +9,8 @@ import numpy as np
 
 from pbonet.config.model import Variable
 from pbonet.log import Attached, LogWriter, RunAbout, TaskAbout
-from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.log.cycle_columns import HEAD_DTYPE
+from pbonet.log.schema import RECORD
 from pbonet.svar.layout import group_of
 
 VARIABLES = [

@@ -13,11 +13,9 @@ import platform
 import socket
 import time
 from collections import deque
-from importlib import import_module
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
-
-import numpy as np
 
 import pbonet
 from pbonet.errors import LogError, Severity
@@ -267,7 +265,7 @@ class LogFiles:
             machine=self.by.machine,
             pbonet=pbonet.__version__,
             python=platform.python_version(),
-            numpy=np.__version__,
+            numpy=metadata.version("numpy"),
             kernel=platform.release(),
             config_hash=digest.hexdigest(),
             begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from operator import methodcaller
 from typing import cast
 
-import numpy as np
-
 UNTOLD = TypeError, ValueError, OverflowError, RecursionError
 """Exceptions of `rtpu_messages.encode` for values that msgpack cannot encode."""
-
-_NUMPY: tuple[type[object], ...] = np.generic, np.ndarray
 
 
 def readable(text: str) -> str:
@@ -40,7 +37,8 @@ def of_numpy(value: object) -> object:
     Raises:
         TypeError: It is another type, or contains values that no message can.
     """
-    if isinstance(value, _NUMPY):
+    np = sys.modules.get("numpy")  # a process without it has no such value
+    if np is not None and isinstance(value, np.generic | np.ndarray):
         plain: object = methodcaller("tolist")(value)
         if not isinstance(plain, np.generic | complex):
             return plain

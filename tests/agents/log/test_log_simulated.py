@@ -11,8 +11,9 @@ from adding_module import ADDS
 from log_of_python_tasks import RMOD
 
 from pbonet.log import Did, Log, Step, text
+from pbonet.log.cycle_columns import head
 from pbonet.log.groups import size
-from pbonet.log.schema import StepSchema, head
+from pbonet.log.schema import StepSchema
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.testing import verify

@@ -6,10 +6,12 @@ import random
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 from made_logs import PLAIN, about, group, record, run
 from mcap.reader import make_reader
 
 from pbonet.log import Log, LogWriter, clocks, text
+from pbonet.log.moves import Moves
 from pbonet.log.rewrite import merge
 
 MS = 10**6
@@ -272,3 +274,17 @@ def test_a_log_that_went_on_in_another_file_is_one_when_merged(tmp_path) -> None
         assert [len(life.commits) for life in lives] == [10, 5], "it stopped behind 2"
         assert [len(life.steps) for life in lives] == [2, 1]
     assert list(one.lives("pid")[0].records) == list(both.lives("pid")[0].records)
+
+
+@given(
+    points=st.dictionaries(
+        st.integers(0, 2**52), st.integers(-(2**51), 2**51), min_size=1
+    ),
+    begin=st.integers(0, 2**62),
+    time=st.integers(-1, 2**52),
+    which=st.none() | st.integers(0, 50),
+)
+def test_a_single_time_is_converted_as_many_are(points, begin, time, which) -> None:
+    moves = Moves.through((begin + at, add) for at, add in points.items())
+    at = begin + time if which is None else moves.at[which % len(moves.at)]
+    assert moves.one(at) == moves.of(np.array([at], np.int64))[0]

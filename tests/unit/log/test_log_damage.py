@@ -13,9 +13,9 @@ from made_logs import PLAIN, about, cycles, flipped, run, written
 
 from pbonet.errors import LogError
 from pbonet.log import Log, LogWriter, Rows, recover, text
+from pbonet.log.cycle_columns import ReadSchema
 from pbonet.log.export import write_csv
 from pbonet.log.part import Part
-from pbonet.log.schema import TaskSchema
 
 FLIPS = 1000
 
@@ -121,7 +121,7 @@ def test_a_damaged_chunk_is_missing_from_its_first_cycle_on(tmp_path) -> None:
 
 
 def test_messages_that_end_anywhere_are_no_cycles() -> None:
-    schema = TaskSchema(about("a", PLAIN))
+    schema = ReadSchema(about("a", PLAIN))
     ((_, count, _, _, message),) = schema.encode(cycles(40))
     assert count == 40
     size, older = len(message), 0
