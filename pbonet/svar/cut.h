@@ -182,8 +182,6 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
             if (planned == PB_INVALID) return PB_OVERWRITTEN;
             if (planned == PB_OUTDATED) continue;
         }
-        for (uint32_t i = 0; i < p->n_sources; i++)
-            pb_read_ahead(p->sources[i].slots, p->sources[i].stride, p->sources[i].head);
         for (uint32_t i = 0; i < p->n_sources; i++) {
             const uint64_t head = pb_read_begin(&p->sources[i].reg->head);
             if (pb_jumped(p->sources[i].head, head)) return PB_OVERWRITTEN;

@@ -25,7 +25,7 @@
 #define PBONET_STEP(n) ((void)0)
 #endif
 
-enum { PB_SLOTS = 4, PB_LINE = 64, PB_STREAM = 16384, PB_AHEAD = 512 };
+enum { PB_SLOTS = 4, PB_LINE = 64, PB_STREAM = 16384 };
 
 /* The line before the data of every slot. */
 struct pb_stamp {
@@ -101,17 +101,12 @@ static inline uint64_t pb_write_last(const _Atomic uint64_t *head) {
     return atomic_load_explicit(head, memory_order_relaxed);
 }
 
-/* How the commit after `last` moves on from its slot. */
-static inline uint64_t pb_move(uint64_t last) {
-    return pb_kept(last) ? 3 - (last >> 4 & 3) : 1;
-}
-
 /* Begin a commit; returns its head without `kept`. Only the one writer calls this. The slot
  * is one that the current head does not cover: moves 1, 2, 1, 2 ... visit all four slots,
  * moves 1, 1, 1 ... only two. */
 static inline uint64_t pb_write_begin(const _Atomic uint64_t *head) {
     uint64_t last = pb_write_last(head);
-    uint64_t move = pb_move(last);
+    uint64_t move = pb_kept(last) ? 3 - (last >> 4 & 3) : 1;
     /* SYNC POINT R1, partner R4 in pb_read_fence: a reader of a byte that this commit
      * writes also sees the head stored before it, which does not cover that slot. */
     atomic_thread_fence(memory_order_release);
@@ -133,14 +128,6 @@ static inline void pb_write_end(_Atomic uint64_t *head, uint64_t next, bool crow
 static inline uint64_t pb_read_begin(const _Atomic uint64_t *head) {
     /* SYNC POINT R3, partner R2 in pb_write_end. */
     return atomic_load_explicit(head, memory_order_acquire);
-}
-
-/* Have the cache fetch the slot of the commit after `last`, while the head that will name it
- * is on its way: from another core's cache they come one after the other otherwise. */
-static inline void pb_read_ahead(uint8_t *slots, uint64_t stride, uint64_t last) {
-    const uint8_t *slot = pb_slot(slots, stride, last ^ pb_move(last));
-    for (uint64_t at = 0; at < stride && at < PB_AHEAD; at += PB_LINE)
-        __builtin_prefetch(slot + at);
 }
 
 /* To be called once between the copies and the second load. */
