@@ -184,6 +184,8 @@ class Witnesses:
             used += cpu * own / (stop - start)
             lost += max(stop - start - cpu, 0) * own / (stop - start)
             at = max(at, min(stop, end))
+        if at == begin:
+            first = end - begin  # nothing ran
         return Parts(used, lost, first, between)
 
     def explain(self, begin: int, end: int) -> str:
