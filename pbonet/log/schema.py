@@ -215,7 +215,7 @@ class TaskSchema:
         times = np.repeat(messages.times, counts)
         rows = Rows(data, sizes, times, np.repeat(messages.places, counts))
         if len(rows) != len(messages):
-            ends = heads(rows.firsts(self.prefix))["end_ns"]
+            ends = self.heads(rows)["end_ns"]
             last = np.repeat(np.cumsum(counts) - 1, counts)
             rows.times = times + ends - ends[last]
         return rows
@@ -265,6 +265,10 @@ class TaskSchema:
     def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
         """Return pairs, inputs and inputs from outside of a message, as bytes."""
         return _sequences(message, self.prefix)
+
+    def heads(self, messages: Rows) -> dict[str, NDArray[Any]]:
+        """Return the columns of `HEAD`, one row per message."""
+        return heads(messages.firsts(self.prefix))
 
     def arrays(self, messages: Rows) -> dict[str, NDArray[Any]]:
         """Return the columns of `HEAD` and the variables, one row per message."""

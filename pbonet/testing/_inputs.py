@@ -54,7 +54,7 @@ class Commits:
         for life in log.all_lives():
             if life.table != table:
                 continue
-            head = life.schema.arrays(life.commits)
+            head = life.schema.heads(life.commits)
             keys = zip(head["register"].tolist(), head["number"].tolist(), strict=True)
             self._found.update(zip(keys, zip(repeat(life), count())))  # noqa: B905 - endless
 
