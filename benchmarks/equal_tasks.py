@@ -186,6 +186,8 @@ class Witnesses:
             at = max(at, min(stop, end))
         if at == begin:
             first = end - begin  # nothing ran
+        elif len(self._cycles.get(period, [])) < len(self._rings):
+            between += end - at  # a task was ready that did not run
         return Parts(used, lost, first, between)
 
     def explain(self, begin: int, end: int) -> str:

@@ -23,8 +23,8 @@ def cycles(begin, *, first=0, gaps=(GAP, GAP, GAP), work=WORK, held=0):
 def witnesses(*last):
     """Return those of a hundred ordinary periods and of these records."""
     usual = [one for k in range(100) for one in cycles(k * PERIOD)]
-    ring = SimpleNamespace(drain=lambda: [*usual, *last])
-    made = Witnesses([ring])
+    rings = [usual, list(last), [], []]
+    made = Witnesses([SimpleNamespace(drain=one.copy) for one in rings])
     made.look()
     made.settle()
     return made
@@ -49,6 +49,12 @@ def test_a_core_that_stood_still_began_late():
     made = witnesses(*cycles(101 * PERIOD))
     assert made.parts(100) == Parts(0, 0, PERIOD, 0)
     assert made.explain(100 * PERIOD, 101 * PERIOD - 1) == FIRST
+
+
+def test_tasks_that_did_not_run_beside_the_first_began_late():
+    made = witnesses(cycles(100 * PERIOD)[0])
+    assert made.parts(100) == Parts(WORK, 0, GAP, PERIOD - GAP - WORK)
+    assert made.explain(100 * PERIOD, 101 * PERIOD - 1) == LATER
 
 
 def test_a_cycle_over_the_end_of_a_period_counts_in_both():
