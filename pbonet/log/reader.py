@@ -95,7 +95,7 @@ class TaskLife:
 
     @cached_property
     def _cycles(self) -> list[Rows]:
-        """Those of each file."""
+        """Messages of cycles and other commits, by file."""
         return [self.schema.cycles(part.rows(keys[0])) for part, keys in self._pieces]
 
     @property

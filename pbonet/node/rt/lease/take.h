@@ -80,7 +80,7 @@ static inline void rt_own_up(struct rt_table *t, struct rt_slot *slot, int64_t d
         rt_kick(t);
 }
 
-/* Set the timer of the process's own to the next release. Nobody reads it. It is the core's
+/* Set the timer of the process's own to the next release. No thread reads it. It is the core's
  * next event while the check's timer is moved and while the task falls asleep, so that neither
  * sets the hardware, which costs more on a virtual machine than the calls. */
 static inline void rt_hold_release(struct rt_look *look, int64_t at)
