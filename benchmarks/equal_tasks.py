@@ -5,14 +5,18 @@ criticality, deadline and user priority are equal, so the dispatcher ranks them 
 order in which they were created. What each missed stands in the dispatcher's own trace.
 Then they are killed, and the same tasks are created in the reverse order: what depends
 on the order changes sides, and what depends on a name or a variable does not.
-A C loop above the dispatcher that only sleeps wakes up four times a period on the same
-core: a miss is excused if it was late in that time, by an eighth of a period, because
-the tasks leave more than that free. Every miss that is not excused is then explained by
-the cycles' own records, the dispatcher's trace, and what the kernel counts: the tasks
-themselves used the core; a turn of the dispatcher came late; a cycle under way lost the
-core, which only the kernel or the hypervisor can take from it; or the dispatcher's
-thread waited, or time was stolen. Ends with status 3 when a task lost a release that is
-not excused, and says how many nothing explains.
+In turns with them, block by block, run as many processes in C that use as much CPU
+time at the same releases under plain SCHED_FIFO, each a level below the one before.
+What they miss, a machine takes from anybody who needs the core for so long.
+All that time a C loop above the dispatcher that only sleeps wakes up four times a
+period on the same core: a miss, of either kind of tasks, is excused if it was late in
+that time, by an eighth of a period, because the tasks leave more than that free. Every
+miss of pbonet's that is not excused is then explained by the cycles' own records: they
+say whether the cycles of the period used more CPU time than usual, lost the core while
+under way, or began late, the first or a later one. If none of these took a quarter of
+the time that a period has left more than usual, the miss is unexplained. Ends with
+status 3 when a greater share is missed than by the processes in C, excused misses
+apart, or when a miss is unexplained.
 
     python -m benchmarks.equal_tasks [--tasks 4] [--load 0.63] [--seconds 30]
 """
@@ -22,11 +26,10 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
+import statistics
+import subprocess
 import tempfile
 import time
-from contextlib import closing
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,12 +37,15 @@ from benchmarks import rtbench, swap
 from benchmarks.steering import VARIABLE
 from pbonet.master import Subsystem
 from pbonet.master.subsystem.embedded_agents import Embedded
-from pbonet.node import rt
 from pbonet.node.ring import Ring
 from pbonet.xm.net.messages import AgentInfo, Hello
 
 RTPU = "bench0"
 WAKES = 4
+LATE = swap.PERIOD // (2 * WAKES)
+"""So many nanoseconds late the loop must have been to excuse a miss."""
+BLOCK = 5.0
+"""Seconds for which tasks and processes in C take turns."""
 MOST_LOAD = 0.8
 """A stall that no wake-up of the loop sees must not be able to cost a release."""
 MODULE = """\
@@ -98,129 +104,238 @@ def write_files(folder: Path, tasks: tuple[str, ...], used: float) -> Path:
     return folder / "b.sbs"
 
 
-class Sample(NamedTuple):
-    """What the kernel has counted up to an instant."""
+class Asked(NamedTuple):
+    """What is measured."""
 
-    at_ns: int
-    waited_ns: int
-    """Time for which the dispatcher's thread was ready and did not run."""
-    stolen: int
-    """Ticks that the hypervisor took from the core."""
+    used: float
+    """Seconds of CPU time for a cycle."""
+    seconds: float
+    """For which each order runs, and the processes in C as well."""
+
+
+class Parts(NamedTuple):
+    """Where the time of a period went, in nanoseconds, up to the end of its cycles."""
+
+    used: float
+    """CPU time of cycles."""
+    lost: float
+    """Of cycles under way, in which they had no CPU time."""
+    late: float
+    """Until the first cycle began."""
+    between: float
+    """Between cycles."""
+
+    def above(self, usual: Parts) -> Parts:
+        """Return how much longer they took than usual."""
+        return Parts(*(mine - theirs for mine, theirs in zip(self, usual, strict=True)))
+
+
+REASONS = (
+    "cycles used more CPU time",
+    "a cycle lost the core",
+    "the first began late",
+    "a later one began late",
+)
+"""What it means that the parts, in their order, are longer than usual."""
 
 
 class Witnesses:
-    """What is known about a core besides the misses.
+    """What the cycles' own records say about each period of a core.
 
     Args:
-        core: Its number.
         rings: The rings of its tasks.
     """
 
-    def __init__(self, core: int, rings: list[Ring]) -> None:
-        self._core, self._rings = core, rings
-        self._cycles: list[tuple[int, int, int]] = []
-        """Start, end and CPU time."""
-        with closing(rt.CoreTable(core, member=False)) as table:
-            status = table.status()
-        self._thread = Path(f"/proc/{status.leader_pid}/task/{status.leader_tid}")
-        self._samples = [self._sample()]
+    def __init__(self, rings: list[Ring]) -> None:
+        self._rings = rings
+        self._cycles: dict[int, list[tuple[int, int, int]]] = {}
+        """Start, end and CPU time, by the period in which the cycle began."""
+        self._usual = Parts(0.0, 0.0, 0.0, 0.0)
 
     def look(self) -> None:
         """Take in what has happened since the last look."""
-        self._samples.append(self._sample())
         for ring in self._rings:
-            self._cycles += [
-                (one.start_ns, one.end_ns, one.cpu_ns)
-                for one in ring.drain()
-                if not one.kind
-            ]
+            for one in ring.drain():
+                if not one.kind:
+                    cycle = (one.start_ns, one.end_ns, one.cpu_ns)
+                    period = one.start_ns // swap.PERIOD
+                    self._cycles.setdefault(period, []).append(cycle)
 
-    def _sample(self) -> Sample:
-        try:
-            waited = int((self._thread / "schedstat").read_text().split()[1])
-        except OSError:
-            waited = 0
-        lines = Path("/proc/stat").read_text(encoding="ascii").splitlines()
-        line = next(one for one in lines if one.startswith(f"cpu{self._core} "))
-        return Sample(time.monotonic_ns(), waited, int(line.split()[8]))
+    def settle(self) -> None:
+        """Find out what is usual, once all is taken in."""
+        parts = [self.parts(period) for period in self._cycles]
+        self._usual = Parts(*map(statistics.median, zip(*parts, strict=True)))
 
-    def explain(self, begin: int, end: int, late_ns: int) -> str:
+    def parts(self, period: int) -> Parts:
+        """Return where the time of a period went."""
+        begin = period * swap.PERIOD
+        end = begin + swap.PERIOD
+        near = [one for k in range(-2, 1) for one in self._cycles.get(period + k, [])]
+        at, first = begin, 0.0
+        used = lost = between = 0.0
+        for start, stop, cpu in sorted(near):
+            if stop <= at:
+                continue
+            if at == begin:
+                first = max(start - at, 0)
+            else:
+                between += max(start - at, 0)
+            own = max(min(stop, end) - max(start, at), 0)
+            used += cpu * own / (stop - start)
+            lost += max(stop - start - cpu, 0) * own / (stop - start)
+            at = max(at, min(stop, end))
+        if at == begin:
+            first = end - begin  # nothing ran
+        elif len(self._cycles.get(period, [])) < len(self._rings):
+            between += end - at  # a task was ready that did not run
+        return Parts(used, lost, first, between)
+
+    def explain(self, begin: int, end: int) -> str:
         """Return why a release in an interval was missed; empty if nothing says it.
 
         Args:
             begin: The release before.
             end: When it was missed.
-            late_ns: By how much a turn of the dispatcher came late in that time.
         """
-        least = swap.PERIOD // (2 * WAKES)
-        inside = [one for one in self._cycles if one[1] > begin and one[0] < end]
-        if self._used(inside, begin, end) >= 0.9 * (end - begin):
-            return "the tasks used the core"
-        if late_ns >= least:
-            return "a turn came late"
-        if any(
-            e - s - self._used(inside, s, e) >= least
-            for s, e, _ in inside
-            if e - s >= least
-        ):
-            return "a cycle lost the core"
-        for before, after in pairwise(self._samples):
-            if before.at_ns <= end and after.at_ns >= begin:
-                waited = after.waited_ns - before.waited_ns
-                if waited >= least or after.stolen > before.stolen:
-                    return "the kernel counted it"
-        return ""
-
-    @staticmethod
-    def _used(cycles: list[tuple[int, int, int]], begin: int, end: int) -> float:
-        """Return the CPU time of cycles within an interval."""
-        return sum(
-            cpu * max(0, min(e, end) - max(s, begin)) / max(e - s, 1)
-            for s, e, cpu in cycles
-        )
+        least = (swap.PERIOD - sum(self._usual)) / 4
+        most, why = least, ""
+        for period in range(begin // swap.PERIOD, end // swap.PERIOD + 1):
+            above = self.parts(period).above(self._usual)
+            for part, reason in zip(above, REASONS, strict=True):
+                if part >= most:
+                    most, why = part, reason
+        return why
 
 
-def measure(
-    subsystem: Subsystem, folder: Path, tasks: tuple[str, ...], seconds: float
-) -> dict[str, dict[str, int]]:
-    """Return by task its releases, the missed ones, and why those not excused."""
-    for task in tasks:
-        subsystem.spawn(task, RTPU)
-    subsystem.reconfig([(task, "on") for task in tasks])
-    subsystem.wait(0.5)
-    core = subsystem.clients.call(RTPU, Hello(), AgentInfo).core
-    loop = swap.Stalls(folder, core, WAKES)
-    traces = {task: swap.Trace(core, (task,)) for task in tasks}
-    rings = [Ring.attach(one.ring) for one in subsystem.status_all()]
-    witnesses = Witnesses(core, rings)
+class Found:
+    """What tasks missed, by their place in the order: instants and numbers."""
+
+    def __init__(self, tasks: int) -> None:
+        self.releases = [0] * tasks
+        self.misses: list[list[tuple[int, int]]] = [[] for _ in range(tasks)]
+
+    def unexcused(
+        self, late: list[tuple[int, int]]
+    ) -> list[list[tuple[int, int, int]]]:
+        """Return the misses in whose periods the loop was not late."""
+        return [swap.unexcused(one, late, LATE) for one in self.misses]
+
+    def counts(self, late: list[tuple[int, int]]) -> list[dict[str, int]]:
+        """Return by place the releases, the missed ones, and those not excused."""
+        return [
+            {
+                "releases": releases,
+                "missed": sum(count for _, count in misses),
+                "not excused": sum(count for _, _, count in lost),
+            }
+            for releases, misses, lost in zip(
+                self.releases, self.misses, self.unexcused(late), strict=True
+            )
+        ]
+
+
+def run_in_c(program: Path, core: int, used: float, seconds: float, to: Found) -> None:
+    """Run the processes in C for a block."""
+    numbers = (core, rtbench.LEVEL, len(to.releases), swap.PERIOD, round(used * 1e9))
+    words = [str(program), *map(str, numbers), str(seconds)]
+    done = subprocess.run(words, check=True, capture_output=True)
+    lines = iter(done.stdout.splitlines())
+    for line in lines:
+        place, releases, misses = map(int, line.split())
+        to.releases[place] += releases
+        for _ in range(misses):
+            at, count = map(int, next(lines).split())
+            to.misses[place].append((at, count))
+
+
+def run_tasks(
+    subsystem: Subsystem, core: int, tasks: tuple[str, ...], seconds: float, to: Found
+) -> None:
+    """Let tasks that are ON run for a block."""
+    traces = [swap.Trace(core, (task,)) for task in tasks]
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         subsystem.wait(0.2)
-        for trace in traces.values():
+        for trace in traces:
             trace.look()
-        witnesses.look()
-    _, late = loop.end()
-    turns = [turn for trace in traces.values() for turn in trace.turns]
-    found: dict[str, dict[str, int]] = {}
-    for task, trace in traces.items():
-        lost = swap.unexcused(trace, late, swap.PERIOD // (2 * WAKES))
-        found[task] = {
-            "releases": trace.released,
-            "missed": sum(count for _, count in trace.misses),
-            "not excused": sum(count for _, _, count in lost),
-            "unexplained": 0,
-        }
-        for begin, at, count in lost:
-            late_ns = swap.most_late(turns, begin, at)
-            late_ns = max(late_ns, (count - 1) * swap.PERIOD)  # found in one turn
-            why = witnesses.explain(begin, at, late_ns)
-            counts = found[task]
-            counts[why or "unexplained"] = counts.get(why or "unexplained", 0) + count
+    for place, trace in enumerate(traces):
+        to.releases[place] += trace.released
+        to.misses[place] += trace.misses
         trace.close()
+
+
+def measure(
+    subsystem: Subsystem, folder: Path, tasks: tuple[str, ...], asked: Asked
+) -> dict[str, list[dict[str, int]]]:
+    """Return what tasks in this order miss, and the processes in C, by place.
+
+    Returns:
+        Releases, missed ones, those that no late loop excuses, and why.
+    """
+    program = rtbench.compile_c("fifo_tasks", folder)
+    for task in tasks:
+        subsystem.spawn(task, RTPU)
+    core = subsystem.clients.call(RTPU, Hello(), AgentInfo).core
+    rings = [Ring.attach(one.ring) for one in subsystem.status_all()]
+    witnesses = Witnesses(rings)
+    ours, theirs = Found(len(tasks)), Found(len(tasks))
+    loop: swap.Stalls | None = None
+    blocks = max(round(asked.seconds / BLOCK), 1)
+    for _ in range(blocks):
+        subsystem.reconfig([(task, "on") for task in tasks])
+        subsystem.wait(0.5)
+        loop = loop or swap.Stalls(folder, core, WAKES, noted=LATE)
+        run_tasks(subsystem, core, tasks, asked.seconds / blocks, ours)
+        subsystem.reconfig([(task, "off") for task in tasks])
+        witnesses.look()
+        run_in_c(program, core, asked.used, asked.seconds / blocks, theirs)
+    assert loop is not None
+    _, late = loop.end()
+    witnesses.settle()
+    counts = ours.counts(late)
+    for found, lost in zip(counts, ours.unexcused(late), strict=True):
+        found["unexplained"] = 0
+        for begin, at, count in lost:
+            why = witnesses.explain(begin, at) or "unexplained"
+            found[why] = found.get(why, 0) + count
     for ring in rings:
         ring.close()
     subsystem.reconfig([(task, "kill") for task in tasks])
-    return found
+    return {"pbonet": counts, "C": theirs.counts(late)}
+
+
+def report(
+    both: list[dict[str, list[dict[str, int]]]], orders: tuple[tuple[str, ...], ...]
+) -> None:
+    """Print a line for each place in each order."""
+    shown = ("releases", "missed", "not excused")
+    print(f"{'':17} {'pbonet':>38} {'C':>51}")
+    heads = " ".join(f"{one:>12}" for one in (*shown, "unexplained", *shown))
+    print(f"{'created':8} {'task':8} {heads}")
+    for found, tasks in zip(both, orders, strict=True):
+        for place, task in enumerate(tasks):
+            ours, theirs = found["pbonet"][place], found["C"][place]
+            values = [ours[one] for one in (*shown, "unexplained")]
+            values += [theirs[one] for one in shown]
+            row = " ".join(f"{one:12}" for one in values)
+            why = ", ".join(f"{n} {k}" for k, n in ours.items() if k in REASONS)
+            print(f"{place + 1:<8} {task:8} {row}  {why}")
+
+
+def verdicts(both: list[dict[str, list[dict[str, int]]]]) -> list[str]:
+    """Return a line for each goal."""
+    ours = [counts for found in both for counts in found["pbonet"]]
+    theirs = [counts for found in both for counts in found["C"]]
+    shares = [
+        sum(one["not excused"] for one in all_of)
+        / max(sum(one["releases"] for one in all_of), 1)
+        for all_of in (ours, theirs)
+    ]
+    unexplained = sum(one["unexplained"] for one in ours)
+    return [
+        rtbench.verdict("not excused, of 10^6", 1e6 * shares[0], 1e6 * shares[1]),
+        rtbench.verdict("unexplained", unexplained, 0),
+    ]
 
 
 def main() -> None:
@@ -235,32 +350,26 @@ def main() -> None:
         parser.error(f"--load: expected 0 to {MOST_LOAD:g}, got {asked.load:g}")
     tasks = tuple(f"task{number + 1}" for number in range(asked.tasks))
     swap.STAY = tasks
+    used = asked.load / asked.tasks / swap.RATE
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["PBONET_RUN_DIR"] = str(folder / "run")
-        sbs = write_files(folder, tasks, asked.load / asked.tasks / swap.RATE)
+        sbs = write_files(folder, tasks, used)
         with Embedded("default", libraries=[str(folder)]) as agents:
             agents.start([RTPU])
             with Subsystem(sbs, warned=lambda _text: None, record="off") as subsystem:
                 both = [
-                    measure(subsystem, folder, order, asked.seconds)
+                    measure(subsystem, folder, order, Asked(used, asked.seconds))
                     for order in (tasks, tasks[::-1])
                 ]
     print(rtbench.machine())
     print(
         f"{asked.tasks} tasks of {swap.RATE:g} Hz, {asked.load:.0%} of a core together"
     )
-    shown = ("releases", "missed", "not excused", "unexplained")
-    print(f"{'created':8} {'task':8} " + " ".join(f"{one:>12}" for one in shown))
-    for found in both:
-        for place, (task, counts) in enumerate(found.items(), 1):
-            row = " ".join(f"{counts[one]:12}" for one in shown)
-            why = ", ".join(f"{n} {k}" for k, n in counts.items() if k not in shown)
-            print(f"{place:<8} {task:8} {row}  {why}")
+    report(both, (tasks, tasks[::-1]))
     if asked.json:
         asked.json.write_text(json.dumps(both, indent=1), encoding="utf-8")
-    if any(counts["not excused"] for found in both for counts in found.values()):
-        sys.exit(3)  # see run.py
+    rtbench.judge(verdicts(both))
 
 
 if __name__ == "__main__":

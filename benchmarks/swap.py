@@ -187,6 +187,7 @@ class Stalls:
         wakes: So often it wakes up in a period, at equal distances.
         tasks: Tasks on that core; `STAY` by default.
         period: Theirs, in nanoseconds; `PERIOD` by default.
+        noted: So many nanoseconds late a wake-up must be to be noted.
 
     Raises:
         PermissionError: It could not be had above the dispatcher.
@@ -200,6 +201,7 @@ class Stalls:
         *,
         tasks: tuple[str, ...] = (),
         period: int = 0,
+        noted: int = NOTED,
     ) -> None:
         period = period or PERIOD
         program = folder / f"stalls{core}"
@@ -207,7 +209,7 @@ class Stalls:
         subprocess.run(["cc", "-O2", "-o", program, source], check=True)  # noqa: S607 - the compiler is where PATH says
         middle = phase(core, tasks or STAY, period) + period // wakes // 2
         period //= wakes
-        words = [str(program), *map(str, (core, ABOVE, period, middle, NOTED))]
+        words = [str(program), *map(str, (core, ABOVE, period, middle, noted))]
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
@@ -250,7 +252,7 @@ class Watched:
             wake_ups, late = loop.end()
             trace.close()
             missed = sum(count for _, count in trace.misses)
-            lost = unexcused(trace, late)
+            lost = unexcused(trace.misses, late)
             for begin, at, _ in lost:
                 turn, woken = (
                     most_late(some, begin, at) / PERIOD for some in (trace.turns, late)
@@ -276,10 +278,10 @@ def most_late(late: list[tuple[int, int]], begin: int, end: int) -> int:
 
 
 def unexcused(
-    trace: Trace, late: list[tuple[int, int]], least: int = LATE
+    misses: list[tuple[int, int]], late: list[tuple[int, int]], least: int = LATE
 ) -> list[tuple[int, int, int]]:
     """Return misses in whose periods the loop was not late: begin, end, releases."""
-    about = [(at - (count + 1) * PERIOD, at, count) for at, count in trace.misses]
+    about = [(at - (count + 1) * PERIOD, at, count) for at, count in misses]
     return [one for one in about if most_late(late, *one[:2]) < least]
 
 

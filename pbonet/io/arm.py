@@ -53,6 +53,7 @@ class SimulatedArm:
         self._q = np.zeros(data.ndof)
         self._qd = np.zeros(data.ndof)
         self._torque = np.zeros(data.ndof)
+        self._lowest = -np.asarray(data.torque, np.float64)
         self._step = FrictionStep(
             self._q,
             self._qd,
@@ -93,7 +94,11 @@ class SimulatedArm:
 
     def command(self, torque: Floats) -> None:
         """Set the motors' torques at the joints, N*m; the drives limit them."""
-        torque.clip(-self.data.torque, self.data.torque, out=self._torque)
+        np.minimum(
+            np.maximum(torque, self._lowest, self._torque),
+            self.data.torque,
+            self._torque,
+        )
         self._since_command = 0.0
 
     def advance(self, dt: float) -> None:
@@ -102,10 +107,10 @@ class SimulatedArm:
             return
         left = self._watchdog - self._since_command
         self._since_command += dt
-        steps = max(1, ceil(min(dt, left) / self._substep))
+        time, chain, q = min(dt, left), self.chain, self._q
+        steps = max(1, ceil(time / self._substep))
         for _ in range(steps):
-            mass = self.chain.mass_matrix(self._q)
-            bias = self.chain.bias(self._q, self._qd)
-            self._step.advance(mass, bias, min(dt, left) / steps)
+            mass = chain.mass_matrix(q)
+            self._step.advance(mass, chain.bias(q, self._qd), time / steps)
         if dt > left:
             self.brake()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import hashlib
 import importlib.util
 from pathlib import Path
@@ -47,22 +48,31 @@ def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
 def _imported(file: Path, source: bytes) -> Iterator[Path]:
     if file.suffix != ".py":
         return
+    for module, names, relative in _imports(source):
+        if relative:
+            for name in [module] if module else names:
+                yield from _beside(file.parent, name)
+            continue
+        yield from _of_pbonet(module)
+        for name in names:
+            yield from _of_pbonet(f"{module}.{name}")
+
+
+@functools.lru_cache(256)
+def _imports(source: bytes) -> tuple[tuple[str, tuple[str, ...], bool], ...]:
+    """Return what the statements of a file import: module, names, and if beside it."""
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):
-        return
+        return ()
+    found: list[tuple[str, tuple[str, ...], bool]] = []
     for node in _statements(tree):
-        if isinstance(node, ast.ImportFrom) and node.level == 1:
-            names = [node.module] if node.module else [one.name for one in node.names]
-            for name in names:
-                yield from _beside(file.parent, name)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from _of_pbonet(node.module)
-            for one in node.names:
-                yield from _of_pbonet(f"{node.module}.{one.name}")
+        if isinstance(node, ast.ImportFrom) and (node.level == 1 or node.module):
+            names = tuple(one.name for one in node.names)
+            found.append((node.module or "", names, node.level == 1))
         elif isinstance(node, ast.Import):
-            for one in node.names:
-                yield from _of_pbonet(one.name)
+            found += [(one.name, (), False) for one in node.names]
+    return tuple(found)
 
 
 def _statements(node: ast.AST) -> Iterator[ast.stmt]:

@@ -50,7 +50,7 @@ class ReadSchema(TaskSchema):
         times = np.repeat(messages.times, counts)
         rows = Rows(data, sizes, times, np.repeat(messages.places, counts))
         if len(rows) != len(messages):
-            ends = heads(rows.firsts(self.prefix))["end_ns"]
+            ends = self.heads(rows)["end_ns"]
             last = np.repeat(np.cumsum(counts) - 1, counts)
             rows.times = times + ends - ends[last]
         return rows
@@ -64,6 +64,10 @@ class ReadSchema(TaskSchema):
             out[:, place : place + count] = rows[:, first : first + count]
         text = out.tobytes()
         return [text[n * size : (n + 1) * size] for n in range(len(cycles))]
+
+    def heads(self, messages: Rows) -> dict[str, NDArray[Any]]:
+        """Return the columns of `HEAD`, one row per message."""
+        return heads(messages.firsts(self.prefix))
 
     def arrays(self, messages: Rows) -> dict[str, NDArray[Any]]:
         """Return the columns of `HEAD` and the variables, one row per message."""

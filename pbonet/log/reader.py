@@ -87,15 +87,17 @@ class TaskLife:
     @cached_property
     def commits(self) -> Rows:
         """Messages of cycles, claims and other commits."""
-        return Rows.joined([self._cycles(*one) for one in self._pieces])
+        return Rows.joined(self._cycles)
 
     @cached_property
     def groups(self) -> list[bytes]:
         """The group of out-vars of each of `commits`, in the format of a table."""
         return self.schema.groups(self.commits)
 
-    def _cycles(self, part: Part, keys: tuple[int, ...]) -> Rows:
-        return self.schema.cycles(part.rows(keys[0]))
+    @cached_property
+    def _cycles(self) -> list[Rows]:
+        """Messages of cycles and other commits, by file."""
+        return [self.schema.cycles(part.rows(keys[0])) for part, keys in self._pieces]
 
     @property
     def steps(self) -> list[bytes]:
@@ -123,7 +125,8 @@ class TaskLife:
         gaps: list[int] = []
         for part, keys in self._pieces:
             part.load(keys)
-            each = [self._cycles(part, keys), *(part.rows(key) for key in keys[1:])]
+        for (part, keys), cycles in zip(self._pieces, self._cycles, strict=True):
+            each = [cycles, *(part.rows(key) for key in keys[1:])]
             places = np.concatenate([rows.places for rows in each])
             messages = [one for rows in each for one in rows.all()]
             order = np.argsort(places, kind="stable")

@@ -45,6 +45,7 @@ class Rows(Sequence[bytes]):
         self._starts = np.cumsum(sizes) - sizes
         self.times = times
         self.places = places
+        self._firsts: dict[int, NDArray[np.uint8]] = {}
 
     @classmethod
     def of(
@@ -77,6 +78,8 @@ class Rows(Sequence[bytes]):
     @classmethod
     def joined(cls, each: Sequence[Rows]) -> Rows:
         """Return the messages of several parts of a file, given in order."""
+        if len(each) == 1:
+            return each[0]
         none = np.zeros(0, np.int64)
         return cls(
             b"".join([one.data for one in each]),
@@ -112,6 +115,11 @@ class Rows(Sequence[bytes]):
         Raises:
             LogError: A message is shorter.
         """
+        if size not in self._firsts:
+            self._firsts[size] = self._read_firsts(size)
+        return self._firsts[size]
+
+    def _read_firsts(self, size: int) -> NDArray[np.uint8]:
         if len(self) and (least := int(self.sizes.min())) < size:
             raise LogError(
                 "a record is shorter than its channel's schema says",

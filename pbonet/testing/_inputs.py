@@ -8,7 +8,8 @@ has the inputs.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import count, repeat
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
     from pbonet.log import Log, Table, TaskAbout, TaskLife
 
+_PAIR: Final = struct.Struct("<QQ")
+
 Key = tuple[int, int]
 """Register and number of a commit."""
 
@@ -32,7 +35,7 @@ class Piece(NamedTuple):
 
     to: memoryview
     at: int
-    size: int
+    end: int
 
 
 class Commits:
@@ -51,9 +54,9 @@ class Commits:
         for life in log.all_lives():
             if life.table != table:
                 continue
-            head = life.schema.arrays(life.commits)
+            head = life.schema.heads(life.commits)
             keys = zip(head["register"].tolist(), head["number"].tolist(), strict=True)
-            self._found |= {key: (life, row) for row, key in enumerate(keys)}
+            self._found.update(zip(keys, zip(repeat(life), count())))  # noqa: B905 - endless
 
     def find(self, key: Key) -> tuple[TaskLife, bytes, bool] | None:
         """Return a commit's task, its group, and whether that has every variable.
@@ -87,7 +90,6 @@ class Inputs:
         self._array = array
         self._commits = commits
         self._read: dict[int, int] = {}
-        self._size, self._pairs = 0, struct.Struct("<")
         self._pieces: dict[int, list[Piece]] = {}
         self._hidden: dict[int, str] = {}
         self._unseen = {v.name for v in about.invar if v.name in about.hidden}
@@ -103,19 +105,16 @@ class Inputs:
         Returns:
             Why that cannot be done; empty when it was.
         """
-        size = len(consumed)
-        if size != self._size:
-            self._size, self._pairs = size, struct.Struct(f"<{size // 8}Q")
-        pairs = self._pairs.unpack(consumed)
         if stored:
             unpack(self._about.invar, stored, self._array)
-            self._read = dict(zip(pairs[::2], pairs[1::2], strict=True))
+            self._read = dict(_PAIR.iter_unpack(consumed))
             return self._renew() if self._commits.fresh or self._unseen else ""
-        for register, number in zip(pairs[::2], pairs[1::2], strict=True):
-            if self._read.get(register) != number:
+        read = self._read
+        for register, number in _PAIR.iter_unpack(consumed):
+            if read.get(register) != number:
                 if why := self._apply(register, number):
                     return why
-                self._read[register] = number
+                read[register] = number
         return ""
 
     def _renew(self) -> str:
@@ -133,16 +132,17 @@ class Inputs:
             return f"commit {number} of register {register} is not recorded"
         life, group, whole = found
         key = id(life)
-        if key not in self._pieces:
-            self._learn(key, life)
-        if key in self._hidden and not whole:
+        pieces = self._pieces.get(key)
+        if pieces is None:
+            pieces = self._learn(key, life)
+        if not whole and key in self._hidden:
             return f"{self._hidden[key]} is not recorded"
-        for to, at, size in self._pieces[key]:
-            to[:] = group[at : at + size]
+        for to, at, end in pieces:
+            to[:] = group[at:end]
         return ""
 
-    def _learn(self, key: int, life: TaskLife) -> None:
-        """Find out which variables of a task are inputs here."""
+    def _learn(self, key: int, life: TaskLife) -> list[Piece]:
+        """Find out which variables of a task are inputs here; return them."""
         outvar = life.about.outvar
         ours = {variable.name for variable in self._about.invar}
         group = group_of(outvar, range(len(outvar)))
@@ -153,4 +153,5 @@ class Inputs:
             if variable.name in life.about.hidden:
                 self._hidden[key] = variable.name
             to = self._array(variable.name).view(np.uint8).data
-            self._pieces[key].append(Piece(to, at, len(to)))
+            self._pieces[key].append(Piece(to, at, at + len(to)))
+        return self._pieces[key]

@@ -70,7 +70,7 @@ def files_of_life(life: TaskLife) -> list[ReadFile]:
 
 def cycles_of(life: TaskLife) -> int:
     """Return how many cycles of a task are on record."""
-    return int((life.schema.arrays(life.commits)["kind"] == Step.CYCLE).sum())
+    return int((life.schema.heads(life.commits)["kind"] == Step.CYCLE).sum())
 
 
 def must_have_cycles(

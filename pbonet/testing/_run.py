@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
     from pbonet.config import Variable
     from pbonet.log import Did, TaskLife
+
+
+_HEAD_AT: Final = len(CDR)
+_CYCLE: Final = int(Step.CYCLE)
 
 
 class Stop(BaseException):
@@ -316,9 +320,10 @@ class Run:
         message = self._records[self._at]
         if self._at == self._unheard and self._player is not None:
             self._player.lost = True
-        head = HEAD.unpack_from(message, len(CDR))
-        self._check_gap(head)
-        if head[10] == Step.CYCLE:
+        head = HEAD.unpack_from(message, _HEAD_AT)
+        if self._gaps or head[8] != self._lost or head[0] > self._cycle + 1:
+            self._check_gap(head)
+        if head[10] == _CYCLE:
             self._at += 1
             self._run_cycle(message, head, self._groups[self._at - 1])
         elif head[10] == Step.DID:
@@ -364,7 +369,8 @@ class Run:
             if not self._doubt:
                 self.doubt(f"cycle {number}: {why}")
             return
-        self._feed(heard)
+        if heard:
+            self._feed(heard)
         self._source.release = release
         try:
             if method := self._method(flags):

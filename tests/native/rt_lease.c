@@ -218,6 +218,36 @@ static void others(void)
     finish();
 }
 
+static int64_t expires(int fd)
+{
+    struct itimerspec left;
+    require(!timerfd_gettime(fd, &left), "a timer");
+    return left.it_value.tv_sec * 1000000000 + left.it_value.tv_nsec;
+}
+
+/* The timer of the checks is moved to the next cycle's first check, after a timer of the
+ * task's own for the release before that; so it is not the next event while it is moved. */
+static void move_check(void)
+{
+    struct rt_look look = {.life = atomic_load(&table.look_life),
+                           .fd = timerfd_create(CLOCK_MONOTONIC, 0)};
+    int64_t at = rt_now() + 1000 * (int64_t)PERIOD;     /* far from both */
+    begin(PERIOD / 2, 1);
+    done();
+    atomic_store(&task.slot->grant.lent_ns, at);
+    atomic_store(&task.slot->grant.lent_end_ns, at + PERIOD);
+    rt_check_next(&table, task.slot, &look);
+    require(atomic_load(&table.look_ns) == at + PERIOD / 2, "the next check");
+    int64_t release = expires(look.release_fd), check = expires(look.fd);
+    require(release && check > release, "behind the release");
+    atomic_store(&task.slot->grant.lent_end_ns, at);    /* the dispatcher's from there */
+    rt_check_next(&table, task.slot, &look);
+    require(!expires(look.fd) && !atomic_load(&table.look_ns), "there is none to come");
+    close(look.release_fd);
+    close(look.fd);
+    finish();
+}
+
 int main(int argc, char **argv)
 {
     if (argc != 3)
@@ -236,6 +266,7 @@ int main(int argc, char **argv)
         follow();
         overrun();
         others();
+        move_check();
     }
     return 0;
 }

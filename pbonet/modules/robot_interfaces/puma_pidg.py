@@ -20,7 +20,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import PUMA560, SimulatedArm, all_finite
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import PerElement, spread, within
 
 N = PUMA560.ndof
 PER_JOINT = ("kp", "kd", "ki", "wind", "speed")
@@ -78,7 +78,7 @@ class PumaPidg(PortBasedObject[Gains], module_class="robot interface"):
             return
         self._sense(dt)
         wish = self.qd_ref + self.params.follow * (self.q_ref - self._r)
-        wish.clip(-self._speed, self._speed, out=self._v)
+        within(wish, *self._speeds, self._v)
         self._servo(dt, self.t_grav)
 
     def stable(self, dt: float) -> None:
@@ -105,11 +105,12 @@ class PumaPidg(PortBasedObject[Gains], module_class="robot interface"):
     def _servo(self, dt: float, gravity: Vector) -> None:
         """Move r by v, and command the torque that takes the arm there."""
         before = self._r.copy()
-        (before + self._v * dt).clip(PUMA560.lower, PUMA560.upper, out=self._r)
-        self._v[:] = (self._r - before) / dt  # zero at a joint limit
+        within(before + self._v * dt, PUMA560.lower, PUMA560.upper, self._r)
+        np.subtract(self._r, before, out=self._v)
+        self._v /= dt  # zero at a joint limit
         error = self._r - self.q
         self._integral += self._ki * error * dt
-        self._integral.clip(-self._wind, self._wind, out=self._integral)
+        within(self._integral, *self._winds, self._integral)
         torque = self._kp * error + self._integral + self._kd * (self._v - self.qd)
         torque += gravity
         self._arm.command(torque)  # which the drives limit to what the arm may bear
@@ -126,4 +127,5 @@ class PumaPidg(PortBasedObject[Gains], module_class="robot interface"):
         k = self.params
         laws = {name: spread(getattr(k, name), N, name) for name in PER_JOINT}
         self._kp, self._kd, self._ki = laws["kp"], laws["kd"], laws["ki"]
-        self._wind, self._speed = laws["wind"], laws["speed"]
+        self._winds = -laws["wind"], laws["wind"]
+        self._speeds = -laws["speed"], laws["speed"]
