@@ -1,6 +1,5 @@
 """Torques of a whole robot on its feet, by placo's inverse dynamics."""
 
-from collections.abc import Sequence
 from typing import Annotated as A, Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import FloatingModel, all_finite, fault_of_pose
+from pbonet.io import FloatingModel, FrameStep, all_finite, fault_of_pose
 from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._placo_motion import placo_robot
@@ -81,10 +80,9 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._model.frame(k.body)
         must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
         effort = self._model.joints.effort
-        self._dt, self._stood = 0.0, [0.0] * len(self.contact)
+        self._dt = 0.0
         self._takeover = Takeover(self.tau)
         self._takeover.bound(-effort, effort)
-        self._rubbing = np.zeros(self.ndof)
         self._make_program()
         self._take_gains()
 
@@ -117,7 +115,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if (
             not model.move(self.x, self.v, self.q, self.qd)
             or not all_finite(*given)
-            or fault_of_pose(self.x_des)
+            or not self._pose.take()
         ):
             return False
         robot.state.q, robot.state.qd = model.q, model.v
@@ -126,18 +124,16 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
 
     def _aim(self) -> None:
         """Set goals of body and joints, and which feet stand where they are."""
-        self._pose[:3] = self.x_des
-        self._body.T_world_frame = self._pose
+        self._body.T_world_frame = self._pose.goal
         self._body_place.dtarget_world = self._v_des[0]
         self._body_turn.omega_world = self._v_des[1]
         joints, set_joint = self._model.joints.joints, self._posture.set_joint
         goals = zip(joints, self.q_ref.tolist(), self.qd_ref.tolist(), strict=True)
         for name, q, qd in goals:
             set_joint(name, q, qd)
-        contact = self.contact.tolist()
-        if contact != self._stood:
-            self._stood = contact
-            self._stand([up > STANDS for up in contact])
+        stands = [up > STANDS for up in self.contact.tolist()]
+        if stands != self._stood:
+            self._stand(stands)
         where = self._robot.get_T_world_frame
         for foot, task in self._standing:
             task.target_world = where(foot)[:3, 3]
@@ -153,8 +149,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if not found.success:
             return None
         torque: Vector = found.tau[RATES:]
-        np.multiply(self._model.joints.damping, self.qd, out=self._rubbing)
-        torque += self._rubbing
+        self._model.joints.add_damping(torque, self.qd)
         return torque
 
     def _fault(self) -> str:
@@ -181,8 +176,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         placo, self._robot = placo_robot(self._model.joints, "inverse dynamics")
         self._solver = solver = placo.DynamicsSolver(self._robot)
         solver.enable_torque_limits(True)  # noqa: FBT003 - placo's
-        self._pose = np.eye(4)
-        self._body = solver.add_frame_task(k.body, self._pose)
+        self._pose = FrameStep(self.x_des)
+        self._body = solver.add_frame_task(k.body, self._pose.goal)
         self._body_place = self._body.position()
         self._body_turn = self._body.orientation()
         self._v_des = self.v_des[:3], self.v_des[3:]
@@ -193,8 +188,9 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         ]
         self._stand([False] * len(k.feet))
 
-    def _stand(self, stands: Sequence[bool]) -> None:
+    def _stand(self, stands: list[bool]) -> None:
         """Let feet stand; the others go where their joints take them."""
+        self._stood = stands
         self._standing: list[tuple[str, Any]] = []
         feet = zip(self.params.feet, self._feet, self._contacts, stands, strict=True)
         for foot, task, contact, stands_there in feet:

@@ -567,6 +567,19 @@ def test_a_foot_in_the_air_goes_where_its_joints_are_to_be() -> None:
     assert bench.state is State.ON
 
 
+def test_feet_are_set_when_others_stand_and_not_by_how_much() -> None:
+    """To set them takes placo microseconds, and an estimate of contact trembles."""
+    bench, stood = torques(), []
+    bench.step()
+    stand = bench.module._stand
+    note = lambda stands: (stood.append(stands), stand(stands))  # noqa: E731
+    object.__setattr__(bench.module, "_stand", note)
+    for contact in ([0.9, 1.0, 0.7, 1.0], [0.9, 0.4, 0.7, 1.0], [1.0, 0.3, 1.0, 1.0]):
+        bench.inputs.contact = contact
+        bench.step()
+    assert stood == [[True, False, True, True]]
+
+
 def test_joints_too_weak_end_in_error_with_the_feet(tmp_path: Path) -> None:
     weak = (QUADRUPED / "quadruped.urdf").read_text().replace('"25"', '"0.5"')
     (tmp_path / "weak.urdf").write_text(weak)
