@@ -298,9 +298,7 @@ def main() -> None:
     share = statistics.median(c / python for python, c in pairs)
     rtbench.judge([
         rtbench.verdict("call over the bare function, ns,", over, CALL_GOAL),
-        rtbench.verdict(
-            "cycle of an empty task in C over Python's", share, CYCLE_GOAL
-        ),
+        rtbench.verdict("cycle of an empty task in C over Python's", share, CYCLE_GOAL),
         rtbench.verdict(
             "releases lost at swaps, but for stalls", done.at_swaps.on_time, 0
         ),
