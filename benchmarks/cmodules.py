@@ -230,6 +230,8 @@ def swaps(folder: Path, count: int) -> Releases:
             core = axes.clients.call("arm0", Hello(), AgentInfo).core
             loop = Stalls(folder, core, tasks=("axes",), period=PERIOD)
             rings = [Ring.attach(axes.status(task).ring) for task in PAIR]
+            for ring in rings:
+                ring.drain()  # cycles from before the loop runs
             for number in range(count + 1):
                 axes.wait(0.05)
                 for whose, ring in enumerate(rings):
