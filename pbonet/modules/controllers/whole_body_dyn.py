@@ -3,6 +3,7 @@
 from typing import Annotated as A, Any
 
 import numpy as np
+from numpy.linalg import norm
 
 from pbonet import (
     InConst,
@@ -19,12 +20,15 @@ from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._placo_motion import placo_robot
 from pbonet.modules._values import keep
+from pbonet.modules._warn_once import WarnOnce
 from pbonet.modules.controllers._takeover import Takeover
 
 RATES = 6
 """Elements of placo's torques before the joints': those of the base."""
 STANDS = 0.5
 """A foot of CONTACT_DES above it is one that stands."""
+FULL = 1.0 - 1e-6
+"""Share of its effort from which the torque of a joint is at its limit."""
 
 
 class Gains(Params):
@@ -44,6 +48,12 @@ class Gains(Params):
     grip: A[float, param("1/s", "how fast a foot that stands is to rest", ge=0)] = 20.0
     mu: A[float, param("none", "friction under the feet", gt=0)] = 0.5
     fade: A[float, param("s", "time until T_REF is what the law says", gt=0)] = 0.1
+    short: A[
+        float,
+        param(
+            "m/s^2", "acceleration, rad/s^2 too, that may be missing unreported", gt=0
+        ),
+    ] = 5.0
 
 
 class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
@@ -56,9 +66,14 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
     of friction MU, and the foot is not accelerated but to rest, by GRIP. Torques stay
     within the efforts of the URDF file. The other feet go where Q_REF takes them. M, h
     and the friction d are those of the file. When the module is turned on it goes on
-    from the T_REF that is there, and the distance fades. A program without a solution,
-    or a value that is not finite, ends in ERROR: T_REF gets old, and the robot
-    interface holds the robot.
+    from the T_REF that is there, and the distance fades.
+
+    A goal pulls by KP times its distance, with no limit but efforts and friction: one
+    that jumps makes T_REF jump, so let goals move no faster than the robot can. While
+    the body lacks at least SHORT of a1, as when its goal is out of reach, a warning
+    says so, with the joints at their efforts: once, until it lacks less than half of
+    that. A program without a solution, or a value that is not finite, ends in ERROR:
+    T_REF gets old, and the robot interface holds the robot.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -81,6 +96,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
         effort = self._model.joints.effort
         self._dt = 0.0
+        self._told = WarnOnce(self.task)
         self._takeover = Takeover(self.tau)
         self._takeover.bound(-effort, effort)
         self._make_program()
@@ -91,6 +107,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._take_gains()
 
     def on(self) -> None:
+        self._told.clear()
         self._takeover.begin()
 
     def cycle(self, dt: float) -> None:
@@ -149,8 +166,38 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if not found.success:
             return None
         torque: Vector = found.tau[RATES:]
+        self._watch(found, torque)
         self._model.joints.add_damping(torque, self.qd)
         return torque
+
+    def _watch(self, found: Any, torque: Vector) -> None:  # noqa: ANN401 - placo's
+        """Report once that the body is not accelerated as its goal demands."""
+        short, missing = self.params.short, 0.0
+        for task in (self._body_place, self._body_turn):
+            wanted = task.b
+            if (
+                np.dot(wanted, wanted) >= 0.25 * short * short
+            ):  # else too little to lack
+                missing = max(missing, norm(task.A @ found.qdd - wanted))
+        if missing < 0.5 * short:
+            self._told.clear()
+        elif missing >= short and not self._told.of("reach"):
+            self._told.warn(
+                "reach",
+                f"frame {self.params.body} cannot follow X_BODY_DES, {missing:.2g} "
+                f"m/s^2 or rad/s^2 are missing: {self._stopped(torque)}",
+            )
+
+    def _stopped(self, torque: Vector) -> str:
+        """Return the joints whose torques are at their limits."""
+        model = self._model.joints
+        full = np.abs(torque) >= FULL * model.effort
+        names = [
+            name for name, is_full in zip(model.joints, full, strict=True) if is_full
+        ]
+        if not names:
+            return "the friction under the feet or the weight of torques holds it back"
+        return f"the torque of {', '.join(names)} is at its limit"
 
     def _fault(self) -> str:
         """Return which value is none."""

@@ -211,7 +211,6 @@ def test_joint_sticks_until_the_torque_exceeds_its_friction():
     assert arm.q[1] < NOMINAL[1]
 
 
-@pytest.mark.slow
 def test_viscous_friction_is_added_to_the_torque_of_each_joint():
     torque, damping, qd = np.random.default_rng(5).normal(size=(3, 30))
     wanted = torque + damping * qd
@@ -222,6 +221,7 @@ def test_viscous_friction_is_added_to_the_torque_of_each_joint():
         add_damping(torque, damping, qd[:3])
 
 
+@pytest.mark.slow
 def test_viscous_friction_sets_the_terminal_speed():
     torque = np.array([PUMA560.coulomb_up[0] + 2.0, 0, 0, 0, 0, 0])
     data = dataclasses.replace(
