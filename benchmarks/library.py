@@ -4,9 +4,9 @@ Each module runs on a bench as its ``.rmod`` configures it, with six joints or e
 and inputs that move in every cycle. Shown is the CPU time of its `cycle`, as MAXC is
 one; copying to and from the table is not in it (`benchmarks/svar.py`). Where a module's
 law is computed by a library, such as pinocchio, what it must ask that library for is
-timed in the same cycle, after it. A module that cannot run here is shown with the
-reason, such as a package that is not installed. The goals: p99 is at most a fifth of
-the period, so 200 us at 1 kHz; p50 is at most 5 us above that of the library's call.
+timed in turns with it, on the same state. A module that cannot run here is shown with
+the reason, such as a package that is not installed. The goals: p99 is at most a fifth
+of the period, so 200 us at 1 kHz; p50 is at most 5 us above the library's call.
 
 ``--grow`` runs that many more cycles with the garbage collector off, as in a task, and
 counts the memory blocks of Python and the KiB of the process that are not given back.
@@ -62,7 +62,10 @@ BARE: dict[str, Callable[[Any], Callable[[], object]]] = {
     ),
     "ik_placo": lambda module: lambda: placo_step(module),
     "mpc_linear": lambda module: lambda: daqp_plan(module),
-    "mujoco_quad": lambda module: lambda: module._robot.advance(0.002),
+    "fk_jac": lambda module: lambda: pinocchio_jacobian(module),
+    "mujoco_arm": lambda module: mujoco_motion(module._arm),
+    "mujoco_base": lambda module: mujoco_motion(module._robot, 0.01),
+    "mujoco_quad": lambda module: mujoco_motion(module._robot),
     "otg": lambda module: new_goal(module._motion),
     "com_zmp": lambda module: module._model.centroidal,
     "self_collision": lambda module: lambda: coal_distance(module._model, module.q),
@@ -100,7 +103,7 @@ def placo_torques(module: Any) -> None:  # noqa: ANN401 - as above
     robot, model = module._robot, module._model
     robot.state.q, robot.state.qd = model.q, model.v
     robot.update_kinematics()
-    module._body.T_world_frame = module._pose
+    module._body.T_world_frame = module._pose.goal
     module._body_place.dtarget_world = module._v_des[0]
     module._body_turn.omega_world = module._v_des[1]
     for name, q in zip(model.joints.joints, module.q_ref.tolist(), strict=True):
@@ -109,6 +112,33 @@ def placo_torques(module: Any) -> None:  # noqa: ANN401 - as above
         task.target_world = robot.get_T_world_frame(foot)[:3, 3]
     found = module._solver.solve(False)  # noqa: FBT003
     _ = found.success, found.tau
+
+
+def pinocchio_jacobian(module: Any) -> None:  # noqa: ANN401 - as above
+    """Do what pinocchio must be asked for, and LAPACK for the singular values."""
+    model = module._model
+    pin, robot, data = model._pin, model._model, model._data
+    found = pin.computeFrameJacobian(
+        robot, data, module.q, module._frame, pin.LOCAL_WORLD_ALIGNED
+    )
+    place = pin.updateFramePlacement(robot, data, module._frame)
+    _ = place.rotation, place.translation
+    np.linalg.svd(found, compute_uv=False)
+
+
+def mujoco_motion(
+    robot: Any,  # noqa: ANN401 - of a module
+    period: float = 0.002,
+) -> Callable[[], object]:
+    """Return MuJoCo's calls for a period: its steps, and what then holds."""
+    steps = round(period / robot._step)
+    mujoco, model, data = robot._mujoco, robot._model, robot._data
+
+    def call() -> None:
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_forward(model, data)
+
+    return call
 
 
 def coal_distance(model: Any, q: Any) -> None:  # noqa: ANN401 - as above
@@ -138,29 +168,39 @@ def new_goal(motion: Any) -> Callable[[], object]:  # noqa: ANN401 - of a module
     return call
 
 
-def measure(
-    made: Bench[Any], bare: Callable[[], object] | None, cycles: int
-) -> tuple[list[int], list[int]]:
-    """Return nanoseconds of CPU time of each cycle, and of each bare call."""
-    moving = [
-        (port.name, np.array(made[port.name], dtype=float))
+def moved(made: Bench[Any]) -> list[tuple[Any, Any]]:
+    """Return the inputs that move: what the module reads, and around which values."""
+    local = made.table.local
+    return [
+        (local[port.attr], local[port.attr].copy())
         for port in made.module.__interface__.ports
         if port.kind is Kind.INVAR
         and port.unit != "mixed"
         and port.type.startswith("float")
     ]
-    dt = 1.0 / made.task.freq
+
+
+def measure(
+    made: Bench[Any], bare: Callable[[], object] | None, cycles: int
+) -> tuple[list[int], list[int]]:
+    """Return nanoseconds of CPU time of each cycle, and of each bare call.
+
+    The two run in turns: what ran just before would leave code and data of the library
+    in the caches to the other.
+    """
+    dt, cycle = 1.0 / made.task.freq, made.module.cycle
+    inputs = moved(made)
     whole: list[int] = []
     alone: list[int] = []
-    for n in range(cycles):
-        for name, rest in moving:
-            made[name] = rest + 1e-3 * np.sin(0.1 * n)
+    for n in range(cycles if bare is None else 2 * cycles):
         made.step()
-        begun = thread_time_ns()
-        made.module.cycle(dt)
-        ended = thread_time_ns()
-        whole.append(ended - begun)
-        if bare is not None:
+        for values, rest in inputs:
+            np.add(rest, 1e-3 * np.sin(0.1 * n), out=values)
+        if bare is None or n % 2:
+            begun = thread_time_ns()
+            cycle(dt)
+            whole.append(thread_time_ns() - begun)
+        else:
             begun = thread_time_ns()
             bare()
             alone.append(thread_time_ns() - begun)
@@ -170,14 +210,7 @@ def measure(
 def growth(made: Bench[Any], cycles: int) -> tuple[int, int]:
     """Return blocks of Python and KiB of the process that cycles do not give back."""
     module, dt = made.module, 1.0 / made.task.freq
-    local = made.table.local
-    moving = [
-        (local[port.attr], local[port.attr].copy())
-        for port in module.__interface__.ports
-        if port.kind is Kind.INVAR
-        and port.unit != "mixed"
-        and port.type.startswith("float")
-    ]
+    moving = moved(made)
 
     def run(count: int) -> None:
         for n in range(count):

@@ -8,6 +8,18 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 
+def add_damping(torque: Floats, damping: Floats, qd: Floats) -> None:
+    """Add what viscous friction takes to the torques of joints, [n].
+
+    Args:
+        torque: Changed.
+        damping: N*m*s/rad or N*s/m.
+        qd: Velocities, rad/s or m/s.
+
+    Raises:
+        ValueError: The sizes differ.
+    """
+
 def solve_with_friction(
     matrix: Floats,
     push: Floats,

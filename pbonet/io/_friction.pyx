@@ -18,6 +18,14 @@ cdef struct problem:
     double high[MOST]
 
 
+def add_damping(double[:] torque, const double[:] damping, const double[:] qd):
+    cdef Py_ssize_t i
+    if not torque.shape[0] == damping.shape[0] == qd.shape[0]:
+        raise ValueError("torque, damping and velocity are not those of the same joints")
+    for i in range(torque.shape[0]):
+        torque[i] += damping[i] * qd[i]
+
+
 cdef void solve(const problem *p, const int *slips, int n, double *v) noexcept nogil:
     """Solve for the velocities of the joints that slip, by Cholesky; `v` is their momenta."""
     cdef double factor[MOST][MOST]

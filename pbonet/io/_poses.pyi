@@ -93,6 +93,9 @@ class FrameStep:
             dt: Length of the step, seconds.
         """
 
+    def take(self) -> bool:
+        """Set `goal` to `wanted`, without a step; return whether that is a pose."""
+
     def missing(self, pose: Floats, length: float) -> float:
         """Return how far a pose is from `goal`: its largest element, m.
 

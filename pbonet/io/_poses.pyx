@@ -149,6 +149,16 @@ cdef motion between(const double *wanted, const double *pose) noexcept nogil:
     return found
 
 
+cdef motion to_goal(const double[:, :] goal, const double *at) noexcept nogil:
+    """Return what takes a pose to a goal, whose first three rows count."""
+    cdef double wanted[12]
+    cdef int i, j
+    for i in range(3):
+        for j in range(4):
+            wanted[4 * i + j] = goal[i, j]
+    return between(wanted, at)
+
+
 cdef double shortened(double *v, double limit) noexcept nogil:
     """Shorten a vector to a limit; return how long it is then."""
     cdef double size = sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -294,15 +304,11 @@ cdef class FrameStep:
 
     def aim(self, pose, double gain, double linear, double angular, double dt):
         cdef double at[12]
-        cdef double goal[12]
         cdef double m[9]
         cdef motion step
         cdef int i, j
         copy(pose, 3, 4, at)
-        for i in range(3):
-            for j in range(4):
-                goal[4 * i + j] = self.wanted[i, j]
-        step = between(goal, at)
+        step = to_goal(self.wanted, at)
         for i in range(3):
             step.way[i] = gain * step.way[i] + self.velocity[i]
             step.turn[i] = gain * step.turn[i] + self.velocity[3 + i]
@@ -315,17 +321,22 @@ cdef class FrameStep:
                                  m[3 * i + 2] * at[8 + j])
             self.to[i, 3] = at[4 * i + 3] + dt * step.way[i]
 
-    def missing(self, pose, double length):
-        cdef double at[12]
-        cdef double goal[12]
-        cdef motion left
-        cdef double most = 0.0
+    def take(self):
         cdef int i, j
-        copy(pose, 3, 4, at)
         for i in range(3):
             for j in range(4):
-                goal[4 * i + j] = self.to[i, j]
-        left = between(goal, at)
+                self.to[i, j] = self.wanted[i, j]
+                if not isfinite(self.to[i, j]):
+                    return False
+        return bool(is_turn(&self.to[0, 0]))
+
+    def missing(self, pose, double length):
+        cdef double at[12]
+        cdef motion left
+        cdef double most = 0.0
+        cdef int i
+        copy(pose, 3, 4, at)
+        left = to_goal(self.to, at)
         for i in range(3):
             most = max(most, fabs(left.way[i]), length * fabs(left.turn[i]))
         return most

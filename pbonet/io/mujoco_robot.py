@@ -16,6 +16,7 @@ import numpy as np
 
 from pbonet.errors import DeviceError, ParameterError
 
+from ._mujoco_memory import BaseMemory, JointMemory
 from .optional_packages import load_mujoco
 from .robot_model import find_file
 
@@ -72,14 +73,10 @@ class MujocoRobot:
         self._step = step
         limited = np.array(model.jnt_actfrclimited[first:], dtype=bool)[order]
         limits = np.array(model.jnt_actfrcrange[first:], dtype=np.float64)[order]
-        self._low: Floats = np.where(limited, limits[:, 0], -np.inf)
-        self._high: Floats = np.where(limited, limits[:, 1], np.inf)
+        low = np.where(limited, limits[:, 0], -np.inf)
+        high = np.where(limited, limits[:, 1], np.inf)
+        self._bounds = low, high
         self._wish, self._product = np.zeros(model.nv), np.zeros(model.nv)
-        self._q, self._qd = data.qpos[-n:], data.qvel[-n:]
-        self._torque, self._rates = data.qfrc_applied[-n:], data.qvel
-        # the base's: its views stay where they are, and each access to `data` costs
-        self._place, self._way = data.qpos[:3], data.qvel[:3]
-        self._turned = data.xmat[self._base].reshape(3, 3)
         self._push = data.xfrc_applied[self._base, :3]
         self.q: Floats = np.zeros(n)
         """Joint positions, rad or m."""
@@ -87,8 +84,14 @@ class MujocoRobot:
         """Joint velocities, rad/s or m/s."""
         self.torque: Floats = np.zeros(n)
         """Torques that act at the joints, N*m or N."""
-        self.turn: Floats = data.qvel[3:6]
-        """Angular velocity of a base that moves, in its own axes, rad/s."""
+        self._joints = JointMemory(
+            data, order, self._bounds, self.q, self.qd, self.torque
+        )
+        self._dt = 0.0
+        if floats:
+            self._pose = BaseMemory(data, self._base)
+            self.turn: Floats = data.qvel[3:6]
+            """Angular velocity of a base that moves, in its own axes, rad/s."""
 
     def place(self, q: Floats, qd: Floats) -> None:
         """Put the robot where its file does, its joints at `q` and moving with `qd`.
@@ -96,7 +99,8 @@ class MujocoRobot:
         Nothing else moves, and no torques act.
         """
         self._mujoco.mj_resetData(self._model, self._data)
-        self._q[self._order], self._qd[self._order] = q, qd
+        for values, now in ((self._data.qpos, q), (self._data.qvel, qd)):
+            values[-self.n :][self._order] = now
         self.q[:], self.qd[:], self.torque[:] = q, qd, 0.0
         self._mujoco.mj_forward(self._model, self._data)
 
@@ -115,9 +119,7 @@ class MujocoRobot:
 
     def sense_base(self, pose: Floats, velocity: Floats) -> None:
         """Write pose and velocity of a base that moves, as `place_base` takes them."""
-        pose[:, :3] = self._turned
-        pose[:, 3], velocity[:3] = self._place, self._way
-        np.matmul(self._turned, self.turn, out=velocity[3:])
+        self._pose.read(pose, velocity)
 
     def push(self, force: Floats) -> None:
         """Let a force (N) act at the centre of mass of a base that moves, from now."""
@@ -125,9 +127,7 @@ class MujocoRobot:
 
     def command(self, torque: Floats) -> None:
         """Set the torques at the joints, N*m or N; their limits bound them."""
-        np.minimum(torque, self._high, self.torque)  # np.clip takes longer
-        np.maximum(self.torque, self._low, self.torque)
-        self._torque[self._order] = self.torque
+        self._joints.command(torque)
 
     def torque_for(self, qdd: Floats) -> Floats:
         """Return the torques that accelerate the joints by `qdd`, as they move now.
@@ -147,19 +147,17 @@ class MujocoRobot:
         Raises:
             DeviceError: The robot's motion grows without bounds; the joint is named.
         """
-        steps = max(1, ceil(dt / self._step - 1e-9))
-        self._model.opt.timestep = dt / steps
-        self._mujoco.mj_step(self._model, self._data, steps)
+        if dt != self._dt:
+            self._dt, self._steps = dt, max(1, ceil(dt / self._step - 1e-9))
+            self._model.opt.timestep = dt / self._steps
+        self._mujoco.mj_step(self._model, self._data, self._steps)
         self._mujoco.mj_forward(self._model, self._data)  # of now, not of a step ago
-        self._q.take(self._order, out=self.q)
-        self._qd.take(self._order, out=self.qd)
-        speed = np.abs(self._rates)
-        bad = int(speed.argmax())
-        if not speed[bad] < _ABSURD:
+        bad = self._joints.read(_ABSURD)
+        if bad >= 0:
             raise DeviceError(
                 f"the simulated robot flies apart at {self._dof(bad)}",
                 where=str(self.path),
-                got=f"{speed[bad]:g} rad/s or m/s",
+                got=f"{abs(self._data.qvel[bad]):g} rad/s or m/s",
                 remedy="shorten STEP, or correct masses and limits of the model",
             )
 

@@ -14,6 +14,7 @@ import numpy as np
 from pbonet.errors import ParameterError, did_you_mean
 from pbonet.outside import note_file
 
+from ._friction import add_damping
 from .chain import pinocchio
 
 if TYPE_CHECKING:
@@ -111,9 +112,13 @@ class RobotModel:
     def torque(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Return the torques (N*m) that give the robot the acceleration `qdd`."""
         torque: Floats = self._pin.rnea(self._model, self._data, q, qd, qdd)
-        if self._damped:
-            torque += self.damping * qd
+        self.add_damping(torque, qd)
         return torque
+
+    def add_damping(self, torque: Floats, qd: Floats) -> None:
+        """Add what the viscous friction of the joints takes at the velocities `qd`."""
+        if self._damped:
+            add_damping(torque, self.damping, qd)
 
     def _copy_pose(self, frame: int, out: Floats) -> None:
         place = self._pin.updateFramePlacement(self._model, self._data, frame)

@@ -153,6 +153,7 @@ class PortBasedObject(Generic[P]):
         cls.__abstract__ = abstract
         cls.module_class = module_class or cls.module_class
         _check_class(module_class, body)
+        _refuse_freq_in_body(cls, body)
         cls.__freq__ = cls.__freq__ if freq is None else _checked_freq(freq, body)
         cls.__params__ = _params(cls, body)
         _refuse_constructor(cls, body)
@@ -358,6 +359,20 @@ def _checked_freq(freq: object, body: Declaring) -> float:
         got=repr(freq),
         remedy="write such as freq=500",
     )
+
+
+def _refuse_freq_in_body(cls: type, body: Declaring) -> None:
+    """Refuse a frequency that nothing would read."""
+    for name, value in vars(cls).items():
+        if name.lower() == "freq" and isinstance(value, int | float | str):
+            raise body.error(
+                name,
+                "a class body gives no task its frequency",
+                expected="it in the class line",
+                got=f"{name} = {value!r}",
+                remedy=f"write `class {cls.__name__}(..., freq=500)`; a constant of "
+                "another meaning needs another name",
+            )
 
 
 def _check_class(got: str, body: Declaring) -> None:

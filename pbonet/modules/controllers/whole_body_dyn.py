@@ -1,9 +1,9 @@
 """Torques of a whole robot on its feet, by placo's inverse dynamics."""
 
-from collections.abc import Sequence
 from typing import Annotated as A, Any
 
 import numpy as np
+from numpy.linalg import norm
 
 from pbonet import (
     InConst,
@@ -15,17 +15,20 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io import FloatingModel, all_finite, fault_of_pose
+from pbonet.io import FloatingModel, FrameStep, all_finite, fault_of_pose
 from pbonet.modules._dh import fault_of_wrench
 from pbonet.modules._legs import fault_of_base, fault_of_joints, must_have_feet
 from pbonet.modules._placo_motion import placo_robot
 from pbonet.modules._values import keep
+from pbonet.modules._warn_once import WarnOnce
 from pbonet.modules.controllers._takeover import Takeover
 
 RATES = 6
 """Elements of placo's torques before the joints': those of the base."""
 STANDS = 0.5
 """A foot of CONTACT_DES above it is one that stands."""
+FULL = 1.0 - 1e-6
+"""Share of its effort from which the torque of a joint is at its limit."""
 
 
 class Gains(Params):
@@ -45,6 +48,12 @@ class Gains(Params):
     grip: A[float, param("1/s", "how fast a foot that stands is to rest", ge=0)] = 20.0
     mu: A[float, param("none", "friction under the feet", gt=0)] = 0.5
     fade: A[float, param("s", "time until T_REF is what the law says", gt=0)] = 0.1
+    short: A[
+        float,
+        param(
+            "m/s^2", "acceleration, rad/s^2 too, that may be missing unreported", gt=0
+        ),
+    ] = 5.0
 
 
 class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
@@ -57,9 +66,14 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
     of friction MU, and the foot is not accelerated but to rest, by GRIP. Torques stay
     within the efforts of the URDF file. The other feet go where Q_REF takes them. M, h
     and the friction d are those of the file. When the module is turned on it goes on
-    from the T_REF that is there, and the distance fades. A program without a solution,
-    or a value that is not finite, ends in ERROR: T_REF gets old, and the robot
-    interface holds the robot.
+    from the T_REF that is there, and the distance fades.
+
+    A goal pulls by KP times its distance, with no limit but efforts and friction: one
+    that jumps makes T_REF jump, so let goals move no faster than the robot can. While
+    the body lacks at least SHORT of a1, as when its goal is out of reach, a warning
+    says so, with the joints at their efforts: once, until it lacks less than half of
+    that. A program without a solution, or a value that is not finite, ends in ERROR:
+    T_REF gets old, and the robot interface holds the robot.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -81,10 +95,10 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._model.frame(k.body)
         must_have_feet(self._model.joints, k.feet, len(self.contact), "CONTACT_DES")
         effort = self._model.joints.effort
-        self._dt, self._stood = 0.0, [0.0] * len(self.contact)
+        self._dt = 0.0
+        self._told = WarnOnce(self.task)
         self._takeover = Takeover(self.tau)
         self._takeover.bound(-effort, effort)
-        self._rubbing = np.zeros(self.ndof)
         self._make_program()
         self._take_gains()
 
@@ -93,6 +107,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         self._take_gains()
 
     def on(self) -> None:
+        self._told.clear()
         self._takeover.begin()
 
     def cycle(self, dt: float) -> None:
@@ -117,7 +132,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if (
             not model.move(self.x, self.v, self.q, self.qd)
             or not all_finite(*given)
-            or fault_of_pose(self.x_des)
+            or not self._pose.take()
         ):
             return False
         robot.state.q, robot.state.qd = model.q, model.v
@@ -126,18 +141,16 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
 
     def _aim(self) -> None:
         """Set goals of body and joints, and which feet stand where they are."""
-        self._pose[:3] = self.x_des
-        self._body.T_world_frame = self._pose
+        self._body.T_world_frame = self._pose.goal
         self._body_place.dtarget_world = self._v_des[0]
         self._body_turn.omega_world = self._v_des[1]
         joints, set_joint = self._model.joints.joints, self._posture.set_joint
         goals = zip(joints, self.q_ref.tolist(), self.qd_ref.tolist(), strict=True)
         for name, q, qd in goals:
             set_joint(name, q, qd)
-        contact = self.contact.tolist()
-        if contact != self._stood:
-            self._stood = contact
-            self._stand([up > STANDS for up in contact])
+        stands = [up > STANDS for up in self.contact.tolist()]
+        if stands != self._stood:
+            self._stand(stands)
         where = self._robot.get_T_world_frame
         for foot, task in self._standing:
             task.target_world = where(foot)[:3, 3]
@@ -153,9 +166,38 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if not found.success:
             return None
         torque: Vector = found.tau[RATES:]
-        np.multiply(self._model.joints.damping, self.qd, out=self._rubbing)
-        torque += self._rubbing
+        self._watch(found, torque)
+        self._model.joints.add_damping(torque, self.qd)
         return torque
+
+    def _watch(self, found: Any, torque: Vector) -> None:  # noqa: ANN401 - placo's
+        """Report once that the body is not accelerated as its goal demands."""
+        short, missing = self.params.short, 0.0
+        for task in (self._body_place, self._body_turn):
+            wanted = task.b
+            if (
+                np.dot(wanted, wanted) >= 0.25 * short * short
+            ):  # else too little to lack
+                missing = max(missing, norm(task.A @ found.qdd - wanted))
+        if missing < 0.5 * short:
+            self._told.clear()
+        elif missing >= short and not self._told.of("reach"):
+            self._told.warn(
+                "reach",
+                f"frame {self.params.body} cannot follow X_BODY_DES, {missing:.2g} "
+                f"m/s^2 or rad/s^2 are missing: {self._stopped(torque)}",
+            )
+
+    def _stopped(self, torque: Vector) -> str:
+        """Return the joints whose torques are at their limits."""
+        model = self._model.joints
+        full = np.abs(torque) >= FULL * model.effort
+        names = [
+            name for name, is_full in zip(model.joints, full, strict=True) if is_full
+        ]
+        if not names:
+            return "the friction under the feet or the weight of torques holds it back"
+        return f"the torque of {', '.join(names)} is at its limit"
 
     def _fault(self) -> str:
         """Return which value is none."""
@@ -181,8 +223,8 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         placo, self._robot = placo_robot(self._model.joints, "inverse dynamics")
         self._solver = solver = placo.DynamicsSolver(self._robot)
         solver.enable_torque_limits(True)  # noqa: FBT003 - placo's
-        self._pose = np.eye(4)
-        self._body = solver.add_frame_task(k.body, self._pose)
+        self._pose = FrameStep(self.x_des)
+        self._body = solver.add_frame_task(k.body, self._pose.goal)
         self._body_place = self._body.position()
         self._body_turn = self._body.orientation()
         self._v_des = self.v_des[:3], self.v_des[3:]
@@ -193,8 +235,9 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         ]
         self._stand([False] * len(k.feet))
 
-    def _stand(self, stands: Sequence[bool]) -> None:
+    def _stand(self, stands: list[bool]) -> None:
         """Let feet stand; the others go where their joints take them."""
+        self._stood = stands
         self._standing: list[tuple[str, Any]] = []
         feet = zip(self.params.feet, self._feet, self._contacts, stands, strict=True)
         for foot, task, contact, stands_there in feet:

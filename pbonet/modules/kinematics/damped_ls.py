@@ -16,6 +16,7 @@ from pbonet import (
 )
 from pbonet.io import difference, fault_of_pose
 from pbonet.modules._dh import scale, shorten
+from pbonet.modules._warn_once import WarnOnce
 
 
 class Damping(Params):
@@ -29,6 +30,7 @@ class Damping(Params):
     linear: A[float, param("m/s", "largest commanded linear speed", gt=0)] = 0.5
     angular: A[float, param("rad/s", "largest commanded angular speed", gt=0)] = 1.5
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
+    short: A[float, param("m/s", "speed that may be missing unreported", gt=0)] = 0.01
 
 
 class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
@@ -42,6 +44,9 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
     in Maciejewski and Klein 1988). So away from singularities the hand follows exactly,
     near one it gives up what would cost most, and nowhere do the joints' speeds exceed
     sqrt(1/(2 DAMPING)^2 + 1/SIGMA^2) times the size of v, positions counted in LENGTH.
+    While damping takes at least SHORT from the hand's velocity, as before a goal out of
+    reach, a warning says so: once, until it takes less than half of that. A goal that
+    is no pose stops the joints.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -54,23 +59,22 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
     qd: A[Vector, OutVar("Q^_CMD", "ndof", "rad/s", "commanded joint velocity")]
 
     def init(self) -> None:
+        self._told = WarnOnce(self.task)
         self._take_scale()
 
     def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
         self._take_scale()
 
     def on(self) -> None:
-        self._lost = False
+        self._told.clear()
         self.cycle(0.0)  # who integrates Q^_CMD is turned on next
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - a velocity
         if why := fault_of_pose(self.x_des):
-            if not self._lost:
-                self.task.warn(f"X_DES is not a pose: {why}")
-            self._lost = True
+            self._told.warn("goal", f"X_DES is not a pose: {why}; the joints stop")
             self.qd[:] = 0.0
             return
-        self._lost = False
+        self._told.clear("goal")
         wish = self.params.gain * difference(self.x_des, self.x) + self.v_des
         shorten(wish[:3], self.params.linear)
         shorten(wish[3:], self.params.angular)
@@ -88,8 +92,27 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         left = np.minimum(s / self.params.sigma, 1.0)
         square = (1.0 - left * left) * self.params.damping**2
         share = s / (s * s + square)  # s is zero only where the square is not
-        joints: Vector = v.T @ (share * (u.T @ (self._scale * wish)))
+        along = u.T @ (self._scale * wish)
+        if left[-1] < 1.0:
+            self._watch(u @ ((1.0 - s * share) * along), float(s[-1]))
+        else:
+            self._told.clear("reach")
+        joints: Vector = v.T @ (share * along)
         return joints
+
+    def _watch(self, missing: Vector, value: float) -> None:
+        """Report once what damping takes from the hand's velocity, in rad/s."""
+        k = self.params
+        speed = k.length * float(np.abs(missing).max())
+        if speed < 0.5 * k.short:
+            self._told.clear("reach")
+        elif speed >= k.short:
+            self._told.warn(
+                "reach",
+                f"the hand cannot follow X_DES, {speed:.2g} m/s are missing: the arm "
+                f"is stretched or singular there, with a singular value of {value:.2g} "
+                f"in J_MEZ, damped below {k.sigma:g}",
+            )
 
     def _take_scale(self) -> None:
         self._scale = scale(self.params.length)

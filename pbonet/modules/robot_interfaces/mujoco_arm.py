@@ -10,7 +10,7 @@ import numpy as np
 
 from pbonet import InVar, OutConst, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
-from pbonet.io import MujocoRobot
+from pbonet.io import MujocoRobot, all_finite
 from pbonet.modules._values import PerElement, keep, spread
 
 STIFFNESS, DAMPING = 400.0, 40.0
@@ -72,19 +72,23 @@ class MujocoArm(PortBasedObject[Arm], module_class="robot interface"):
         # real one would be overwritten here by what its encoders say.
         self._arm.place(self.q, self.qd)
         self._follow()
+        self._stops = True
         self._hold()
 
     def cycle(self, dt: float) -> None:
-        if not np.isfinite(self.t_ref).all():
+        if not all_finite(self.t_ref):
             joint = self._arm.joints[int(np.argmin(np.isfinite(self.t_ref)))]
             self.task.fail(f"T_REF of joint {joint} is not finite; the brakes are on")
             return
         self._sense(dt)
-        self._follow()
         self._arm.command(self.t_ref)
+        self._stops = False
 
     def stable(self, dt: float) -> None:
         """Slow down, stop and stay, by the arm's own model and no inputs."""
+        if not self._stops:
+            self._follow()
+            self._stops = True
         self._sense(dt)
         step = self._slow * dt
         self._v -= self._v.clip(-step, step)
@@ -101,7 +105,7 @@ class MujocoArm(PortBasedObject[Arm], module_class="robot interface"):
         self.qd[:] = self._arm.qd
 
     def _follow(self) -> None:
-        """Remember where `stable` would begin."""
+        """Let `stable` begin where the arm is."""
         self._r[:], self._v[:] = self._arm.q, self._arm.qd
 
     def _hold(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pbonet import InVar, Matrix, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError, did_you_mean
-from pbonet.io import MujocoRobot, fault_of_pose
+from pbonet.io import MujocoRobot, all_finite, fault_of_pose
 from pbonet.modules._values import PerElement, keep, spread
 
 
@@ -58,7 +58,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         self._robot = MujocoRobot(
             k.model, self.task.libraries, step=k.step, floats=True
         )
-        self._wheels = self._find_wheels()
+        self._wheels = np.array(self._find_wheels())
         self._q, self._torque = np.zeros(self._robot.n), np.zeros(self._robot.n)
         self._take_drives()
 
@@ -78,7 +78,7 @@ class MujocoBase(PortBasedObject[Drives], module_class="robot interface"):
         self._wish = self.w.copy()
 
     def cycle(self, dt: float) -> None:
-        if not np.isfinite(self.w_ref).all():
+        if not all_finite(self.w_ref):
             wheel = self.params.wheels[int(np.argmin(np.isfinite(self.w_ref)))]
             self.task.fail(f"W_REF of wheel {wheel} is not finite; the brakes are on")
             return

@@ -106,6 +106,7 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
         self._pushing = 0.0
         robot.command(self.tau)
         self._follow()
+        self._stops = True
         self._hold()
 
     def cycle(self, dt: float) -> None:
@@ -115,10 +116,13 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
             return
         self._sense(dt)
         self._robot.command(self.t_ref)
-        self._follow()
+        self._stops = False
 
     def stable(self, dt: float) -> None:
         """Stop the joints, and hold the posture without inputs."""
+        if not self._stops:
+            self._follow()
+            self._stops = True
         self._sense(dt)
         step = self._slow * dt
         self._v -= self._v.clip(-step, step)
@@ -132,14 +136,18 @@ class MujocoQuad(PortBasedObject[Robot], module_class="robot interface"):
     def _sense(self, dt: float) -> None:
         robot = self._robot
         self.tau[:] = robot.torque
-        robot.push(self._push if self._pushing > 0.0 else self._none)
-        self._pushing -= dt
+        pushed = self._pushing > 0.0
+        if pushed:
+            self._pushing -= dt
+            robot.push(self._push)
         robot.advance(dt)
+        if pushed:
+            robot.push(self._none)
         self.q[:], self.qd[:] = robot.q, robot.qd
         robot.sense_base(self.x, self.v)
 
     def _follow(self) -> None:
-        """Remember where `stable` would begin: with the torque that acts."""
+        """Let `stable` begin where the joints are, and with the torque that acts."""
         robot = self._robot
         self._v[:] = robot.qd
         np.divide(robot.torque, self._stiff, out=self._r)

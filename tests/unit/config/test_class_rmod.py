@@ -1,10 +1,11 @@
 """A module whose class says it all needs no .rmod file, from the job to the replay."""
 
 import json
+from typing import Annotated as A
 
 import pytest
 
-from pbonet import PortBasedObject
+from pbonet import InVar, PortBasedObject
 from pbonet.cli import main
 from pbonet.config import Library, parse_rmod
 from pbonet.errors import ConfigError, DeclarationError
@@ -129,6 +130,38 @@ def test_a_wrong_frequency_is_refused_with_the_class(freq):
         class Wrong(PortBasedObject, freq=freq):
             def cycle(self, dt):
                 pass
+
+
+@pytest.mark.parametrize("name", ["FREQ", "freq"])
+def test_a_frequency_in_the_body_is_refused_with_the_line_to_write(folder, name):
+    code = SPRING.replace(", freq=500", "").replace(
+        "    def cycle", f"    {name} = 500\n\n    def cycle"
+    )
+    assert f"{name} = 500" in code
+    (folder / "spring.py").write_text(code)
+    with pytest.raises(
+        DeclarationError,
+        match=rf"Spring\.{name} \(line 17\): .* got {name} = 500\); "
+        r"write `class Spring\(..., freq=500\)`",
+    ):
+        Library([folder]).record("spring")
+
+
+def test_freq_may_be_the_name_of_a_port_or_a_method():
+    class Tone(PortBasedObject):
+        freq: A[float, InVar("F", "1", "Hz", "of the tone")]
+
+        def cycle(self, dt):
+            pass
+
+    class Own(PortBasedObject):
+        def freq(self):
+            """Return nothing."""
+
+        def cycle(self, dt):
+            pass
+
+    assert Tone.__freq__ is Own.__freq__ is None
 
 
 def test_a_part_of_a_combination_needs_no_file(folder):

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from pbonet.errors import ParameterError
 from pbonet.io import (
+    FrameStep,
     FreeMotion,
     difference,
     fault_of_pose,
@@ -163,6 +164,21 @@ def test_no_pose_has_an_element_that_is_no_number(bad: float) -> None:
         assert fault_of_pose(pose) == "it has elements that are not finite"
         assert is_rotation(pose[:, :3]) is (column == 3)
     assert not motion.set(np.eye(3, 4), np.full(6, bad), *still[1:])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1.0])
+def test_a_goal_that_is_taken_at_once_is_a_pose(bad: float) -> None:
+    wanted = np.eye(3, 4)
+    wanted[:, 3] = 0.1, 0.2, 0.3
+    step = FrameStep(wanted)
+    assert step.take()
+    assert (step.goal[:3] == wanted).all()
+    assert step.goal[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+    for row, column in product(range(3), range(4)):
+        good, wanted[row, column] = wanted[row, column], bad
+        fits = good == bad or (column == 3 and bool(np.isfinite(bad)))
+        assert step.take() == fits
+        wanted[row, column] = good
 
 
 def test_difference_takes_one_pose_to_the_other(geometry: Geometry) -> None:

@@ -12,6 +12,7 @@ from pbonet.errors import MethodError
 from pbonet.io import difference, rotation
 from pbonet.modules._ode import propagator
 from pbonet.modules.controllers.admittance import Admittance
+from pbonet.modules.controllers.gripper import Gripper
 from pbonet.modules.controllers.hybrid_force import HybridForce
 from pbonet.modules.controllers.impedance import Impedance
 from pbonet.modules.controllers.lqr import Lqr
@@ -427,3 +428,85 @@ def test_lqr_refuses_a_plant_that_nothing_stabilizes() -> None:
         lqr(2, 1, params={"a": (1.0, 0.0, 0.0, 2.0), "b": (1.0, 0.0)})
     with pytest.raises(MethodError, match="4: 2 rows of 2, got 2 values"):
         lqr(2, 1, params={"a": (1.0, 0.0)})
+
+
+# ---------------------------------------------------------------------------- gripper
+
+GRIP = {"kp": 2000.0, "kd": 40.0, "speed": 0.1, "force": 40.0}
+
+
+class Fingers:
+    """Fingers of 0.2 kg on a bench; something between them holds them up."""
+
+    def __init__(self, n: int, opening: float) -> None:
+        self.w, self.v, self.block = np.full(n, opening), np.zeros(n), 0.0
+        values = {"w": self.w, "w_des": self.w, "ngrip": n}
+        self.bench = Bench(Gripper, params=GRIP, freq=500, **values)
+        self.bench.on()
+        self.fastest = 0.0
+
+    def move(self, goal: float, seconds: float) -> list[int]:
+        """Let time pass, in steps of a tenth of a cycle; return what is signalled."""
+        bench, signals = self.bench, []
+        bench.inputs.w_des = np.full(len(self.w), goal)
+        for _ in range(round(500 * seconds)):
+            bench.inputs.w, bench.inputs.wd = self.w, self.v
+            bench.step()
+            for _ in range(10):
+                self.v += 2e-4 * bench.outputs.f / 0.2
+                self.v[self.w <= self.block] = self.v[self.w <= self.block].clip(0.0)
+                self.w = np.maximum(self.w + 2e-4 * self.v, self.block)
+            self.fastest = max(self.fastest, np.abs(self.v).max())
+            signals += [one.bits for one in bench.notices()]
+        return signals
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_gripper_is_a_spring_and_a_damper_to_a_reference_of_its_speed(n: int) -> None:
+    opening, rate = 0.01 * drawn(200, n, seed=1), 0.1 * drawn(200, n, seed=2)
+    goal = 0.02 * drawn(n, seed=3)
+    before = drawn(n, seed=4)
+    values = {"w": opening[0], "w_des": goal, "wd": rate[0], "f": before, "ngrip": n}
+    bench = Bench(Gripper, params=GRIP, freq=500, **values)
+    bench.on()
+    r, laws = opening[0].copy(), []
+    for k, (w, wd) in enumerate(zip(opening, rate, strict=True)):
+        bench.inputs.w, bench.inputs.wd = w, wd
+        bench.step()
+        for i in range(n):
+            r[i] += min(max(goal[i] - r[i], -0.1 * DT), 0.1 * DT)
+            r[i] = min(max(r[i], w[i] - 0.02), w[i] + 0.02)
+        laws.append(2000.0 * (r - w) - 40.0 * wd)
+        x = min(k * DT / 0.1, 1.0)
+        left = (1.0 - 3.0 * x**2 + 2.0 * x**3) * (before - laws[0])
+        wanted = (laws[-1] + left).clip(-40.0, 40.0)
+        assert bench.outputs.f == pytest.approx(wanted, abs=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_gripper_closes_on_something_holds_it_with_its_force_and_opens(n: int) -> None:
+    fingers = Fingers(n, 0.04)
+    fingers.block = 0.025
+    assert fingers.move(0.04, 0.1) == [Gripper.ARRIVED]
+    assert fingers.move(0.0, 1.0) == [Gripper.HOLDS]
+    assert fingers.bench.outputs.grip == 2
+    assert fingers.bench.outputs.f == pytest.approx(np.full(n, -40.0), abs=1e-9)
+    assert fingers.move(0.02, 1.0) == [Gripper.HOLDS], "more gently"
+    assert fingers.bench.outputs.f == pytest.approx(np.full(n, -10.0), abs=1e-9)
+    assert fingers.move(0.04, 1.0) == [Gripper.ARRIVED]
+    assert fingers.w == pytest.approx(np.full(n, 0.04), abs=1e-4)
+    assert fingers.fastest < 0.12, "SPEED, and a little for the start"
+
+
+def test_gripper_tells_what_is_lost_and_goes_on_as_fast_as_it_may() -> None:
+    fingers = Fingers(2, 0.04)
+    fingers.block = 0.015
+    fingers.move(0.0, 1.0)
+    fingers.bench.inputs.wd = np.array([3e-3, -3e-3])  # a sensor trembles
+    fingers.bench.step()
+    assert fingers.bench.outputs.grip == 2
+    fingers.block, fingers.fastest = 0.0, 0.0
+    told = fingers.move(0.0, 0.6)
+    assert told[0] == Gripper.LOST
+    assert fingers.fastest < 0.6, "it pressed with 40 N"
+    assert fingers.w == pytest.approx(np.zeros(2), abs=1e-3)

@@ -26,7 +26,7 @@ POSE = "1 0 0 0.1  0 1 0 0.2  0 0 1 0.3"
 INIT = {"X_DES": POSE, "X_REF": POSE, "X_MEZ": POSE, "ACC": "0 0 9.80665"}
 """First values of variables, by the port's name; 0 otherwise."""
 SIZES = {"ndof": 3, "nraw": 4, "nz": 4, "naxes": 3, "nx": 2, "nu": 1, "nfeet": 4}
-SIZES |= {"n": 2, "m": 1}
+SIZES |= {"n": 2, "m": 1, "ngrip": 2}
 OTHER_SIZES = {
     "kalman": {"nz": 1},
     "impedance": {"ndof": 7},

@@ -567,6 +567,48 @@ def test_a_foot_in_the_air_goes_where_its_joints_are_to_be() -> None:
     assert bench.state is State.ON
 
 
+def test_a_body_that_cannot_follow_its_goal_is_told_once() -> None:
+    """Its torques stay within the efforts, wherever the goal is."""
+    near, far = BODY.copy(), BODY.copy()
+    near[2, 3] += 0.02
+    far[2, 3] += 5.0
+    bench = torques(x_des=near)
+    bench.step(n=60)
+    assert not bench.notices()
+    for _ in range(2):
+        bench.inputs.x_des = far
+        bench.step(n=3)
+        (notice,) = bench.notices()
+        assert "frame body cannot follow X_BODY_DES, " in notice.text
+        full = np.abs(bench.outputs.tau) >= 25.0 * (1.0 - 1e-6)
+        joints = bench.module._model.joints.joints
+        names = [one for one, at in zip(joints, full, strict=True) if at]
+        assert 0 < len(names) < 12
+        assert f": the torque of {', '.join(names)} is at its limit" in notice.text
+        assert np.abs(bench.outputs.tau).max() <= 25.0
+        bench.inputs.x_des = near
+        bench.step()
+    turned = BODY.copy()
+    turned[:, :3] = rotation(np.array([0.0, 0.0, 3.0]))
+    bench.inputs.x_des = turned
+    bench.step(n=3)
+    (notice,) = bench.notices()
+    assert "rad/s^2 are missing" in notice.text
+
+
+def test_feet_are_set_when_others_stand_and_not_by_how_much() -> None:
+    """To set them takes placo microseconds, and an estimate of contact trembles."""
+    bench, stood = torques(), []
+    bench.step()
+    stand = bench.module._stand
+    note = lambda stands: (stood.append(stands), stand(stands))  # noqa: E731
+    object.__setattr__(bench.module, "_stand", note)
+    for contact in ([0.9, 1.0, 0.7, 1.0], [0.9, 0.4, 0.7, 1.0], [1.0, 0.3, 1.0, 1.0]):
+        bench.inputs.contact = contact
+        bench.step()
+    assert stood == [[True, False, True, True]]
+
+
 def test_joints_too_weak_end_in_error_with_the_feet(tmp_path: Path) -> None:
     weak = (QUADRUPED / "quadruped.urdf").read_text().replace('"25"', '"0.5"')
     (tmp_path / "weak.urdf").write_text(weak)

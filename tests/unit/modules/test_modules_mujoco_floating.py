@@ -11,6 +11,7 @@ import pytest
 from pbonet import State
 from pbonet.errors import MethodError
 from pbonet.io import MujocoRobot, RobotModel, rotation
+from pbonet.io._mujoco_memory import JointMemory
 from pbonet.modules.kinematics.diff_drive import DiffDrive
 from pbonet.modules.robot_interfaces.mujoco_base import MujocoBase
 from pbonet.modules.robot_interfaces.mujoco_quad import MujocoQuad
@@ -110,7 +111,8 @@ def test_joints_are_in_the_order_that_pinocchio_has(tmp_path: Path) -> None:
     assert robot.q == pytest.approx(q + 0.001 * qd, abs=1e-3)
     wish = np.array([4.0, -3.0, 2.0])
     torque = robot.torque_for(wish)
-    robot._low[:], robot._high[:] = -np.inf, np.inf
+    for bound, free in zip(robot._bounds, (-np.inf, np.inf), strict=True):
+        bound[:] = free
     robot.command(torque)
     robot._data.qfrc_applied[:6] = 0.0
     full = np.zeros(9)
@@ -150,6 +152,19 @@ def test_bodies_named_as_fixed_joints_give_branches_pinocchio_s_order(
     (tmp_path / "two.xml").write_text(MOUNTED)
     robot = MujocoRobot("two.xml", [tmp_path])
     assert robot.joints == RobotModel("two.urdf", [tmp_path]).joints == ("legB", "legA")
+
+
+def test_memory_of_other_sizes_is_not_that_of_the_joints(tmp_path: Path) -> None:
+    (tmp_path / "legs.xml").write_text(LEGS)
+    robot = MujocoRobot("legs.xml", [tmp_path], floats=True)
+    three, two, bounds = np.zeros(3), np.zeros(2), (np.zeros(3), np.zeros(3))
+    for order, q in (((0, 1, 2), two), ((0, 1, 1), three), ((0, 1), three)):
+        with pytest.raises(ValueError, match="each once"):
+            JointMemory(robot._data, np.array(order), bounds, q, three, three)
+    with pytest.raises(ValueError, match="for each joint"):
+        robot.command(two)
+    with pytest.raises(ValueError, match="a pose is"):
+        robot.sense_base(np.zeros((3, 3)), np.zeros(6))
 
 
 def test_a_push_changes_the_momentum_by_its_force_times_its_time() -> None:

@@ -289,6 +289,30 @@ def test_in_the_singularity_it_still_moves_where_it_can() -> None:
     assert jacobian @ bench.outputs.qd == pytest.approx(wanted, abs=1e-9)
 
 
+def test_a_singular_arm_is_told_once_until_it_can_follow_again() -> None:
+    """As when it is stretched towards a goal out of reach."""
+    singular, free = (np.array([0.0, 0.785, -3.14, 0.0, b, 0.0]) for b in (0.0, 0.6))
+    bench = damped(singular, np.zeros(6))
+    u, s, _ = np.linalg.svd(scale(0.2)[:, None] * bench.inputs.jacobian)
+    bench.inputs.v_des = 0.1 * u[:, -1] / scale(0.2)
+    bench.step(n=3)
+    (notice,) = bench.notices()
+    assert "cannot follow X_DES" in notice.text
+    assert f"singular value of {s[-1]:.2g} in J_MEZ" in notice.text
+    lost = bench.inputs.v_des - bench.inputs.jacobian @ bench.outputs.qd
+    told = 0.2 * np.abs(scale(0.2) * lost).max()
+    assert f"{told:.2g} m/s are missing" in notice.text
+    bench.inputs.v_des = np.zeros(6)  # nothing is missing of no velocity
+    bench.step()
+    bench.inputs.v_des = 0.1 * u[:, -1] / scale(0.2)
+    bench.step()
+    assert len(bench.notices()) == 1, "it came again"
+    bench.inputs.x_des, bench.inputs.jacobian = GEOMETRY.jacobian(free)
+    bench.inputs.x = bench.inputs.x_des
+    bench.step(n=3)
+    assert not bench.notices()
+
+
 def test_the_hand_is_asked_for_no_more_than_its_limits() -> None:
     q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
     wanted = np.array([3.0, 0.0, 4.0, 0.0, 6.0, 8.0])

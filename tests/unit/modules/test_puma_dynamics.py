@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from newton_euler import G, newton_euler
 
-from pbonet.io._friction import FrictionStep, solve_with_friction
+from pbonet.io._friction import FrictionStep, add_damping, solve_with_friction
 from pbonet.io.arm import SimulatedArm
 from pbonet.io.chain import Chain
 from pbonet.io.puma560 import PUMA560
@@ -209,6 +209,16 @@ def test_joint_sticks_until_the_torque_exceeds_its_friction():
         arm.command(torque)
         arm.advance(2e-3)
     assert arm.q[1] < NOMINAL[1]
+
+
+def test_viscous_friction_is_added_to_the_torque_of_each_joint():
+    torque, damping, qd = np.random.default_rng(5).normal(size=(3, 30))
+    wanted = torque + damping * qd
+    add_damping(torque[::2], damping[::2], qd[::2])
+    add_damping(torque[1::2], damping[1::2], qd[1::2])
+    assert torque == pytest.approx(wanted, abs=1e-15)
+    with pytest.raises(ValueError, match="same joints"):
+        add_damping(torque, damping, qd[:3])
 
 
 @pytest.mark.slow

@@ -97,7 +97,9 @@ def test_both_files_are_the_same_robot() -> None:
     robot = MujocoRobot("quadruped.xml", [EXAMPLE], floats=True)
     model = FloatingModel("quadruped.urdf", [EXAMPLE])
     assert robot.joints == model.joints.joints
-    assert robot._high == pytest.approx(model.joints.effort)
+    low, high = robot._bounds
+    assert high == pytest.approx(model.joints.effort)
+    assert low == pytest.approx(-model.joints.effort)
     ranges = robot._model.jnt_range[1:]
     assert ranges[:, 0] == pytest.approx(model.joints.lower)
     assert ranges[:, 1] == pytest.approx(model.joints.upper)
