@@ -252,13 +252,21 @@ class Adapter:
         tty.setraw(self._slave)
         os.set_blocking(self.fd, False)
         self.path = os.ttyname(self._slave)
-        self._held, self._is_open = b"", False
+        self._held, self._rest, self._is_open = b"", b"", False
 
     def send(self, message):
-        if self._is_open:
-            head = f"t{message.arbitration_id:03X}{len(message.data)}"
-            with suppress(BlockingIOError):  # who has opened it does not read
-                os.write(self.fd, f"{head}{message.data.hex()}\r".encode())
+        """Send a frame; where who has opened it does not read, that is dropped."""
+        if not self._is_open or (self._rest and not self._give(self._rest)):
+            return
+        head = f"t{message.arbitration_id:03X}{len(message.data)}"
+        self._give(f"{head}{message.data.hex()}\r".encode())
+
+    def _give(self, line):
+        """Write a line whole; return False if there is no room for all of it now."""
+        with suppress(BlockingIOError):
+            line = line[os.write(self.fd, line) :]
+        self._rest = line
+        return not line
 
     def recv(self, _seconds):
         """Return the next frame that has come, or None."""
