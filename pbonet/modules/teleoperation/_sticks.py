@@ -9,7 +9,7 @@ from pbonet.modules._values import PerElement, spread
 
 
 class Feel(Params, kw_only=True):
-    """What a push stands for."""
+    """Scale of the axes, and how far they rest."""
 
     gain: A[PerElement, param("none", "value of AXES at full deflection")] = (1.0,)
     dead: A[float, param("none", "share of an axis that is at rest", ge=0, lt=1)] = 0.1
