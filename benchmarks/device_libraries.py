@@ -1,32 +1,36 @@
 """Devices that answer at once, for what their drivers cost beside the bare library.
 
-A server of one register speaks Modbus, a node CANopen, when they are told to. Lines of
-a chip and devices on I2C and SPI answer from memory, at the edge of gpiod, smbus2 and
-spidev.
+A server of one register speaks Modbus when it is told to. Lines of a chip and devices
+on I2C and SPI answer from memory, at the edge of gpiod, smbus2 and spidev; a camera at
+the edge of the kernel. Those on CAN and EtherCAT are in `device_buses`.
 """
 
 from __future__ import annotations
 
 import os
 import socket
-from threading import Thread
+from mmap import mmap as mapped
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 from unittest import mock
 
-import can
 import gpiod
 import smbus2
 from gpiod.line import Value
 
-from pbonet.io.drivers import Entry, Mode, Wait, database, i2c_driver, open_device
+from pbonet.io.drivers import (
+    Entry,
+    Mode,
+    Wait,
+    camera_driver,
+    database,
+    i2c_driver,
+    open_device,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from contextlib import ExitStack
     from pathlib import Path
-
-BUS = "bench of canopen"
-NODE = 5
 
 
 class Case(NamedTuple):
@@ -48,11 +52,11 @@ def cases(stack: ExitStack, folder: Path) -> list[Case]:
     return [
         tcp(stack),
         modbus(stack),
-        canopen(stack),
         iio_dac(stack, folder),
         *gpio(stack),
         i2c(stack),
         spi(stack),
+        camera(stack, folder),
     ]
 
 
@@ -124,47 +128,6 @@ def modbus(stack: ExitStack) -> Case:
         *("modbus (TCP), one register", answer, plc.read),
         lambda: (near.recv(64), near.send(request)),
     )
-
-
-def canopen(stack: ExitStack) -> Case:
-    """Return the case of one object, with the request for the next value."""
-    settings = {"objects": ["6064:00/32"], "unit": NODE, "timeout": 60.0}
-    entry = Entry(
-        driver="canopen", address=BUS, settings={**settings, "interface": "virtual"}
-    )
-    node, near, far = (
-        can.Bus(channel=channel, interface="virtual")
-        for channel in (BUS, f"other {BUS}", f"other {BUS}")
-    )
-    for one in (node, near, far):
-        stack.callback(one.shutdown)
-
-    def answer(end: Any) -> None:  # noqa: ANN401 - a bus of python-can
-        asked = end.recv(60.0)
-        data = b"\x43" + bytes(asked.data[1:4]) + b"\1\2\3\4"
-        end.send(frame(0x580 + NODE, data))
-
-    is_there = Thread(target=answer, args=(node,))
-    is_there.start()
-    drive = opened(stack, entry, Mode.READ)
-    is_there.join()
-    request = frame(0x600 + NODE, b"\x40\x64\x60" + bytes(5))
-    drive.read()  # the first request
-    near.send(request)
-
-    def both() -> None:
-        answer(node)
-        answer(far)
-
-    return Case(
-        *("canopen (virtual), one object", both, drive.read),
-        lambda: (near.recv(0), near.send(request)),
-    )
-
-
-def frame(identity: int, data: bytes) -> can.Message:
-    """Return a frame."""
-    return can.Message(arbitration_id=identity, data=data, is_extended_id=False)
 
 
 def iio_dac(stack: ExitStack, folder: Path) -> Case:
@@ -311,3 +274,89 @@ def spi(stack: ExitStack) -> Case:
         *("spi, 8 bytes", int, lambda: chip.transfer(data)),
         lambda: bytes(bus.xfer2(list(data))),
     )
+
+
+WIDTH, HEIGHT = 640, 480
+PICTURE = 2 * WIDTH * HEIGHT
+"""Bytes of a picture in YUYV: a number of pages."""
+_BUFFERS = 4
+
+
+class Pictures:
+    """A camera at the edge of the kernel: a file has the memory of its buffers.
+
+    Its pictures are there already: the benchmark measures what is done with them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._given: list[int] = []
+        self._full: list[int] = []
+        self._sequence = 0
+        path.write_bytes(os.urandom(PICTURE) * _BUFFERS)
+
+    def picture(self) -> None:
+        """Let a picture come, in the next buffer that it was given."""
+        self._full.append(self._given.pop(0))
+
+    def ioctl(self, _fd: int, request: int, data: bytearray) -> None:
+        """Do what the kernel does with a request."""
+        d = camera_driver
+        if request == d.DQBUF:
+            if not self._full:
+                raise BlockingIOError
+            number, self._sequence = self._full.pop(0), self._sequence + 1
+            of_picture = PICTURE, 0, 1, 5, 6, self._sequence, d.MAPPED
+            d.BUFFER.pack_into(
+                *(data, 0, number, d.CAPTURE, *of_picture),
+                *(number * PICTURE, PICTURE),
+            )
+        elif request == d.QBUF:
+            self._given.append(d.BUFFER.unpack(data)[0])
+        elif request == d.QUERYBUF:
+            number = d.BUFFER.unpack(data)[0]
+            rest = d.CAPTURE, 0, 0, 0, 0, 0, 0, d.MAPPED, number * PICTURE, PICTURE
+            d.BUFFER.pack_into(data, 0, number, *rest)
+        elif request == d.S_FMT:
+            kind, width, height, code, *_ = d.FORMAT.unpack(data)
+            line = 2 * width, PICTURE, 0, 0
+            d.FORMAT.pack_into(data, 0, kind, width, height, code, 0, *line)
+
+
+def camera(stack: ExitStack, folder: Path) -> Case:
+    """Return the case of one picture, which is copied into shared memory."""
+    there, plain = (Pictures(folder / name) for name in ("video0", "video1"))
+    (folder / "shm").mkdir()
+    for name, value in (("ioctl", there.ioctl), ("SHARED", str(folder / "shm"))):
+        stack.enter_context(mock.patch.object(camera_driver, name, value))
+    entry = Entry(driver="camera", address=str(folder / "video0"))
+    device = opened(stack, entry, Mode.READ)
+    buffers, shown = (
+        stack.enter_context(shared(path, PICTURE * _BUFFERS))
+        for path in (folder / "video1", folder / "shown")
+    )
+    room = bytearray(camera_driver.BUFFER.size)
+    for number in range(_BUFFERS):
+        room[:4] = number.to_bytes(4, "little")
+        plain.ioctl(-1, camera_driver.QBUF, room)
+
+    def both() -> None:
+        there.picture()
+        plain.picture()
+
+    def take() -> None:
+        plain.ioctl(-1, camera_driver.DQBUF, room)
+        begin = camera_driver.BUFFER.unpack(room)[0] * PICTURE
+        with memoryview(buffers) as view:
+            shown[begin : begin + PICTURE] = view[begin : begin + PICTURE]
+        plain.ioctl(-1, camera_driver.QBUF, room)
+
+    return Case(
+        f"camera, {WIDTH} x {HEIGHT} YUYV", both, lambda: device.status("FRAME"), take
+    )
+
+
+def shared(path: Path, size: int) -> mapped:
+    """Return the memory of a file, which is made that large."""
+    with path.open("a+b") as file:
+        file.truncate(size)
+        return mapped(file.fileno(), size)

@@ -26,7 +26,7 @@ from unittest import mock
 
 import can
 
-from benchmarks import device_libraries, killed_devices
+from benchmarks import device_buses, device_libraries, killed_devices
 from benchmarks.device_libraries import Case
 from pbonet.io.drivers import (
     Entry,
@@ -154,6 +154,7 @@ def cases(stack: ExitStack) -> list[Case]:
             *(lambda: bus(1), lambda: buses[1].recv(0)),
         ),
         *device_libraries.cases(stack, folder),
+        *device_buses.cases(stack),
     ]  # fmt: skip
 
 

@@ -165,6 +165,7 @@ USUAL: dict[str, Callable[[Path], Mapping[str, Any]]] = {
         "naxes": SIZE // 2,
         "params": {"device": "pad", "axes": (0, 1, 2), "buttons": (3, 4, 5, 6)},
     },
+    "joystick_sim": lambda _: {"naxes": SIZE // 2},
     "spacemouse": lambda folder: {"params": {"device": str(folder / "device")}},
     "traj_play": lambda folder: {"params": {"file": samples(folder), "repeat": True}},
     "dmp": lambda folder: {"params": {"file": samples(folder)}},

@@ -48,5 +48,5 @@ def require_devices(where: str) -> None:
             "no device is opened",
             where=where,
             got=reason,
-            remedy="the module continues without it",
+            remedy="put the module that simulates it in its place",
         )

@@ -4,19 +4,23 @@ from typing import Annotated as A, Any
 
 import numpy as np
 
-from pbonet import OutVar, Params, PortBasedObject, Vector, param
+from pbonet import param
 from pbonet.errors import DeviceError, ParameterError
 from pbonet.io.drivers import Mode, open_device
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import keep
+
+from ._sticks import Feel, Sticks
 
 RETRY_NS = 1_000_000_000
 """Between two attempts to open a device that was lost."""
+FIXED = frozenset({"device", "axes", "buttons"})
+"""Parameters that are read when the task is created."""
 
 
-class Layout(Params):
+class Layout(Feel):
     """The device, and which of its ports are read."""
 
-    device: A[str, param("none", "device of agent.toml, driver joystick")]
+    device: A[str, param("none", "device of agent.toml, driver joystick", device=True)]
     axes: A[
         tuple[int, ...],
         param("none", "port of each axis; minus 1 for none", ge=-1, le=63),
@@ -27,11 +31,9 @@ class Layout(Params):
         4,
         5,
     )
-    gain: A[PerElement, param("none", "value of AXES at full deflection")] = (1.0,)
-    dead: A[float, param("none", "share of an axis that is at rest", ge=0, lt=1)] = 0.1
 
 
-class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
+class Joystick(Sticks[Layout]):
     """y = gain * sign(a) * max(abs(a) - dead, 0) / (1 - dead), a of full push 1.
 
     Each axis goes from -1 to 1 over the range that the device names. The buttons that
@@ -39,11 +41,6 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
     device is lost, axes and buttons are 0, a warning says so, and it is looked for once
     a second until it is back. `deadman` passes the axes on only while a button is held.
     """
-
-    y: A[Vector, OutVar("AXES", "naxes", "any", "the axes", new=True)]
-    buttons: A[
-        int, OutVar("BUTTONS", "1", "none", "held buttons, one bit each", new=True)
-    ]
 
     def init(self) -> None:
         k = self.params
@@ -56,7 +53,7 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
             )
         if len(k.buttons) > 31:  # noqa: PLR2004 - bits of a positive integer
             raise ParameterError("BUTTONS has room for 31 buttons", remedy="take fewer")
-        self._gain = spread(k.gain, self.y.size, "gain")
+        super().init()
         self._where = np.flatnonzero(np.array(k.axes) >= 0)
         self._used = [port for port in k.axes if port >= 0]
         self._fault = False
@@ -64,13 +61,9 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
         self._next_try_ns = self.task.now
         self._poll()  # a missing device is reported at once
 
-    def set(self, name: str, value: object) -> None:  # noqa: ARG002
-        if name in {"device", "axes", "buttons"}:
-            raise ParameterError(
-                f"parameter {name} is read when the task is created",
-                remedy="kill the task and spawn it again",
-            )
-        self._gain = spread(self.params.gain, self.y.size, "gain")
+    def set(self, name: str, value: object) -> None:
+        keep(name, FIXED)
+        super().set(name, value)
 
     def on(self) -> None:
         if self._device is None or not self._device.is_open:
@@ -80,11 +73,6 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only
         self._poll()
-
-    def off(self) -> None:
-        if not self.task.handover:
-            self.y[:] = 0.0
-            self.buttons = 0
 
     def kill(self) -> None:
         self._close()
@@ -104,16 +92,14 @@ class Joystick(PortBasedObject[Layout], module_class="teleoperation"):
                 self.task.warn(f"the joystick rests: {fault}")
             self._fault, values = True, None
         push = np.zeros(self.y.size)
-        self.buttons = 0
+        buttons = 0
         if values is not None:
             for where, port in zip(self._where, self._used, strict=True):
                 low, high = self._ranges[port]
                 push[where] = (2.0 * values[port] - low - high) / (high - low)
             ports = enumerate(self.params.buttons)
-            self.buttons = sum(1 << k for k, port in ports if values[port])
-        dead = self.params.dead
-        size = np.maximum(np.minimum(np.abs(push), 1.0) - dead, 0.0) / (1.0 - dead)
-        self.y[:] = self._gain * np.sign(push) * size
+            buttons = sum(1 << k for k, port in ports if values[port])
+        self._show(push, buttons)
 
     def _values(self) -> list[int] | None:
         """Return the values of all ports; None: it is not time to look for it."""

@@ -427,7 +427,7 @@ class Agent:
         self._apart = {
             subsystem: beats.silence(subsystem, use.keeper)
             for subsystem, use in link.info.tables.items()
-            if use.alone and not beats.is_here(use.keeper)
+            if use.alone and use.keeper and not beats.is_here(use.keeper)
         }
         if before or self._apart:
             self._note(rtpu_messages.Alive(self._apart))

@@ -62,16 +62,17 @@ def test_a_device_of_a_machine_is_read_told_freed_and_replayed(nodes, tmp_path):
     file.write_bytes(bytes(range(64)))
     mem = Entry(driver="file", address=str(file), first=2, ports=8)
     nodes.write_module("reads", READS)
-    nodes.agent_process("arm0", device={"mem": mem})
-    arm = nodes.master("arm0", "arm")
+    nodes.agent_processes("arm0", "arm1", device={"mem": mem})
+    arm, leg = nodes.master("arm0", "arm"), nodes.master("arm1", "leg")
     path = record(arm)
     arm.spawn("first", "reads", text=rmod("reads"))
     arm.on("first")
     wait_for(lambda: arm.value("Y0").values[0] == 5.0, "what the file has")
     pid = arm.status("first").tid
     user = {"port": 3, "task": "arm0/first", "mode": "READ", "pid": pid}
-    (device,) = told(nodes)["devices"]
-    assert device.pop("host")
+    device, same = told(nodes)["devices"]
+    assert (same["rtpu"], same["users"]) == ("arm1", [user]), "on one machine"
+    assert device.pop("host") == same["host"]
     assert device == {
         "rtpu": "arm0",
         "name": "mem",
@@ -83,11 +84,16 @@ def test_a_device_of_a_machine_is_read_told_freed_and_replayed(nodes, tmp_path):
         "users": [user],
         "fault": None,
     }
-    error = arm.refused(
-        MethodError, arm.spawn, "other", "reads", text=rmod("reads", "Y1")
-    )
-    assert f"port 3: arm0/first (process {pid})" in str(error)
+    for one in (arm, leg):
+        error = one.refused(
+            MethodError, one.spawn, "other", "reads", text=rmod("reads", "Y1")
+        )
+        assert f"port 3: arm0/first (process {pid})" in str(error)
     os.kill(pid, signal.SIGKILL)
+    leg.spawn("other", "reads", text=rmod("reads", "Y1"))  # at once
+    leg.on("other")
+    wait_for(lambda: leg.value("Y1").values[0] == 5.0, "what the file has")
+    leg.kill("other")
     arm.wait_event("TASK_DIED", "first")
     arm.spawn("other", "reads", text=rmod("reads", "Y1"))
     arm.on("other")

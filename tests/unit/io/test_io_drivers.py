@@ -467,7 +467,8 @@ def test_what_was_read_replays_without_a_device(devices):
 
 
 def test_a_simulation_opens_none(devices):
-    refused = pytest.raises(DeviceError, match="this is a simulation")
+    told = r"this is a simulation\); put the module that simulates it in its place"
+    refused = pytest.raises(DeviceError, match=told)
     with no_devices("this is a simulation"), refused:
         open_device("m", 0, mode=Mode.READ)
     assert not (devices["file"].parent / "run" / "devices").exists()

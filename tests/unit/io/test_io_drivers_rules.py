@@ -8,6 +8,7 @@ import socket
 import sys
 from contextlib import suppress
 
+import can
 import msgspec
 import pytest
 from device_rigs import RIGS
@@ -97,6 +98,34 @@ def test_garbage_ends_in_values_or_an_error(rig):
         except DeviceError as error:
             errors.append(str(error))
     assert rig.lost in errors[0]
+
+
+@pytest.mark.parametrize("rig", ["canopen"], indirect=True)
+def test_garbage_on_the_bus_ends_in_values_or_an_error(rig):
+    """A hundred thousand bytes, many of them in frames that look like the node's."""
+    chance, identities = random.Random(1), (0x585, 0x185, 0x7FF)
+    bus = can.Bus("bus of a test", interface="virtual")
+    with bus, opened(rig) as device:
+        for k in range(12_500):
+            data = chance.randbytes(chance.choice((8, 8, 8, 2)))
+            identity = chance.choice(identities)
+            frame = can.Message(
+                arbitration_id=identity, data=data, is_extended_id=False
+            )
+            with suppress(can.CanError):  # what has no room is dropped
+                bus.send(frame, timeout=0)
+            if k % 100:
+                continue
+            with suppress(DeviceError):
+                assert rig.use(device)
+        wait_for(lambda: sound(rig, device), "values of the node")
+
+
+def sound(rig, device):
+    """Return what is read, if the device raises no error."""
+    with suppress(DeviceError):
+        return rig.use(device)
+    return None
 
 
 @pytest.mark.parametrize(

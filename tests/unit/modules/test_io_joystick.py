@@ -14,6 +14,7 @@ from pbonet.io import no_devices
 from pbonet.io.drivers import Mode, database, joystick_driver, open_device
 from pbonet.io.drivers.joystick_driver import ABS, EVENT, KEY, SYN
 from pbonet.modules.teleoperation.joystick import Joystick as Module
+from pbonet.modules.teleoperation.joystick_sim import JoystickSim
 from pbonet.testing import Bench
 
 X, Y, SOUTH, EAST = 0, 1, 304, 305
@@ -150,6 +151,22 @@ def test_a_lost_joystick_rests_is_reported_once_and_found_again(pad) -> None:
     assert bench.outputs.y[2] == 1.0
     assert bench.step() is State.ON
     bench.kill()
+
+
+def test_its_twin_is_pushed_as_it_is_told_and_rests_alike() -> None:
+    params = {"gain": (4.0, 1.0), "dead": 0.2, "mean": (0.6, 0.0), "held": 2}
+    bench = Bench(JoystickSim, params=params, naxes=2, freq=50)
+    with no_devices("this is a simulation"):
+        bench.on()
+        bench.step()
+    assert bench.outputs.y == pytest.approx([4.0 * 0.4 / 0.8, 0.0])
+    assert bench.outputs.buttons == 2
+    bench.set("amplitude", "0 1")
+    bench.step(n=125)
+    assert bench.outputs.y == pytest.approx([4.0 * 0.4 / 0.8, 1.0])
+    bench.off()
+    assert not bench.outputs.y.any()
+    assert bench.outputs.buttons == 0
 
 
 def test_a_joystick_goes_from_one_task_to_another(pad) -> None:

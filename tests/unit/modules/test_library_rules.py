@@ -70,6 +70,7 @@ FUNCTIONS = {
     "deadman": "its input, or the safe value",
     "visual_target": "where the target is",
     "joystick": "where the stick is",
+    "joystick_sim": "where the stick would be",
     "spacemouse": "how far the cap is pushed",
     "constant": "what an operator says, by SLEW if it is given",
 }

@@ -9,6 +9,7 @@ import socket
 import struct
 import threading
 import tty
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import smbus2
 from device_rigs import Gpio
 from watching import wait_for
 
+import pbonet.modules
 from pbonet import State, TimingFailure
 from pbonet.config import Library
 from pbonet.errors import DeviceError, MethodError
@@ -33,6 +35,8 @@ from pbonet.modules.sensors.linear_sensor import LinearSensor
 from pbonet.modules.sensors.linear_sensor_sim import LinearSensorSim
 from pbonet.modules.sensors.mpu6050 import Mpu6050
 from pbonet.modules.sensors.mpu6050_sim import Mpu6050Sim
+from pbonet.modules.teleoperation.joystick import Joystick
+from pbonet.modules.teleoperation.joystick_sim import JoystickSim
 from pbonet.outside import Player, Tape, using as recording
 from pbonet.pbo import decode_params
 from pbonet.testing import Bench
@@ -44,6 +48,7 @@ PAIRS = [
     (Encoder, EncoderSim),
     (Mpu6050, Mpu6050Sim),
     (Ft300, Ft300Sim),
+    (Joystick, JoystickSim),
 ]
 
 
@@ -94,7 +99,8 @@ RMODS = [
     "modbus_inputs", "linear_actuator", "linear_actuator_sim", "relays",
     "modbus_outputs", "encoder", "encoder_sim", "mpu6050", "mpu6050_sim", "ft300",
     "ft300_sim", "can_position", "can_speed", "can_torque", "dynamixel",
-    "axes_position_sim", "axes_speed_sim", "axes_torque_sim",
+    "axes_position_sim", "axes_speed_sim", "axes_torque_sim", "joystick",
+    "joystick_sim",
 ]  # fmt: skip
 
 
@@ -109,6 +115,18 @@ def test_the_library_has_an_rmod_that_fits_its_module(name):
     wanted = {port.name for port in loaded.info.ports}
     ports = (record.inconst, record.outconst, record.invar, record.outvar)
     assert {port for names in ports for port in names} == wanted
+
+
+def test_each_module_that_opens_a_device_says_so():
+    """A task is bound to the machine that has what such a parameter names."""
+    library = Library()
+    unsaid = [
+        path.stem
+        for path in sorted(Path(pbonet.modules.__file__).parent.glob("*/[a-z]*.py"))
+        for one in library.load(path.stem).info.params
+        if (one.name, one.type) == ("device", "str") and one.names != "device"
+    ]
+    assert unsaid == ["jtball", "spacemouse"], "whose parameter is a file"
 
 
 # ------------------------------------------------------------------- linear_sensor

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-import scripted_servos as servos
+import scripted_motors as servos
 from device_rigs import Dynamixel as Rig
-from scripted_servos import GOAL, PLACE, SPEED, TORQUE, WATCHDOG, Servos
+from scripted_motors import GOAL, PLACE, SPEED, TORQUE, WATCHDOG, Servos
 from watching import wait_for
 
 from pbonet import State
@@ -31,7 +31,7 @@ def table(tmp_path, monkeypatch):
     made[PLACE], made[SPEED] = [HALF, HALF + 1024], [0, 2**32 - 100]
     made[servos.CURRENT] = [200, 2**16 - 100]
     Servos.tables[str(tmp_path)] = made
-    entry = Entry(driver="scripted_servos:Servos", address=str(tmp_path))
+    entry = Entry(driver="scripted_motors:Servos", address=str(tmp_path))
     with database.using({"servos": entry}):
         yield made
 

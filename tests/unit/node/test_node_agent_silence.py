@@ -6,7 +6,9 @@ import asyncio
 import time
 from types import SimpleNamespace
 
+from pbonet.node.agent import Agent
 from pbonet.node.rtpu.agent_loss import SILENCE, Silence
+from pbonet.node.wire.rtpu_messages import OpenTable
 
 
 class Flags:
@@ -61,3 +63,21 @@ def test_the_flag_is_up_while_the_agent_is_silent(monkeypatch):
         silence.close()
 
     asyncio.run(run())
+
+
+def test_only_a_keeper_elsewhere_that_is_named_is_expected_to_answer():
+    sent = []
+    tables = {
+        "arm": OpenTable(keep=True, keeper="", alone=2.0),
+        "leg": OpenTable(keep=True, keeper="here", alone=2.0),
+        "head": OpenTable(keep=False, keeper="far", alone=2.0),
+        "free": OpenTable(keep=False, keeper="far", alone=0.0),
+    }
+    agent = Agent.__new__(Agent)
+    agent._apart, agent._note = {}, sent.append
+    agent._link = SimpleNamespace(info=SimpleNamespace(tables=tables))
+    agent._heartbeat = SimpleNamespace(
+        silence=lambda *_: 0.5, is_here=lambda name: name == "here"
+    )
+    agent._send_alive()
+    assert [one.silences for one in sent] == [{"head": 0.5}]
