@@ -18,6 +18,7 @@ from . import publishing, subscribing, topics_file, trajectory_action
 from .message_types import MessageTypes
 from .repeated_warnings import Warnings
 from .ros_node import RosNode
+from .rosout import Rosout
 from .services import Services
 from .subscribing import HOME, Incoming
 from .trajectory_action import TrajectoryAction
@@ -125,6 +126,7 @@ class Bridge:
         warnings: Warnings,
     ) -> None:
         self.node.open()
+        warnings.also(Rosout(self.node).warn)
         xm.live_on(HOME, domain=subsystem.domain)
         for asked, record in records:
             link = Incoming(types, asked, record, warnings)
