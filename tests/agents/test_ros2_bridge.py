@@ -372,7 +372,8 @@ def test_an_arm_stops_when_its_bridge_is_killed_amid_a_goal(arm, bridge, node) -
         before = watching.status("follow").cycle
         wait_for(lambda: watching.status("follow").cycle > before + 10, "its cycles")
         assert shown("Q_DES") == stands
-        assert "silent" in watching.status("follow").errmsg
+        said = [one.text for one in watching.events(task="follow")]
+        assert [text for text in said if "is silent for" in text]
 
 
 def sees_it(node, about):
