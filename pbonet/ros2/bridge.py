@@ -11,7 +11,7 @@ import msgspec
 from pbonet import xm
 from pbonet.master.console import Interrupts, render
 from pbonet.master.subsystem import Subsystem
-from pbonet.svar import Table, survive_cuts
+from pbonet.svar import Table, short_slices, survive_cuts
 from pbonet.xm.net import session
 
 from . import publishing, subscribing, topics_file, trajectory_action
@@ -61,6 +61,8 @@ class Network(msgspec.Struct, frozen=True):
 class Bridge:
     """A subsystem as a node of ROS 2.
 
+    Its threads run in short slices, and so does the thread that makes it.
+
     Args:
         subsystem: Its files are read; for services it is open, for watching.
         topics: What is published and subscribed; None: all variables, by their names.
@@ -99,6 +101,7 @@ class Bridge:
         fillings = publishing.fillings(
             types, topics.publish, _by_name(variables), where
         )
+        short_slices()  # zenoh's threads, too, which begin with the session
         full_name = topics.node or subsystem.name.replace("-", "_")
         opened = session.ros2(
             domain,
