@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -338,6 +340,7 @@ def token(node, number, kind, name, made):
 
 
 def test_a_node_of_ros_sees_moves_and_commands_a_subsystem(arm, bridge, node) -> None:
+    is_soon_awake(bridge[0].pid)
     sees_it(node, bridge[2])
     gets_its_variables()
     commands_it()
@@ -374,6 +377,16 @@ def test_an_arm_stops_when_its_bridge_is_killed_amid_a_goal(arm, bridge, node) -
         assert shown("Q_DES") == stands
         said = [one.text for one in watching.events(task="follow")]
         assert [text for text in said if "is silent for" in text]
+
+
+def is_soon_awake(pid):
+    """The main thread of the bridge, and those of its session, have short slices."""
+    slices = {}
+    for path in Path(f"/proc/{pid}/task").glob("*/sched"):
+        if found := re.search(r"^se\.slice +: +(\d+)", path.read_text(), re.MULTILINE):
+            slices[path.parent.name] = int(found[1])
+    assert not slices or slices[str(pid)] == 100_000, "as far as the kernel tells"
+    assert not slices or list(slices.values()).count(100_000) > 5
 
 
 def sees_it(node, about):
