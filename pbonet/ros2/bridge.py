@@ -61,8 +61,6 @@ class Network(msgspec.Struct, frozen=True):
 class Bridge:
     """A subsystem as a node of ROS 2.
 
-    Its threads run in short slices, and so does the thread that makes it.
-
     Args:
         subsystem: Its files are read; for services it is open, for watching.
         topics: What is published and subscribed; None: all variables, by their names.
@@ -101,7 +99,6 @@ class Bridge:
         fillings = publishing.fillings(
             types, topics.publish, _by_name(variables), where
         )
-        short_slices()  # zenoh's threads, too, which begin with the session
         full_name = topics.node or subsystem.name.replace("-", "_")
         opened = session.ros2(
             domain,
@@ -207,6 +204,7 @@ def run(
             has another writer.
     """
     survive_cuts()
+    short_slices()  # before zenoh's threads begin, which get the same
     topics = None if file is None else topics_file.read_topics(file)
     subsystem = Subsystem(path, **place.arguments, kind="ros2", watch=True)
     warnings = Warnings(lambda text: render.print_error(render.warning(text)))
