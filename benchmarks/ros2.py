@@ -93,6 +93,8 @@ from pbonet.master.subsystem import Subsystem
 from pbonet.ros2.bridge import Bridge, Network
 from pbonet.ros2.topics_file import read_topics
 from pbonet.ros2.repeated_warnings import Warnings
+from pbonet.svar import short_slices
+short_slices()
 folder = Path(settings["folder"])
 bridge = Bridge(
     Subsystem(folder / "b.sbs", domain=settings["domain"], watch=True),

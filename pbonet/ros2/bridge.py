@@ -11,13 +11,14 @@ import msgspec
 from pbonet import xm
 from pbonet.master.console import Interrupts, render
 from pbonet.master.subsystem import Subsystem
-from pbonet.svar import Table, survive_cuts
+from pbonet.svar import Table, short_slices, survive_cuts
 from pbonet.xm.net import session
 
 from . import publishing, subscribing, topics_file, trajectory_action
 from .message_types import MessageTypes
 from .repeated_warnings import Warnings
 from .ros_node import RosNode
+from .rosout import Rosout
 from .services import Services
 from .subscribing import HOME, Incoming
 from .trajectory_action import TrajectoryAction
@@ -125,6 +126,7 @@ class Bridge:
         warnings: Warnings,
     ) -> None:
         self.node.open()
+        warnings.also(Rosout(self.node).warn)
         xm.live_on(HOME, domain=subsystem.domain)
         for asked, record in records:
             link = Incoming(types, asked, record, warnings)
@@ -202,6 +204,7 @@ def run(
             has another writer.
     """
     survive_cuts()
+    short_slices()  # before zenoh's threads begin, which get the same
     topics = None if file is None else topics_file.read_topics(file)
     subsystem = Subsystem(path, **place.arguments, kind="ros2", watch=True)
     warnings = Warnings(lambda text: render.print_error(render.warning(text)))

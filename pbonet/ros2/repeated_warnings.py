@@ -26,9 +26,13 @@ class Warnings:
     """
 
     def __init__(self, show: Callable[[str], None]) -> None:
-        self._show = show
+        self._show = [show]
         self._shown: dict[str, tuple[float, int]] = {}
         self._lock = threading.Lock()
+
+    def also(self, show: Callable[[str], None]) -> None:
+        """Show each sentence there, too."""
+        self._show.append(show)
 
     def warn(self, about: str, what: str, details: str = "") -> None:
         """Show a sentence, unless the same was shown a moment ago.
@@ -47,7 +51,9 @@ class Warnings:
             if len(self._shown) >= _KEPT:
                 self._shown.clear()
             self._shown[key] = now, 0
-        self._show(f"{key}{details}" + (f" ({more} more times)" if more else ""))
+        text = f"{key}{details}" + (f" ({more} more times)" if more else "")
+        for show in self._show:
+            show(text)
 
     def warn_of(self, about: str, error: PbonetError) -> None:
         """Show an error."""

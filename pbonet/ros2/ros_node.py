@@ -6,6 +6,7 @@ import contextlib
 import queue
 import threading
 import time
+from collections import Counter
 from concurrent.futures import Future
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 _WAITING: Final = 32
 """Requests to services that wait at most; more are refused."""
+_LATER: Final = 8
+"""Answers that one client may wait for until they are there; more are refused."""
 _SHORT: Final = 4096
 """Bytes of a message that is taken in zenoh's own thread."""
 _CDR: Final = "application/cdr"
@@ -175,6 +178,33 @@ class Requests(queue.Queue["tuple[Callable[[Any], Any], End, Any] | None"]):
                 self.get_nowait()
 
 
+class _Later:
+    """How many answers each client waits for, which come later.
+
+    To wait needs no thread, and so no client keeps another from it.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waits: Counter[tuple[str, bytes]] = Counter()
+
+    def has_room(self, service: str, client: bytes) -> bool:
+        """Return whether a client may ask."""
+        with self._lock:
+            return self._waits[service, client] < _LATER
+
+    def add(self, service: str, client: bytes, answer: Future[Any]) -> None:
+        """Count an answer until it is there."""
+        with self._lock:
+            self._waits[service, client] += 1
+        answer.add_done_callback(lambda _: self._done(service, client))
+
+    def _done(self, service: str, client: bytes) -> None:
+        with self._lock:
+            self._waits[service, client] -= 1
+            self._waits += Counter()  # without those that wait for none
+
+
 class RosNode:
     """A node with all that it has.
 
@@ -200,6 +230,7 @@ class RosNode:
         self._ends: list[Callable[[], None]] = []
         """Functions that let the threads end, one each."""
         self._requests = Requests()
+        self._later = _Later()
 
     def open(self) -> None:
         """Show the node, and begin to answer and to look for others."""
@@ -381,6 +412,9 @@ class RosNode:
         except ProtocolError as error:
             _refuse(query, str(error))
             return
+        if not self._later.has_room(end.name, asked.gid):
+            _refuse(query, f"{end.name}: {_LATER} requests of this client wait already")
+            return
         try:
             response = answer(request)
         except Exception as error:
@@ -389,6 +423,7 @@ class RosNode:
         comes_later = isinstance(response, Future)
         if comes_later:
             later = cast("Future[Any]", response)
+            self._later.add(end.name, asked.gid, later)
             later.add_done_callback(
                 lambda done: self._safely(
                     end.name, partial(self._respond, end, query, asked, done.result())

@@ -20,7 +20,7 @@ from .wire_format import Attachment, must_be_short
 
 if TYPE_CHECKING:
     import zenoh
-    from numpy.typing import NDArray
+    from numpy.typing import DTypeLike, NDArray
 
     from .field_paths import Source
     from .message_types import MessageTypes
@@ -76,7 +76,8 @@ class Selection:
         ]
         if about.joints:
             _must_name_joints(types, about.type, where)
-        self.shape = (sum(one.size for one in self._sources),)
+        self.form: DTypeLike = ("f8", sum(one.size for one in self._sources))
+        """The type of a record of the link."""
 
     def read(self, message: Any, to: NDArray[np.float64]) -> None:  # noqa: ANN401
         """Copy the numbers of a message.
@@ -156,7 +157,9 @@ class _KnownLayout:
 class Trajectory:
     """A JointTrajectory as rows of time, positions, velocities and accelerations.
 
-    What a message does not give, and rows after its last point, are not a number.
+    What a message does not give, and rows after its last point, are not a number. The
+    goal is the number of that of an action, which is repeated while it is watched; 0:
+    it is a message of a topic.
 
     Args:
         types: The types of messages.
@@ -177,15 +180,17 @@ class Trajectory:
             )
         self._joints = _Joints(about.joints)
         self._count = len(about.joints)
-        self.shape = (about.points, 1 + len(_COLUMNS) * self._count)
+        rows = about.points, 1 + len(_COLUMNS) * self._count
+        self.form: DTypeLike = np.dtype([("goal", "i8"), ("rows", "f8", rows)])
+        """The type of a record of the link, as `ros_trajectory` has it."""
 
-    def read(self, message: Any, to: NDArray[np.float64]) -> None:  # noqa: ANN401
+    def read(self, message: Any, record: NDArray[Any]) -> None:  # noqa: ANN401
         """Copy the points of a message.
 
         Raises:
             ProtocolError: It has too many points, or not all joints.
         """
-        points, n = message.points, self._count
+        points, n, to = message.points, self._count, record["rows"]
         if len(points) > len(to):
             raise ProtocolError(
                 "the trajectory has too many points",
@@ -193,7 +198,7 @@ class Trajectory:
                 got=f"{len(points)}",
                 remedy="set `points` of the topic, and POINTS of ros_trajectory",
             )
-        to[:] = np.nan
+        record["goal"], to[:] = 0, np.nan
         order = self._joints.order(message) if points else None
         for row, point in zip(to, points, strict=False):
             row[0] = seconds(point.time_from_start)
@@ -314,7 +319,7 @@ class Incoming:
         self._learn_ns = 0
         self.lost = 0
         """Messages that came faster than they were read, or were lost on the way."""
-        self._writer = tbuf.Writer(about.link, ("f8", record.shape))
+        self._writer = tbuf.Writer(about.link, record.form)
 
     def close(self) -> None:
         """Detach from the link."""

@@ -29,6 +29,9 @@ _JOINT_FIELDS: Final = {
     "effort": ("T", ("N*m", "N")),
 }
 """Fields of JointState, with the variable's name before the ``_`` and its units."""
+_SELDOM: Final = 5.0
+"""Least feedback of an action a second; SILENT of `ros_trajectory` is several times
+the time between."""
 Plain = str | bool | int | float
 
 
@@ -192,8 +195,12 @@ def _check(topics: Topics, where: str) -> None:
                 "max_hz and depth are above 0", where=f"{where}: {one.topic}"
             )
     for action in topics.action:
-        if not action.feedback_hz > 0:
-            raise ConfigError("feedback_hz is above 0", where=f"{where}: {action.name}")
+        if not action.feedback_hz >= _SELDOM:
+            raise ConfigError(
+                f"feedback_hz is at least {_SELDOM:g}",
+                where=f"{where}: {action.name}",
+                remedy="with every feedback the task sees that its goal is watched",
+            )
 
 
 def _check_domain(topics: Topics, where: str) -> None:

@@ -49,8 +49,6 @@ _NEWEST: Final = 2
 """Elements of TRAJ of `ros_trajectory`."""
 _KEPT: Final = 32
 """Goals that have ended whose results can be asked for."""
-_WAITING: Final = 32
-"""Requests for the result of one goal that wait at most."""
 _AWAY: Final = 0.5
 """Seconds without a cycle after which the task that follows counts as OFF."""
 _TAKEN: Final = 1.0
@@ -153,7 +151,7 @@ class Goal:
         self.status = Status.EXECUTING
         self.verdict = Verdict(Status.UNKNOWN)
         self.number = 0
-        """The record of the link that must be followed, or that stops."""
+        """That of the record that must be followed, or that stops."""
         self.sent = self.ended = 0.0
         """When that was written, and when the end was first seen; `time.monotonic`."""
         self.waiting: list[Future[Any]] = []
@@ -293,7 +291,9 @@ class TrajectoryAction:
         self._state: _TableView | None = None
         self._changed = threading.Condition(threading.RLock())
         self._over = False
-        self._writer = tbuf.Writer(about.link, ("f8", self._points.shape))
+        self._writer = tbuf.Writer(about.link, self._points.form)
+        self._asked = np.zeros((), self._points.form)
+        self._number = 0
         self._thread = threading.Thread(
             target=self._work, name=f"ros {self.name}", daemon=True
         )
@@ -352,9 +352,9 @@ class TrajectoryAction:
             raise _refused("the bridge ends", "a bridge that goes on")
         if self._find(goal_id) is not None:
             raise _refused("its identity was used before", "a new one")
-        self._points.read(wanted.trajectory, self._writer.value)
+        self._points.read(wanted.trajectory, self._asked)
         _must_name(self._about.joints, wanted.trajectory)
-        goal = Goal(goal_id, wanted, self._writer.value, self._about.joints)
+        goal = Goal(goal_id, wanted, self._asked["rows"], self._about.joints)
         self._attach()
         self._send(goal)
         if self._active is not None:
@@ -393,9 +393,16 @@ class TrajectoryAction:
             self._state = None
 
     def _send(self, goal: Goal) -> None:
-        """Write the record that stands in the writer, on behalf of a goal."""
+        """Write the record that was asked for, on behalf of a goal.
+
+        Its number grows with time, so that no other bridge, and no other buffer of the
+        link, had the same.
+        """
+        self._number = max(self._number + 1, time.time_ns() // 1_000_000)
+        self._asked["goal"] = self._number
+        self._writer.value[...] = self._asked
         self._writer.write()
-        goal.number, goal.sent = self._writer.number, time.monotonic()
+        goal.number, goal.sent = self._number, time.monotonic()
 
     def _cancel(self, request: Any) -> Any:  # noqa: ANN401
         response = self._types.new(f"{CANCEL}_Response")
@@ -423,7 +430,7 @@ class TrajectoryAction:
 
     def _stop(self, goal: Goal) -> None:
         """Let the task stop where it stands."""
-        self._writer.value[:] = np.nan
+        self._asked["rows"] = np.nan
         self._send(goal)
 
     def _result(self, request: Any) -> Any:  # noqa: ANN401
@@ -434,12 +441,6 @@ class TrajectoryAction:
                 return self._types.new(f"{FOLLOW}_GetResult_Response")
             if goal.is_over:
                 return self._response(goal)
-            if len(goal.waiting) >= _WAITING:
-                raise ProtocolError(
-                    "too many requests wait for the result",
-                    expected=f"at most {_WAITING}",
-                    remedy="ask once for each goal",
-                )
             goal.waiting.append(Future())
             return goal.waiting[-1]
 
@@ -468,6 +469,8 @@ class TrajectoryAction:
             verdict = self._judge(goal, there=there)
             if there:
                 self._publish_feedback(goal)
+            if verdict is None and self._state and self._state.number == goal.number:
+                self._writer.write()  # again: the task sees that it is watched
         except SvarError as error:
             verdict = Verdict(Status.ABORTED, Code.INVALID_GOAL, str(error))
         except Exception as error:  # noqa: BLE001 - no goal ends the bridge

@@ -1,5 +1,10 @@
 from . import guards as guards, layout as layout, table_files as table_files
-from ._svar import Watch as Watch, now_ns as now_ns, survive_cuts as survive_cuts
+from ._svar import (
+    Watch as Watch,
+    now_ns as now_ns,
+    short_slices as short_slices,
+    survive_cuts as survive_cuts,
+)
 from .freshness import Action as Action, Freshness as Freshness
 from .guards import (
     Blamed as Blamed,

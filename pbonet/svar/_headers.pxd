@@ -151,6 +151,9 @@ cdef extern from "survive.h" nogil:
     void pb_region_remove(const void *base)
     int pb_survive()
 
+cdef extern from "slice.h" nogil:
+    int pb_short_slices()
+
 cdef extern from "watch.h" nogil:
     enum: PB_MOVED
     struct pb_watch:

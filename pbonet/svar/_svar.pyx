@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
-# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h fresh.h local.h survive.h watch.h
+# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h fresh.h local.h survive.h watch.h slice.h
 """Thin wrapper of the C headers: buffers in, numbers out; Python raises the errors."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
@@ -27,6 +27,11 @@ def now_ns() -> int:
 def survive_cuts() -> bool:
     """Let this process survive when a table's file is truncated."""
     return pb_survive() == 0
+
+
+def short_slices() -> bool:
+    """Let this thread, and those that it starts, run sooner after waking."""
+    return pb_short_slices() == 0
 
 
 def process_start(unsigned long long pid) -> int:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from pbonet.ros2.message_types import (
 
 sdk = pytest.importorskip("zenoh_ros2_sdk")
 from zenoh_ros2_sdk import discovery, entity, keyexpr  # noqa: E402
-from zenoh_ros2_sdk.qos import QosProfile  # noqa: E402
+from zenoh_ros2_sdk.qos import QosDurability, QosProfile  # noqa: E402
 
 DOMAIN = 7
 JOINTS = """
@@ -212,6 +214,7 @@ def messages(tmp_path):
         "sensor_msgs/msg/JointState",
         "geometry_msgs/msg/Vector3",
         "geometry_msgs/msg/Twist",
+        "rcl_interfaces/msg/Log",
         "rcl_interfaces/msg/ParameterValue",
         "rcl_interfaces/msg/Parameter",
         "rcl_interfaces/msg/SetParametersResult",
@@ -295,9 +298,10 @@ def bridge(arm, messages):  # noqa: ARG001 - its file names their folder
             assert told, (folder / "errors").read_text()
             yield process, port, json.loads(told)
         finally:
+            killed = process.poll() == -signal.SIGKILL
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=60)
-    assert process.returncode == 0
+    assert killed or process.returncode == 0
 
 
 @pytest.fixture
@@ -336,17 +340,61 @@ def token(node, number, kind, name, made):
 
 
 def test_a_node_of_ros_sees_moves_and_commands_a_subsystem(arm, bridge, node) -> None:
+    is_soon_awake(bridge[0].pid)
     sees_it(node, bridge[2])
     gets_its_variables()
     commands_it()
     moves_it(arm, node)
     follows(arm, node)
+    says_why()
     disturbs_it(arm, node)
+
+
+def test_an_arm_stops_when_its_bridge_is_killed_amid_a_goal(arm, bridge, node) -> None:
+    """Nobody could cancel the goal, or see that it leaves its path."""
+    (folder, domain), process = arm, bridge[0]
+    with (
+        contextlib.ExitStack() as ends,
+        Subsystem(folder / "a.sbs", domain=domain, watch=True) as watching,
+    ):
+        goals, _ = clients_of_the_action(ends)
+        made = node.store.types
+        goal_id = made["unique_identifier_msgs/msg/UUID"](np.arange(16, dtype="u1"))
+        goal = goal_for(made, MessageTypes(), ["one", "two"], seconds=600)
+        assert goals.call(goal_id=goal_id, goal=goal).accepted
+
+        def shown(name):
+            return list(watching.display([name])[0].values)
+
+        wait_for(lambda: shown("TRAJ")[1] < 599.0, "it goes on while it is watched")
+        assert 0.0 < shown("Q_DES")[0] < 1.0
+        process.kill()
+        wait_for(lambda: shown("TRAJ")[1] == -1.0, "the stop")
+        assert shown("Q^_DES") == [0.0, 0.0]
+        stands = shown("Q_DES")
+        before = watching.status("follow").cycle
+        wait_for(lambda: watching.status("follow").cycle > before + 10, "its cycles")
+        assert shown("Q_DES") == stands
+        said = [one.text for one in watching.events(task="follow")]
+        assert [text for text in said if "is silent for" in text]
+
+
+def is_soon_awake(pid):
+    """The main thread and those of zenoh have short slices."""
+    slices = {}
+    for path in Path(f"/proc/{pid}/task").glob("*/sched"):
+        if found := re.search(r"^se\.slice +: +(\d+)", path.read_text(), re.MULTILINE):
+            name = (path.parent / "comm").read_text().strip()
+            slices[name, path.parent.name == str(pid)] = int(found[1])
+    if slices:  # this kernel tells
+        ours = {name: ns for name, ns in slices.items() if name[1] or "-" in name[0]}
+        assert set(ours.values()) == {100_000}, slices
+        assert {name.partition("-")[0] for name, _ in ours} >= {"rx", "tx", "net"}
 
 
 def sees_it(node, about):
     """The SDK lists our ends, which are as it would have put them into the graph."""
-    assert about["publishes"] == ["/joint_states", "/lab/arm/torque"]
+    assert about["publishes"] == ["/rosout", "/joint_states", "/lab/arm/torque"]
     assert {"/lab/arm/swap", "/lab/arm/set_parameters"} <= set(about["services"])
     assert about["actions"] == ["/arm_controller/follow_joint_trajectory"]
     topics = dict(discovery.get_topic_names_and_types(DOMAIN))
@@ -365,10 +413,10 @@ def sees_it(node, about):
     )
     seen = our_tokens(node)
     for number, kind, end, name in (
-        (1, entity.EntityKind.SUBSCRIPTION, publisher, "/cmd_vel"),
-        (2, entity.EntityKind.PUBLISHER, states, "/joint_states"),
+        (2, entity.EntityKind.SUBSCRIPTION, publisher, "/cmd_vel"),
+        (3, entity.EntityKind.PUBLISHER, states, "/joint_states"),
         (
-            about["services"].index("/lab/arm/swap") + 9,
+            about["services"].index("/lab/arm/swap") + 10,
             entity.EntityKind.SERVICE,
             swap,
             "/lab/arm/swap",
@@ -492,41 +540,17 @@ def moves_it(arm, node):
 def follows(arm, node):
     """A goal of an action is followed, with feedback and a result, or rejected."""
     types, got = MessageTypes(), []
-    texts = "".join(
-        f"{BREAK}{name.replace('/msg/', '/')}\n{types.definition(name)}"
-        for name in (
-            "unique_identifier_msgs/msg/UUID",
-            "trajectory_msgs/msg/JointTrajectory",
-            "trajectory_msgs/msg/MultiDOFJointTrajectory",
-        )
-    )
-    accepted = "bool accepted\nbuiltin_interfaces/Time stamp\n"
     with contextlib.ExitStack() as ends:
-        goals, results = (
-            sdk.ROS2ServiceClient(
-                f"/arm_controller/follow_joint_trajectory/_action/{name}",
-                f"{FOLLOW}_{part}",
-                ask + texts,
-                answer,
-                domain_id=DOMAIN,
-                type_hash=f"RIHS01_{FOLLOW_HASHES[part]}",
-                timeout=60.0,
-            )
-            for name, part, ask, answer in (
-                ("send_goal", "SendGoal", SEND_GOAL, accepted),
-                ("get_result", "GetResult", UUID, GET_RESULT),
-            )
-        )
+        goals, results = clients_of_the_action(ends)
         feedback = sdk.ROS2Subscriber(
             "/arm_controller/follow_joint_trajectory/_action/feedback",
             f"{FOLLOW}_FeedbackMessage",
             got.append,
-            msg_definition=FEEDBACK + texts,
+            msg_definition=FEEDBACK + texts_of_trajectories(),
             domain_id=DOMAIN,
             type_hash=f"RIHS01_{FOLLOW_HASHES['FeedbackMessage']}",
         )
-        for end in (goals, results, feedback):
-            ends.callback(end.close)
+        ends.callback(feedback.close)
         made = node.store.types
         goal_id = made["unique_identifier_msgs/msg/UUID"](np.arange(16, dtype="u1"))
         for names, takes in ((["one", "three"], False), (["two", "one"], True)):
@@ -542,7 +566,59 @@ def follows(arm, node):
         assert list(watching.display(["Q_DES"])[0].values) == [0.5, 1.0]
 
 
-def goal_for(made, types, names):
+def says_why():
+    """A goal's rejection has no text; the reason is in the log of the node."""
+    got = []
+    qos = QosProfile(durability=QosDurability.TRANSIENT_LOCAL)
+    log = sdk.ROS2Subscriber(
+        "/rosout", "rcl_interfaces/msg/Log", got.append, domain_id=DOMAIN, qos=qos
+    )
+    why = "the message has no joint two (expected one two, got one three)"
+    wait_for(lambda: [one for one in got if why in one.msg], "the reason")
+    log.close()
+    (one,) = [one for one in got if why in one.msg]
+    assert (one.name, one.level) == ("lab.arm", 30)
+    assert one.msg.startswith("/arm_controller/follow_joint_trajectory: ")
+    assert one.stamp.sec > 0
+
+
+def texts_of_trajectories():
+    """Return the definitions that the action's own need."""
+    types = MessageTypes()
+    return "".join(
+        f"{BREAK}{name.replace('/msg/', '/')}\n{types.definition(name)}"
+        for name in (
+            "unique_identifier_msgs/msg/UUID",
+            "trajectory_msgs/msg/JointTrajectory",
+            "trajectory_msgs/msg/MultiDOFJointTrajectory",
+        )
+    )
+
+
+def clients_of_the_action(ends):
+    """Return the SDK's clients that send a goal, and that ask for its result."""
+    accepted = "bool accepted\nbuiltin_interfaces/Time stamp\n"
+    made = [
+        sdk.ROS2ServiceClient(
+            f"/arm_controller/follow_joint_trajectory/_action/{name}",
+            f"{FOLLOW}_{part}",
+            ask + texts_of_trajectories(),
+            answer,
+            domain_id=DOMAIN,
+            type_hash=f"RIHS01_{FOLLOW_HASHES[part]}",
+            timeout=60.0,
+        )
+        for name, part, ask, answer in (
+            ("send_goal", "SendGoal", SEND_GOAL, accepted),
+            ("get_result", "GetResult", UUID, GET_RESULT),
+        )
+    ]
+    for end in made:
+        ends.callback(end.close)
+    return made
+
+
+def goal_for(made, types, names, seconds=0):
     """Return a goal with one point, made of the SDK's own types."""
 
     def theirs(ours):
@@ -555,6 +631,7 @@ def goal_for(made, types, names):
 
     way = theirs(types.new("trajectory_msgs/msg/JointTrajectory"))
     point = theirs(types.new("trajectory_msgs/msg/JointTrajectoryPoint"))
+    point.time_from_start.sec = seconds
     point.time_from_start.nanosec = 400_000_000
     point.positions = np.array([1.0, 0.5])
     way.joint_names, way.points = names, [point]

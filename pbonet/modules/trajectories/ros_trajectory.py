@@ -26,6 +26,9 @@ class Sent(Params):
     link: A[str, param("none", "name of the link that `pbonet ros2 bridge` writes")]
     points: A[int, param("none", "most points, as `points` of the topic", ge=1)] = 64
     maxage: A[float, param("s", "an older one is not begun; 0: any is", ge=0)] = 0.5
+    silent: A[
+        float, param("s", "silence of the bridge that ends a goal; 0: none does", ge=0)
+    ] = 1.0
 
 
 class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
@@ -39,9 +42,11 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
     positions, with numbers that are not finite, or older than `maxage` is warned of and
     not followed. What comes while the task is OFF or runs `stable` is not followed
     later. At its end the signal FINISH is sent. If Y is the goal of `otg`, that limits
-    velocity, acceleration and jerk. TRAJ says what became of the newest trajectory that
-    came: its number, and the seconds until its end; 0: it was reached, -1: it is not
-    followed, or no longer. In a simulation nothing comes.
+    velocity, acceleration and jerk. The bridge repeats the goal of an action as long as
+    it watches it: when it is silent for `silent`, y stops, and a warning says so. TRAJ
+    says what became of the newest trajectory that came: its number, and the seconds
+    until its end; 0: it was reached, -1: it is not followed, or no longer. In a
+    simulation nothing comes.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of joints")]
@@ -54,8 +59,10 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
     def init(self) -> None:
         self._rests = True
         self._followed = 0.0
+        self._goal = 0
         self._link = None
-        form = ("f8", (self.params.points, 1 + 3 * self.ndof))
+        rows = self.params.points, 1 + 3 * self.ndof
+        form = np.dtype([("goal", "i8"), ("rows", "f8", rows)])
         if devices_allowed():
             self._link = tbuf.Reader(self.params.link, form)
 
@@ -65,7 +72,7 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
     def cycle(self, dt: float) -> None:
         if self._link is not None and self._link.read():
             self._take(self._link)
-        if self._rests:
+        if self._rests or self._is_silent():
             return
         self._time += dt
         if self._time < self._times[-1]:
@@ -93,7 +100,7 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         """Stop; what came before is over."""
         if self._link is not None:
             self._link.read()
-            self.newest[0] = self._link.number
+            self._recognize(self._link)
         self._stop()
 
     def _stop(self) -> None:
@@ -106,17 +113,47 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         if self.newest[0] == self._followed:
             self.newest[1] = left
 
+    def _recognize(self, link: tbuf.Reader) -> bool:
+        """Set the number of what has come; return whether it is the goal from before.
+
+        A goal of an action has a number of its own; a message of a topic has that of
+        its record.
+        """
+        goal = int(link.value["goal"])
+        again = goal != 0 and goal == self._goal
+        self._goal = goal
+        self._heard_ns = self.task.now
+        self.newest[0] = goal or link.number
+        return again
+
+    def _is_silent(self) -> bool:
+        """Stop if the bridge no longer watches the goal; return whether it does not."""
+        silence = (self.task.now - self._heard_ns) * 1e-9
+        limit = self.params.silent
+        if not (self._goal and limit and silence > limit):
+            return False
+        self.task.warn(
+            f"link {self.params.link}: the arm stops, because the bridge of ROS 2 that "
+            f"watches its goal is silent for {silence:.3g} s (SILENT {limit:g}); "
+            "start it again, and send a new goal"
+        )
+        self._stop()
+        return True
+
     def _take(self, link: tbuf.Reader) -> None:
         """Begin the trajectory that has come, unless it comes too late."""
-        self.newest[:] = link.number, _NOT_FOLLOWED
+        if self._recognize(link):
+            return
+        self.newest[1] = _NOT_FOLLOWED
+        rows: Vector = link.value["rows"]
         age, limit = (link.age_ns() or 0) * 1e-9, self.params.maxage
-        if limit and age > limit and np.isfinite(link.value[:, 0]).any():
+        if limit and age > limit and np.isfinite(rows[:, 0]).any():
             self.task.warn(
                 f"link {self.params.link}: a trajectory was not followed, because it "
                 f"is {age:.3g} s old (MAXAGE {limit:g}); check the network and clocks"
             )
             return
-        self._begin(link.value)
+        self._begin(rows)
 
     def _begin(self, rows: Vector) -> None:
         """Take the points of a trajectory, with where y stands before them."""

@@ -34,11 +34,12 @@ def bench():
 
 @pytest.fixture
 def send():
-    with tbuf.Writer("way", ("f8", (POINTS, 7))) as writer:
+    form = np.dtype([("goal", "i8"), ("rows", "f8", (POINTS, 7))])
+    with tbuf.Writer("way", form) as writer:
 
-        def put(*points, age=0.0):
-            writer.value[:] = NAN
-            for row, point in zip(writer.value, points, strict=False):
+        def put(*points, age=0.0, goal=0):
+            writer.value["goal"], writer.value["rows"][:] = goal, NAN
+            for row, point in zip(writer.value["rows"], points, strict=False):
                 row[: len(point)] = point
             writer.write(now_ns() - round(age * 1e9))
 
@@ -159,6 +160,51 @@ def test_one_that_comes_too_late_is_not_followed_and_one_that_stops_is(bench, se
     send(age=2.0)
     steps(bench, 20)
     assert (bench.outputs.y == stands).all()
+
+
+def test_a_goal_ends_when_its_bridge_is_silent_and_goes_on_no_more(bench, send):
+    """The bridge alone can cancel it, and see that it leaves its path."""
+    way = 10.0, 3.0, 4.0
+    send(way, goal=7)
+    for _ in range(5):
+        steps(bench, 90)
+        before = bench.outputs.y.copy()
+        send(way, goal=7)
+    bench.step()
+    assert bench.outputs.y[0] > before[0] > 1.0, "it did not begin again"
+    assert bench.outputs.newest[0] == 7
+    assert bench.outputs.newest[1] > 0
+    steps(bench, 101)
+    stands = bench.outputs.y.copy()
+    assert not bench.outputs.y_dot.any()
+    assert bench.outputs.newest.tolist() == [7.0, -1.0]
+    assert "is silent for 1.01 s (SILENT 1)" in bench.task.errmsg
+    send(way, goal=7)
+    steps(bench, 200)
+    assert (bench.outputs.y == stands).all()
+    assert bench.task.nwarnings == 1
+    send((0.1, 5.0, 6.0), goal=8)
+    steps(bench, 11)
+    assert bench.outputs.y.tolist() == [5.0, 6.0]
+
+
+def test_a_goal_that_was_there_before_on_is_not_followed_when_it_is_repeated(
+    bench, send
+):
+    way = 1.0, 3.0, 4.0
+    bench.off()
+    send(way, goal=7)
+    bench.on()
+    send(way, goal=7)
+    steps(bench, 20)
+    assert bench.outputs.y.tolist() == [1.0, 2.0]
+    assert bench.outputs.newest.tolist() == [7.0, -1.0]
+
+
+def test_a_message_of_a_topic_needs_no_bridge_that_goes_on(bench, send):
+    send((3.0, 3.0, 4.0))
+    steps(bench, 301)
+    assert bench.outputs.y.tolist() == [3.0, 4.0]
 
 
 def test_a_simulation_opens_no_link(shared_memory):

@@ -135,7 +135,10 @@ class Arm:
 
     def __init__(self):
         self.bench = Bench(
-            RosTrajectory, params={"link": "ros2:way", "points": 4}, ndof=2, freq=100.0
+            RosTrajectory,
+            params={"link": "ros2:way", "points": 4, "silent": FAR},
+            ndof=2,
+            freq=100.0,
         )
         self.bench.outputs.y = [1.0, 2.0]
         self.bench.on()
@@ -350,6 +353,34 @@ def test_no_goal_begins_once_the_bridge_ends(arm, client, told) -> None:
     assert "the bridge ends" in told[-1]
     assert arm.sent() == sent + 1, "the record that stops it"
     arm.until(lambda: not arm.bench.outputs.y_dot.any())
+
+
+def test_a_goal_is_sent_again_as_long_as_it_is_watched(arm, client) -> None:
+    """But not before it was taken, so that it never begins late."""
+    goal, _ = client.send((10.0, [9.0, 9.0]))
+    sent = arm.sent()
+    assert client.got["feedback"].get(timeout=FAR)
+    assert client.got["feedback"].get(timeout=FAR)
+    assert arm.sent() == sent
+    waits = client.result(goal)
+    arm.until(lambda: arm.sent() > sent + 3)
+    assert not waits.done()
+    assert client.cancel(goal).return_code == 0
+    assert arm.result(waits)[0] is Status.CANCELED
+    sent = arm.sent()
+    second, _ = client.send((0.1, [1.0, 2.0]))
+    assert arm.result(client.result(second))[0] is Status.SUCCEEDED
+    assert arm.sent() > sent
+
+
+def test_a_goal_that_is_rejected_leaves_the_other_as_it_is(arm, client) -> None:
+    goal, _ = client.send((0.5, [2.0, 3.0]))
+    waits = client.result(goal)
+    arm.until(lambda: arm.bench.outputs.y[0] > 1.001)
+    assert not client.send((0.2, [7.0, 7.0]), names=["lift", "other"])[1]
+    assert not client.send((0.2, [7.0, 7.0]), stamp=10**18)[1]
+    assert arm.result(waits)[0] is Status.SUCCEEDED
+    assert arm.bench.outputs.y.tolist() == [2.0, 3.0]
 
 
 def test_one_that_leaves_its_path_is_aborted_and_the_arm_stands(

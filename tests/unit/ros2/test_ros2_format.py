@@ -42,6 +42,7 @@ NAMED = [
     "geometry_msgs/msg/WrenchStamped",
     "trajectory_msgs/msg/JointTrajectory",
     "tf2_msgs/msg/TFMessage",
+    "rcl_interfaces/msg/Log",
 ]
 NODE = Node(3, "abc", "arm", "/lab")
 END = End(

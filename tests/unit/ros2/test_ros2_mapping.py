@@ -214,7 +214,7 @@ def test_constants_must_fit(types, constants) -> None:
 def record(types, message, name, **about):
     """Return what a message becomes."""
     made = reading(types, Subscribe(topic="t", type=name, link="x", **about), "here")
-    found = np.full(made.shape, 99.0)
+    found = np.full((), 99.0, made.form)
     made.read(types.decode(name, types.encode(name, message)), found)
     return found
 
@@ -303,7 +303,7 @@ def test_what_has_the_layout_of_an_earlier_message_is_not_decoded(
     padded = record.known(types, name, made(1) + bytes(3))
     for first in (1, 50):
         data = made(first)
-        wanted, got = np.empty(record.shape), np.empty(record.shape)
+        wanted, got = np.empty((), record.form), np.empty((), record.form)
         record.read(types.decode(name, data), wanted)
         assert known.fits(data)
         assert not known.fits(data + bytes(3))
@@ -361,10 +361,11 @@ def test_a_trajectory_is_rows_of_points(types) -> None:
         one.time_from_start.sec, one.time_from_start.nanosec = k, 500_000_000
         message.points.append(one)
     message.points[1].velocities = np.array([7.0, 8.0])
-    rows = record(types, message, name, joints=["a", "b"], points=3)
+    found = record(types, message, name, joints=["a", "b"], points=3)
     nan = np.nan
+    assert found["goal"] == 0, "of no action"
     np.testing.assert_array_equal(
-        rows,
+        found["rows"],
         [
             [0.5, 0.25, 0.5, nan, nan, nan, nan],
             [1.5, 1.25, 1.5, 8.0, 7.0, nan, nan],

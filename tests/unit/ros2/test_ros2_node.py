@@ -58,9 +58,9 @@ class Session:
 class Query:
     """Stands for a request of zenoh."""
 
-    def __init__(self, data):
+    def __init__(self, data, gid=bytes(16)):
         self.payload = SimpleNamespace(to_bytes=lambda: data)
-        note = Attachment(1, 0, bytes(16)).pack()
+        note = Attachment(1, 0, gid).pack()
         self.attachment = SimpleNamespace(to_bytes=lambda: note)
         self.answers = Queue()
 
@@ -159,9 +159,9 @@ def test_a_message_that_fails_holds_up_no_other(node, told) -> None:
 
 @pytest.fixture
 def ask(node, types):
-    def send(service, data=None):
+    def send(service, data=None, gid=bytes(16)):
         request = types.new(f"{COMMAND}_Request")
-        query = Query(data or types.encode(f"{COMMAND}_Request", request))
+        query = Query(data or types.encode(f"{COMMAND}_Request", request), gid)
         node.session.called[service](query)
         return query.answers
 
@@ -233,6 +233,29 @@ def test_an_answer_may_come_later(node, types, ask) -> None:
     assert waits.empty()
     later.set_result(types.new(f"{COMMAND}_Response"))
     assert waits.get(timeout=60) == ""
+
+
+def test_a_client_that_waits_for_many_answers_keeps_no_other_from_asking(
+    node, types, ask
+) -> None:
+    later = [Future() for _ in range(3 * ros_node._LATER)]
+    given = iter(later)
+    node.serve("/later", COMMAND, lambda _: next(given))
+    node.serve("/now", COMMAND, lambda _: types.new(f"{COMMAND}_Response"))
+    greedy = [ask("later") for _ in range(2 * ros_node._LATER)]
+    for one in greedy[ros_node._LATER :]:
+        assert "8 requests of this client wait" in one.get(timeout=60)
+    other = ask("later", gid=b"o" * 16)
+    assert ask("now").get(timeout=60) == ""
+    assert other.empty()
+    for one in later[: ros_node._LATER + 1]:
+        one.set_result(types.new(f"{COMMAND}_Response"))
+    for one in (*greedy[: ros_node._LATER], other):
+        assert one.get(timeout=60) == ""
+    again = ask("later")
+    assert ask("now").get(timeout=60) == ""
+    assert again.empty(), "it may ask again"
+    assert not node._later._waits.keys() - {("/later", bytes(16))}
 
 
 class Params:
