@@ -4,7 +4,8 @@ Agents of one subsystem on several machines find each other by liveliness tokens
 per machine: of the agents that share a table, the one that holds a lock on its file
 declares it. News is sent at once, all groups of a moment in one packet, newest first,
 and is dropped if a link is slow. Whole states are exchanged by queries: when machines
-meet, and before an agent answers a command that has changed its table.
+meet, and before an agent answers a command that has changed its table; after a `write`
+only its value is.
 """
 
 from __future__ import annotations
