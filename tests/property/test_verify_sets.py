@@ -60,6 +60,13 @@ def test_spawning_order_or_a_circle(chosen: list[legality.Task]) -> None:
         for user in chosen:
             if set(giver.gives) & set(user.needs):
                 assert order.index(giver.name) < order.index(user.name)
+    steps = legality.spawn_steps(chosen)
+    assert sorted(name for step in steps for name in step) == sorted(order)
+    at = {name: n for n, step in enumerate(steps) for name in step}
+    for one, other in combinations(chosen, 2):
+        first, last = sorted((one, other), key=lambda task: order.index(task.name))
+        linked = one.rtpu == other.rtpu or set(first.gives) & set(last.needs)
+        assert not linked or at[first.name] < at[last.name]
 
 
 @given(tasks())

@@ -27,6 +27,7 @@ from .order import (
     off_order as off_order,
     on_order as on_order,
     spawn_order as spawn_order,
+    spawn_steps as spawn_steps,
     user_priorities as user_priorities,
 )
 from .records import (

@@ -73,6 +73,30 @@ def spawn_order(tasks: Sequence[Task]) -> list[str]:
     return ordered
 
 
+def spawn_steps(tasks: Sequence[Task]) -> list[list[str]]:
+    """Return the tasks in the order of `spawn_order`, those of a step to be at once.
+
+    The tasks of a step are on different RTPUs, and none needs a constant of another.
+
+    Raises:
+        VerificationError: They wait for each other's constants.
+    """
+    homes, edges = {task.name: task.rtpu for task in tasks}, _constants(tasks)
+    left = spawn_order(tasks)
+    steps: list[list[str]] = []
+    while left:
+        first = {homes[name]: name for name in reversed(left)}
+        step = [
+            name
+            for name in left
+            if first[homes[name]] == name
+            and not any(name in edges[other] for other in left)
+        ]
+        steps.append(step)
+        left = [name for name in left if name not in step]
+    return steps
+
+
 def flow_order(tasks: Sequence[Task]) -> list[str]:
     """Return the tasks in the order in which data flows through them (6.2.4).
 

@@ -144,6 +144,8 @@ class Run:
         if not agents.launched:
             agents.launch(agents.missing(names))
         if agents.children:
+            from pbonet.pbo import ModuleInfo  # noqa: F401 - for later, while they start
+
             for rtpu, core in agents.wait().items():
                 self._view.say(f"{rtpu} has no agent: started one on core {core}")
 

@@ -124,10 +124,10 @@ def start(
     by_name = {member.name: member for member in wanted}
     done = Done(task_set)
     with done.undone_on_error(f"the job {job.name} did not start"):
-        for name in legality.spawn_order(tasks):
+        for step in legality.spawn_steps(tasks):
             go_on(stopped)
-            if not stands(task_set, by_name[name]):
-                done.spawn(by_name[name])
+            wanted_now = [by_name[name] for name in step]
+            done.spawn_all([one for one in wanted_now if not stands(task_set, one)])
         task_set.rank()
         gate.must_hold()
         pair(task_set, wanted)  # before a task that has a standby may fail
@@ -275,6 +275,20 @@ class Done:
         self._robbed |= dict.fromkeys(replaces, member.name)
         constants.given(self._task_set, member.name, leaving)
 
+    def spawn_all(self, members: Sequence[Member]) -> None:
+        """Create tasks at once, each on an RTPU of its own.
+
+        Raises:
+            SeveralError: Some could not be created; of one, its own error.
+        """
+        for member in members:
+            constants.at_hand(self._task_set, member)
+        created, errors = self._task_set.create_all(members)
+        self._spawned += created
+        rpc.raise_all(f"{len(errors)} tasks could not be created", errors)
+        for name in created:
+            constants.given(self._task_set, name)
+
     def give(
         self, name: str, replaces: Sequence[str], leaving: Collection[str]
     ) -> None:
@@ -295,7 +309,7 @@ class Done:
         steps += [(name, "kill") for name in reversed(self._spawned)]
         for name, signal in steps:
             try:
-                self._task_set.refresh()
+                self._task_set.refresh(strict=False)
                 member = self._task_set.model.get(name)
                 if member is not None and (signal == "kill" or member.is_on):
                     self._task_set.control(name, signal, "")

@@ -33,7 +33,7 @@ from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from pbonet.config import Rmod
     from pbonet.master.configuration import Files, Member, RmodSource, TaskModel
@@ -50,6 +50,7 @@ CONTROL_TIME = 5.0
 """Seconds for a signal; `MOST_EXTRA` more if the task's core is busy."""
 SPAWN_TIME = 10.0
 """Seconds for `init`; `MOST_EXTRA` more if the task's core is busy."""
+_LONGEST_SPAWN = (1.0 + m.MOST_EXTRA) * SPAWN_TIME + 1.0
 STOP_TIME = 2.0
 """Seconds for a stop, however busy cores are."""
 SIGNALS = {
@@ -576,9 +577,39 @@ class SubsystemTasks:
         Raises:
             PbonetError: It could not be created; nothing of it stays.
         """
-        priorities = self.priorities([*self.model, member])
+        request = self._spawn_request(member, self.priorities([*self.model, member]))
+        request.replaces = list(replaces)
+        self._record_first()
+        status = self.clients.call(
+            member.rtpu, request, m.TaskStatus, timeout=_LONGEST_SPAWN
+        )
+        self._created(member, status)
+        return status
+
+    def create_all(
+        self, members: Sequence[Member]
+    ) -> tuple[list[str], list[PbonetError]]:
+        """Spawn tasks at once, each on an RTPU of its own; enter them into the model.
+
+        Returns:
+            The names of those that were created, and the errors of the others.
+        """
+        if not members:
+            return [], []
+        priorities = self.priorities([*self.model, *members])
+        requests = {one.rtpu: self._spawn_request(one, priorities) for one in members}
+        self._record_first()
+        found, errors = self.clients.each(
+            requests.__getitem__, m.TaskStatus, rtpus=requests, timeout=_LONGEST_SPAWN
+        )
+        created = [one for one in members if one.rtpu in found]
+        for one in created:
+            self._created(one, found[one.rtpu])
+        return [one.name for one in created], errors
+
+    def _spawn_request(self, member: Member, priorities: Mapping[str, int]) -> m.Spawn:
         soft = legality.effective(member.task)
-        request = m.Spawn(
+        return m.Spawn(
             task=member.name,
             rmod=member.source.text,
             rmod_name=_place(member.rmod),
@@ -587,17 +618,19 @@ class SubsystemTasks:
             priority=priorities[member.name],
             effc=soft.seconds if soft else None,
             timeout=SPAWN_TIME,
-            replaces=list(replaces),
             restart=member.restart,
         )
+
+    def _record_first(self) -> None:
+        """Have the run recorded before its first task is created."""
         if not len(self.model):
             self.recordings.begin(self.clients, self.files, self.warned)
-        limit = (1.0 + m.MOST_EXTRA) * SPAWN_TIME + 1.0
-        status = self.clients.call(member.rtpu, request, m.TaskStatus, timeout=limit)
+
+    def _created(self, member: Member, status: m.TaskStatus) -> None:
+        """Enter a task that was created into the task model."""
         self.model.spawned(member)
         self._modules.pop(member.name, None)
         self.note(status)
-        return status
 
     def order_lost(self, items: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
         """Give tasks that cannot be reached the order to go off when they can be.

@@ -819,10 +819,17 @@ class Agent:
         """Return the packed answer with values of variables."""
         return self._overview.answer(request)
 
-    def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
+    def spread(
+        self,
+        subsystem: str,
+        done: Callable[[], None],
+        *,
+        take: bool = False,
+        value: str = "",
+    ) -> None:
         """Call `done` when other machines have the table; see `TableCarrier.spread`."""
         if subsystem and self._mirrors is not None:
-            self._mirrors.spread(subsystem, done, **how)
+            self._mirrors.spread(subsystem, done, take=take, value=value)
         else:
             done()
 

@@ -77,11 +77,18 @@ class Node(Protocol):
     ) -> None:
         """Pass a request on; its answer comes through `Server.answer`."""
 
-    def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
+    def spread(
+        self,
+        subsystem: str,
+        done: Callable[[], None],
+        *,
+        take: bool = False,
+        value: str = "",
+    ) -> None:
         """Call `done` when the other machines have the subsystem's table.
 
-        With `take`, this machine has also processed their states; with `value`, only a
-        value was set.
+        With `take`, this machine has also processed their states; with `value`, only
+        that variable was set.
         """
 
     def stop_ordered(self, request: m.Stop | m.Replaced) -> None:
@@ -424,7 +431,7 @@ class Server:
     ) -> None:
         """Answer a request that was carried out, then record it."""
         end = partial(self._repeats.end, who, data)
-        self._node.spread(request.subsystem, end, value=True)
+        self._node.spread(request.subsystem, end, value=request.name)
         said = request, data, begun_ns, time.monotonic_ns()
         if not (short and self._book.noted(*said)):
             # zenoh's thread has no time for this

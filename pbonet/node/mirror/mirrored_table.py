@@ -1,6 +1,7 @@
 """One table of this machine, and its exchange with other machines.
 
-Its work is done in the carrier's thread; zenoh's threads only pass on data.
+Its work is done in the carrier's thread, and zenoh's threads only pass on data. Single
+values are sent and taken by these, while the carrier's does nothing.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import secrets
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import zenoh
 
@@ -24,6 +25,7 @@ from pbonet.xm.net import VALUES_PRIORITY, direct, key_expressions
 
 from . import remote_handover
 from .packet_queue import PacketQueue
+from .sent_value import TAKEN, VALUE, SentValue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
+T = TypeVar("T")
 SHORTEST, LONGEST = 0.00015, 0.025
 """Limits of the seconds between reads of a table, which depend on how often it changes.
 A read costs tens of microseconds, so commits close to each other are sent together."""
@@ -73,6 +76,10 @@ class Owner(Protocol):
 
     def offer(self, what: Callable[[], object]) -> bool:
         """As `do` unless too much waits; return whether it will be called."""
+        ...
+
+    def at_once(self, what: Callable[[], T]) -> T | None:
+        """Call a function in this thread; None if it fails or the carrier's is busy."""
         ...
 
     def end(self, done: Callable[[], None]) -> None:
@@ -210,6 +217,29 @@ class MirroredTable:
         else:  # another agent of this machine carries it
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
 
+    def send_value(self, name: str, done: Callable[[], None]) -> bool:
+        """Send a variable that was set here, and call `done` when the others have it.
+
+        Runs in any thread. Returns whether it was sent; else the state must be.
+        """
+        packet = self._owner.at_once(lambda: self._value(name))
+        if packet is None:
+            return False
+        sent = SentValue(set(self._there), done, partial(self._value_ended, done))
+        data = packets.pack(packet)
+        self._ask("sync", "*", data, sent.replied, sent.end, value=True)
+        return True
+
+    def _value(self, name: str) -> packets.Packet | None:
+        return None if self.mirror is None else self.mirror.value_packet(name)
+
+    def _value_ended(self, done: Callable[[], None], whole: bool) -> None:  # noqa: FBT001
+        """Send the whole state if a machine needs it, and end the wait for a value."""
+        if whole:
+            self._owner.do(partial(self.spread, done, take=False))
+        else:
+            self._owner.end(done)
+
     def lose(self, machine: str) -> None:
         """Drop a machine that is out of sight, whether or not its link is kept."""
         if self.mirror is not None:
@@ -325,7 +355,14 @@ class MirroredTable:
             self._owner.do(lambda: self.lose(machine))
 
     def _asked(self, query: zenoh.Query) -> None:
-        if not self._owner.offer(lambda: self._answer(query)):
+        attached, answer = query.attachment, self._answer
+        if attached is not None and attached.to_bytes() == VALUE:
+            taken = self._owner.at_once(partial(self._take_value, query))
+            if taken is not None:
+                self._reply(query, taken)
+                return
+            answer = self._answer_value
+        if not self._owner.offer(partial(answer, query)):
             query.drop()  # type: ignore[no-untyped-call]
 
     def _flushed(self, query: zenoh.Query) -> None:
@@ -361,28 +398,52 @@ class MirroredTable:
             data: The packet.
             asked: When it was asked for, and when it came, if it is an answer.
         """
+        packet = self._readable(data)
+        if packet is None:
+            return ""
+        self._place(packet, asked)
+        return packet.machine
+
+    def _answer_value(self, query: zenoh.Query) -> None:
+        self._reply(query, self._take_value(query))
+
+    def _take_value(self, query: zenoh.Query) -> bytes:
+        """Process another machine's single value; return the answer to it."""
+        data = query.payload.to_bytes() if query.payload is not None else b""
+        packet = self._readable(data)
+        return TAKEN if packet is not None and self._place(packet) else b""
+
+    def _readable(self, data: bytes) -> packets.Packet | None:
+        """Return another machine's packet, unless it is not to be used here."""
         packet = packets.unpack(data)
         if self.mirror is None:
-            return ""
+            return None
         if packet is None:
             if (head := packets.other_version(data)) is not None:
                 self.mirror.refuse(head)
-            return ""
+            return None
         if packet.machine == self._owner.machine:
-            return ""
-        if self._owner.refuses(self.subsystem, packet.machine):
-            return ""
+            return None
+        return None if self._owner.refuses(self.subsystem, packet.machine) else packet
+
+    def _place(
+        self, packet: packets.Packet, asked: tuple[int, int] | None = None
+    ) -> bool:
+        """Write a packet to the table; return whether its values were understood."""
+        mirror = self.mirror
+        if mirror is None:
+            return False
         if asked is not None:
             self._owner.measured(packet.machine, *asked, packet.sent_ns)
-        new = packet.machine not in self.mirror.others
-        placed = self.mirror.take(packet)
+        new = packet.machine not in mirror.others
+        placed = mirror.take(packet)
         late_ns = self._owner.late(packet.machine, packet.sent_ns)
         for call in packet.calls:
             remote_handover.make(self.table, call, late_ns)
         if new or (not placed and packet.full is None):
             self.next = 0.0
             self._beat = 0.0  # it may lack our state, too
-        return packet.machine
+        return placed
 
     def _answer(self, query: zenoh.Query) -> None:
         """Process the state of the asking machine, and return this machine's."""
@@ -394,11 +455,14 @@ class MirroredTable:
             asker = self._take(query.payload.to_bytes())
         packet = self.mirror.next_packet(full=True, machine=asker)
         self.next = 0.0  # the others may lack what the asker is sent
+        self._reply(query, packets.pack(packet) if packet is not None else b"")
+
+    def _reply(self, query: zenoh.Query, data: bytes) -> None:
         key = key_expressions.svar(
             self._owner.domain, self.subsystem, "sync", self._owner.machine
         )
         with contextlib.suppress(zenoh.ZError), query:
-            query.reply(key, packets.pack(packet) if packet is not None else b"")  # pyright: ignore[reportUnknownMemberType]
+            query.reply(key, data)  # pyright: ignore[reportUnknownMemberType]
 
     def _exchange(
         self, done: Callable[[], None] | None = None, calls: Sequence[bytes] = ()
@@ -410,11 +474,7 @@ class MirroredTable:
         self._get("sync", "*", packets.pack(packet) if packet else b"", done)
 
     def _get(
-        self,
-        leaf: str,
-        machine: str,
-        data: bytes,
-        done: Callable[[], None] | None,
+        self, leaf: str, machine: str, data: bytes, done: Callable[[], None] | None
     ) -> None:
         owner, begin_ns = self._owner, time.monotonic_ns()
 
@@ -423,11 +483,30 @@ class MirroredTable:
                 answer, now_ns = reply.ok.payload.to_bytes(), time.monotonic_ns()
                 owner.offer(lambda: self._take(answer, (begin_ns, now_ns)))
 
+        self._ask(leaf, machine, data, replied, done and partial(owner.end, done))
+
+    def _ask(
+        self,
+        leaf: str,
+        machine: str,
+        data: bytes,
+        replied: Callable[[zenoh.Reply], None],
+        end: Callable[[], None] | None,
+        *,
+        value: bool = False,
+    ) -> None:
+        """Ask other machines; `replied` and `end` are called by zenoh's threads.
+
+        With a `value`, it is one of these threads that asks, and it must not wait.
+        """
+        drop, block = zenoh.CongestionControl.DROP, zenoh.CongestionControl.BLOCK
         try:
-            owner.session.get(
-                key_expressions.svar(owner.domain, self.subsystem, leaf, machine),
-                direct(replied, done and partial(owner.end, done)),
+            self._owner.session.get(
+                key_expressions.svar(self._owner.domain, self.subsystem, leaf, machine),
+                direct(replied, end),
                 payload=data,
+                attachment=VALUE if value else None,
+                congestion_control=drop if value else block,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=ANSWER_TIME,
@@ -437,5 +516,5 @@ class MirroredTable:
             )
         except zenoh.ZError as error:
             log.debug("%s: no machine could be asked: %s", self.subsystem, error)
-            if done is not None:
-                done()
+            if end is not None:
+                end()

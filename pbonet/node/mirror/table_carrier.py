@@ -4,7 +4,8 @@ Agents of one subsystem on several machines find each other by liveliness tokens
 per machine: of the agents that share a table, the one that holds a lock on its file
 declares it. News is sent at once, all groups of a moment in one packet, newest first,
 and is dropped if a link is slow. Whole states are exchanged by queries: when machines
-meet, and before an agent answers a command that has changed its table.
+meet, and before an agent answers a command that has changed its table; after a `write`
+only its value is.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import zenoh
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
+T = TypeVar("T")
 GLANCE_NS = 20_000_000
 """Nanoseconds between quick checks of a table that is not expected to change; these run
 without Python."""
@@ -77,6 +79,8 @@ class TableCarrier:
         """Tables to be carried that the carrier's thread has not taken yet."""
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
+        self._working = threading.Lock()
+        """Held by the thread that uses the tables."""
         self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
         """Answers requests that wait for other machines."""
         self._calls = CallOnce()
@@ -113,6 +117,18 @@ class TableCarrier:
         self._todo.put(what)
         self._watch.ring()
 
+    def at_once(self, what: Callable[[], T]) -> T | None:
+        """Call a function in this thread; None if it fails or the carrier's is busy."""
+        if not self._working.acquire(blocking=False):
+            return None
+        try:
+            return what()
+        except Exception:
+            log.exception("a value could not be transferred")
+            return None
+        finally:
+            self._working.release()
+
     def end(self, done: Callable[[], None]) -> None:
         """Let a separate thread call `done`; for use in zenoh's threads.
 
@@ -146,7 +162,7 @@ class TableCarrier:
         done: Callable[[], None],
         *,
         take: bool = False,
-        value: bool = False,
+        value: str = "",
     ) -> None:
         """Call `done` when the other machines have the subsystem's table.
 
@@ -160,8 +176,9 @@ class TableCarrier:
             done: Called once.
             take: Whether this machine must also have processed their states, as after
                 opening a table that exists elsewhere.
-            value: Whether only a value was set: if there is no other machine, the
-                carrier is not woken and checks in its next turn.
+            value: The variable if only the value of one was set: the other machines are
+                sent just that, by this thread. If there is none, the carrier is not
+                woken and checks in its next turn.
         """
         carried = self._carried.get(subsystem) if subsystem in self._tables else None
         if carried is not None and carried.alone and not take:
@@ -174,6 +191,8 @@ class TableCarrier:
         promised = self._calls.make(done)
         if promised is None:
             done()
+            return
+        if value and carried is not None and carried.send_value(value, promised):
             return
 
         def spread() -> None:
@@ -268,21 +287,27 @@ class TableCarrier:
     def _work(self) -> None:
         while not self._over:
             self._sleep()
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    self.safely(self._todo.get_nowait())
-            now = time.monotonic()
-            for one in list(self._carried.values()):
-                if now >= one.next:
-                    one.next = now + UNHEARD  # unless the turn says otherwise
-                    self.safely(partial(one.turn, now))
+            with self._working:
+                self._turn()
+
+    def _turn(self) -> None:
+        """Do what is to be done now."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self.safely(self._todo.get_nowait())
+        now = time.monotonic()
+        for one in list(self._carried.values()):
+            if now >= one.next:
+                one.next = now + UNHEARD  # unless the turn says otherwise
+                self.safely(partial(one.turn, now))
 
     def _sleep(self) -> None:
         """Sleep until there is something to do."""
-        due = min((one.next for one in self._carried.values()), default=NEVER)
-        self._watch.forget()
-        for one in self._carried.values():
-            one.watch(self._watch)
+        with self._working:
+            due = min((one.next for one in self._carried.values()), default=NEVER)
+            self._watch.forget()
+            for one in self._carried.values():
+                one.watch(self._watch)
         if self._watch.sleep(round(due * 1e9), GLANCE_NS):
             for one in self._carried.values():
                 one.next = 0.0

@@ -66,7 +66,8 @@ class OwnGroup:
         made = now if news.cycle & PASSED_ON else stamp
         commits = news.seq - self.sent
         # The carrier may have been stopped between two readings of the clock.
-        if self.sent >= 0 and 0 < commits < _MANY and made > self.made_ns:
+        regular = self.task and self.sent >= 0  # an operator's next value is not due
+        if regular and 0 < commits < _MANY and made > self.made_ns:
             period = (made - self.made_ns) // commits
             known = self.period_ns
             self.period_ns = (3 * known + period) // 4 if known else period
@@ -220,6 +221,18 @@ class Outbox:
                     group.sends(news, now)
                 found.append(news)
         return found
+
+    def set_value(self, variable: int, now: int) -> News | None:
+        """Return the value of a variable that an operator has set, to be sent to all.
+
+        None if the others do not know yet that it was set here, or its rate is limited.
+        """
+        group = self.groups.get(KEPT + variable)
+        if group is None or group.pause_ns or self._table.generation != self.generation:
+            return None
+        if (news := group.read()) is not None:
+            group.sends(news, now)
+        return news
 
     def due(self, now: int) -> int | None:
         """Return when to check for the next commit; in the past: it is overdue.

@@ -2,7 +2,7 @@
 
 It reports to the others the groups that tasks here write, and writes theirs to this
 machine's table, as commits with their true age. Its caller decides when, and over which
-network; all calls come from one thread.
+network; one thread calls it at a time.
 """
 
 from __future__ import annotations
@@ -105,6 +105,21 @@ class Mirror:
             return None
         if full:
             self._newcomers = self._newcomers - comes
+        return self._packet(news, self._full() if full else None)
+
+    def value_packet(self, variable: str) -> Packet | None:
+        """Return a packet with one variable that an operator has set here.
+
+        None if the others must be sent the whole state to understand it.
+        """
+        if self._news:
+            return None
+        news = self._outbox.set_value(self.table.index(variable), now_ns())
+        return None if news is None else self._packet([news])
+
+    def _packet(
+        self, news: list[packets.News], full: packets.Full | None = None
+    ) -> Packet:
         return packets.Packet(
             self._speaks(),
             self.machine,
@@ -113,7 +128,7 @@ class Mirror:
             self._state,
             now_ns(),
             news,
-            self._full() if full else None,
+            full,
         )
 
     def take(self, packet: Packet) -> bool:

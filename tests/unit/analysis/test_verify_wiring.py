@@ -207,6 +207,20 @@ def test_constants_order_the_spawning() -> None:
         task("puma", outconst="NDOF"),
     ]
     assert legality.spawn_order(tasks) == ["log", "puma", "tool", "grav"]
+    assert legality.spawn_steps(tasks) == [["log"], ["puma"], ["tool"], ["grav"]]
+
+
+def test_tasks_of_different_rtpus_are_spawned_at_once_unless_constants_forbid() -> None:
+    tasks = [
+        task("puma", outconst="NDOF", rtpu="arm0"),
+        task("grav", inconst="NDOF", rtpu="arm1"),
+        task("log", rtpu="arm1"),
+        task("ball", rtpu="arm2"),
+        task("trace", rtpu="arm0"),
+    ]
+    assert legality.spawn_order(tasks) == ["puma", "grav", "log", "ball", "trace"]
+    steps = [["puma", "ball"], ["grav", "trace"], ["log"]]
+    assert legality.spawn_steps(tasks) == steps, "the order of an RTPU stays"
 
 
 def test_a_circle_of_constants_is_drawn() -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 import time
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 import zenoh
 from watching import wait_for
@@ -18,6 +21,7 @@ from pbonet.node.mirror import (
     table_carrier as mirrors_module,
 )
 from pbonet.node.mirror.mirrored_table import MirroredTable
+from pbonet.node.mirror.sent_value import TAKEN, VALUE
 from pbonet.node.mirror.table_carrier import TableCarrier
 from pbonet.node.rtpu.tables import table_name
 from pbonet.node.wire import ClockOffsets
@@ -30,14 +34,40 @@ from pbonet.svar.mirror.table_mirror import Mirror
 class Network(MagicMock):
     """A session that keeps what is asked; others answer when a test says so."""
 
-    def get(self, _key, handler, **_options):
-        self.asked = handler
+    def get(self, _key, handler, payload=None, attachment=None, **_options):
+        self.asked, self.question, self.attached = handler, payload, attachment
+
+    def reply(self, data, machine="m2"):
+        """Have another machine answer."""
+        sample = SimpleNamespace(
+            payload=SimpleNamespace(to_bytes=lambda: data),
+            key_expr=f"pbonet/d/sbs/arm/svar/sync/{machine}",
+        )
+        self.asked.callback(SimpleNamespace(ok=sample))
 
     def answers(self, data):
         """Have another machine answer, and tell that no more answers come."""
-        payload = SimpleNamespace(to_bytes=lambda: data)
-        self.asked.callback(SimpleNamespace(ok=SimpleNamespace(payload=payload)))
+        self.reply(data)
         self.asked.drop()
+
+
+class Asking:
+    """A question of another machine, and the answers to it."""
+
+    def __init__(self, packet, attachment=None):
+        data = packets.pack(packet)
+        self.payload = SimpleNamespace(to_bytes=lambda: data)
+        self.attachment = attachment and SimpleNamespace(to_bytes=lambda: attachment)
+        self.answers = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def reply(self, _key, data):
+        self.answers.append(data)
 
 
 def turn(mirrors):
@@ -55,12 +85,13 @@ def table():
 
 
 @pytest.fixture
-def carrying(table):
+def carrying(request, table):
     """Who carries the table, where no other machine is; and what it has told."""
     told = []
     network = Network()
     mirrors = TableCarrier(network, "d", ClockOffsets(), told.append)
-    mirrors.carry({table.name.removeprefix("d."): OpenTable(keep=True)})
+    use = OpenTable(keep=getattr(request, "param", True))
+    mirrors.carry({table.name.removeprefix("d."): use})
     turn(mirrors)
     mirrors._carried["arm"].turn(0.0)
     network.asked.drop()  # nobody else
@@ -70,8 +101,18 @@ def carrying(table):
     turn(mirrors)
 
 
-def token(kind):
-    return SimpleNamespace(key_expr="pbonet/d/sbs/arm/svar/here/m2", kind=kind)
+def token(kind, machine="m2"):
+    return SimpleNamespace(key_expr=f"pbonet/d/sbs/arm/svar/here/{machine}", kind=kind)
+
+
+def set_before(mirrors, table, machines=("m2",)):
+    """Set a variable of which the other machines know that it was set here."""
+    carried = mirrors._carried["arm"]
+    for machine in machines:
+        carried._met(token(zenoh.SampleKind.PUT, machine))
+    table.write("Q", [1.0, 2.0, 3.0])
+    turn(mirrors)
+    return carried
 
 
 def test_who_is_alone_waits_for_nobody(carrying):
@@ -178,7 +219,7 @@ def test_a_value_that_is_set_alone_wakes_nobody_and_is_looked_at_once(
     mirrors, _ = carrying
     carried = mirrors._carried["arm"]
     for n in range(3):
-        mirrors.spread("arm", lambda n=n: done.append(n), value=True)
+        mirrors.spread("arm", lambda n=n: done.append(n), value="Q")
     assert done == [0, 1, 2]
     assert mirrors._todo.empty()
     assert not looks
@@ -186,7 +227,7 @@ def test_a_value_that_is_set_alone_wakes_nobody_and_is_looked_at_once(
     carried.turn(2.0)
     assert looks == [{"full": True}], "one look for all of them"
     carried._met(token(zenoh.SampleKind.PUT))
-    mirrors.spread("arm", lambda: done.append("two"), value=True)
+    mirrors.spread("arm", lambda: done.append("two"), value="Q")
     assert done == [0, 1, 2], "whoever is there is told first"
 
 
@@ -293,3 +334,118 @@ def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_
     finally:
         mirrors.carry({})
         turn(mirrors)
+
+
+def test_a_value_is_sent_by_itself_and_known_when_every_machine_has_taken_it(
+    carrying, table
+):
+    mirrors, _ = carrying
+    set_before(mirrors, table, ["m2", "m3"])
+    network, done = mirrors.session, []
+    table.write("Q", [4.0, 5.0, 6.0])
+    mirrors.spread("arm", lambda: done.append("known"), value="Q")
+    assert mirrors._todo.empty(), "no thread is woken"
+    packet = packets.unpack(network.question)
+    assert (packet.full, len(packet.news)) == (None, 1)
+    assert np.frombuffer(packet.news[0].data).tolist() == [4.0, 5.0, 6.0]
+    network.reply(TAKEN, "m2")
+    network.reply(TAKEN, "m2")
+    assert done == []
+    network.reply(TAKEN, "m3")
+    assert done == ["known"]
+    network.asked.drop()
+    assert mirrors._todo.empty()
+    assert mirrors._carried["arm"].mirror.next_packet() is None, "it was sent"
+
+
+def test_a_machine_that_does_not_know_the_value_is_sent_the_whole_state(
+    carrying, table
+):
+    mirrors, _ = carrying
+    set_before(mirrors, table, ["m2", "m3"])
+    network, done = mirrors.session, []
+    mirrors.spread("arm", lambda: done.append("known"), value="Q")
+    network.reply(b"", "m2")
+    network.reply(TAKEN, "m3")
+    network.asked.drop()
+    assert done == []
+    turn(mirrors)
+    assert packets.unpack(network.question).full is not None
+    assert done == []
+    network.asked.drop()
+    wait_for(lambda: done == ["known"], "the word that all have it")
+
+
+def test_who_is_silent_about_a_value_is_waited_for_until_the_end(carrying, table):
+    mirrors, _ = carrying
+    set_before(mirrors, table, ["m2", "m3"])
+    network, done = mirrors.session, []
+
+    def known():
+        done.append(threading.current_thread().name)
+
+    mirrors.spread("arm", known, value="Q")
+    network.reply(TAKEN, "m2")
+    network.asked.callback(SimpleNamespace(ok=None))
+    assert done == []
+    network.asked.drop()
+    wait_for(lambda: done == ["pbonet told_0"], "the word that all have it")
+    assert mirrors._todo.empty(), "and nothing is sent again"
+
+
+@pytest.mark.parametrize("why", ["first", "busy", "owned since"])
+def test_the_state_is_sent_where_a_value_is_not_enough(carrying, table, why):
+    mirrors, _ = carrying
+    carried = set_before(mirrors, table)
+    if why == "first":
+        carried._met(token(zenoh.SampleKind.PUT))
+        carried.mirror._outbox.groups.clear()
+    elif why == "owned since":
+        task = table.local("pid", os.getpid(), outvar=["Q"])
+        task.claim()
+        task.close()
+    network = mirrors.session
+    network.question = None
+    with mirrors._working if why == "busy" else contextlib.nullcontext():
+        mirrors.spread("arm", lambda: None, value="Q")
+    assert network.question is None
+    turn(mirrors)
+    assert packets.unpack(network.question).full is not None
+
+
+@pytest.mark.parametrize("carrying", [False], ids=["not the keeper"], indirect=True)
+def test_a_value_is_taken_at_once_unless_the_carrier_is_busy(carrying, table):
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    there = Table.create("there", [Variable(name="Q", type="double", nelem=3)])
+    other = Mirror(there, "m2", 1, keep=True)
+    try:
+        there.write("Q", [1.0, 2.0, 3.0])
+        ask = Asking(other.next_packet(full=True))
+        carried._asked(ask)
+        turn(mirrors)
+        assert packets.unpack(ask.answers[0]).full is not None
+
+        there.write("Q", [4.0, 5.0, 6.0])
+        ask = Asking(other.value_packet("Q"), VALUE)
+        carried._asked(ask)
+        assert ask.answers == [TAKEN]
+        assert mirrors._todo.empty()
+        assert table.read("Q").tolist() == [4.0, 5.0, 6.0]
+
+        there.write("Q", [7.0, 8.0, 9.0])
+        ask = Asking(other.value_packet("Q"), VALUE)
+        with mirrors._working:
+            carried._asked(ask)
+        assert ask.answers == []
+        turn(mirrors)
+        assert ask.answers == [TAKEN]
+        assert table.read("Q").tolist() == [7.0, 8.0, 9.0]
+
+        carried.lose("m2")
+        ask = Asking(other.value_packet("Q"), VALUE)
+        carried._asked(ask)
+        assert ask.answers == [b""], "its state is not known"
+    finally:
+        other.close()
+        there.destroy()

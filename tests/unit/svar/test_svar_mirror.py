@@ -456,3 +456,40 @@ def test_a_machine_with_packets_of_another_version_raises_the_flag(sides):
     b.mirror.refuse(head)
     b.mirror.miss(0.0)
     assert causes() == [], "it is gone"
+
+
+def test_a_value_that_was_set_is_sent_by_itself(sides):
+    a, b = sides
+    meet(a, b)
+    a.table.write("MODE", [7])
+    assert a.mirror.value_packet("MODE") is None, "nobody knows that it was set here"
+    carry(a, b)
+    for value in (8, 9):
+        a.table.write("MODE", [value])
+        packet = a.mirror.value_packet("MODE")
+        assert (packet.full, len(packet.news)) == (None, 1)
+        assert b.mirror.take(packets.unpack(packets.pack(packet)))
+        assert b.table.read("MODE").tolist() == [value]
+        assert carry(a, b) is None, "it was sent to all"
+    assert a.mirror.due() is None, "an operator's next value is not expected"
+
+
+def test_a_value_whose_rate_is_limited_is_not_sent_before_its_time(sides):
+    a, b = sides
+    a.table.write("SLOW", [1.0])
+    meet(a, b)
+    a.table.write("SLOW", [2.0])
+    assert a.mirror.value_packet("SLOW") is None
+
+
+def test_a_value_that_a_task_has_owned_since_is_sent_with_the_state(sides):
+    a, b = sides
+    a.table.write("MODE", [7])
+    meet(a, b)
+    task = on(a, "pid", "MODE")
+    task.release()
+    task.close()
+    a.table.write("MODE", [8])
+    assert a.mirror.value_packet("MODE") is None
+    assert carry(a, b).full is not None
+    assert b.table.read("MODE").tolist() == [8]
