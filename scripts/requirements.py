@@ -15,14 +15,14 @@ PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 
 
 def requirements(extras: list[str]) -> list[str]:
-    """Return the requirements of pbonet and of extras.
+    """Return the packages that pbonet and extras need.
 
     Raises:
         KeyError: There is no such extra.
     """
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     optional = project["optional-dependencies"]
-    return [*project["dependencies"], *(one for name in extras for one in optional[name])]
+    return sum((optional[name] for name in extras), start=project["dependencies"])
 
 
 if __name__ == "__main__":
