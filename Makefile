@@ -8,7 +8,7 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o -name '*.h')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup ready native page demo hosts-demo check lint mypy pyright test bench docs clean
+.PHONY: help setup ready installed native page demo hosts-demo check lint mypy pyright test bench docs clean
 
 help:  ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -35,7 +35,10 @@ $(VENV)/.native: $(VENV)/.tools $(NATIVE) setup.py
 
 # The one is downloaded and unpacked while the other compiles.
 ready: $(VENV)/.tools
-	@$(MAKE) --no-print-directory --jobs=2 $(VENV)/.demo $(VENV)/.native
+	@$(MAKE) --no-print-directory --jobs=2 installed
+
+installed: $(VENV)/.demo $(VENV)/.native
+	@:
 
 # What checks, tests and documentation need beside it.
 $(VENV)/.packages: $(VENV)/.tools | ready
