@@ -8,30 +8,40 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o -name '*.h')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup native page demo hosts-demo check lint mypy pyright test bench docs clean
+.PHONY: help setup ready installed native page demo hosts-demo check lint mypy pyright test bench docs clean
 
 help:  ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
-setup: $(VENV)/.packages $(VENV)/.native  ## Install what is needed to work on pbonet into .venv
+setup: $(VENV)/.packages  ## Install what is needed to work on pbonet into .venv
 
-# What the demo needs, and the native parts, built where they stand.
-$(VENV)/.demo: pyproject.toml
+$(VENV)/.tools: pyproject.toml
 	@$(PYTHON) scripts/preflight.py
-	@echo "installing what the demo needs into $(VENV); this takes a minute or two, once"
+	@echo "installing what the demo needs into $(VENV); this takes about a minute, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
-	$(PIP) --no-build-isolation --editable ".[robot,plot]"
+	$(PIP) "setuptools>=77" "Cython>=3.1"
 	@touch $@
 
-# Only what is newer than the last build is built again.
-$(VENV)/.native: $(VENV)/.demo $(NATIVE)
-	@test -z "$$(find $(NATIVE) -newer $(VENV)/.demo)" || \
-	  { set -x; $(PIP) --no-build-isolation --no-deps --editable .; }
+# What the demo needs.
+$(VENV)/.demo: $(VENV)/.tools
+	@$(BIN)/python scripts/requirements.py robot plot > $@.txt
+	$(PIP) --requirement $@.txt
 	@touch $@
+
+# pbonet itself, with the native parts built where they stand.
+$(VENV)/.native: $(VENV)/.tools $(NATIVE) setup.py
+	$(PIP) --no-build-isolation --no-deps --editable .
+	@touch $@
+
+# The one is downloaded and unpacked while the other compiles.
+ready: $(VENV)/.tools
+	@$(MAKE) --no-print-directory --jobs=2 installed
+
+installed: $(VENV)/.demo $(VENV)/.native
+	@:
 
 # What checks, tests and documentation need beside it.
-$(VENV)/.packages: $(VENV)/.demo
+$(VENV)/.packages: $(VENV)/.tools | ready
 	@echo "installing what checks and tests need into $(VENV)"
 	$(PIP) "pip>=25.1"
 	$(PIP) \
@@ -49,10 +59,10 @@ $(PAGE): web/package-lock.json web/package.json web/build.mjs $(shell find web/s
 
 page: $(PAGE)  ## Build the page of pbonet web (needs npm)
 
-demo: $(VENV)/.native  ## Run the PUMA 560 example for 15 s and plot it
+demo: ready  ## Run the PUMA 560 example for 15 s and plot it
 	$(BIN)/python examples/puma/demo.py
 
-hosts-demo: $(VENV)/.native  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
+hosts-demo: ready  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
 	$(BIN)/python examples/two_hosts/demo.py
 
 check: setup  ## Lint, types, layers
@@ -85,4 +95,4 @@ docs: setup  ## Build the documentation
 clean:  ## Remove what was built
 	rm -rf build docs/_build pbonet.egg-info
 	find pbonet \( -name '*.so' -o -name '*.c' \) -delete
-	rm -f $(VENV)/.demo $(VENV)/.native $(VENV)/.packages
+	rm -f $(VENV)/.tools $(VENV)/.demo $(VENV)/.native $(VENV)/.packages

@@ -5,6 +5,7 @@ What they are is in pyproject.toml.
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -26,12 +27,12 @@ class Build(build):
 
 
 class BuildNative(build_ext):
-    """Builds the native parts side by side."""
+    """Builds the native parts side by side; with ``--debug``, for a debugger."""
 
     def initialize_options(self) -> None:
         """Set the defaults of options."""
         super().initialize_options()
-        self.parallel = 4
+        self.parallel = os.cpu_count() or 1
 
     def run(self) -> None:
         """Build, if this machine has what is needed."""
@@ -40,9 +41,34 @@ class BuildNative(build_ext):
         included = [
             str(file) for file in Path("pbonet").rglob("*") if file.suffix in _INCLUDED
         ]
+        self.translate()
         for part in self.extensions:
             part.depends = [*part.depends, *included]
+            if not self.debug:  # Python's own flags ask for a debugger's symbols
+                part.extra_compile_args = [*part.extra_compile_args, "-g0"]
         super().run()
+
+    def translate(self) -> None:
+        """Translate all parts to C, in processes, and have the largest compiled first.
+
+        One at a time and in threads, as setuptools has it done, they would wait for
+        each other: Cython holds the interpreter's lock.
+        """
+        from Cython.Build import cythonize
+
+        translated = cythonize(
+            self.extensions,
+            nthreads=self.parallel,
+            quiet=True,
+            force=self.force,
+            include_path=["."],
+            shared_utility_qualified_name="pbonet._cython",
+        )
+        for part, found in zip(self.extensions, translated, strict=True):
+            part.sources = found.sources
+        self.extensions.sort(
+            key=lambda part: Path(part.sources[0]).stat().st_size, reverse=True
+        )
 
 
 setup(cmdclass={"build": Build, "build_ext": BuildNative})

@@ -56,7 +56,7 @@ def agent_settings(path: Path | None, told: Mapping[str, Any]) -> AgentConfig:
 
     Args:
         path: The file, read now; None for the defaults.
-        told: Keys of the file, and values that go before its own.
+        told: Keys of the file, and values that take precedence over its own.
 
     Raises:
         ConfigFileError: It cannot be read.

@@ -159,7 +159,7 @@ class Rmod(Struct, frozen=True, kw_only=True):
     def settings(self) -> dict[str, LocalLine]:
         """The LOCAL lines that count; a parameter of a part is ``part.NAME``.
 
-        A line of the combination goes before that of the part's own file.
+        A line of the combination takes precedence over that of the part's own file.
         """
         found = {
             f"{part.name}.{key}": line

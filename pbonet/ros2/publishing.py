@@ -219,7 +219,7 @@ class Outgoing:
     Args:
         filling: The message.
         publisher: Where it goes.
-        max_hz: How often a second at most.
+        max_hz: The highest rate, Hz.
         warnings: What a user should know.
     """
 

@@ -100,7 +100,7 @@ class _Newest:
 
     Args:
         take: Called with a message and when it came; it does not raise.
-        max_hz: How often a second at most.
+        max_hz: The highest rate, Hz.
     """
 
     def __init__(
@@ -289,7 +289,7 @@ class RosNode:
             qos: Its quality of service.
             take: Called with messages and when each arrived (`now_ns`), one at a time,
                 in zenoh's thread or in one of its own.
-            max_hz: How often a second at most.
+            max_hz: The highest rate, Hz.
         """
         end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
 

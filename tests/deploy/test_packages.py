@@ -127,7 +127,7 @@ def test_a_wheel_carries_stubs_data_and_native_parts(wheel):
         if name.startswith("pbonet/") and name.endswith(".pyx")
     }
     built = {Path(name).name.partition(".")[0] for name in there if ".so" in name}
-    assert built == native
+    assert built == native | {"_cython"}  # which all of them share
 
 
 @pytest.mark.parametrize(

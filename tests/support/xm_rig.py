@@ -1,9 +1,11 @@
-"""What the hostile tests of express mail share: its headers, children that wait."""
+"""What tests of express mail share: headers, children that wait, data of an agent."""
 
 import mmap
 
 import numpy as np
 from svar_rig import ROOT, Child, wait_for
+
+from pbonet.xm.net.agents import AgentInfo
 
 HEADERS = ROOT / "pbonet" / "xm" / "ipc"
 SECOND = 1_000_000_000
@@ -14,6 +16,13 @@ LONG = 30 * SECOND
 def words(n: int) -> np.ndarray:
     """Return `n` shared 64-bit words that outlive forks."""
     return np.frombuffer(mmap.mmap(-1, 8 * n), np.int64)
+
+
+def agent_info(name: str, *, host: str = "h", **more: object) -> AgentInfo:
+    """Return what an agent says of itself: defaults, but for `more`."""
+    said = {"domain": "d", "host": host, "machine": host, "core": 1, "cores": 2}
+    said |= {"pid": 1, "rtpu_pid": 2, "backend": "fifo", "version": "0", "python": "3"}
+    return AgentInfo(name=name, **said | more)
 
 
 class Line:

@@ -3,7 +3,7 @@
 The rules are the runtime's: releases on the grid of the period, tasks ranked by
 `urgency`, preemption at every event; a release that finds the last cycle unfinished is
 missed, the cycle continues with the deadline of the period that it uses up, and one
-that had not started is dropped. Nothing is run twice to catch up. Completions go before
+that had not started is dropped. Nothing is run twice to catch up. Completions precede
 releases at one instant.
 
 Soft tasks and servers (Stewart 1994, 6.4, 6.5) have a reserve of CPU time at their own

@@ -22,7 +22,7 @@ def command(
     trace: A[
         float,
         Option(
-            "Of a miss: wait so long for the next one, and tell who had the core.",
+            "Of a miss: wait at most so long for the next; show what had the core.",
             "SECONDS",
             least=0.0,
             most=30.0,

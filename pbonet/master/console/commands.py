@@ -276,7 +276,7 @@ COMMANDS: Final = (
             Arg(
                 "trace",
                 Kind.SECONDS,
-                "of a miss: wait so long for the next one, and tell who had the core",
+                "of a miss: wait at most so long for the next; show what had the core",
                 Use.NAMED,
             ),
         ),

@@ -84,7 +84,7 @@ OWN_TEXT: Final = "read that module's events"
 
 REMEDIES: Final[Mapping[str, str]] = {
     "never on": "turn it on",
-    "turned off": "turn it on again",
+    "turned off": "turn it on again, by `swap` if another task writes its variables",
     "off by itself": "read that module's events; turn it on again",
     "stands by": "nothing: it is released when its original fails",
     "died": "read its event with the traceback; repair, `kill` and `spawn` it again",

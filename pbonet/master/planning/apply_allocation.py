@@ -136,7 +136,7 @@ def _left(files: DraftFiles, copies: Mapping[str, str], place: Place) -> list[st
 
 
 def _todo(path: Path, task: str, copy: str, former: str, state: str) -> str:
-    """Return how it is with a task whose copy was left in a state, and what to do.
+    """Return the state of a task whose copy remained, and what to do.
 
     Args:
         path: The subsystem's file.

@@ -57,7 +57,7 @@ class CoreBudget:
 
     Args:
         probe: What the kernel grants.
-        wanted: ``core_share`` of the ``agent.toml``, which goes before that.
+        wanted: ``core_share`` of the ``agent.toml``, which takes precedence.
         below: The dispatcher runs on the tasks' core; else it takes nothing of it.
     """
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 from verify_parts import configuration, rtpu, task
+from xm_rig import agent_info
 
 from pbonet.analysis import legality
 from pbonet.analysis.schedule import CoreShare
 from pbonet.config.model import TaskType
 from pbonet.master.tools import doctor
 from pbonet.xm.net import run_folder
-from pbonet.xm.net.agents import AgentInfo
 
 
 def reports(*shares, scheduler="MUF", **settings):
@@ -67,18 +67,8 @@ def test_nothing_is_proven_of_rates_servers_and_given_criticalities(
 
 
 def agent(name, core, machine=None):
-    return AgentInfo(
-        name=name,
-        domain="d",
-        host="robot",
-        machine=machine or run_folder.machine(),
-        core=core,
-        cores=4,
-        pid=1,
-        rtpu_pid=2,
-        backend="fifo",
-        version="0",
-        python="3",
+    return agent_info(
+        name, host="robot", machine=machine or run_folder.machine(), core=core, cores=4
     )
 
 

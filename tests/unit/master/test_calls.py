@@ -233,7 +233,7 @@ def test_causes_are_the_same_in_a_program_and_at_the_prompt(arm):
     text = str(arm.explain())
     assert "because equation 2: no task writes X_DES" in text
     assert "task target on arm1 is OFF" in text
-    assert "do: turn it on again" in text
+    assert "do: turn it on again, by `swap` if another task writes" in text
     assert arm.clock.now() == before
     assert {"flag", "miss", "arm0", "target", "X_DES"} <= {*complete(desk, "explain ")}
 

@@ -1,5 +1,7 @@
 """``pbonet doctor`` warns of agents that are linked with too many others."""
 
+from xm_rig import agent_info
+
 from pbonet.master.tools import doctor
 from pbonet.xm.net import client_of_router, messages as m
 
@@ -43,17 +45,4 @@ def test_agents_of_one_machine_that_are_linked_each_with_each():
 
 
 def agent(name, dials, machine):
-    return m.AgentInfo(
-        name=name,
-        domain="d",
-        host=f"{machine}-pc",
-        machine=machine,
-        core=1,
-        cores=2,
-        pid=1,
-        rtpu_pid=2,
-        backend="fifo",
-        version="0",
-        python="3",
-        dials=list(dials),
-    )
+    return agent_info(name, host=f"{machine}-pc", machine=machine, dials=list(dials))

@@ -11,12 +11,12 @@ from queue import Queue
 
 import msgspec
 import pytest
+from xm_rig import agent_info
 
 from pbonet.node.restart import DesiredState, TaskRestarts
 from pbonet.node.restart.desired_state import StopLeft, Subsystem
 from pbonet.node.restart.task_restarts import CALLED_OFF
 from pbonet.xm.net import codec, messages as m
-from pbonet.xm.net.agents import AgentInfo
 
 MARK = "again-"
 LEFT = StopLeft(id="s0", subsystem="arm", due=["arm1"], machines={"arm1": "boot"})
@@ -217,20 +217,7 @@ class Keeper:
         return list(self.alive)
 
     def call_all(self, requests, _result):
-        info = AgentInfo(
-            name="arm9",
-            domain="d",
-            host="h",
-            machine="b",
-            core=1,
-            cores=2,
-            pid=1,
-            rtpu_pid=2,
-            backend="fifo",
-            version="0",
-            python="3",
-            claims={"arm": 7},
-        )
+        info = agent_info("arm9", machine="b", claims={"arm": 7})
         return dict.fromkeys(requests, info), []
 
 

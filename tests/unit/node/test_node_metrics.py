@@ -14,13 +14,13 @@ from types import SimpleNamespace
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
+from xm_rig import agent_info
 
 from pbonet.config import parse_agent
 from pbonet.errors import ConfigError, NodeError, SvarError
 from pbonet.node.metrics import MetricsServer, check_address, scrape_server
 from pbonet.node.metrics.rtpu_collector import FAMILIES, RtpuCollector
 from pbonet.xm.net import (
-    AgentInfo,
     RtpuStatus,
     TaskStatus,
     TbufStatus,
@@ -46,18 +46,11 @@ class Figures:
         self.asked = []
 
     def info(self):
-        return AgentInfo(
-            name="arm0",
-            domain="d",
+        return agent_info(
+            "arm0",
             host="lab1",
             machine="m",
-            core=1,
-            cores=2,
-            pid=1,
-            rtpu_pid=2,
-            backend="fifo",
             version="9",
-            python="3",
             claims={"arm": 7},
             keys_left=86400.0,
         )

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 import zenoh
+from xm_rig import agent_info
 
 from pbonet.node.agent import peer_latency
 from pbonet.node.agent.peer_latency import (
@@ -16,27 +17,13 @@ from pbonet.node.agent.peer_latency import (
     watched_agents,
 )
 from pbonet.versions import Range
-from pbonet.xm.net import AgentInfo, key_expressions, session
+from pbonet.xm.net import key_expressions, session
 
 VERSIONS = {"table": Range(1, 2)}
 
 
 def agent(name="arm1", **more):
-    return AgentInfo(
-        name=name,
-        domain="d",
-        host="b",
-        machine="m",
-        core=1,
-        cores=2,
-        pid=1,
-        rtpu_pid=2,
-        backend="fifo",
-        version="0",
-        python="3",
-        zid="aa",
-        **more,
-    )
+    return agent_info(name, host="b", machine="m", zid="aa", **more)
 
 
 class World:

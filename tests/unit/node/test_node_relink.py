@@ -14,30 +14,17 @@ import msgspec
 import pytest
 import zenoh
 from watching import wait_for
+from xm_rig import agent_info
 
 from pbonet.node.agent import link_watchdog
 from pbonet.node.agent.link_watchdog import AWAY, STEADY, NearestRouter
 from pbonet.xm.net import client_of_router, run_folder, session
-from pbonet.xm.net.agents import AgentInfo
 
 ZID = "aa"
 
 
 def agent(name="arm1", zid=ZID):
-    return AgentInfo(
-        name=name,
-        domain="d",
-        host="b",
-        machine="m",
-        core=1,
-        cores=2,
-        pid=os.getpid(),
-        rtpu_pid=2,
-        backend="fifo",
-        version="0",
-        python="3",
-        zid=zid,
-    )
+    return agent_info(name, host="b", machine="m", pid=os.getpid(), zid=zid)
 
 
 class Link:

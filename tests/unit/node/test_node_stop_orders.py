@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zenoh
 from watching import wait_for
+from xm_rig import agent_info
 
 from pbonet import tbuf, xm
 from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
@@ -30,7 +31,6 @@ from pbonet.xm.net import (
     messages as m,
     resource_messages as r,
 )
-from pbonet.xm.net.agents import AgentInfo
 
 
 class Agents:
@@ -69,19 +69,11 @@ def orders(agents, notes):
 
 
 def info(name, *subsystems, stops=(), age=1000.0, machine="", here=()):
-    return AgentInfo(
-        name=name,
-        domain="d",
+    return agent_info(
+        name,
         host=f"host-{name}",
         machine=machine or f"boot-{name}",
         here=list(here),
-        core=1,
-        cores=2,
-        pid=1,
-        rtpu_pid=2,
-        backend="fifo",
-        version="0",
-        python="3",
         claims=dict.fromkeys(subsystems, 1),
         rtpu_age=age,
         stops=list(stops),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -66,3 +67,20 @@ def test_what_is_imported_is_declared_and_nothing_else_is() -> None:
     foreign.discard("torch")  # a back end that its user installs, for the own device
     foreign.discard("pytest")  # pbonet.testing.fixtures is a plugin of a running pytest
     assert foreign == _declared([*project["dependencies"], *extras])
+
+
+def test_the_demo_installs_what_it_imports_and_nothing_else() -> None:
+    """`make demo` installs packages by their names, while the native parts compile."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    script = [sys.executable, ROOT / "scripts" / "requirements.py", "robot", "plot"]
+    done = subprocess.run(script, check=True, capture_output=True, text=True)
+    extras = project["optional-dependencies"]
+    needed = [*project["dependencies"], *extras["robot"], *extras["plot"]]
+    assert done.stdout.splitlines() == needed
+
+
+def test_native_parts_are_built_by_what_pip_and_make_install() -> None:
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]
+    makefile = (ROOT / "Makefile").read_text()
+    (tools,) = re.findall(r"venv \$\(VENV\)\n\t\$\(PIP\) (.*)", makefile)
+    assert [one.strip('"') for one in tools.split()] == build["requires"]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
+from xm_rig import agent_info
 
 from pbonet.master.tools import doctor
 from pbonet.xm.net import messages as m, unreachable_reason
-from pbonet.xm.net.agents import AgentInfo, LinkReport, Lost, Way
+from pbonet.xm.net.agents import LinkReport, Lost, Way
 
 
 def lost(rtpu, host, ago, *, near=True):
@@ -16,20 +17,7 @@ def lost(rtpu, host, ago, *, near=True):
 
 
 def agent(name, host, *gone):
-    return AgentInfo(
-        name=name,
-        domain="d",
-        host=host,
-        machine=host,
-        core=1,
-        cores=2,
-        pid=1,
-        rtpu_pid=2,
-        backend="fifo",
-        version="0",
-        python="3",
-        lost=list(gone),
-    )
+    return agent_info(name, host=host, lost=list(gone))
 
 
 BEHIND = lost("arm2", "c", 11.5, near=False)
