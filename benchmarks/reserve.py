@@ -123,7 +123,7 @@ class Failures:
             if r.slot == self._slot and r.kind == Event.DONE and r.arg:
                 self._mark, self._release = r.b, r.a  # it has released itself
         used = mine[Event.USED].a if Event.USED in mine else 0
-        if Event.FAIL in mine and mine[Event.FAIL].arg >> 8:  # else it is only counted
+        if Event.FAIL in mine and mine[Event.FAIL].arg >> 8 & 1:  # else it is only counted
             self.found[self._release] = now, used - self._mark - LIMIT_NS
         if Event.RELEASE in mine:
             self._mark, self._release = used, mine[Event.RELEASE].a

@@ -41,6 +41,7 @@ RMOD_FIELDS = (
     "softness",
     "stale",
     "settle",
+    "safe_at",
     "needs",
 )
 """Settings of a task that its RMOD says."""

@@ -227,6 +227,7 @@ def _timing_fields(now: TaskStatus, before: TaskStatus | None) -> dict[str, Valu
         "skip": news("skipped"),
         "handler": news("handlers"),
         "told": now.delivery_max or None,
+        "safe": news("made_safe"),
         "held": news("held_off"),
         "sections": "; ".join(
             f"{name} {one.count} x {one.total / one.count * 1e3:.3g} ms"

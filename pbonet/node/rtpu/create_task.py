@@ -293,7 +293,12 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
         )
         raise
     task.ready = msgspec.convert(done.result, rtpu_messages.TaskReady)
-    rtpu.core.configure(task.facts.slot, tells=task.ready.tells)
+    rtpu.core.configure(
+        task.facts.slot, tells=task.ready.tells, safe_at=task.facts.rmod.safe_at
+    )
+    if task.ready.safe:
+        arena = rtpu.tables.need(task.facts.subsystem).table.arena
+        rtpu.dispatcher.keep_values(task.facts.slot, arena, task.ready.safe)
     rtpu.signals.apply(rtpu.core, task)
     task.stopping = False
     rtpu.watch_life(task)

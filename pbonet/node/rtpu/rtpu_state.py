@@ -479,6 +479,7 @@ class Rtpu:
         self.core.died(task.facts.slot)
         # After the mark: from here on callers learn that no successor comes.
         slot = self.core.snapshot(task.facts.slot)
+        self.dispatcher.drop_values(task.facts.slot)
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop((task.facts.subsystem, task.name), None)
