@@ -63,12 +63,17 @@ inline interrupted() {
     fi
 }
 
+/* The same where nothing can be taken. */
+inline disturbed() {
+    if :: atomic { sent -> sent = false; assert(!(TAKE)) } :: true fi
+}
+
 active proctype Task() {
     bool mine, must, owed;
     do
     :: begun < CYCLES ->
         begun++;
-        interrupted();
+        disturbed();
         atomic { number = begun; phase = OPEN; owed = wanted == begun };
 #ifndef NO_LOOK_BEFORE
         if /* S1 */
@@ -90,10 +95,10 @@ active proctype Task() {
         :: mine ->
             enter();
             a[(head + 1) % 4] = OUTPUTS_OF(begun);
-            interrupted();
+            disturbed();
             b[(head + 1) % 4] = OUTPUTS_OF(begun);
             atomic { leave(OUTPUTS_OF(begun)) };
-            interrupted()
+            disturbed()
         :: else
         fi;
         if
@@ -140,7 +145,7 @@ active proctype Dispatcher() {
             :: else -> sent = true
             fi;
             locked = false
-        :: else -> sent = true
+        :: sent = true /* a claimer has the lock, or there is no dispatcher of the task's own */
         fi;
         cycle = 0
     :: atomic { begun == CYCLES && wanted == CYCLES -> goto end }
