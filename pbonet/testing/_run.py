@@ -257,6 +257,7 @@ class Run:
             seed=about.seed,
         )
         self._context.libraries = tuple(map(str, library.folders))
+        self._context.safe_at = rmod.safe_at
         self._watch = PythonWatch(self._context)
         if about.timing:
             self._watch = _outside.Watch(told, self._context)

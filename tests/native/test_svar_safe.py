@@ -30,8 +30,8 @@ MUTANTS = {
     ),
     "the task does not know of the commit": (
         "local.h",
-        "    g->head = pb_write_last(&g->reg->head);\n    return true;",
-        "    return true;",
+        "PB_CLOSED);\n    g->head = pb_write_last(&g->reg->head);\n",
+        "PB_CLOSED);\n",
         "refused",
     ),
     "a dead dispatcher is relied on": (

@@ -33,6 +33,7 @@ from pbonet.config.model import (
 )
 from pbonet.config.types import TYPES, element_type
 from pbonet.config.write import meaning
+from pbonet.pbo import TimingFailure
 
 LETTERS = "ABCXYZabcxyz_"
 names = st.builds(
@@ -158,6 +159,13 @@ def rmods(draw: st.DrawFn) -> Rmod:
         softness=softness,
         crit=draw(st.none() | st.integers(1, 62)),
         handler=draw(st.none() | st.integers(1, 62)),
+        safe_at=tuple(
+            draw(
+                st.lists(
+                    st.sampled_from([one.value for one in TimingFailure]), unique=True
+                )
+            )
+        ),
         rtpu=draw(st.none() | labels),
         local={key: LocalLine(value) for key, value in local.items()},
     )

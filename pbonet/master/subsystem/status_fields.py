@@ -76,6 +76,12 @@ FIELDS: Final = (
     Field("skip", "", "releases left out after a failure, since the last status"),
     Field("handler", "", "calls of the module's handler, since the last status"),
     Field("told", "s", "longest time from a failure to its handler, since spawned"),
+    Field(
+        "safe",
+        "",
+        "cycles whose safe values were written when they failed (`SAFE`), since the last "
+        "status",
+    ),
     Field("held", "", "critical sections overruled, since the last status"),
     Field("sections", "", "timed sections: calls and mean CPU time, since spawned"),
 )

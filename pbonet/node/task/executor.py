@@ -318,7 +318,7 @@ class Executor:
         return answer
 
     def was_made_safe(self) -> None:
-        """Note that the out-vars got their safe values when the cycle failed in time."""
+        """Note that the out-vars got their safe values when a cycle failed in time."""
         self._actions.was_made_safe()
 
     def abort(self, *, safe: bool = False) -> State:

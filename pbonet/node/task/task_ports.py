@@ -68,7 +68,7 @@ def keep_fresh(local: LocalTable, table: Indexed, rmod: Rmod, info: ModuleInfo) 
 
 
 def keep_safe(local: LocalTable, rmod: Rmod, info: ModuleInfo) -> bytes:
-    """Have a failed cycle's out-vars get the safe values of their ports; return those."""
+    """Have the out-vars of a failed cycle get the safe values of their ports."""
     outputs = (port for port in info.ports if port.kind is Kind.OUTVAR)
     return local.keep_safe({rmod.svar_name(one.name): one.safe for one in outputs})
 

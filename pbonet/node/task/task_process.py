@@ -248,6 +248,7 @@ class Host:
             seed=told.seed,
         )
         self.context.slot = self.slot
+        self.context.safe_at = self.rmod.safe_at
         self.context.libraries = tuple(map(str, library.folders))
         self.context.told = self.watch.told = told_of
         self.to_rtpu.own = {one.name: one.bit for one in self.info.signals}

@@ -49,7 +49,7 @@ def test_a_failed_cycle_is_discarded_and_the_task_goes_on(arm, work):
     def enough():
         seen.add(tuple(arm.value("Y0").values))
         return len({values for values in seen if values != SAFE}) > 2 and (
-            arm.status("bad").made_safe > 2  # noqa: PLR2004
+            arm.status("bad").made_safe > 2
         )
 
     wait_for(enough, "cycles that fail, and others")
