@@ -295,7 +295,7 @@ static inline void pb_cycle_begins(struct pb_local *l, uint64_t number) {
     if (atomic_load(&l->safe->wanted) == number) pb_make_safe(l);
 }
 
-/* Whether the cycle may commit its outputs; nobody else writes the register until it ends. */
+/* Whether the cycle may commit its outputs; then no other process writes the register until it ends. */
 static inline bool pb_cycle_commits(struct pb_local *l) {
     return !l->open || pb_safe_take(l->safe, l->open, PB_COMMITS);
 }
@@ -308,7 +308,7 @@ static inline bool pb_cycle_ends(struct pb_local *l) {
     if (!number) return false;
     l->open = 0;
     how = pb_safe_close(l->safe, number);
-    if (how == PB_TAKEN && !pb_lock(&l->table, true)) { /* with the lock, nobody is amid it */
+    if (how == PB_TAKEN && !pb_lock(&l->table, true)) { /* with the lock, no process is amid it */
         how = (atomic_load(&l->safe->word) & 7) == PB_MADE_SAFE ? PB_MADE_SAFE : PB_COMMITS;
         pb_unlock(&l->table);
     }

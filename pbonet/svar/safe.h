@@ -1,4 +1,4 @@
-/* Safe values at a timing failure: one word decides who commits for a cycle.
+/* Safe values at a timing failure: one word decides which process commits.
  *
  * A task may declare that its out-vars get safe values as soon as a cycle fails in time.
  * The dispatcher commits them, whatever the task is doing; where it cannot, the task's
@@ -8,7 +8,7 @@
  *   CLOSED   no cycle, or it cannot commit: nothing is written for it
  *   OPEN     the cycle is under way (task: from CLOSED)
  *   COMMITS  the task commits the cycle's outputs (task: from OPEN)
- *   TAKEN    safe values are being committed (whoever does it: from OPEN)
+ *   TAKEN    safe values are being committed (by the process that took it from OPEN)
  *   MADE_SAFE  they have been: the cycle's outputs are discarded (the same: from TAKEN)
  *
  * Each step away from OPEN is a compare-and-exchange, so one of them happens. A failure
@@ -40,7 +40,7 @@ static inline void pb_safe_open(struct pb_safe *s, uint64_t number, uint32_t reg
                                 uint64_t uid) {
     atomic_store_explicit(&s->reg, reg, memory_order_relaxed);
     atomic_store_explicit(&s->uid, uid, memory_order_relaxed);
-    /* SYNC POINT S1, partner S2: who takes the cycle knows its register. Partner S5: a
+    /* SYNC POINT S1, partner S2: the taker of the cycle knows its register. Partner S5: a
      * failure that came before is seen by the task, which loads `wanted` after this. */
     atomic_store(&s->word, number << 3 | PB_OPEN);
 }
@@ -82,7 +82,7 @@ static inline int pb_safe_close(struct pb_safe *s, uint64_t number) {
     return PB_MADE_SAFE;
 }
 
-/* The cycle has failed. To be called before anybody tries to take it. */
+/* The cycle has failed. To be called before it is taken. */
 static inline void pb_safe_want(struct pb_safe *s, uint64_t number, int64_t since_ns) {
     if (atomic_load_explicit(&s->wanted, memory_order_relaxed) == number) return;
     atomic_store_explicit(&s->since_ns, since_ns, memory_order_relaxed);

@@ -79,8 +79,7 @@ FIELDS: Final = (
     Field(
         "safe",
         "",
-        "cycles whose safe values were written when they failed (`SAFE`), since the last "
-        "status",
+        "cycles with safe values in place of late outputs, since the last status",
     ),
     Field("held", "", "critical sections overruled, since the last status"),
     Field("sections", "", "timed sections: calls and mean CPU time, since spawned"),

@@ -80,7 +80,7 @@ class TaskReady(Struct, kw_only=True):
     tells: bool = False
     """Whether it has a handler of timing failures."""
     safe: bytes = b""
-    """What its out-vars become when a cycle fails in time; empty: SAFE is not given."""
+    """The out-vars of a cycle that fails in time; empty: SAFE is not given."""
     notes: list[str] = []
     signals: dict[str, int] = {}
     """Names and bits of the module's own signals."""
