@@ -295,7 +295,8 @@ static inline void pb_cycle_begins(struct pb_local *l, uint64_t number) {
     if (atomic_load(&l->safe->wanted) == number) pb_make_safe(l);
 }
 
-/* Whether the cycle may commit its outputs; then no other process writes the register until it ends. */
+/* Whether the cycle may commit its outputs. Then no other process writes the register until
+ * the cycle ends. */
 static inline bool pb_cycle_commits(struct pb_local *l) {
     return !l->open || pb_safe_take(l->safe, l->open, PB_COMMITS);
 }
