@@ -1,8 +1,19 @@
 """Safe values at a timing failure: in the table while the cycle still runs."""
 
+import os
+import random
+import select
+import time
+
 import pytest
 from nodekit import rmod
 from watching import wait_for
+
+from pbonet.config import Variable
+from pbonet.node.rt import _rt
+from pbonet.svar import Table
+
+MS = 1_000_000
 
 SAFE = (-7.0, -7.0)
 """What tests/misbehaving/overruns.py declares."""
@@ -81,3 +92,73 @@ def test_only_the_failures_that_are_named_count(arm):
     start(arm, overruns("MAXC 0.005", "SAFE minexec", work="python", busy=0.05))
     wait_for(lambda: arm.status("bad").failures["maxexec"] > 2, "failures")
     assert arm.status("bad").made_safe == 0
+
+
+N = 4096
+"""Elements of a variable whose commits take long enough to be met."""
+
+
+@pytest.fixture
+def rig(tmp_path, monkeypatch):
+    """Return a dispatcher on another core than this process, a slot, and a table."""
+    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
+    core = _rt.CoreTable(1)
+    dispatcher = _rt.Dispatcher(core, "park")
+    dispatcher.start()
+    i = core.alloc("r", "t")
+    core.configure(i, period_ns=10 * MS, deadline_ns=2 * MS, crit=5, pid=os.getpid())
+    core.configure(i, tells=False, safe_at=["deadline"])
+    slot = _rt.Slot(core, i)
+    with Table.create("safe", [Variable(name="Y", type="double", nelem=N)]) as table:
+        yield core, dispatcher, slot, table
+        slot.disarm()
+        dispatcher.drop_values(slot.index)
+        dispatcher.stop()
+    core.close()
+
+
+def reads_whole_sets(name: str, until: int) -> int:
+    """Read in a process of its own until `until` is closed; how many sets were torn."""
+    torn = 0
+    with Table.attach(name) as table:
+        while not select.select([until], [], [], 0)[0]:
+            values = table.read("Y")
+            torn += values.min() != values.max()
+    return torn
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["dispatcher", "signal"])
+def test_random_failures_never_tear_a_set(rig, kept):
+    core, dispatcher, slot, table = rig
+    local = table.local("t", os.getpid(), outvar=["Y"])
+    values = local.keep_safe({"Y": -7.0})
+    if kept:
+        dispatcher.keep_values(slot.index, table.arena, values)
+    assert local.claim() == 0
+    until, end = os.pipe()
+    child = os.fork()
+    if not child:
+        os.close(end)
+        os._exit(min(reads_whole_sets("safe", until), 100))
+    pick, done, y = random.Random(1), [], local.array("Y")
+
+    def cycle(_dt):
+        y[:] = len(done) + 1.0
+        stop = time.monotonic_ns() + pick.randrange(4 * MS)
+        while time.monotonic_ns() < stop:
+            pass
+        done.append(1)
+        if len(done) == 150:
+            core.request(slot.index)
+
+    safe = 0
+    while (reason := slot.run(cycle, local)) == _rt.ABORTED:
+        assert slot.safe
+        assert table.read("Y")[0] == -7.0, "what the cycle computed is discarded"
+        safe += 1
+    assert reason == _rt.COMMAND
+    assert safe == core.snapshot(slot.index).safe
+    assert 10 < safe < 140
+    os.close(end)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    os.close(until)
