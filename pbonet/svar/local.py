@@ -165,6 +165,9 @@ class LocalTable(shm.Closeable, NativeTable):
         self.set_safe(image)
         return image.tobytes()
 
+    def was_made_safe(self) -> None:
+        """Nothing is left to do: the values were committed when the cycle failed."""
+
     def _take_registers(self, pid: int, places: dict[int, int]) -> None:
         self._owner = 0
         for which, group in enumerate(self._groups):
