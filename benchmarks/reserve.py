@@ -100,8 +100,6 @@ def asleep() -> None:
     time.sleep(ASLEEP)
 
 
-LIMITS = {True: {"deadline_ns": LIMIT_NS}, False: {"maxc_ns": LIMIT_NS}}
-"""Of a task that is asleep, and of others."""
 WORK: dict[str, Callable[[], Callable[[], None]]] = {
     "Python": lambda: in_python,
     "numpy": in_numpy,
@@ -145,6 +143,14 @@ class Failures:
             self._mark, self._release = used, mine[Event.RELEASE].a
 
 
+def limit(core: rt.CoreTable, slot: int, work: str) -> None:
+    """Set when cycles of this work fail."""
+    if work == "asleep":
+        core.configure(slot, deadline_ns=LIMIT_NS)
+    else:
+        core.configure(slot, maxc_ns=LIMIT_NS)
+
+
 def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
     """Measure one block.
 
@@ -153,7 +159,7 @@ def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
     """
     slot = core.alloc("bench", f"reserve {work}")
     core.configure(slot, period_ns=PERIOD_NS, crit=5, drop=3, handler=6, tells=True)
-    core.configure(slot, **LIMITS[work == "asleep"])
+    limit(core, slot, work)
     with tempfile.TemporaryFile() as file:
         out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 2, 2))
         out[:] = 0
@@ -209,7 +215,7 @@ def run_safe(dispatcher: rt.Dispatcher, work: str, cycles: int) -> Found:
     core.configure(
         slot, period_ns=PERIOD_NS, crit=5, drop=3, tells=False, safe_at=[kind]
     )
-    core.configure(slot, **LIMITS[work == "asleep"])
+    limit(core, slot, work)
     name, variable = f"reserve{os.getpid()}", Variable(name="Y", type="double", nelem=6)
     with (
         Table.create(name, [variable]) as table,

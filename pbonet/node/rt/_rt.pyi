@@ -257,6 +257,7 @@ class Dispatcher:
         RealTimeError: ``fifo`` was requested and is refused.
     """
 
+    table: CoreTable
     def __init__(self, table: CoreTable, backend: str = "auto") -> None: ...
     def start(self) -> None: ...
     def keep_values(self, i: int, arena: Arena, values: bytes) -> None:
@@ -436,6 +437,9 @@ class Slot:
     @property
     def after(self) -> int:
         """`FALLBACK` or `HANDOVER`: what engages the task; 0: nothing."""
+    @property
+    def safe(self) -> bool:
+        """Whether the last cycle of `run` failed in time and its out-vars are safe."""
     @property
     def flags(self) -> int:
         """Flags of the last copy-in and commit."""
