@@ -41,7 +41,6 @@ RMOD_FIELDS = (
     "softness",
     "stale",
     "settle",
-    "safe_at",
     "needs",
 )
 """Settings of a task that its RMOD says."""

@@ -296,9 +296,6 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
     rtpu.core.configure(
         task.facts.slot, tells=task.ready.tells, safe_at=task.facts.rmod.safe_at
     )
-    if task.ready.safe:
-        arena = rtpu.tables.need(task.facts.subsystem).table.arena
-        rtpu.dispatcher.keep_values(task.facts.slot, arena, task.ready.safe)
     rtpu.signals.apply(rtpu.core, task)
     task.stopping = False
     rtpu.watch_life(task)
