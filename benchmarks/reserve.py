@@ -10,6 +10,10 @@ reached, for which the time counts from the deadline. The rival, in turns with t
 the kernel's timers in a C program, CLOCK_THREAD_CPUTIME_ID for the busy ones and
 CLOCK_MONOTONIC for the one asleep, from expiry to the first line of a C handler.
 
+*Safe* is the time from the same instant until a task's safe values are in the table
+(`SAFE` in its RMOD), by their time stamp: the dispatcher commits them, whatever the
+task does. These are blocks of their own, of a task without a handler in Python.
+
 Each call of the handler is matched with the failure of the same release. A failure may
 have no call: on a loaded machine its signal can come when the cycle has ended, and then
 it is counted as stale. One that was neither handled nor counted is lost.
@@ -24,6 +28,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import tempfile
@@ -36,7 +41,9 @@ import numpy as np
 from benchmarks import rtbench
 from pbonet.analysis.schedule.events import Event, turns
 from pbonet.analysis.schedule.records import Decision
+from pbonet.config import Variable
 from pbonet.node import rt
+from pbonet.svar import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -50,7 +57,13 @@ ASLEEP = 0.02
 SIZE = 256
 """Rows and columns of the matrix; its matmul takes longer than LIMIT_NS."""
 QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
-GOALS = {"handler Python": 25.0, "handler asleep": 100.0}
+GOALS = {
+    "handler Python": 25.0,
+    "handler asleep": 100.0,
+    "safe Python": 15.0,
+    "safe numpy": 15.0,
+    "safe asleep": 15.0,
+}
 """Microseconds: the median of the blocks' medians."""
 
 
@@ -59,6 +72,7 @@ class Found(NamedTuple):
 
     overshoot: NDArray[np.int64]
     handler: NDArray[np.int64]
+    safe: NDArray[np.int64]
     lost: int = 0
     """Failures that were neither handled nor counted as stale."""
 
@@ -129,6 +143,14 @@ class Failures:
             self._mark, self._release = used, mine[Event.RELEASE].a
 
 
+def limit(core: rt.CoreTable, slot: int, work: str) -> None:
+    """Set when cycles of this work fail."""
+    if work == "asleep":
+        core.configure(slot, deadline_ns=LIMIT_NS)
+    else:
+        core.configure(slot, maxc_ns=LIMIT_NS)
+
+
 def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
     """Measure one block.
 
@@ -137,10 +159,7 @@ def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
     """
     slot = core.alloc("bench", f"reserve {work}")
     core.configure(slot, period_ns=PERIOD_NS, crit=5, drop=3, handler=6, tells=True)
-    if work == "asleep":
-        core.configure(slot, deadline_ns=LIMIT_NS)
-    else:
-        core.configure(slot, maxc_ns=LIMIT_NS)
+    limit(core, slot, work)
     with tempfile.TemporaryFile() as file:
         out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 2, 2))
         out[:] = 0
@@ -159,19 +178,71 @@ def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
 
             end.run(lambda _dt: function(), None, failing=failing)
 
-        failures = Failures(core, slot)
-        pid = rtbench.start_task(core, slot, body)
-
-        def all_there() -> bool:
-            failures.read()
-            return bool(out[cycles + 1, 1])
-
-        rtbench.wait_for(all_there, "failures", 10 + 4e-9 * PERIOD_NS * cycles)
-        stale = core.snapshot(slot).stale_failures
-        rtbench.end_task(core, slot, pid)
-        failures.read()
+        failures, stale = watched(core, slot, body, out)
         handled = {int(release): int(at) for at, release in out}
     return matched(work, failures.found, handled, stale)
+
+
+def watched(
+    core: rt.CoreTable,
+    slot: int,
+    body: Callable[[rt.Slot], None],
+    out: NDArray[np.int64],
+) -> tuple[Failures, int]:
+    """Run a task until `out` is full; return its failures, and how many were stale."""
+    failures = Failures(core, slot)
+    pid = rtbench.start_task(core, slot, body)
+
+    def all_there() -> bool:
+        failures.read()
+        return bool(out[-1, 1])
+
+    rtbench.wait_for(all_there, "failures", 10 + 4e-9 * PERIOD_NS * len(out))
+    stale = core.snapshot(slot).stale_failures
+    rtbench.end_task(core, slot, pid)
+    failures.read()
+    return failures, stale
+
+
+def run_safe(dispatcher: rt.Dispatcher, work: str, cycles: int) -> Found:
+    """Measure one block of a task with safe values and no handler.
+
+    Raises:
+        RuntimeError: They were never written.
+    """
+    core, kind = dispatcher.table, "deadline" if work == "asleep" else "maxexec"
+    slot = core.alloc("bench", f"safe {work}")
+    core.configure(
+        slot, period_ns=PERIOD_NS, crit=5, drop=3, tells=False, safe_at=[kind]
+    )
+    limit(core, slot, work)
+    name, variable = f"reserve{os.getpid()}", Variable(name="Y", type="double", nelem=6)
+    with (
+        Table.create(name, [variable]) as table,
+        tempfile.TemporaryFile() as file,
+    ):
+        out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 2, 2))
+        out[:] = 0
+        own = table.local("values", os.getpid(), outvar=["Y"])
+        dispatcher.keep_values(slot, table.arena, own.keep_safe({"Y": -1.0}))
+
+        def body(end: rt.Slot) -> None:
+            instants, function, count = out.data, WORK[work](), 0
+            seen = Table.attach(name)
+            local = seen.local("bench", os.getpid(), outvar=["Y"])
+            local.keep_safe({"Y": -1.0})
+            local.claim()
+            while end.run(lambda _dt: function(), local) == rt.ABORTED:
+                if count < cycles + 2:
+                    instants[count, 0] = seen.info("Y").time_ns
+                    instants[count, 1] = end.release_ns
+                count += 1
+
+        failures, _ = watched(core, slot, body, out)
+        dispatcher.drop_values(slot)
+        safe = {int(release): int(at) for at, release in out}
+    found = matched(work, failures.found, safe, 0)
+    return Found(found.overshoot[:0], found.handler[:0], found.handler, 0)
 
 
 def matched(
@@ -191,9 +262,9 @@ def matched(
         raise RuntimeError(msg)
     at = np.array([handled[release] for release in both], np.int64)
     if work == "asleep":
-        return Found(at[:0], at - np.array(both, np.int64) - LIMIT_NS, lost)
+        return Found(at[:0], at - np.array(both, np.int64) - LIMIT_NS, at[:0], lost)
     when, over = np.array([found[release] for release in both], np.int64).T
-    return Found(over, at - (when - over), lost)
+    return Found(over, at - (when - over), at[:0], lost)
 
 
 def run_rival(program: Path, core: int, level: int, what: str, n: int) -> Found:
@@ -201,17 +272,17 @@ def run_rival(program: Path, core: int, level: int, what: str, n: int) -> Found:
     command = [str(x) for x in (program, core, level, LIMIT_NS, n, what)]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
     late = np.array(done.stdout.split(), dtype=np.int64)
-    return Found(late if what == "busy" else late[:0], late)
+    return Found(late if what == "busy" else late[:0], late, late[:0])
 
 
 def report(found: dict[str, list[Found]]) -> dict[str, dict[str, list[float]]]:
     """Print the table and return what it says."""
     result: dict[str, dict[str, list[float]]] = {}
     print(f"{'microseconds':31}" + " ".join(f"{name:>27}" for name in QUANTILES))
-    for what in ("overshoot", "handler"):
+    for what in ("overshoot", "handler", "safe"):
         for name, blocks in found.items():
-            values = [getattr(block, what) for block in blocks]
-            if not len(values[0]):
+            values = [one for b in blocks if len(one := getattr(b, what))]
+            if not values:
                 continue
             row = {
                 quantile: [
@@ -266,6 +337,7 @@ def main() -> None:
                 dispatcher.start()
                 for work in WORK:
                     found[work].append(run_task(core, work, args.cycles))
+                    found[work].append(run_safe(dispatcher, work, args.cycles))
                 dispatcher.stop()
     finally:
         dispatcher.stop()

@@ -22,7 +22,10 @@ def requirements(extras: list[str]) -> list[str]:
     """
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
     optional = project["optional-dependencies"]
-    return sum((optional[name] for name in extras), start=project["dependencies"])
+    found: list[str] = [*project["dependencies"]]
+    for name in extras:
+        found += optional[name]
+    return found
 
 
 if __name__ == "__main__":

@@ -148,6 +148,9 @@ class Rmod(Struct, frozen=True, kw_only=True):
     settle: float | None = None
     """Seconds that all inputs must have been fresh before it goes on; None: until each
     has come twice more."""
+    safe_at: tuple[str, ...] = ()
+    """Timing failures of a cycle at which the out-vars get their safe values: values of
+    `pbonet.pbo.TimingFailure`."""
     rtpu: str | None = None
     needs: Needs | None = None
     """Device or back end that a processor of the machine must have."""

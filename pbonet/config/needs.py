@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from pbonet.pbo import METHODS
-from pbonet.ports import Stale, lacks
+from pbonet.ports import Stale, is_safe, lacks
 
 from .model import TaskType
 
@@ -31,7 +31,8 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
     """Yield the methods that `rmod` counts on and the module does not write.
 
     A task that the clock does not time waits in `sync`, HANDLER is the criticality of
-    `timing_failure`, and STALE may call `stable` or write safe values. (What CRITICAL
+    `timing_failure`, STALE may call `stable` or write safe values, and SAFE writes
+    those. (What CRITICAL
     counts on, the executor looks after.)
     """
     if rmod.tasktype is not TaskType.PERIODIC and "sync" not in info.methods:
@@ -48,6 +49,14 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             str(rmod.places.get("STALE", rmod.file)),
             f"{lack} in {info.file or info.name}",
             "write it there, or another action after STALE",
+        )
+    if rmod.safe_at and not is_safe(info.ports):
+        lack = lacks(Stale.SAFE, info.ports, info.methods) or "an out-var"
+        yield Missing(
+            f"module {info.name} has nothing to write at SAFE {' '.join(rmod.safe_at)}",
+            str(rmod.places.get("SAFE", rmod.file)),
+            f"{lack} in {info.file or info.name}",
+            "write it there, or take SAFE out of the .rmod file",
         )
     if rmod.handler is not None and "timing_failure" not in info.methods:
         yield _missing(

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 GRAMMAR = Grammar(
     "MODULE|COMBINE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE "
     "[FREQ|PERIOD] "
-    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|STALE|RTPU|NEEDS]",
+    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|STALE|SAFE|RTPU|NEEDS]",
     after=("LOCAL", "EOF"),
     either=(("MODULE", "COMBINE"), ("FREQ", "PERIOD")),
 )
@@ -114,6 +114,7 @@ def _parse(
         handler=criticality(reader, block, "HANDLER"),
         stale=stale,
         settle=settle,
+        safe_at=_safe_at(block),
         rtpu=_rtpu(block),
         needs=_needs(block),
         local=local,
@@ -324,6 +325,28 @@ def _stale(reader: Reader, block: Block) -> tuple[str | None, float | None]:
     )
 
 
+def _safe_at(block: Block) -> tuple[str, ...]:
+    """Return the timing failures at which the out-vars get their safe values."""
+    line = block.get("SAFE")
+    if line is None:
+        return ()
+    from pbonet.pbo import TimingFailure  # brings numpy
+
+    found = [
+        words.choice(word, TimingFailure, "a timing failure").value
+        for word in line.words
+    ]
+    if not found or len(set(found)) < len(found):
+        raise fault(
+            "SAFE needs the kinds of timing failure, each once",
+            line.place,
+            expected=" or ".join(TimingFailure),
+            got=quote(line.rest) if line.rest else "nothing",
+            remedy="write such as: SAFE deadline, or SAFE deadline maxexec",
+        )
+    return tuple(found)
+
+
 def _rtpu(block: Block) -> str | None:
     line = block.get("RTPU")
     return words.label(words.single(line, "an RTPU"), "an RTPU") if line else None
@@ -404,6 +427,8 @@ def rmod_text(record: Rmod) -> str:
     if record.stale is not None:
         after = "" if record.settle is None else f" {number(record.settle)}"
         lines.append(text_line("STALE", record.stale + after))
+    if record.safe_at:
+        lines.append(text_line("SAFE", " ".join(record.safe_at)))
     if record.rtpu is not None:
         lines.append(text_line("RTPU", record.rtpu))
     if record.needs is not None:

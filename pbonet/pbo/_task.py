@@ -33,7 +33,7 @@ from ._state import State
 from ._timing import PythonWatch, TimingFailure, Watch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from contextlib import AbstractContextManager
 
     from numpy.random import Generator, SeedSequence
@@ -139,6 +139,9 @@ class TaskContext:
         seed: Where `rng` begins.
     """
 
+    safe_at: Collection[str] = ()
+    """The timing failures at which the out-vars have got their safe values before
+    `timing_failure` is called, and the cycle's outputs are discarded (SAFE)."""
     _stamp = 0
 
     def __init__(

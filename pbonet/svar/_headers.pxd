@@ -2,10 +2,14 @@
 
 from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 
+cdef extern from "safe.h" nogil:
+    struct pb_safe:
+        pass
+
 cdef extern from "local.h" nogil:
     enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_CAUSES_EACH, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
     enum: PB_FREE, PB_LEFT, PB_GROUP_VARS, PB_GROUP_CONSTS, PB_SOUND, PB_NO_MEMORY, PB_OVERWRITTEN
-    enum: PB_KEEPER, PB_COPY_STALE
+    enum: PB_KEEPER, PB_COPY_STALE, PB_COMMIT_LATE
     struct pb_stamp:
         int64_t time_ns
         uint64_t cycle
@@ -101,6 +105,9 @@ cdef extern from "local.h" nogil:
         uint64_t fault_element
         pb_seen flag
         pb_freshness_state fresh
+        pb_safe *safe
+        const uint8_t *safe_data
+        uint64_t open
     struct pb_view:
         pb_stamp stamp
         uint64_t uid, seq
@@ -134,6 +141,10 @@ cdef extern from "local.h" nogil:
     uint64_t pb_process_space()
     int64_t pb_now()
     int pb_copy_in(pb_local *l, pb_plan *p)
+    void pb_cycle_begins(pb_local *l, uint64_t number)
+    bint pb_cycle_commits(pb_local *l)
+    bint pb_cycle_ends(pb_local *l)
+    void pb_make_safe(pb_local *l)
     bint pb_is_stale(const pb_local *l, uint32_t v)
     int pb_judge(pb_local *l, pb_outputs *o)
     uint64_t pb_committed(const pb_outputs *o)

@@ -49,6 +49,13 @@ cdef class LocalTable:
     cdef bint c_to_report(self) noexcept nogil  # others are to know that
     cdef int c_action(self) noexcept nogil      # while inputs are stale or settling, else 0
     cdef void c_make_new(self) noexcept nogil   # the next commit does not inherit an age
+    # Safe values at a timing failure (safe.h): c_share says where the words are, `make_safe`
+    # is a C function of `core` for the handler of a signal, and c_end_cycle returns whether
+    # the cycle has failed and the out-vars are safe.
+    cdef void *make_safe
+    cdef void c_share(self, void *safe) noexcept nogil
+    cdef void c_begin_cycle(self, unsigned long long number) noexcept nogil
+    cdef bint c_end_cycle(self) noexcept nogil
     # Inputs for a log: c_due returns the bytes of the in-vars if they cannot be rebuilt from
     # what other tasks committed since the last store, else 0; c_input returns them one by
     # one; c_stored marks them as stored.

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
-# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h fresh.h local.h survive.h watch.h slice.h
+# distutils: depends = register.h arena.h sound.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h fresh.h safe.h local.h survive.h watch.h slice.h
 """Thin wrapper of the C headers: buffers in, numbers out; Python raises the errors."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
@@ -279,6 +279,7 @@ cdef class LocalTable:
         local(self).data = &data[0]
         local(self).staging = NULL if staging is None else &staging[0]
         self.consumed = <unsigned long long *>room(self.kept, 2 * largest, sizeof(uint64_t))
+        self.make_safe = <void *>pb_make_safe
         local(self).consumed = <uint64_t *>self.consumed
 
     def set_plan(self, unsigned which, const uint32_t[::1] vars, const uint64_t[::1] to):
@@ -399,6 +400,27 @@ cdef class LocalTable:
             self.ends[which] = kept     # keeps the memory in place
         return code
 
+    def set_safe(self, const uint8_t[::1] values) -> None:
+        """Set what a failed cycle's out-vars become, laid out as their group."""
+        cdef pb_outputs *o = local(self).outputs + PB_GROUP_VARS
+        if <size_t>values.shape[0] != o.group.bytes or not o.group.n:
+            raise ValueError("the values are of another size")
+        self.kept.append(values)
+        local(self).safe_data = &values[0]
+
+    cdef void c_share(self, void *safe) noexcept nogil:
+        if local(self).safe_data != NULL:
+            local(self).safe = <pb_safe *>safe
+
+    cdef void c_begin_cycle(self, unsigned long long number) noexcept nogil:
+        pb_cycle_begins(local(self), number)
+
+    cdef bint c_end_cycle(self) noexcept nogil:
+        cdef bint safe = pb_cycle_ends(local(self))
+        if safe:
+            self.out_number = pb_committed(local(self).outputs + PB_GROUP_VARS)
+        return safe
+
     def cede(self) -> None:
         """Stop writing, and leave the variables to the successor's claim."""
         pb_cede(local(self), &local(self).outputs[PB_GROUP_VARS])
@@ -438,6 +460,9 @@ cdef class LocalTable:
     cdef int c_commit(self, long long own_ns, long long now_ns, unsigned long long cycle) noexcept nogil:
         cdef pb_stamp stamp = pb_stamp_of(&local(self).fresh, own_ns, now_ns, cycle)
         self.cycles = cycle
+        if not pb_cycle_commits(local(self)):
+            self.flags = PB_COMMIT_LATE
+            return self.flags
         if self.held:
             self.flags = pb_judge(local(self), local(self).outputs + PB_GROUP_VARS)
             self.held_ns, self.held_cycle = 0 if self.flags else stamp.time_ns, stamp.cycle

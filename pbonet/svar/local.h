@@ -8,6 +8,7 @@
 #include "guard.h"
 #include "keeper.h"
 #include "look.h"
+#include "safe.h"
 
 enum pb_flags {
     PB_COPY_TORN = 1,  /* retry limit reached: groups whole, cut not proven */
@@ -19,6 +20,7 @@ enum pb_flags {
     PB_COMMIT_NOT_OWNER = 64,
     PB_TABLE_OVERWRITTEN = 128, /* of a copy or a commit */
     PB_COPY_SETTLING = 256, /* inputs are fresh again, but not for long enough */
+    PB_COMMIT_LATE = 512,   /* the cycle has failed, and safe values were committed */
 };
 
 enum { PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON, PB_PLANS };
@@ -50,6 +52,9 @@ struct pb_local {
     struct pb_seen flag;
     struct pb_freshness_state fresh;
     uint64_t generation; /* the last one that a commit found valid; 0: none */
+    struct pb_safe *safe; /* NULL: the task declares no safe values for failures */
+    const uint8_t *safe_data; /* those of the out-vars, laid out as their group */
+    uint64_t open; /* number of the cycle that may be taken; 0: none */
 };
 
 static inline int64_t pb_time(const struct pb_local *l) {
@@ -259,6 +264,61 @@ static inline bool pb_commit_finite(struct pb_group *g, const struct pb_check *c
     if (!pb_copy_finite(slot + PB_LINE, data, c->type, c->n)) return false;
     pb_copy_out(slot, &stamp, sizeof stamp);
     pb_write_end(&g->reg->head, next, pb_crowded(g->reg, next));
+    g->head = pb_write_last(&g->reg->head);
+    return true;
+}
+
+/* Commit the safe values from the task itself; the cycle is taken, or closed. */
+static inline void pb_write_safe(struct pb_local *l) {
+    const struct pb_group *g = &l->outputs[PB_GROUP_VARS].group;
+    const uint64_t head = pb_write_last(&g->reg->head);
+    pb_commit_raw(g->reg, g->slots, g->stride, l->safe_data, g->bytes,
+                  pb_safe_stamp(g->slots, g->stride, head, pb_time(l)));
+}
+
+/* Make the out-vars safe if the cycle has failed and is open. Called by the handler of a
+ * signal, at any point of the task's code. */
+static inline void pb_make_safe(struct pb_local *l) {
+    struct pb_safe *s = l->safe;
+    const uint64_t number = s ? atomic_load(&s->wanted) : 0;
+    if (!number || !pb_safe_take(s, number, PB_TAKEN)) return;
+    pb_write_safe(l);
+    pb_safe_done(s, number, pb_time(l));
+}
+
+/* Begin a cycle: from here on its failure makes the out-vars safe. */
+static inline void pb_cycle_begins(struct pb_local *l, uint64_t number) {
+    const struct pb_outputs *o = l->outputs + PB_GROUP_VARS;
+    if (!l->safe || !pb_is_mine(o)) return;
+    l->open = number;
+    pb_safe_open(l->safe, number, (uint32_t)(o->group.reg - l->table.regs), o->group.uid);
+    if (atomic_load(&l->safe->wanted) == number) pb_make_safe(l);
+}
+
+/* Whether the cycle may commit its outputs. Then no other process writes the register until
+ * the cycle ends. */
+static inline bool pb_cycle_commits(struct pb_local *l) {
+    return !l->open || pb_safe_take(l->safe, l->open, PB_COMMITS);
+}
+
+/* End the cycle; returns whether it has failed and the out-vars have their safe values. */
+static inline bool pb_cycle_ends(struct pb_local *l) {
+    struct pb_group *g = &l->outputs[PB_GROUP_VARS].group;
+    const uint64_t number = l->open;
+    int how;
+    if (!number) return false;
+    l->open = 0;
+    how = pb_safe_close(l->safe, number);
+    if (how == PB_TAKEN && !pb_lock(&l->table, true)) { /* with the lock, no process is amid it */
+        how = (atomic_load(&l->safe->word) & 7) == PB_MADE_SAFE ? PB_MADE_SAFE : PB_COMMITS;
+        pb_unlock(&l->table);
+    }
+    if (how == PB_CLOSED) return false;
+    if (how == PB_COMMITS) {
+        pb_write_safe(l);
+        pb_safe_done(l->safe, number, pb_time(l));
+    }
+    atomic_store(&l->safe->word, number << 3 | PB_CLOSED);
     g->head = pb_write_last(&g->reg->head);
     return true;
 }

@@ -148,6 +148,26 @@ class LocalTable(shm.Closeable, NativeTable):
             }
             self.set_freshness(which, limits, -1.0 if settle is None else settle)
 
+    def keep_safe(self, values: Mapping[str, object]) -> bytes:
+        """Set what the out-vars become when a cycle fails in time.
+
+        Args:
+            values: Of each out-var, as its elements or one number for all of them.
+
+        Returns:
+            The values as they are committed.
+        """
+        group = self._groups[VARS]
+        image = np.zeros(group.bytes, np.uint8)
+        for index, at in zip(group.indices, group.at, strict=True):
+            variable = self._variables[index]
+            _view(variable, image, at)[...] = values[variable.name]
+        self.set_safe(image)
+        return image.tobytes()
+
+    def was_made_safe(self) -> None:
+        """Nothing is left to do: the values were committed when the cycle failed."""
+
     def _take_registers(self, pid: int, places: dict[int, int]) -> None:
         self._owner = 0
         for which, group in enumerate(self._groups):

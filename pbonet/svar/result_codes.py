@@ -48,3 +48,5 @@ class Flags(IntFlag):
     """Nothing was copied or committed: the table was overwritten."""
     COPY_SETTLING = 256
     """Inputs that were stale are fresh again, but not for long enough."""
+    COMMIT_LATE = 512
+    """Nothing was committed: the cycle has failed in time, and safe values were."""

@@ -87,6 +87,9 @@ class _Copies:
     def commit(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:  # noqa: ARG002
         return self._out(Step.COMMIT, self._run.about.outvar, self._run.group)
 
+    def was_made_safe(self) -> None:
+        self.commit()
+
     def cede(self) -> None:
         """Nothing is owned here, and there are no successors."""
 
@@ -258,6 +261,7 @@ class Run:
             seed=about.seed,
         )
         self._context.libraries = tuple(map(str, library.folders))
+        self._context.safe_at = rmod.safe_at
         self._watch = PythonWatch(self._context)
         if about.timing:
             self._watch = _outside.Watch(told, self._context)
@@ -438,7 +442,7 @@ class Run:
         """Leave a cycle that is not recorded, and start again."""
         self._feed(self._aborted.pop(self._at - 1, b""))
         self._failing.aborted(self._cycle, done.calls)
-        self._executor.abort()
+        self._executor.abort(safe=done.name == "safe")
 
     def refused(self, what: str) -> int:
         """Return the flags of a copy that was refused in the recording; else 0."""

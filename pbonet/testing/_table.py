@@ -176,6 +176,11 @@ class BenchTable:
         del cycle
         return self._out(Step.COMMIT, Kind.OUTVAR)
 
+    def was_made_safe(self) -> None:
+        """Copy the safe values out; they are new."""
+        self.make_new()
+        self._out(Step.COMMIT, Kind.OUTVAR)
+
     def cede(self) -> None:
         """Own nothing any more."""
         self.release()

@@ -23,7 +23,7 @@ class Settings(Params):
 
     busy: A[float, param("s", "CPU time of a long cycle", ge=0)] = 0.02
     every: A[int, param("none", "which cycles are long", ge=1)] = 5
-    work: A[str, param("none", "python, numpy, sleep or locked")] = "python"
+    work: A[str, param("none", "python, numpy, sleep, locked or endless")] = "python"
     answer: A[str, param("none", "what the handler does")] = "continue"
     fifo: A[str, param("none", "named pipe of the device, where one times it")] = ""
 
@@ -31,7 +31,10 @@ class Settings(Params):
 class Overruns(PortBasedObject[Settings]):
     """Counts its cycles and its failures."""
 
-    y: A[Vector, OutVar("Y", "2", "none", "cycles that ended, calls of the handler")]
+    y: A[
+        Vector,
+        OutVar("Y", "2", "none", "cycles that ended, calls of the handler", safe=-7.0),
+    ]
 
     def init(self) -> None:
         fifo = self.params.fifo
@@ -58,6 +61,8 @@ class Overruns(PortBasedObject[Settings]):
             with self.task.critical():
                 self._spend(self.params.busy)
             self._spend(self.params.busy)
+        elif self.params.work == "endless":
+            sum(itertools.repeat(0, 10**12))
         elif self.params.work == "sleep":
             time.sleep(self.params.busy)
         else:

@@ -21,6 +21,7 @@ MODELS = {
     "cut, one register lapped": ("cut", "COMMITS_P=4", "COMMITS_Q=1"),
     "takeover from the dead": ("owner",),
     "turned on again": ("owner", "RECLAIM"),
+    "safe values": ("safe",),
 }
 MUTATIONS = {
     "register": {
@@ -62,11 +63,19 @@ MUTATIONS = {
         "SWEEP_HELD": "a register is freed while its holder lives",
         "RECLAIM_IN_PLACE": "a claim's commit goes where some of its variables stand",
     },
+    "safe": {
+        "COMMIT_UNASKED": "a cycle commits although it was taken",
+        "NO_LOOK_BEFORE": "S1: a failure from before the cycle began waits for its end",
+        "NO_LOOK_AFTER": "S4: a failure amid the cycle's commit is forgotten",
+        "NO_TAKEOVER": "what a killed dispatcher has begun is not finished",
+        "TAKE_UNLOCKED": "the dispatcher publishes without the lock",
+    },
 }
 NEEDS = {"RECLAIM_IN_PLACE": ("RECLAIM",)}
 SETTINGS = {"COMMITS", "READS", "READERS", "COMMITS_P", "COMMITS_Q", "POOL"} | {
     "RECLAIM",
     "HINTS",
+    "CYCLES",
 }
 DEPTH = 10_000
 THOROUGH = ("-O1",)

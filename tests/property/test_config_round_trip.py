@@ -33,7 +33,9 @@ from pbonet.config.model import (
 )
 from pbonet.config.types import TYPES, element_type
 from pbonet.config.write import meaning
+from pbonet.pbo import TimingFailure
 
+FAILURES = [one.value for one in TimingFailure]
 LETTERS = "ABCXYZabcxyz_"
 names = st.builds(
     str.__add__, st.sampled_from(LETTERS), st.text(LETTERS + "019^'.", max_size=14)
@@ -158,6 +160,7 @@ def rmods(draw: st.DrawFn) -> Rmod:
         softness=softness,
         crit=draw(st.none() | st.integers(1, 62)),
         handler=draw(st.none() | st.integers(1, 62)),
+        safe_at=tuple(draw(st.lists(st.sampled_from(FAILURES), unique=True))),
         rtpu=draw(st.none() | labels),
         local={key: LocalLine(value) for key, value in local.items()},
     )

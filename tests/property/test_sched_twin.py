@@ -67,6 +67,7 @@ class History:
             drop=pick.choice([0, 3, pick.randrange(64)]),
             handler=pick.choice([0, 0, pick.randrange(64)]),
             tells=pick.random() < 0.5,
+            safe_at=[kind for kind in _rt.KINDS if pick.random() < 0.5],
         )
 
     def live(self, i: int) -> None:

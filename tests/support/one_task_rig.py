@@ -12,7 +12,7 @@ from pbonet.node.rt import _rt
 
 US, MS = 1_000, 1_000_000
 DEADLINE, MAXEXEC, MINEXEC = range(3)
-TELL = 1 << 8
+TELL, SAFE = 1 << 8, 1 << 9
 
 
 class Core:

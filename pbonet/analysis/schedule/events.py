@@ -65,7 +65,8 @@ class Event(IntEnum):
     RESUME = 21
     """Decision: let a held task continue."""
     FAIL = 22
-    """Decision: a timing failure of kind arg & 3 at instant a; arg bit 8: report it."""
+    """Decision: a timing failure of kind arg & 3 at instant a; arg bit 8: report it;
+    bit 9: make the out-vars safe."""
     CRIT = 23
     """Decision: the task has criticality arg from here on."""
     SKIP = 24

@@ -157,6 +157,11 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """Calls of the module's failure handler."""
     stale_failures: int
     """Failures that came too late for their cycle, and were not reported."""
+    safe: int
+    """Commits of safe values at a timing failure ..."""
+    safe_last_ns: int
+    safe_max_ns: int
+    """... and how long after it they came."""
     delivery_last_ns: int
     """From the finding of a failure to the begin of its handler."""
     delivery_max_ns: int

@@ -152,27 +152,22 @@ class VirtualRtpu(Rtpu):
         """Do nothing: there is nothing to be cleaned away."""
 
     def watch_life(self, task: Task) -> None:
-        """Do nothing: no process dies here."""
+        """Do nothing: no process dies here, and no cycle fails in time."""
+
+    def unwatch_life(self, task: Task) -> None:
+        """Do nothing, likewise."""
 
     def _open_tables(self) -> Tables:
         return VirtualTables(self.world, changed=self.publish_claims)
 
     def _make_spawner(self, forks: object) -> Spawner:
         del forks
-        self.vigil = NoVigil()  # type: ignore[assignment]
         return VirtualSpawner(self)
 
     def _asked(self, slot: int) -> None:
         """Have a task receive its messages."""
         if host := self.hosts.get(slot):
             self.world.loop.call_soon(host.attend)
-
-
-class NoVigil:
-    """Watches over no lives."""
-
-    def forget(self, slot: int) -> None:
-        """Do nothing."""
 
 
 class VirtualCore(rt.CoreTable):

@@ -76,6 +76,11 @@ FIELDS: Final = (
     Field("skip", "", "releases left out after a failure, since the last status"),
     Field("handler", "", "calls of the module's handler, since the last status"),
     Field("told", "s", "longest time from a failure to its handler, since spawned"),
+    Field(
+        "safe",
+        "",
+        "cycles with safe values in place of late outputs, since the last status",
+    ),
     Field("held", "", "critical sections overruled, since the last status"),
     Field("sections", "", "timed sections: calls and mean CPU time, since spawned"),
 )
@@ -227,6 +232,7 @@ def _timing_fields(now: TaskStatus, before: TaskStatus | None) -> dict[str, Valu
         "skip": news("skipped"),
         "handler": news("handlers"),
         "told": now.delivery_max or None,
+        "safe": news("made_safe"),
         "held": news("held_off"),
         "sections": "; ".join(
             f"{name} {one.count} x {one.total / one.count * 1e3:.3g} ms"

@@ -106,6 +106,7 @@ class CoreTable:
         drop: int | None = None,
         handler: int | None = None,
         tells: bool | None = None,
+        safe_at: Collection[str] = (),
     ) -> None:
         """Change the given settings; the dispatcher applies them all in one turn.
 
@@ -126,6 +127,8 @@ class CoreTable:
             drop: Criticality once the reserve is used up.
             handler: Criticality of the module's failure handler; 0 for the task's own.
             tells: The module has a failure handler.
+            safe_at: With `tells`: the kinds of failure, of KINDS, at which the
+                out-vars get their safe values.
 
         Raises:
             ValueError: A value is out of its range.
@@ -254,8 +257,17 @@ class Dispatcher:
         RealTimeError: ``fifo`` was requested and is refused.
     """
 
+    table: CoreTable
     def __init__(self, table: CoreTable, backend: str = "auto") -> None: ...
     def start(self) -> None: ...
+    def keep_values(self, i: int, arena: Arena, values: bytes) -> None:
+        """Commit these values when a cycle of the task in slot `i` fails in time.
+
+        They are laid out as `svar.LocalTable.keep_safe` returns them. Which failures is
+        said by `CoreTable.configure`.
+        """
+    def drop_values(self, i: int) -> None:
+        """Forget them, at the latest when the slot is freed. Idempotent."""
     def stop(self) -> None:
         """End the thread; a standby takes over. Idempotent."""
     @property
@@ -425,6 +437,9 @@ class Slot:
     @property
     def after(self) -> int:
         """`FALLBACK` or `HANDOVER`: what engages the task; 0: nothing."""
+    @property
+    def safe(self) -> bool:
+        """Whether the last cycle of `run` failed in time and its out-vars are safe."""
     @property
     def flags(self) -> int:
         """Flags of the last copy-in and commit."""

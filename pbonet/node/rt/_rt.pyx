@@ -1,13 +1,13 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = ../../outside/tape.h ../../cmodule/pbonet.h ../../cmodule/instance.h ../../cmodule/running.h layout.h state.h watch.h wait.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h restrict.h table.h look.h looker.h lease/lend.h lease/take.h loop.h slot.h failure.h signals.h interrupts.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+# distutils: depends = ../../outside/tape.h ../../cmodule/pbonet.h ../../cmodule/instance.h ../../cmodule/running.h layout.h state.h watch.h wait.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h restrict.h table.h look.h looker.h lease/lend.h lease/take.h loop.h slot.h failure.h signals.h interrupts.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../svar/safe.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin wrapper of the C headers in this folder; documented in `_rt.pyi`."""
 
 import os
 
 from cpython.exc cimport PyErr_CheckSignals
 from libc.errno cimport EACCES, ENOSPC, EPERM
-from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t, uint64_t
 from libc.stdlib cimport calloc, free, malloc
 from libc.string cimport memset, strdup, strncat
 
@@ -77,6 +77,7 @@ cdef class Slot:
     cdef readonly Failures failures
     cdef bint vowed, is_aged
     cdef bint reports   # the last method in C has reported something
+    cdef readonly bint safe     # the last cycle has failed, and its out-vars are safe
     cdef readonly int action    # what ran last in place of `cycle`; 0: that itself
     cdef int critical           # what runs while the flag is up; 0: `cycle`
     cdef object aged, stable_method, safe_method
@@ -110,6 +111,10 @@ cdef class Slot:
         if rt_mode_of(self.task.slot) == RT_OFF:
             self.is_aged = False
         self.failures.error = None
+        self.safe = False
+        if local is not None:
+            local.c_share(&self.task.slot.safe)
+            rt_use_safe(<void (*)(void *) noexcept nogil>local.make_safe, local.core)
         rt_arm(&self.task)
         self.cpu_mark = rt_mark_cpu(&self.task)
         self.fault_mark = rt_faults()
@@ -121,7 +126,7 @@ cdef class Slot:
                     while self.alone and why == RT_RELEASED:
                         served = 1
                         at = self.once_alone(local, ring, leave)
-                        if at != ENDED or self.flags & leave:
+                        if at != ENDED or self.flags & leave or self.cost.aborted:
                             break
                         last = rt_was_last(&self.task)
                         if last:
@@ -148,6 +153,7 @@ cdef class Slot:
                     if last:
                         return LAST
         finally:
+            rt_use_safe(NULL, NULL)
             self.count_faults()
             if not last and why != RT_WAIT_IDLE:
                 rt_leave(&self.task, RT_COMMAND)
@@ -241,6 +247,8 @@ cdef class Slot:
         if not rt_begin(&self.task) or self.failures.skip:
             return True
         c_defer_bells()
+        if local is not None:
+            local.c_begin_cycle(rt_number_of(&self.task))
         self.cost.start_ns = rt_time(self.task.table)
         self.flags = 0 if local is None else local.c_copy_in()
         return False
@@ -330,6 +338,9 @@ cdef class Slot:
                 0 if self.action != GO_ON else self.stamp_ns, cost.returned_ns,
                 rt_cycles(self.task.slot) + 1)
             cost.failed = (self.flags & ~COPY_FLAGS) != 0
+        if local is not None and local.c_end_cycle():
+            self.safe = True
+            cost.failed = cost.aborted = 1
         self.close(local, ring)
 
     cdef int tell_age(self, bint stale) except -1:

@@ -24,12 +24,22 @@ cdef extern from "layout.h" nogil:
         char *rtpu
         char *task
         uint64_t callers
+    struct pb_safe:
+        pass
     struct rt_slot:
         rt_config config
+        pb_safe safe
     struct rt_table:
         rt_slot *slots
         int64_t due_ns, virtual_ns
         uint32_t mailbox
+    enum:
+        RT_TELLS
+    int RT_SAFE_AT(int kind)
+
+cdef extern from "../../svar/flag.h" nogil:
+    struct pb_table:
+        pass
 
 cdef extern from "sys.h" nogil:
     int64_t rt_now()
@@ -83,6 +93,9 @@ cdef extern from "loop.h" nogil:
     void rt_stop(rt_loop *loop)
     int rt_leading(const rt_loop *loop)
     int rt_try_fifo()
+    void rt_keep_values(rt_loop *loop, int i, const pb_table *table, const void *data,
+                        uint64_t bytes)
+    void rt_drop_values(rt_loop *loop, int i)
 
 cdef extern from "slot.h" nogil:
     enum:
@@ -105,6 +118,7 @@ cdef extern from "slot.h" nogil:
     int rt_command_level(const rt_task *task)
     int rt_wait(rt_task *task, int served)
     int rt_begin(rt_task *task)
+    uint32_t rt_number_of(const rt_task *task)
     void rt_meet_dispatcher(rt_task *task)
     void rt_end(rt_task *task)
     int64_t rt_step(const rt_task *task)
@@ -114,10 +128,6 @@ cdef extern from "slot.h" nogil:
     uint64_t rt_mark_cpu(rt_task *task)
     uint64_t rt_faults()
     void rt_count_faults(rt_slot *slot, uint64_t n)
-
-cdef extern from "../../svar/flag.h" nogil:
-    struct pb_table:
-        pass
 
 cdef extern from "vigil.h" nogil:
     enum:
@@ -156,6 +166,7 @@ cdef extern from "failure.h" nogil:
     int rt_guard_failures(rt_task *task, int64_t bound_ns, int (*interrupt)(int) noexcept,
                           pbo_running *in_c)
     void rt_unguard_failures(const rt_task *task)
+    void rt_use_safe(void (*make_safe)(void *) noexcept, void *of)
     int rt_enter(int where)
     int rt_has_failed(const rt_task *task)
     void rt_exit()
@@ -188,6 +199,8 @@ cdef extern from "view.h" nogil:
         uint64_t *failures
         uint64_t aborted, skipped, handlers, stale_failures
         uint64_t delivery_last_ns, delivery_max_ns
+        uint32_t safe
+        int64_t safe_last_ns, safe_max_ns
         rt_section_view *sections
         uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost
         uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults

@@ -115,7 +115,7 @@ cdef class CoreTable:
 
     def configure(self, int i, *, pid=None, period_ns=None, deadline_ns=None, crit=None,
                   priority=None, kind=None, minc_ns=None, maxc_ns=None, hang_ns=None,
-                  drop=None, handler=None, tells=None) -> None:
+                  drop=None, handler=None, tells=None, safe_at=()) -> None:
         cdef rt_slot *slot = self.slot(i)
         cdef rt_settings s = rt_settings(pid=-1, crit=-1, priority=-1, kind=-1,
                                          period_ns=-1, deadline_ns=-1, minc_ns=-1,
@@ -132,7 +132,9 @@ cdef class CoreTable:
         if handler is not None:
             s.handler = _within("handler", handler, 0, 63)
         if tells is not None:
-            s.tells = bool(tells)
+            s.tells = RT_TELLS if tells else 0
+            for one in safe_at:
+                s.tells |= RT_SAFE_AT(KINDS.index(one))
         if pid is not None:
             s.pid = _within("pid", pid, 1, 1 << 30)
         if period_ns is not None:
@@ -243,6 +245,7 @@ cdef class CoreTable:
             overruns=v.overruns, held_off=v.held_off, aborted=v.aborted,
             skipped=v.skipped, handlers=v.handlers, stale_failures=v.stale_failures,
             delivery_last_ns=v.delivery_last_ns, delivery_max_ns=v.delivery_max_ns,
+            safe=v.safe, safe_last_ns=v.safe_last_ns, safe_max_ns=v.safe_max_ns,
             hangs=bool(v.hangs), hung=bool(v.hung), flooded=bool(v.flooded), in_sync=bool(v.in_sync), sections=tuple([
                 Section(v.sections[k].name.decode(errors="replace"), v.sections[k].count,
                         v.sections[k].total_ns, v.sections[k].min_ns,
@@ -365,6 +368,7 @@ cdef class Dispatcher:
     cdef rt_loop loop
     cdef readonly CoreTable table
     cdef int pid
+    cdef dict values        # by slot: table and bytes that the thread uses
 
     def __init__(self, CoreTable table not None, str backend="auto"):
         table.open()
@@ -379,6 +383,7 @@ cdef class Dispatcher:
             what, _, remedy = probe().reasons[0].partition("; ")
             raise RealTimeError(what.replace(", timing is soft", ""), remedy=remedy)
         self.table = table
+        self.values = {}
         self.loop.table = table.t
         self.loop.backend = RT_PARK if backend == "park" or error else RT_FIFO
         self.pid = os.getpid()
@@ -393,6 +398,17 @@ cdef class Dispatcher:
                                 where=f"core {self.table.core}", got=os.strerror(error),
                                 remedy="is the core in this process's affinity mask?")
         self.table.busy += 1
+
+    def keep_values(self, int i, Arena arena not None, const uint8_t[::1] values) -> None:
+        self.table.slot(i)
+        self.drop_values(i)
+        self.values[i] = arena, values
+        rt_keep_values(&self.loop, i, <pb_table *>arena.core, &values[0], values.shape[0])
+
+    def drop_values(self, int i) -> None:
+        if i in self.values:
+            rt_drop_values(&self.loop, i)
+            del self.values[i]
 
     def stop(self) -> None:
         if self.loop.running and self.pid == os.getpid():

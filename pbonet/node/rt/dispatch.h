@@ -61,7 +61,7 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     s->hang = hang;
     s->drop = drop;
     s->handler = handler;
-    s->tells = tells != 0;
+    s->tells = (uint8_t)tells;
     s->ticket = after_kind == RT_HANDOVER ? rt_ticket_of(callers) : 0;
     rt_latch_after(t, i, s, after_kind, after);
     if (!s->handling)

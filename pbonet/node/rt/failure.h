@@ -19,6 +19,8 @@ enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
 struct rt_failing {
     struct rt_task *task;
     struct pbo_running *in_c;   /* the method in C that runs, and what has failed */
+    void (*make_safe)(void *);  /* commits safe values if the cycle has failed; or NULL */
+    void *safe_of;
     int (*interrupt)(int);      /* makes the interpreter call the signal's Python code */
     timer_t timer;
     int has_timer;
@@ -68,6 +70,8 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
     (void)context;
     if (!f->task)
         return;
+    if (f->make_safe)           /* wherever the task is */
+        f->make_safe(f->safe_of);
     if (info->si_code == SI_TIMER) {
         if (f->handling)
             rt_overdue(f);
@@ -109,12 +113,23 @@ static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
     return sigaction(RT_FAIL_SIGNAL, &action, NULL) ? errno : 0;
 }
 
+/* Have the signal's handler call this function; NULL: none. */
+static inline void rt_use_safe(void (*make_safe)(void *), void *of)
+{
+    rt_failing.make_safe = NULL;
+    atomic_signal_fence(memory_order_seq_cst);
+    rt_failing.safe_of = of;
+    atomic_signal_fence(memory_order_seq_cst);
+    rt_failing.make_safe = make_safe;
+}
+
 static inline void rt_unguard_failures(const struct rt_task *task)
 {
     if (rt_failing.task != task)
         return;
     rt_set_timer(0, 0);
     rt_failing.task = NULL;
+    rt_failing.make_safe = NULL;
 }
 
 /* Set where the task is; later signals are delivered there. Returns whether a failure came

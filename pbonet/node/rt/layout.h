@@ -5,6 +5,7 @@
  *   post    the task
  *   grant   the leading dispatcher; any process may write `bell` and `ask`, atomically
  *   state   the leading dispatcher alone; a standby reads it when it takes over
+ *   safe    the task and the leading dispatcher, in turns; see svar/safe.h
  *   stats   the task; `seq` lets readers detect a concurrent write
  *   signals the task increments counts, the RTPU process sets the mask; all atomic
  * No process waits for another one here, except for the edit lock among RTPU processes.
@@ -20,6 +21,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "../../svar/safe.h"
+
 enum {
     RT_SLOTS = 128,
     RT_MASKS = RT_SLOTS / 64,   /* words with a bit for every slot */
@@ -28,7 +31,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 14,
+    RT_VERSION = 15,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -56,6 +59,9 @@ enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORAD
                RT_BACKGROUND = 4 };
 enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
 enum rt_failure { RT_DEADLINE = 0, RT_MAXEXEC = 1, RT_MINEXEC = 2, RT_FAILURES = 3 };
+/* In config.tells: the module has a failure handler; safe values at a kind of failure. */
+enum { RT_TELLS = 1 };
+#define RT_SAFE_AT(kind) (2 << (kind))
 enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task killed itself */
 enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was the task armed before? */
 enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
@@ -86,7 +92,7 @@ struct rt_config {
     _Atomic int64_t hang_ns;            /* CPU time of a cycle beyond its period: it hangs */
     _Atomic int32_t drop;               /* criticality once maxc is used up */
     _Atomic int32_t handler;            /* of the failure handler; 0: the task's own */
-    _Atomic int32_t tells;              /* the module has a failure handler */
+    _Atomic int32_t tells;              /* RT_TELLS, and RT_SAFE_AT of kinds */
     _Atomic int32_t after_kind;         /* rt_after: what engages the task ... */
     _Atomic uint64_t after[RT_MASKS];   /* ... and which slots it depends on */
     _Atomic uint64_t callers;           /* callers that have not called yet; see call.h */
@@ -214,6 +220,7 @@ struct rt_slot {
     struct rt_post post;
     struct rt_grant grant;
     struct rt_state state;
+    _Alignas(64) struct pb_safe safe;   /* task and leader; see svar/safe.h */
     _Atomic uint64_t errors;            /* kernel calls of the dispatcher that failed */
     struct rt_stats stats;
     struct rt_signals signals;

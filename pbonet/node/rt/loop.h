@@ -13,6 +13,15 @@
 
 #include <sys/prctl.h>
 
+/* The safe values of a task, which the dispatcher commits when a cycle fails. The fields
+ * after `life` do not change while that is not 0. */
+struct rt_safe_values {
+    _Atomic uint32_t life;              /* 0: none */
+    const struct pb_table *table;
+    const void *data;
+    uint64_t bytes;
+};
+
 struct rt_loop {
     struct rt_table *table;
     struct rt_looker looker;
@@ -20,7 +29,30 @@ struct rt_loop {
     int backend;                /* RT_FIFO or RT_PARK */
     _Atomic int stop, leading;
     int running;
+    _Atomic uint32_t busy;              /* the thread uses values[busy - 1]; 0: none */
+    struct rt_safe_values values[RT_SLOTS];
 };
+
+/* Keep the safe values of the task in slot i; the memory stays until rt_drop_values. */
+static inline void rt_keep_values(struct rt_loop *loop, int i, const struct pb_table *table,
+                                  const void *data, uint64_t bytes)
+{
+    struct rt_safe_values *v = &loop->values[i];
+    v->table = table;
+    v->data = data;
+    v->bytes = bytes;
+    /* SYNC POINT: rt_make_safe loads `life` before it reads the others. */
+    atomic_store(&v->life, atomic_load(&loop->table->slots[i].config.life));
+}
+
+/* Forget them; the dispatcher uses them no more when this returns. */
+static inline void rt_drop_values(struct rt_loop *loop, int i)
+{
+    atomic_store(&loop->values[i].life, 0);
+    /* SYNC POINT: rt_make_safe stores `busy` before it loads `life`. */
+    while (atomic_load(&loop->busy) == (uint32_t)i + 1)
+        sched_yield();
+}
 
 static inline void rt_refused(struct rt_table *t, int i, int error)
 {
@@ -52,6 +84,36 @@ static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
     rt_signal(t, i, RT_FAIL_SIGNAL);
 }
 
+/* Make the out-vars of a failed cycle safe; 0: the task must do it itself, by a signal. */
+static inline int rt_make_safe(struct rt_loop *loop, const struct rt_event *e)
+{
+    struct rt_slot *slot = &loop->table->slots[e->slot];
+    struct rt_safe_values *v = &loop->values[e->slot];
+    uint32_t number = rt_number(&slot->state), life;
+    int64_t deadline = slot->state.kind == RT_PERIODIC ? atomic_load(&slot->grant.dl_ns) : 0;
+    int passed = (e->arg & 3) == RT_DEADLINE && deadline && deadline < e->a;
+    int done = 0;
+    pb_safe_want(&slot->safe, number, passed ? deadline : e->a);
+    atomic_store(&loop->busy, (uint32_t)e->slot + 1);
+    life = atomic_load(&v->life);
+    if (life && life == slot->state.life)
+        done = pb_safe_commit(v->table, &slot->safe, number, v->data, v->bytes);
+    atomic_store(&loop->busy, 0);
+    return done;
+}
+
+/* Act on a failure: first the out-vars, then the task's handler. */
+static inline void rt_act_on_failure(struct rt_loop *loop, const struct rt_event *e)
+{
+    int safe = e->arg >> 9 & 1, tell = e->arg >> 8 & 1;
+    if (safe && rt_make_safe(loop, e))
+        safe = 0;
+    if (tell)
+        rt_tell(loop->table, e->slot, e);
+    else if (safe)
+        rt_signal(loop->table, e->slot, RT_FAIL_SIGNAL);
+}
+
 static inline int64_t rt_task_cpu(const struct rt_slot *slot, int main)
 {
     pid_t pid = slot->state.pid;
@@ -61,12 +123,13 @@ static inline int64_t rt_task_cpu(const struct rt_slot *slot, int main)
 }
 
 /* Carry out one record. */
-static inline void rt_act(struct rt_table *t, const struct rt_event *e, int backend)
+static inline void rt_act(struct rt_loop *loop, const struct rt_event *e)
 {
+    struct rt_table *t = loop->table;
     struct rt_slot *slot = &t->slots[e->slot];
     switch (e->kind) {
     case RT_LEVEL:
-        if (backend == RT_FIFO && slot->state.pid > 0) {
+        if (loop->backend == RT_FIFO && slot->state.pid > 0) {
             int error = e->arg ? rt_set_level(slot->state.pid, (int)e->arg)
                                : rt_take_level(slot->state.pid);
             atomic_fetch_add_explicit(&t->level_changes, 1, memory_order_relaxed);
@@ -84,8 +147,7 @@ static inline void rt_act(struct rt_table *t, const struct rt_event *e, int back
         rt_futex_wake(&slot->grant.parked);
         break;
     case RT_FAIL:
-        if (e->arg >> 8)
-            rt_tell(t, e->slot, e);
+        rt_act_on_failure(loop, e);
         break;
     case RT_FORCE:
         rt_signal(t, e->slot, RT_FAIL_SIGNAL);
@@ -115,8 +177,10 @@ static inline int rt_top_done(struct rt_table *t)
 }
 
 /* Take one turn and act on it; returns when to wake up (0: on news only). */
-static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
+static inline int64_t rt_once(struct rt_loop *loop, int lead)
 {
+    struct rt_table *t = loop->table;
+    int backend = loop->backend;
     int64_t now = rt_now(), due = t->due_ns;
     if (backend == RT_FIFO && due) {        /* a check may be cancelled, or moved on */
         int64_t looked = atomic_exchange(&t->looked_ns, 0);
@@ -134,7 +198,7 @@ static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
     uint64_t from = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
     rt_turn_end(t);
     for (; from < t->trace_next; from++)
-        rt_act(t, &t->trace[from & (RT_TRACE - 1)], backend);
+        rt_act(loop, &t->trace[from & (RT_TRACE - 1)]);
     atomic_fetch_add_explicit(&t->turns, 1, memory_order_relaxed);
     return due;
 }
@@ -167,7 +231,7 @@ static inline void rt_lead(struct rt_loop *loop)
         /* SYNC POINT: rt_kick adds to the mailbox after its news; anything that comes after
          * this load changes the word that the sleep compares. */
         uint32_t mail = atomic_load(&t->mailbox);
-        int64_t due = rt_once(t, loop->backend, lead);
+        int64_t due = rt_once(loop, lead);
         lead = 0;
         if (loop->looker.running)
             rt_lend(t);
@@ -176,7 +240,7 @@ static inline void rt_lead(struct rt_loop *loop)
     }
     rt_looker_stop(&loop->looker);
     if (rt_is_lent(t))          /* no task keeps a lease without a leader */
-        rt_once(t, loop->backend, 0);
+        rt_once(loop, 0);
     for (uint32_t i = 0; i < RT_SLOTS; i++) {   /* no task stays held without a leader */
         t->slots[i].state.parked = 0;
         atomic_store(&t->slots[i].grant.parked, 0);

@@ -419,6 +419,7 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     memcpy(c->rtpu, rtpu, strnlen(rtpu, RT_NAME - 1));
     memcpy(c->task, task, strnlen(task, RT_NAME - 1));
     atomic_store(&slot->post.word, 0);
+    memset(&slot->safe, 0, sizeof slot->safe);
     rt_reset_watch(slot);
     atomic_store(&slot->post.begun, 0);
     atomic_store(&slot->post.done, 0);

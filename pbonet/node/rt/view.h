@@ -18,6 +18,8 @@ struct rt_view {
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
     uint64_t aborted, skipped, handlers, stale_failures;
     uint64_t delivery_last_ns, delivery_max_ns;
+    uint32_t safe;              /* commits of safe values at a timing failure ... */
+    int64_t safe_last_ns, safe_max_ns;  /* ... and how long after it they came */
     struct rt_section_view sections[RT_SECTIONS];
     uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost;
     uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults;
@@ -86,6 +88,9 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     v->hung = atomic_load(&slot->grant.hung) != 0;
     for (int k = 0; k < RT_FAILURES; k++)
         v->failures[k] = rt_get(&g->failures[k]);
+    v->safe = atomic_load(&slot->safe.count);
+    v->safe_last_ns = atomic_load(&slot->safe.last_ns);
+    v->safe_max_ns = atomic_load(&slot->safe.max_ns);
     v->n_sections = (int)atomic_load(&slot->n_sections);
     for (int k = 0; k < v->n_sections; k++) {
         const struct rt_section *s = &slot->sections[k];

@@ -84,13 +84,16 @@ static inline void rt_overruns(struct rt_state *s, int64_t clock)
     s->overrun_mark = clock;
 }
 
-/* Count a failure; send it to the module's handler if a cycle is under way. */
+/* Count a failure. If a cycle is under way, send it to the module's handler, and have the
+ * out-vars made safe, as far as the task has either. */
 static inline void rt_fail(struct rt_table *t, int i, struct rt_state *s, int kind,
                            int64_t now, int reachable)
 {
-    int tell = s->tells && reachable;
+    int tell = reachable && (s->tells & RT_TELLS);
+    int safe = rt_runs(s) && (s->tells & RT_SAFE_AT(kind)) != 0;
     s->failures[kind]++;
-    rt_emit(t, RT_FAIL, i, (uint32_t)kind | (uint32_t)tell << 8, now, 0);
+    rt_emit(t, RT_FAIL, i, (uint32_t)kind | (uint32_t)tell << 8 | (uint32_t)safe << 9, now,
+            0);
     if (!tell)
         return;
     s->told++;

@@ -293,7 +293,9 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
         )
         raise
     task.ready = msgspec.convert(done.result, rtpu_messages.TaskReady)
-    rtpu.core.configure(task.facts.slot, tells=task.ready.tells)
+    rtpu.core.configure(
+        task.facts.slot, tells=task.ready.tells, safe_at=task.facts.rmod.safe_at
+    )
     rtpu.signals.apply(rtpu.core, task)
     task.stopping = False
     rtpu.watch_life(task)

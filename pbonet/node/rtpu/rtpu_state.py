@@ -369,7 +369,10 @@ class Rtpu:
         return slot.cycles - slot.on_cycles
 
     def watch_life(self, task: Task) -> None:
-        """Report the task's death, or its change to ERROR, at once."""
+        """Report the task's death, or its change to ERROR, at once.
+
+        If a cycle of it fails in time, the dispatcher writes its safe values.
+        """
         opened = self.tables.get(task.facts.subsystem)
         depended_on = opened is not None and task.facts.outputs
         self.vigil.watch(
@@ -379,6 +382,14 @@ class Rtpu:
             f"{task.name} has died".encode(),
             f"{task.name} is in ERROR".encode(),
         )
+        values = task.ready.safe if task.ready is not None else b""
+        if values and opened is not None:
+            self.dispatcher.keep_values(task.facts.slot, opened.table.arena, values)
+
+    def unwatch_life(self, task: Task) -> None:
+        """Forget a task whose process has ended."""
+        self.vigil.forget(task.facts.slot)
+        self.dispatcher.drop_values(task.facts.slot)
 
     # -- what happens unasked ----------------------------------------------------------
 
@@ -475,7 +486,7 @@ class Rtpu:
         task.last_status = self.status_of(task)
         self.signals.end(self.core, task)
         self.warnings.end(task, self.now_ns())
-        self.vigil.forget(task.facts.slot)
+        self.unwatch_life(task)
         self.core.died(task.facts.slot)
         # After the mark: from here on callers learn that no successor comes.
         slot = self.core.snapshot(task.facts.slot)

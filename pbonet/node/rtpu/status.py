@@ -102,6 +102,8 @@ def task_status(
         skipped=slot.skipped,
         handlers=slot.handlers,
         delivery_max=slot.delivery_max_ns * _NS,
+        made_safe=slot.safe,
+        made_safe_max=slot.safe_max_ns * _NS,
         held_off=slot.held_off,
         signals=by_name(signals, task.own),
         fallback_of=task.fallback_of,

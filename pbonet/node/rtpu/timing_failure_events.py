@@ -132,6 +132,11 @@ class TimingFailureEvents:
             times.append(f"the longest cycle took {longest:g} ms of CPU time")
         if slot.maxc_ns:
             times.append(f"reserve {slot.maxc_ns / 1e6:g} ms")
+        if slot.safe:
+            times.append(
+                f"safe values were written {slot.safe} times since it was spawned, the "
+                f"last {slot.safe_last_ns / 1e3:.1f} us after the failure"
+            )
         if core:
             times.append(core)
         self._events.add(

@@ -317,10 +317,17 @@ class Executor:
         self._actions.method = before
         return answer
 
-    def abort(self) -> State:
+    def was_made_safe(self) -> None:
+        """Note that the out-vars got their safe values when a cycle failed in time."""
+        self._actions.was_made_safe()
+
+    def abort(self, *, safe: bool = False) -> State:
         """Restart after a cycle that a timing failure ended: `on` runs again.
 
         The cycle's values of the out-vars are discarded; the task still owns them.
+
+        Args:
+            safe: The out-vars got their safe values when it failed.
 
         Returns:
             The state afterwards: ON, or OFF if `on` answers that it cannot continue.
@@ -330,6 +337,8 @@ class Executor:
             MethodError: `on` failed and the error was not corrected; `state` is the
                 task's new state.
         """
+        if safe:
+            self.was_made_safe()
         self.task.restart_rng()
         return self._run(Event.ABORT)
 

@@ -204,6 +204,10 @@ class Journal:
         flags = self._local.commit(now_ns, cycle, own_ns)
         return self._copied(Step.COMMIT, flags, self._about.outvar)
 
+    def was_made_safe(self) -> None:
+        """Record the safe values that were committed in place of a cycle's outputs."""
+        self._copied(Step.COMMIT, 0, self._about.outvar)
+
     def cede(self) -> None:
         """Stop writing the out-vars, and leave them to a successor's claim."""
         self._local.cede()

@@ -113,6 +113,11 @@ class LifecycleSteps:
         self._safe_ports(dt)
         self.devices.repeat()
 
+    def was_made_safe(self) -> None:
+        """Take the safe values into the out-vars: they were committed already."""
+        self._safe_ports(0.0)
+        self._copies.was_made_safe()
+
     def _accept(self, flags: int) -> None:
         """Raise if the flags of a copy show that it was refused."""
         if flags & ALL_REFUSED:

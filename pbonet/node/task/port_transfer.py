@@ -62,6 +62,9 @@ class Copies(Protocol):
         """Copy the out-vars out; returns flags. Arguments are those of `claim`."""
         ...
 
+    def was_made_safe(self) -> None:
+        """The safe values of the out-vars were committed, in place of a cycle's."""
+
     def cede(self) -> None:
         """Stop writing the out-vars, and leave them to a successor's claim."""
 

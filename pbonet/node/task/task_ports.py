@@ -67,6 +67,12 @@ def keep_fresh(local: LocalTable, table: Indexed, rmod: Rmod, info: ModuleInfo) 
     return any(one.action for one in found.values())
 
 
+def keep_safe(local: LocalTable, rmod: Rmod, info: ModuleInfo) -> bytes:
+    """Have the out-vars of a failed cycle get the safe values of their ports."""
+    outputs = (port for port in info.ports if port.kind is Kind.OUTVAR)
+    return local.keep_safe({rmod.svar_name(one.name): one.safe for one in outputs})
+
+
 def by_attribute(
     rmod: Rmod, info: ModuleInfo, of: Callable[[str], T]
 ) -> Callable[[str], T]:

@@ -41,7 +41,13 @@ from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused, too_
 from .successor_calls import Found, Successors
 from .task_channel import Context, RtpuChannel, SlotTime
 from .task_flag_causes import TaskFlagCauses
-from .task_ports import by_attribute, check_ports, keep_fresh, local_table
+from .task_ports import (
+    by_attribute,
+    check_ports,
+    keep_fresh,
+    keep_safe,
+    local_table,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -220,6 +226,9 @@ class Host:
         told = journal.about(
             spec, self.rmod, self.info, library, self.table, seed=self.seed()
         )
+        self.safe = b""
+        if self.rmod.safe_at:
+            self.safe = keep_safe(self.local, self.rmod, self.info)
         self.ring = self.record(told)
         self.tape = self.slot.tape = Tape()
         use(self.tape)
@@ -239,6 +248,7 @@ class Host:
             seed=told.seed,
         )
         self.context.slot = self.slot
+        self.context.safe_at = self.rmod.safe_at
         self.context.libraries = tuple(map(str, library.folders))
         self.context.told = self.watch.told = told_of
         self.to_rtpu.own = {one.name: one.bit for one in self.info.signals}
@@ -309,6 +319,7 @@ class Host:
             version=self.info.version,
             critical_ok=self.info.critical_ok,
             tells="timing_failure" in self.info.methods,
+            safe=self.safe,
             notes=notes,
             signals=self.to_rtpu.own,
             info=msgspec.to_builtins(self.info),
@@ -459,10 +470,11 @@ class Host:
             raise task_channel.Interrupted
 
     def _begin_anew(self) -> None:
-        """Restart after a cycle that the module's handler ended."""
+        """Restart after a cycle that the module's handler or its safe values ended."""
+        did = Did("abort", calls=self.tape.calls(), name="safe" * self.slot.safe)
         try:
-            with self.journal.doing(Did("abort", calls=self.tape.calls())):
-                self.executor.abort()
+            with self.journal.doing(did):
+                self.executor.abort(safe=self.slot.safe)
         except PbonetError as error:
             self.to_rtpu.report(error, self.executor, self.time.cyclecount)
         if self.executor.state is not State.ON:
@@ -482,6 +494,8 @@ class Host:
         settled = False
         try:
             with self.journal.doing(Did("fault", name=method, arg=text_of(error))):
+                if self.slot.safe:
+                    self.executor.was_made_safe()
                 self.executor.fault(error, method)
             settled = self.executor.failure is None
         except PbonetError as second:

@@ -79,6 +79,8 @@ class TaskReady(Struct, kw_only=True):
     critical_ok: bool
     tells: bool = False
     """Whether it has a handler of timing failures."""
+    safe: bytes = b""
+    """The out-vars of a cycle that fails in time; empty: SAFE is not given."""
     notes: list[str] = []
     signals: dict[str, int] = {}
     """Names and bits of the module's own signals."""

@@ -94,6 +94,10 @@ class TaskStatus(Struct, kw_only=True):
     """Calls of that handler."""
     delivery_max: float = 0.0
     """Longest time from the detection of a failure to its handler's start, seconds."""
+    made_safe: int = 0
+    """Cycles that failed in time and whose out-vars got their safe values at once."""
+    made_safe_max: float = 0.0
+    """Longest time from the failure until those were in the table, seconds."""
     held_off: int = 0
     """Critical sections that lasted too long and were cut short."""
     sections: dict[str, SectionStatus] = {}

@@ -80,6 +80,35 @@ KEEPS = ASKS.replace("    def on(", "    def init(").replace(
 )
 
 
+COPIES = """
+from typing import Annotated as A
+
+from pbonet import InVar, OutVar, PortBasedObject, Vector
+
+
+class Copies(PortBasedObject):
+    u: A[Vector, InVar("U", "2", "none", "what is read")]
+    y: A[Vector, OutVar("Y", "2", "none", "the same")]
+
+    def cycle(self, dt: float) -> None:
+        self.y[:] = self.u
+"""
+COPIES_RMOD = """MODULE copies
+DESC copies
+SVARALIAS U=Y2
+SVARALIAS Y=Y3
+INCONST none
+OUTCONST none
+INVAR U
+OUTVAR Y
+TASKTYPE periodic
+FREQ 200
+EOF
+"""
+SAFE = -7.0
+"""What tests/misbehaving/overruns.py declares."""
+
+
 @pytest.fixture
 def line(nodes):
     nodes.write_module("asks", ASKS)
@@ -142,6 +171,20 @@ def test_a_handler_is_told_again_what_it_asked(line, nodes, answer):
 def test_a_handler_of_another_module(line, nodes, answer):
     log = run(line, nodes, module="overruns", answer=answer, every=3, busy=0.01)
     assert verdict_of(log).good, str(verdict_of(log))
+
+
+def test_safe_values_are_on_record_and_so_is_who_read_them(line, nodes):
+    nodes.write_module("copies", COPIES)
+    line.spawn("copies", "copies", text=COPIES_RMOD)
+    line.on("copies")
+    log = run(line, nodes, module="overruns", more=["SAFE maxexec"], busy=0.05, every=2)
+    read = log.arrays("copies")["Y3"]
+    assert (read == SAFE).all(axis=1).any(), "the other task has read them"
+    assert {tuple(row == SAFE) for row in read} <= {(True, True), (False, False)}
+    for verdict in verify(log, ["asks", "copies"]):
+        assert verdict.good, str(verdict)
+        assert verdict.cycles >= 2
+    assert rerun(log, ["asks", "copies"]).good
 
 
 @pytest.mark.parametrize("answer", [0, 3, -1], ids=["ok", "skip", "error"])

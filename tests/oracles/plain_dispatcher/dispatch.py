@@ -303,6 +303,7 @@ def _limit(state: SlotState, record: Decision) -> None:
     state.minc, state.maxc = record.a, record.b
     state.drop, state.handler = record.arg & 0xFF, record.arg >> 8 & 0xFF
     state.tells = bool(record.arg >> 16 & 1)
+    state.safe_at = {kind for kind in range(3) if record.arg >> 17 + kind & 1}
     if not state.handling:
         state.rank = contained(state)
 

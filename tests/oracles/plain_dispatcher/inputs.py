@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
 
 
 class After(IntEnum):
@@ -21,6 +25,9 @@ def pack(crit: int, priority: int, kind: int) -> int:
     return crit | priority << 8 | kind << 24
 
 
-def pack_limits(drop: int, handler: int, *, tells: bool) -> int:
+def pack_limits(
+    drop: int, handler: int, *, tells: bool, safe_at: Collection[int] = ()
+) -> int:
     """Return the arg of a LIMITS record."""
-    return drop | handler << 8 | tells << 16
+    kinds = sum(2 << kind for kind in safe_at)
+    return drop | handler << 8 | (tells | kinds) << 16

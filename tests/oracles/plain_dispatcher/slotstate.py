@@ -39,6 +39,8 @@ class SlotState(Struct):
     missed: int = 0
 
     tells: bool = False
+    safe_at: set[int] = field(default_factory=set)
+    """Kinds of failure at which the out-vars get safe values."""
     """The module has a failure handler."""
     rank: int = 0
     """The criticality that the task has at this moment."""

@@ -211,8 +211,10 @@ class Watch:
     def _fail(self, kind: int, *, reachable: bool) -> None:
         state = self.state
         tell = state.tells and reachable
+        safe = kind in state.safe_at and runs(state)
         state.failures[kind] += 1
-        self._decide(Event.FAIL, self.slot, kind | tell << 8, self.now)
+        arg = kind | tell << 8 | safe << 9
+        self._decide(Event.FAIL, self.slot, arg, self.now)
         if not tell:
             return
         state.told += 1

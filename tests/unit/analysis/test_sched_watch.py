@@ -8,6 +8,7 @@ from one_task_rig import (
     MAXEXEC,
     MINEXEC,
     MS,
+    SAFE,
     TELL,
     US,
     failures,
@@ -230,6 +231,21 @@ def test_a_deadline_before_the_period_s_end_is_its_own_event(core) -> None:
         (Event.FAIL, 14 * MS)
     ]
     assert failures(one.until(20 * MS)) == []  # it was told already
+
+
+def test_safe_values_are_for_the_failures_of_a_cycle_under_way(core) -> None:
+    one = core(tells=False, safe_at=["deadline"], maxc_ns=2 * MS)
+    assert failures(one.until(20 * MS)) == [DEADLINE], "it has not begun"
+    one.at(21 * MS, begun=True)
+    found = one.at(29 * MS, cpu_ns=3 * MS) + one.until(30 * MS)
+    assert failures(found) == [MAXEXEC, DEADLINE | SAFE]
+
+
+def test_a_handler_is_told_of_what_was_made_safe(core) -> None:
+    one = core(tells=True, safe_at=["deadline"])
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True)
+    assert failures(one.until(20 * MS)) == [DEADLINE | TELL | SAFE]
 
 
 def test_a_cycle_that_never_began_is_counted_but_nobody_is_there_to_tell(core) -> None:

@@ -258,6 +258,18 @@ def test_a_handler_needs_its_method() -> None:
     ]
 
 
+def test_safe_values_at_a_failure_need_one_of_each_out_var() -> None:
+    """Not of some: the dispatcher writes all of them, as one set."""
+    info = module(port("outvar", "X"))
+    assert texts(configuration(task("a", outvar="X", info=info))) == []
+    one = task("a", outvar="X", info=info, safe_at=("deadline", "maxexec"))
+    assert texts(configuration(one)) == [
+        "a.rmod: module mod has nothing to write at SAFE deadline maxexec (expected a "
+        "safe value of X: OutVar(..., safe=0.0) in mod); write it there, or take SAFE "
+        "out of the .rmod file"
+    ]
+
+
 def test_an_rtpu_that_the_subsystem_does_not_have() -> None:
     rtpus = [rtpu("arm0"), rtpu("arm1")]
     assert texts(configuration(task("a", rtpu="arm1"), rtpus=rtpus)) == []

@@ -183,3 +183,10 @@ def test_the_state_of_a_robot_that_holds_is_on(tmp_path) -> None:
     assert ("STALE", "the input U of robot is stale: hold") in told
     assert ("FRESH", "the inputs of robot are fresh again") in told
     assert State.ERROR.value not in {text for _, text in told}
+
+
+def test_safe_values_at_failures_are_declared_and_no_cycle_fails(tmp_path) -> None:
+    """Nothing takes time there: the line is read, and changes nothing."""
+    robot, log, _ = ran(tmp_path, "STALE safe\nSAFE deadline maxexec\n")
+    assert flags(robot, SAFE).size
+    assert all(verdict.good for verdict in verify(log))

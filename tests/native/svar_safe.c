@@ -1,0 +1,171 @@
+/* Has a cycle fail at each of its steps, and makes its out-vars safe meanwhile.
+ *
+ *   svar_safe dispatcher|signal|killed
+ *
+ * A task begins a cycle, computes, commits and ends it. At one step of that the failure is
+ * found: the dispatcher commits the safe values, or leaves it to the task's handler of the
+ * signal; or the handler alone does; or the dispatcher is a process that is killed at each
+ * of its own steps, and nobody sends a signal. A reader copies at every step. Prints as JSON
+ * how often what was done, and how often something was wrong. */
+#define _GNU_SOURCE 1
+#include <signal.h>
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/wait.h>
+
+static void step(void);
+#define PBONET_STEP(n) step()
+#define PBONET_STEP_WORDS 1
+#include "svar_rig.h"
+
+enum { WORDS = 2 };
+#define SAFE_WORD UINT64_C(7000000000)
+
+static struct pb_table table;
+static struct pb_local *task, *reader;
+static struct pb_safe *shared;
+static uint64_t *safe_words, counter, number;
+static long steps_left, kill_left; /* until the failure; until the dispatcher dies */
+static void (*fail)(void);
+static long dies_at;
+static bool died;
+static bool looks, was_safe, owed, begun;
+static struct {
+    unsigned long cycles, safe, kept, deaths, torn, stale, unsafe, refused;
+} found;
+
+/* The reader: groups are whole, and a failed cycle's values never follow the safe ones. */
+static void look(void) {
+    looks = false;
+    was_safe |= (atomic_load(&shared->word) & 7) == PB_MADE_SAFE;
+    if (!(pb_copy_in(reader, reader->plans + PB_PLAN_ON) & (PB_COPY_TORN | PB_COPY_LOST))) {
+        const uint64_t word = *rig_word(reader, 0, 0);
+        found.torn += !rig_is_whole(reader, 0);
+        found.stale += was_safe && word != SAFE_WORD;
+    }
+    looks = true;
+}
+
+static void step(void) {
+    if (kill_left && --kill_left == 0) raise(SIGKILL);
+    if (!looks) return;
+    look();
+    if (!steps_left || --steps_left) return;
+    const int phase = (int)(atomic_load(&shared->word) & 7);
+    owed = !begun || phase == PB_OPEN || phase == PB_COMMITS;
+    looks = false; /* what follows is another process, or a signal that comes once */
+    fail();
+    looks = true;
+}
+
+static bool dispatch(void) {
+    pb_safe_want(shared, number, pb_now() - 1);
+    return pb_safe_commit(&table, shared, number, safe_words,
+                          task->outputs[PB_GROUP_VARS].group.bytes);
+}
+
+static void dispatcher(void) {
+    if (!dispatch()) pb_make_safe(task);
+}
+
+static void by_signal(void) {
+    pb_safe_want(shared, number, pb_now() - 1);
+    pb_make_safe(task);
+}
+
+static void killed(void) {
+    int status;
+    const pid_t child = fork();
+    if (child < 0) die("fork");
+    if (!child) {
+        kill_left = dies_at;
+        dispatch();
+        _exit(0);
+    }
+    if (waitpid(child, &status, 0) != child) die("waitpid");
+    died = WIFSIGNALED(status);
+    found.deaths += died;
+    /* One that is killed before it has asked for safe values has found no failure. */
+    owed &= atomic_load(&shared->wanted) == number;
+}
+
+static void compute(void) {
+    for (int i = 0; i < 3; i++) step();
+    rig_fill(task, 0, ++counter);
+    step();
+}
+
+/* One cycle with the failure at step `at`; returns whether it had so many steps. */
+static bool cycle(long at) {
+    struct pb_outputs *o = task->outputs + PB_GROUP_VARS;
+    const uint64_t before = o->group.head;
+    bool safe;
+    int flags = 0;
+    number++;
+    owed = was_safe = begun = false;
+    steps_left = at;
+    looks = true;
+    step(); /* it is granted, but the task has not come to it yet */
+    begun = true;
+    pb_cycle_begins(task, number);
+    found.unsafe += owed && !died && (atomic_load(&shared->word) & 7) == PB_OPEN;
+    step();
+    compute();
+    if (pb_cycle_commits(task)) {
+        step();
+        flags = pb_commit(task, o, (struct pb_stamp){pb_now(), counter});
+    }
+    step();
+    safe = pb_cycle_ends(task);
+    looks = false;
+    found.cycles++;
+    found.safe += safe;
+    found.kept += !safe;
+    found.refused += flags != 0 || pb_number(o->group.head) <= pb_number(before) ||
+                     pb_write_last(&o->group.reg->head) != o->group.head;
+    found.unsafe += owed != safe && (owed || !atomic_load(&shared->wanted));
+    was_safe = false;
+    look();
+    looks = false;
+    found.unsafe += (*rig_word(reader, 0, 0) == SAFE_WORD) != safe;
+    return !steps_left;
+}
+
+/* A cycle that nothing happens to must find the register as it left it. */
+static void plain(void) {
+    found.unsafe += cycle(0) && atomic_load(&shared->wanted) == number;
+}
+
+int main(int argc, char **argv) {
+    if (argc != 2) return 2;
+    table = rig_table(WORDS);
+    task = rig_local(&table, 0);
+    reader = rig_local(&table, -1);
+    rig_enter(task, 0);
+    rig_fill(task, 0, 0);
+    if (rig_claim(task)) die("claim");
+    shared = mmap(NULL, sizeof *shared, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS,
+                  -1, 0);
+    if (shared == MAP_FAILED) die("mmap");
+    safe_words = zeroed(task->outputs[PB_GROUP_VARS].group.bytes);
+    for (uint64_t i = 0; i < task->outputs[PB_GROUP_VARS].group.bytes / 8; i++)
+        safe_words[i] = SAFE_WORD;
+    task->safe = shared;
+    task->safe_data = (const uint8_t *)safe_words;
+    fail = *argv[1] == 'd' ? dispatcher : *argv[1] == 's' ? by_signal : killed;
+    for (long at = 1, met = 1; met; at++) {
+        dies_at = 1;
+        do {
+            died = false;
+            met = cycle(at);
+            plain();
+            dies_at++;
+        } while (died);
+    }
+    printf("{\"cycles\": %lu, \"safe\": %lu, \"kept\": %lu, \"deaths\": %lu, \"torn\": %lu, "
+           "\"stale\": %lu, \"unsafe\": %lu, \"refused\": %lu}\n",
+           found.cycles, found.safe, found.kept, found.deaths, found.torn, found.stale,
+           found.unsafe, found.refused);
+    return 0;
+}

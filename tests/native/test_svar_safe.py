@@ -1,0 +1,60 @@
+"""Safe values at a timing failure: found at every step of a cycle, no set is torn.
+
+The dispatcher commits them, or the task's handler of the signal, or the task itself
+behind its cycle, also after a dispatcher that was killed at any of its own steps. The
+mutants show that each check is needed.
+"""
+
+import pytest
+from svar_rig import build, mutant, run
+
+WRONG = ("torn", "stale", "unsafe", "refused")
+MUTANTS = {
+    "what came before the cycle began": (
+        "local.h",
+        "if (atomic_load(&l->safe->wanted) == number) pb_make_safe(l);",
+        "",
+        "unsafe",
+    ),
+    "the commit asks nobody": (
+        "local.h",
+        "return !l->open || pb_safe_take(l->safe, l->open, PB_COMMITS);",
+        "return true;",
+        "torn",
+    ),
+    "what came amid the commit": (
+        "safe.h",
+        "return atomic_load(&s->wanted) == number ? PB_COMMITS : PB_CLOSED;",
+        "return PB_CLOSED;",
+        "unsafe",
+    ),
+    "the task does not know of the commit": (
+        "local.h",
+        "PB_CLOSED);\n    g->head = pb_write_last(&g->reg->head);\n",
+        "PB_CLOSED);\n",
+        "refused",
+    ),
+    "a dead dispatcher is relied on": (
+        "local.h",
+        "if (how == PB_TAKEN && !pb_lock(&l->table, true)) {",
+        "if (how == PB_OPEN) {",
+        "unsafe",
+    ),
+}
+
+
+@pytest.mark.parametrize("who", ["dispatcher", "signal", "killed"])
+def test_a_failure_at_any_step_of_a_cycle_makes_its_outputs_safe(tmp_path, who):
+    found = run(build("svar_safe.c", tmp_path / "safe"), who)
+    assert {name: found[name] for name in WRONG} == dict.fromkeys(WRONG, 0)
+    assert found["safe"] > 20
+    assert found["kept"] > 20
+    assert (found["deaths"] > 50) == (who == "killed")
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_the_sweep_catches_a_missing_check(name, tmp_path):
+    header, right, wrong, symptom = MUTANTS[name]
+    headers = mutant(tmp_path, header, right, wrong)
+    program = build("svar_safe.c", tmp_path / "mutant", "-w", headers=headers)
+    assert run(program, "killed")[symptom] > 0
