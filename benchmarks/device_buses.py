@@ -88,7 +88,7 @@ def process_data(stack: ExitStack) -> list[Case]:
     channels = [f"bench of process data {way}" for way in ("in", "out")]
     nodes = buses(stack, *channels)
     near, far, at_drive = buses(stack, "bare", "bare", channels[1])
-    devices = []
+    devices: list[Any] = []
     for node, channel, mode in zip(
         nodes, channels, (Mode.READ, Mode.WRITE), strict=True
     ):

@@ -82,11 +82,11 @@ def spawn_steps(tasks: Sequence[Task]) -> list[list[str]]:
         VerificationError: They wait for each other's constants.
     """
     homes, edges = {task.name: task.rtpu for task in tasks}, _constants(tasks)
-    left = spawn_order(tasks)
+    left: list[str] = spawn_order(tasks)
     steps: list[list[str]] = []
     while left:
         first = {homes[name]: name for name in reversed(left)}
-        step = [
+        step: list[str] = [
             name
             for name in left
             if first[homes[name]] == name

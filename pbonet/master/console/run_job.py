@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
@@ -144,8 +145,7 @@ class Run:
         if not agents.launched:
             agents.launch(agents.missing(names))
         if agents.children:
-            from pbonet.pbo import ModuleInfo  # noqa: F401 - for later, while they start
-
+            import_module("numpy")  # needed later, and loaded while they start
             for rtpu, core in agents.wait().items():
                 self._view.say(f"{rtpu} has no agent: started one on core {core}")
 
