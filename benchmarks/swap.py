@@ -148,8 +148,16 @@ class Trace:
 
     def look(self) -> None:
         """Take in what was traced since the last look."""
+        self.take(self.read())
+
+    def read(self) -> list[rt.Decision]:
+        """Return what was traced since the last look, of all tasks."""
         self._next, lost, records = self._table.trace(self._next)
         self.lost += lost
+        return records
+
+    def take(self, records: list[rt.Decision]) -> None:
+        """Take in what was traced."""
         for record in records:
             if record.kind == Event.TURN:
                 self._now = record.a
