@@ -294,8 +294,8 @@ static void release_amid(void)
     require(atomic_load(&task.slot->grant.lease) != 0, "lent again with its next cycle");
 }
 
-/* A turn comes between the two timers: it calls the lease back, and
- * may lend anew. The check may be another one then, so the dispatcher is woken to set it. */
+/* A turn comes between the two timers: it calls the lease back, and may lend anew. The check
+ * may be another one then, so the dispatcher is woken to set it. */
 static void turn_between(void)
 {
     struct rt_look look = ended(rt_now() + 1000 * (int64_t)PERIOD);
