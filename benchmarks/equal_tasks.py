@@ -14,9 +14,10 @@ that time, by an eighth of a period, because the tasks leave more than that free
 miss of pbonet's that is not excused is then explained by the cycles' own records: they
 say whether the cycles of the period used more CPU time than usual, lost the core while
 under way, or began late, the first or a later one. If none of these took a quarter of
-the time that a period has left more than usual, the miss is unexplained. Ends with
-status 3 when a greater share is missed than by the processes in C, excused misses
-apart, or when a miss is unexplained.
+the time that a period has left more than usual, the miss is unexplained. This says
+where the time of a period went, not who had the core. Ends with status 3 when a greater
+share is missed than by the processes in C, excused misses apart, when a miss is
+unexplained, or when records were lost, so that misses may be counted nowhere.
 
     python -m benchmarks.equal_tasks [--tasks 4] [--load 0.63] [--seconds 30]
 """
@@ -137,6 +138,7 @@ REASONS = (
     "a later one began late",
 )
 """What it means that the parts, in their order, are longer than usual."""
+RECORDS_LOST = "records lost"
 
 
 class Witnesses:
@@ -151,6 +153,11 @@ class Witnesses:
         self._cycles: dict[int, list[tuple[int, int, int]]] = {}
         """Start, end and CPU time, by the period in which the cycle began."""
         self._usual = Parts(0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def lost(self) -> int:
+        """Records of cycles for which there was no room."""
+        return sum(ring.lost for ring in self._rings)
 
     def look(self) -> None:
         """Take in what has happened since the last look."""
@@ -213,6 +220,8 @@ class Found:
     def __init__(self, tasks: int) -> None:
         self.releases = [0] * tasks
         self.misses: list[list[tuple[int, int]]] = [[] for _ in range(tasks)]
+        self.lost = 0
+        """Records that were lost: what they said is counted nowhere."""
 
     def unexcused(
         self, late: list[tuple[int, int]]
@@ -249,19 +258,30 @@ def run_in_c(program: Path, core: int, used: float, seconds: float, to: Found) -
 
 
 def run_tasks(
-    subsystem: Subsystem, core: int, tasks: tuple[str, ...], seconds: float, to: Found
+    subsystem: Subsystem,
+    core: int,
+    tasks: tuple[str, ...],
+    seconds: float,
+    *,
+    witnesses: Witnesses,
+    to: Found,
 ) -> None:
     """Let tasks that are ON run for a block."""
     traces = [swap.Trace(core, (task,)) for task in tasks]
+    reader = swap.Trace(core, ())  # all take what it reads, so they begin together
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         subsystem.wait(0.2)
+        records = reader.read()
         for trace in traces:
-            trace.look()
+            trace.take(records)
+        witnesses.look()
+    to.lost += reader.lost
     for place, trace in enumerate(traces):
         to.releases[place] += trace.released
         to.misses[place] += trace.misses
         trace.close()
+    reader.close()
 
 
 def measure(
@@ -285,16 +305,17 @@ def measure(
         subsystem.reconfig([(task, "on") for task in tasks])
         subsystem.wait(0.5)
         loop = loop or swap.Stalls(folder, core, WAKES, noted=LATE)
-        run_tasks(subsystem, core, tasks, asked.seconds / blocks, ours)
+        seconds = asked.seconds / blocks
+        run_tasks(subsystem, core, tasks, seconds, witnesses=witnesses, to=ours)
         subsystem.reconfig([(task, "off") for task in tasks])
         witnesses.look()
-        run_in_c(program, core, asked.used, asked.seconds / blocks, theirs)
+        run_in_c(program, core, asked.used, seconds, theirs)
     assert loop is not None
     _, late = loop.end()
     witnesses.settle()
     counts = ours.counts(late)
     for found, lost in zip(counts, ours.unexcused(late), strict=True):
-        found["unexplained"] = 0
+        found["unexplained"], found[RECORDS_LOST] = 0, ours.lost + witnesses.lost
         for begin, at, count in lost:
             why = witnesses.explain(begin, at) or "unexplained"
             found[why] = found.get(why, 0) + count
@@ -332,9 +353,11 @@ def verdicts(both: list[dict[str, list[dict[str, int]]]]) -> list[str]:
         for all_of in (ours, theirs)
     ]
     unexplained = sum(one["unexplained"] for one in ours)
+    most_lost = max(one[RECORDS_LOST] for one in ours)
     return [
         rtbench.verdict("not excused, of 10^6", 1e6 * shares[0], 1e6 * shares[1]),
         rtbench.verdict("unexplained", unexplained, 0),
+        rtbench.verdict(RECORDS_LOST, most_lost, 0),
     ]
 
 

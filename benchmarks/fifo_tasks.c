@@ -26,7 +26,7 @@ struct miss {
 };
 struct found {
     int64_t releases;
-    int misses, failed;
+    int misses;
     struct miss miss[MOST];
 };
 
@@ -91,19 +91,20 @@ int main(int argc, char **argv)
     int64_t first = (read_clock(CLOCK_MONOTONIC) / period + 100) * period;
     int64_t end = first + (int64_t)(atof(argv[6]) * 1e9);
     for (int k = 0; k < tasks; k++) {
-        if (fork())
+        pid_t pid = fork();
+        failed |= pid < 0;
+        if (pid)
             continue;
         prctl(PR_SET_PDEATHSIG, SIGKILL);
-        found[k].failed = enter(atoi(argv[1]), atoi(argv[2]) - k);
-        if (!found[k].failed)
-            work(found + k, first, period, used, end);
+        if (enter(atoi(argv[1]), atoi(argv[2]) - k))
+            _exit(1);
+        work(found + k, first, period, used, end);
         _exit(0);
     }
-    while (wait(NULL) > 0)
-        ;
+    for (int status; wait(&status) > 0;)
+        failed |= status != 0;      /* one that was killed counts no more */
     for (int k = 0; k < tasks; k++) {
         struct found *f = found + k;
-        failed |= f->failed;
         printf("%d %lld %d\n", k, (long long)f->releases, f->misses);
         for (int i = 0; i < f->misses; i++)
             printf("%lld %lld\n", (long long)f->miss[i].at, (long long)f->miss[i].count);

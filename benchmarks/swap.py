@@ -47,6 +47,8 @@ from pbonet.xm.net.messages import AgentInfo, Hello
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pbonet.analysis.schedule import Decision
+
 RATE = 1000.0
 PERIOD = round(1e9 / RATE)
 SWAP_TIME = 0.06
@@ -148,8 +150,16 @@ class Trace:
 
     def look(self) -> None:
         """Take in what was traced since the last look."""
+        self.take(self.read())
+
+    def read(self) -> list[Decision]:
+        """Return what was traced since the last look, of all tasks."""
         self._next, lost, records = self._table.trace(self._next)
         self.lost += lost
+        return records
+
+    def take(self, records: list[Decision]) -> None:
+        """Take in what was traced."""
         for record in records:
             if record.kind == Event.TURN:
                 self._now = record.a

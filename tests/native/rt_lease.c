@@ -4,8 +4,15 @@
  * between two steps of the task. Turns are taken at times of this program; `now` of the task
  * is the real clock, so periods are long and releases lie in the past or far ahead.
  */
+#define _GNU_SOURCE
+#include <sys/timerfd.h>
+
+/* Every timer that the headers set is set here: in which order, and what comes between. */
+static int set_timer(int fd, int flags, const struct itimerspec *to, struct itimerspec *old);
+#define timerfd_settime set_timer
 #include "slot.h"
 #include "loop.h"
+#undef timerfd_settime
 #include "rt_rig.h"
 
 enum { PERIOD = 20000000 };
@@ -14,6 +21,18 @@ static struct rt_table table;
 static struct rt_task task = {.table = &table, .slot = &table.slots[0]};
 static struct rt_state *state = &table.slots[0].state;
 static int64_t grid;            /* the release that the first turn of a round grants */
+static int timers[2], n_timers; /* the last ones that were set, and how many */
+static void (*amid)(void);      /* what comes after the first of them */
+
+static int set_timer(int fd, int flags, const struct itimerspec *to, struct itimerspec *old)
+{
+    int done = timerfd_settime(fd, flags, to, old);
+    timers[n_timers++ & 1] = fd;
+    if (n_timers == 1 && amid)
+        amid();
+    return done;
+}
+
 static int64_t no_cpu(const struct rt_slot *slot, int main)
 {
     (void)slot, (void)main;
@@ -225,27 +244,79 @@ static int64_t expires(int fd)
     return left.it_value.tv_sec * 1000000000 + left.it_value.tv_nsec;
 }
 
-/* The timer of the checks is moved to the next cycle's first check, after a timer of the
- * task's own for the release before that; so it is not the next event while it is moved. */
-static void move_check(void)
+/* A task with checks has ended its cycle, and has a lease for the release at `at`. */
+static struct rt_look ended(int64_t at)
 {
-    struct rt_look look = {.life = atomic_load(&table.look_life),
-                           .fd = timerfd_create(CLOCK_MONOTONIC, 0)};
-    int64_t at = rt_now() + 1000 * (int64_t)PERIOD;     /* far from both */
     begin(PERIOD / 2, 1);
     done();
     atomic_store(&task.slot->grant.lent_ns, at);
     atomic_store(&task.slot->grant.lent_end_ns, at + PERIOD);
+    n_timers = 0;
+    return (struct rt_look){.life = atomic_load(&table.look_life),
+                            .fd = timerfd_create(CLOCK_MONOTONIC, 0)};
+}
+
+static void close_timers(struct rt_look *look)
+{
+    close(look->release_fd);
+    close(look->fd);
+    amid = NULL;
+    finish();
+}
+
+/* The timer of the checks is moved to the next cycle's first check, after a timer of the
+ * task's own for the release before that; so it is not the next event while it is moved. */
+static void move_check(void)
+{
+    int64_t at = rt_now() + 1000 * (int64_t)PERIOD;     /* far from both */
+    struct rt_look look = ended(at);
     rt_check_next(&table, task.slot, &look);
     require(atomic_load(&table.look_ns) == at + PERIOD / 2, "the next check");
+    require(n_timers == 2 && timers[0] == look.release_fd && timers[1] == look.fd,
+            "the release first");
     int64_t release = expires(look.release_fd), check = expires(look.fd);
     require(release && check > release, "behind the release");
     atomic_store(&task.slot->grant.lent_end_ns, at);    /* the dispatcher's from there */
     rt_check_next(&table, task.slot, &look);
     require(!expires(look.fd) && !atomic_load(&table.look_ns), "there is none to come");
-    close(look.release_fd);
-    close(look.fd);
-    finish();
+    close_timers(&look);
+}
+
+static void turn_amid(void)
+{
+    turn(grid + 1000);
+}
+
+static void release_amid(void)
+{
+    turn(grid + PERIOD);
+    rt_lend(&table);
+    require(atomic_load(&task.slot->grant.lease) != 0, "lent again with its next cycle");
+}
+
+/* A turn comes between the two timers: it calls the lease back, and may lend anew. The check
+ * may be another one then, so the dispatcher is woken to set it. */
+static void turn_between(void)
+{
+    struct rt_look look = ended(rt_now() + 1000 * (int64_t)PERIOD);
+    amid = pick(2) ? turn_amid : release_amid;
+    uint32_t mail = atomic_load(&table.mailbox);
+    rt_check_next(&table, task.slot, &look);
+    require(n_timers == 2, "both were set");
+    require(atomic_load(&table.mailbox) != mail, "the dispatcher looks again");
+    close_timers(&look);
+}
+
+/* A task without room for another descriptor has its check as before. */
+static void no_room(void)
+{
+    int64_t at = rt_now() + 1000 * (int64_t)PERIOD;
+    struct rt_look look = ended(at);
+    look.release_fd = -1;
+    rt_check_next(&table, task.slot, &look);
+    require(look.release_fd == -1 && expires(look.fd), "the check is set");
+    require(atomic_load(&table.look_ns) == at + PERIOD / 2, "and is known");
+    close_timers(&look);
 }
 
 int main(int argc, char **argv)
@@ -267,6 +338,8 @@ int main(int argc, char **argv)
         overrun();
         others();
         move_check();
+        turn_between();
+        no_room();
     }
     return 0;
 }

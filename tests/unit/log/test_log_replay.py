@@ -6,6 +6,8 @@ only the native loop around the cycles is done here in Python.
 
 from __future__ import annotations
 
+import random
+import struct
 import subprocess
 import sys
 import time
@@ -19,6 +21,7 @@ from log_of_python_tasks import RMOD, Shop, Task, drive
 from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError
 from pbonet.log import Did, Log, code_of
+from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.node.recorder.recorder_process import Recorder
 from pbonet.node.ring._ring import Ring
 from pbonet.node.wire import rtpu_messages
@@ -190,6 +193,29 @@ def test_one_other_bit_is_a_divergence_unless_told(shop) -> None:
     assert one.divergence.variable == "Y0"
     assert one.divergence.recorded != one.divergence.computed
     assert verify(path, ["a"], rtol=1e-9)[0].good
+
+
+@pytest.mark.parametrize("odd", ["a bit", "NaN", "-0.0"])
+def test_each_other_value_of_a_cycle_is_named(shop, odd) -> None:
+    """Wherever it stands: at either end of what one message holds, and amid."""
+    shop.cycles(20)
+    place, rng = RECORD.size + HEAD_DTYPE.itemsize, random.Random(20)
+    whole, first = list(shop.a.records), len(shop.a.records) - 20
+    for cycle in range(1, 21):
+        element = rng.randrange(2)
+        record = bytearray(whole[first + cycle - 1])
+        at = place + 8 * element
+        if odd == "a bit":
+            record[at + rng.randrange(8)] ^= 1 << rng.randrange(8)
+        else:
+            record[at : at + 8] = struct.pack("<d", float(odd))
+        shop.a.records = list(whole)
+        shop.a.records[first + cycle - 1] = bytes(record)
+        path = shop.log()
+        (one,) = verify(path, ["a"])
+        path.unlink()
+        assert not one.good
+        assert f"cycle {cycle}: Y0[{element}] is " in str(one.divergence)
 
 
 def test_lost_records_make_a_gap_in_what_is_verified(shop) -> None:

@@ -14,7 +14,9 @@ from pbonet import Params, State
 from pbonet.config import read_rmod, read_svar
 from pbonet.config.library import Library
 from pbonet.errors import MethodError
+from pbonet.io import SimulatedArm
 from pbonet.io.puma560 import PUMA560
+from pbonet.modules._values import within
 from pbonet.modules.controllers.grav_comp import GravComp
 from pbonet.modules.robot_interfaces.puma_pidg import PumaPidg
 from pbonet.modules.teleoperation.jtball import JtBall
@@ -125,6 +127,29 @@ def test_ranges_in_the_example_s_table_are_the_arm_s() -> None:
 
 
 # -------------------------------------------------------------------------- puma_pidg
+
+
+ODD = [np.nan, -np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, -5e-324, 1.5, -1.5, 1e308]
+
+
+def test_limits_are_those_of_clip_to_the_bit() -> None:
+    rng = np.random.default_rng(20)
+    for _ in range(2000):
+        high = np.abs(rng.choice(ODD, 6))
+        values = rng.choice([rng.choice(ODD, 6), 2 * rng.normal(size=6)])
+        expected, out = values.clip(-high, high), np.empty(6)
+        within(values, -high, high, out)
+        within(values, -high, high, values)  # in place, as the servo's integral
+        assert out.tobytes() == values.tobytes() == expected.tobytes()
+
+
+def test_an_arm_s_torques_are_limited_to_the_bit() -> None:
+    most, rng = PUMA560.torque, np.random.default_rng(20)
+    arm = SimulatedArm(PUMA560)
+    for _ in range(500):
+        torque = rng.choice([*ODD, *most, *-most], 6)
+        arm.command(torque)
+        assert arm._torque.tobytes() == torque.clip(-most, most).tobytes()
 
 
 class Arm:

@@ -4,7 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.equal_tasks import REASONS, Parts, Witnesses
+from benchmarks import swap
+from benchmarks.equal_tasks import REASONS, Found, Parts, Witnesses, run_tasks
+from pbonet.analysis.schedule.events import Event
 
 PERIOD, WORK, GAP = 1_000_000, 157_000, 10_000
 USED, LOST, FIRST, LATER = REASONS
@@ -64,3 +66,39 @@ def test_a_cycle_over_the_end_of_a_period_counts_in_both():
     assert made.parts(100).used == pytest.approx(inside)
     assert made.parts(101).used == pytest.approx(WORK - inside)
     assert made.parts(101).late == 0
+
+
+class Core:
+    """A core whose four tasks are released by one turn whenever its trace is read."""
+
+    records: list
+
+    def slots(self):
+        return range(4)
+
+    def snapshot(self, slot):
+        return SimpleNamespace(task=f"b/task{slot}")
+
+    def trace(self, since=0):
+        kinds = [(Event.TURN, 0), *((Event.RELEASE, slot) for slot in range(4))]
+        self.records += [SimpleNamespace(kind=k, slot=i, a=0, arg=0) for k, i in kinds]
+        return len(self.records), 1, self.records[since:]
+
+    def close(self):
+        pass
+
+
+def test_all_tasks_are_counted_over_the_same_time(monkeypatch):
+    monkeypatch.setattr(Core, "records", [], raising=False)
+    monkeypatch.setattr(swap.rt, "CoreTable", lambda _core, **_: Core())
+    to, looks = Found(4), []
+    run_tasks(
+        SimpleNamespace(wait=lambda _: None),
+        0,
+        ("task0", "task1", "task2", "task3"),
+        0.001,
+        witnesses=SimpleNamespace(look=lambda: looks.append(1)),
+        to=to,
+    )
+    assert to.releases == [len(looks)] * 4
+    assert to.lost == len(looks), "of what was read while it counted"
