@@ -12,7 +12,7 @@ import os
 import socket
 from typing import TYPE_CHECKING
 
-from pbonet.errors import SvarError
+from pbonet.errors import SvarError, UnknownVariableError
 from pbonet.svar import now_ns
 
 from . import packets
@@ -114,7 +114,11 @@ class Mirror:
         """
         if self._news:
             return None
-        news = self._outbox.set_value(self.table.index(variable), now_ns())
+        try:
+            number = self.table.index(variable)
+        except UnknownVariableError:  # it was refused
+            return None
+        news = self._outbox.set_value(number, now_ns())
         return None if news is None else self._packet([news])
 
     def _packet(
