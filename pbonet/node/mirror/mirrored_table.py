@@ -411,8 +411,10 @@ class MirroredTable:
     def _take_value(self, query: zenoh.Query) -> bytes:
         """Process another machine's single value; return the answer to it."""
         data = query.payload.to_bytes() if query.payload is not None else b""
-        packet = self._readable(data)
-        return TAKEN if packet is not None and self._place(packet) else b""
+        packet, mirror = self._readable(data), self.mirror
+        if packet is None or mirror is None:
+            return b""
+        return TAKEN if self._place(packet) and mirror.has(packet) else b""
 
     def _readable(self, data: bytes) -> packets.Packet | None:
         """Return another machine's packet, unless it is not to be used here."""

@@ -164,7 +164,17 @@ class Mirror:
             )
             self._news |= self._outbox.update(self._epochs)
             self._reconcile()
+            # Else a value that is set now would pass for one from before their claim.
+            self._news |= self._outbox.update(self._epochs)
         return placed
+
+    def has(self, packet: Packet) -> bool:
+        """Return whether the table has the values of a packet that was taken.
+
+        It has not if the other machine has yet to hear of a claim that counts here.
+        """
+        other = self.others[packet.machine]
+        return all(map(other.has, packet.news))
 
     def miss(self, seconds: float) -> None:
         """Drop the machines that have sent nothing for so many seconds."""

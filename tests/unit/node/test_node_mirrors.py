@@ -442,6 +442,14 @@ def test_a_value_is_taken_at_once_unless_the_carrier_is_busy(carrying, table):
         assert ask.answers == [TAKEN]
         assert table.read("Q").tolist() == [7.0, 8.0, 9.0]
 
+        task = table.local("pid", os.getpid(), outvar=["Q"])
+        task.claim()
+        there.write("Q", [1.0, 1.0, 1.0])
+        ask = Asking(other.value_packet("Q"), VALUE)
+        carried._asked(ask)
+        assert ask.answers == [b""], "a task has it"
+        task.close()
+
         carried.lose("m2")
         ask = Asking(other.value_packet("Q"), VALUE)
         carried._asked(ask)
