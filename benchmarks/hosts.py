@@ -96,6 +96,7 @@ class Side:
         for made in (self.run_dir, self.shm_dir):
             made.mkdir(mode=0o700)
         self.agent: subprocess.Popen[bytes] | None = None
+        self._writers: list[subprocess.Popen[bytes]] = []
         self.more: dict[str, str] = {}
         """Of its environment, beside the folders."""
 
@@ -124,6 +125,20 @@ class Side:
         text = msgspec.json.encode(config).decode()
         self.agent = self.run(AGENT, text, stdout=subprocess.DEVNULL)
 
+    def end(self, limit: float = 30.0) -> None:
+        """End its writers, and its agent, by force if it does not obey."""
+        for writer in self._writers:
+            writer.kill()
+            writer.wait()
+        if self.agent is None:
+            return
+        self.agent.send_signal(signal.SIGTERM)
+        try:
+            self.agent.wait(limit)
+        except subprocess.TimeoutExpired:
+            self.agent.kill()
+            self.agent.wait()
+
     def run(
         self, code: str, *words: str, stdout: int | None = None
     ) -> subprocess.Popen[bytes]:
@@ -148,7 +163,8 @@ class Side:
     def write(self, count: int, rate: float, seconds: float) -> subprocess.Popen[bytes]:
         """Start a process that commits `count` groups at `rate` Hz."""
         words = (f"{DOMAIN}.{SUBSYSTEM}", str(count), str(rate), str(seconds))
-        return self.run(WRITER, *words)
+        self._writers.append(self.run(WRITER, *words))
+        return self._writers[-1]
 
     def cpu(self) -> float:
         """Return the processor seconds that its agent has used."""
@@ -172,22 +188,31 @@ class Pair:
     ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="pbench-", dir=SHM)
         folder = Path(self._folder.name)
-        names = ("one", "two")
-        self.one, self.two = (
-            Side(n, folder, w) for n, w in zip(names, ways, strict=True)
-        )
+        self.sides = [
+            Side(name, folder, way)
+            for name, way in zip(("one", "two"), ways, strict=True)
+        ]
+        self.one, self.two = self.sides
         self.listen, self.connect = listen, connect
-        self.one.start(listen=listen, library=library)
+        self._link: zenoh.Session | None = None
+        try:
+            self._come_up(library)
+        except BaseException:  # an interrupt, too, would leave agents behind
+            self.close()
+            raise
+
+    def _come_up(self, library: str) -> None:
+        self.one.start(listen=self.listen, library=library)
         wait(self.one.socket_there, "agent one")
-        self.two.start(connect=connect, library=library)
+        self.two.start(connect=self.connect, library=library)
         wait(self.two.socket_there, "agent two")
-        self.link = session.client(
+        self._link = session.client(
             DOMAIN, connect=[self.two.socket], timeout=20.0, local=False
         )
-        self.client = Client(self.link, DOMAIN, "bench")
-        wait(lambda: len(self.client.rtpus()) == len(names), "both agents")
+        self.client = Client(self._link, DOMAIN, "bench")
+        wait(lambda: len(self.client.rtpus()) == len(self.sides), "both agents")
         self._tokens = [
-            self.link.liveliness().declare_token(
+            self._link.liveliness().declare_token(
                 key_expressions.master(DOMAIN, name, "bench")
             )
             for name in (SUBSYSTEM, SOLO)
@@ -206,14 +231,11 @@ class Pair:
         self.epochs[subsystem, name] = epoch
 
     def close(self) -> None:
-        """End everything."""
-        self.client.close()
-        for side in (self.one, self.two):
-            if side.agent is not None:
-                side.agent.send_signal(signal.SIGTERM)
-        for side in (self.one, self.two):
-            if side.agent is not None:
-                side.agent.wait(30.0)
+        """End everything, as far as it came up."""
+        if self._link is not None:
+            self._link.close()  # type: ignore[no-untyped-call]
+        for side in self.sides:
+            side.end()
         self._folder.cleanup()
 
 
@@ -352,7 +374,7 @@ def loss(times: int) -> dict[str, Any]:
     ways = [lan[name].command() for name in ("a", "b")]
     pair = Pair(ways, "tcp/0.0.0.0:7447", "tcp/10.77.1.1:7447")
     try:
-        writer = pair.one.write(1, 200.0, 30.0 * times)
+        pair.one.write(1, 200.0, 30.0 * times)
         table = pair.two.attach()
         wait(lambda: fresh(table), "news")
         for _ in range(times):
@@ -367,8 +389,6 @@ def loss(times: int) -> dict[str, Any]:
             pair.one.agent.wait()
             pair.one.start(listen=pair.listen)
             add("taken over", wait(lambda: fresh(table), "news"))
-        writer.kill()
-        writer.wait()
     finally:
         pair.close()
         lan.close()

@@ -172,11 +172,7 @@ class Machines:
     def close(self) -> None:
         """End the agents."""
         for side in self.sides:
-            if side.agent is not None:
-                side.agent.terminate()
-        for side in self.sides:
-            if side.agent is not None:
-                side.agent.wait(30.0)
+            side.end()
 
 
 class Apart(Watched):

@@ -217,28 +217,29 @@ class MirroredTable:
         else:  # another agent of this machine carries it
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
 
-    def send_value(self, name: str, done: Callable[[], None]) -> bool:
+    def send_value(
+        self, name: str, done: Callable[[], None], whole: Callable[[], None]
+    ) -> bool:
         """Send a variable that was set here, and call `done` when the others have it.
 
-        Runs in any thread. Returns whether it was sent; else the state must be.
+        If one of them needs the whole state, `whole` is called in its place. Runs in
+        any thread. Returns whether the value was sent; else the state must be.
         """
-        packet = self._owner.at_once(lambda: self._value(name))
-        if packet is None:
+        found = self._owner.at_once(partial(self._value, name))
+        if found is None:
             return False
-        sent = SentValue(set(self._there), done, partial(self._value_ended, done))
+        packet, machines = found
+        ended = partial(self._owner.end, done)
+        sent = SentValue(machines, done, whole, ended)
         data = packets.pack(packet)
         self._ask("sync", "*", data, sent.replied, sent.end, value=True)
         return True
 
-    def _value(self, name: str) -> packets.Packet | None:
-        return None if self.mirror is None else self.mirror.value_packet(name)
-
-    def _value_ended(self, done: Callable[[], None], whole: bool) -> None:  # noqa: FBT001
-        """Send the whole state if a machine needs it, and end the wait for a value."""
-        if whole:
-            self._owner.do(partial(self.spread, done, take=False))
-        else:
-            self._owner.end(done)
+    def _value(self, name: str) -> tuple[packets.Packet, set[str]] | None:
+        """Return the packet with a value, and the machines that are to take it."""
+        if self.mirror is None or (packet := self.mirror.value_packet(name)) is None:
+            return None
+        return packet, {*self._there, *self.mirror.others}
 
     def lose(self, machine: str) -> None:
         """Drop a machine that is out of sight, whether or not its link is kept."""
@@ -410,8 +411,10 @@ class MirroredTable:
     def _take_value(self, query: zenoh.Query) -> bytes:
         """Process another machine's single value; return the answer to it."""
         data = query.payload.to_bytes() if query.payload is not None else b""
-        packet = self._readable(data)
-        return TAKEN if packet is not None and self._place(packet) else b""
+        packet, mirror = self._readable(data), self.mirror
+        if packet is None or mirror is None:
+            return b""
+        return TAKEN if self._place(packet) and mirror.has(packet) else b""
 
     def _readable(self, data: bytes) -> packets.Packet | None:
         """Return another machine's packet, unless it is not to be used here."""

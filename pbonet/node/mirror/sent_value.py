@@ -24,18 +24,19 @@ class SentValue:
     Args:
         machines: Those that have the table.
         taken: Called when all of them have taken the value.
-        ended: Called without that, when no more answers come; with True if one of them
-            must be sent the whole state.
+        whole: Called when no more answers come, if one must be sent the whole state.
+        ended: Called then if one is silent.
     """
 
     def __init__(
         self,
         machines: Iterable[str],
         taken: Callable[[], None],
-        ended: Callable[[bool], None],
+        whole: Callable[[], None],
+        ended: Callable[[], None],
     ) -> None:
         self._waiting = set(machines)
-        self._taken, self._ended = taken, ended
+        self._taken, self._whole, self._ended = taken, whole, ended
         self._done = self._unknown = False
 
     def replied(self, reply: zenoh.Reply) -> None:
@@ -52,5 +53,7 @@ class SentValue:
 
     def end(self) -> None:
         """Note that no more answers come."""
-        if not self._done or self._unknown:
-            self._ended(self._unknown)
+        if self._unknown:
+            self._whole()
+        elif not self._done:
+            self._ended()

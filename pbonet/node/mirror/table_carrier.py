@@ -192,8 +192,6 @@ class TableCarrier:
         if promised is None:
             done()
             return
-        if value and carried is not None and carried.send_value(value, promised):
-            return
 
         def spread() -> None:
             carried = self._carried.get(subsystem)
@@ -206,7 +204,9 @@ class TableCarrier:
                 promised()  # the waiting client continues, and finds the fault itself
                 raise
 
-        self.do(spread)
+        whole = partial(self.do, spread)
+        if not (value and carried and carried.send_value(value, promised, whole)):
+            whole()
 
     def call(self, call: rtpu_messages.Called) -> None:
         """Send the table to other machines, with calls of successors there."""

@@ -12,7 +12,7 @@ from pbonet.errors import SvarError
 from pbonet.svar import layout, now_ns
 
 from .epochs import Claim
-from .mirror_outbox import MARK
+from .mirror_outbox import MARK, room_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,6 +109,15 @@ class Machine:
                 theirs.time_ns = _time(now, news, late_ns)
                 self._commit(theirs)
         return packet.state <= self.state
+
+    def has(self, news: News) -> bool:
+        """Return whether a value, or a newer one of its group, is in the table here."""
+        theirs = self.groups.get(news.uid)
+        if theirs is None or theirs.news is None or not theirs.shown:
+            return False
+        room = room_of(self._table, theirs.shown[0])
+        seen = self._table.peek(theirs.shown[0], room)
+        return seen is not None and room.tobytes() == theirs.news.data
 
     def claims(self) -> dict[int, Claim]:
         """Return the claims of its groups, by variable."""

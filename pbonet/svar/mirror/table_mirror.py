@@ -12,7 +12,7 @@ import os
 import socket
 from typing import TYPE_CHECKING
 
-from pbonet.errors import SvarError
+from pbonet.errors import SvarError, UnknownVariableError
 from pbonet.svar import now_ns
 
 from . import packets
@@ -114,7 +114,11 @@ class Mirror:
         """
         if self._news:
             return None
-        news = self._outbox.set_value(self.table.index(variable), now_ns())
+        try:
+            number = self.table.index(variable)
+        except UnknownVariableError:  # it was refused
+            return None
+        news = self._outbox.set_value(number, now_ns())
         return None if news is None else self._packet([news])
 
     def _packet(
@@ -160,7 +164,17 @@ class Mirror:
             )
             self._news |= self._outbox.update(self._epochs)
             self._reconcile()
+            # Else a value that is set now would pass for one from before their claim.
+            self._news |= self._outbox.update(self._epochs)
         return placed
+
+    def has(self, packet: Packet) -> bool:
+        """Return whether the table has the values of a packet that was taken.
+
+        It has not if the other machine has yet to hear of a claim that counts here.
+        """
+        other = self.others[packet.machine]
+        return all(map(other.has, packet.news))
 
     def miss(self, seconds: float) -> None:
         """Drop the machines that have sent nothing for so many seconds."""

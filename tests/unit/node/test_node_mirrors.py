@@ -442,10 +442,76 @@ def test_a_value_is_taken_at_once_unless_the_carrier_is_busy(carrying, table):
         assert ask.answers == [TAKEN]
         assert table.read("Q").tolist() == [7.0, 8.0, 9.0]
 
+        task = table.local("pid", os.getpid(), outvar=["Q"])
+        task.claim()
+        there.write("Q", [1.0, 1.0, 1.0])
+        ask = Asking(other.value_packet("Q"), VALUE)
+        carried._asked(ask)
+        assert ask.answers == [b""], "a task has it"
+        task.close()
+
         carried.lose("m2")
         ask = Asking(other.value_packet("Q"), VALUE)
         carried._asked(ask)
         assert ask.answers == [b""], "its state is not known"
+    finally:
+        other.close()
+        there.destroy()
+
+
+def test_a_value_whose_table_was_closed_meanwhile_is_answered(carrying, table):
+    mirrors, _ = carrying
+    carried = set_before(mirrors, table)
+    network, done = mirrors.session, []
+    mirrors.spread("arm", lambda: done.append("known"), value="Q")
+    network.reply(b"")
+    mirrors.carry({})
+    turn(mirrors)
+    network.asked.drop()
+    turn(mirrors)
+    assert done == ["known"]
+    assert carried.mirror is None, "a table that was closed is not carried again"
+
+
+def test_a_value_whose_state_cannot_be_sent_is_answered(carrying, table, monkeypatch):
+    mirrors, _ = carrying
+    set_before(mirrors, table)
+    network, done = mirrors.session, []
+    mirrors.spread("arm", lambda: done.append("known"), value="Q")
+    network.reply(b"")
+    network.asked.drop()
+    fails = MagicMock(side_effect=RuntimeError("broken"))
+    monkeypatch.setattr(MirroredTable, "_exchange", fails)
+    with pytest.raises(RuntimeError, match="broken"):
+        turn(mirrors)
+    assert done == ["known"]
+
+
+def test_a_variable_that_does_not_exist_is_no_fault_of_the_transfer(
+    carrying, table, caplog
+):
+    mirrors, _ = carrying
+    set_before(mirrors, table)
+    mirrors.spread("arm", lambda: None, value="NO_SUCH")
+    turn(mirrors)
+    assert packets.unpack(mirrors.session.question).full is not None
+    assert not caplog.records
+
+
+def test_a_machine_that_was_heard_is_waited_for_before_its_token_comes(carrying, table):
+    mirrors, _ = carrying
+    carried = set_before(mirrors, table)
+    network, done = mirrors.session, []
+    there = Table.create("there", [Variable(name="Q", type="double", nelem=3)])
+    other = Mirror(there, "m3", 1, keep=False)
+    try:
+        carried.incoming.put("m3", packets.pack(other.next_packet(full=True)))
+        turn(mirrors)
+        mirrors.spread("arm", lambda: done.append("known"), value="Q")
+        network.reply(TAKEN, "m2")
+        assert done == []
+        network.reply(TAKEN, "m3")
+        assert done == ["known"]
     finally:
         other.close()
         there.destroy()

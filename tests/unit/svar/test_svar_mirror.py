@@ -493,3 +493,41 @@ def test_a_value_that_a_task_has_owned_since_is_sent_with_the_state(sides):
     assert a.mirror.value_packet("MODE") is None
     assert carry(a, b).full is not None
     assert b.table.read("MODE").tolist() == [8]
+
+
+def test_a_value_that_a_claim_here_forbids_is_not_taken(sides):
+    a, b = sides
+    a.table.write("MODE", [7])
+    meet(a, b)
+    task = on(b, "pid", "MODE", value=3)
+
+    def taken():
+        packet = packets.unpack(packets.pack(a.mirror.value_packet("MODE")))
+        return b.mirror.take(packet) and b.mirror.has(packet)
+
+    a.table.write("MODE", [8])
+    assert not taken(), "a task owns it"
+    b.mirror.next_packet()
+    task.release()
+    task.close()
+    a.table.write("MODE", [9])
+    assert not taken(), "its claim is on its way"
+    meet(a, b)
+    assert [side.table.read("MODE").tolist() for side in sides] == [[3], [3]]
+    a.table.write("MODE", [10])
+    assert a.mirror.value_packet("MODE") is None
+    meet(a, b)
+    assert [side.table.read("MODE").tolist() for side in sides] == [[10], [10]]
+
+
+def test_a_value_set_right_after_a_claim_that_is_over_is_newer(sides):
+    a, b = sides
+    a.table.write("MODE", [7])
+    meet(a, b)
+    task = on(b, "pid", "MODE", value=3)
+    task.release()
+    task.close()
+    carry(b, a)
+    a.table.write("MODE", [8])  # before anything is sent from here
+    meet(a, b)
+    assert [side.table.read("MODE").tolist() for side in sides] == [[8], [8]]
