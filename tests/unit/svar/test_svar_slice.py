@@ -52,7 +52,8 @@ def test_slices_become_short_and_nothing_else_changes() -> None:
     if not before[2]:
         pytest.skip("this kernel has no slices that can be set (Linux 6.12)")
     assert after == thread == (before[0], before[1], 100_000)
-    assert (before[1], before[2] > 100_000) == (3, True)
+    assert before[1] > 0, "its nice value, which the test's own adds to"
+    assert before[2] > 100_000
 
 
 def test_a_thread_of_another_policy_stays_as_it_is() -> None:
