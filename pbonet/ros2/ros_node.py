@@ -41,7 +41,7 @@ _WAITING: Final = 32
 _LATER: Final = 8
 """Answers of a service that one client may wait for; more are refused."""
 _LATER_OF_ALL: Final = 256
-"""Answers that all clients may wait for; who asks chooses its identity."""
+"""Answers that all clients may wait for; a client chooses its own identity."""
 _SHORT: Final = 4096
 """Bytes of a message that is taken in zenoh's own thread."""
 _CDR: Final = "application/cdr"
