@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import queue
 import threading
 import time
@@ -38,7 +39,9 @@ if TYPE_CHECKING:
 _WAITING: Final = 32
 """Requests to services that wait at most; more are refused."""
 _LATER: Final = 8
-"""Answers that one client may wait for until they are there; more are refused."""
+"""Answers of a service that one client may wait for; more are refused."""
+_LATER_OF_ALL: Final = 256
+"""Answers that all clients may wait for; a client chooses its own identity."""
 _SHORT: Final = 4096
 """Bytes of a message that is taken in zenoh's own thread."""
 _CDR: Final = "application/cdr"
@@ -63,7 +66,7 @@ class Publisher:
 
     def __init__(self, session: zenoh.Session, end: End, qos: Qos) -> None:
         self.end = end
-        self.number = 0
+        self._numbers = itertools.count(1)  # of /rosout, several threads publish
         self._gid = end.gid
         told: dict[str, Any] = {
             "encoding": _CDR,
@@ -86,8 +89,7 @@ class Publisher:
             data: The message in CDR.
             stamp_ns: When its content was made, nanoseconds since 1970.
         """
-        self.number += 1
-        attachment = Attachment(self.number, stamp_ns, self._gid).pack()
+        attachment = Attachment(next(self._numbers), stamp_ns, self._gid).pack()
         self._put(data, attachment=attachment)
 
 
@@ -179,30 +181,35 @@ class Requests(queue.Queue["tuple[Callable[[Any], Any], End, Any] | None"]):
 
 
 class _Later:
-    """How many answers each client waits for, which come later.
-
-    To wait needs no thread, and so no client keeps another from it.
-    """
+    """How many answers of each service each client waits for, which come later."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._waits: Counter[tuple[str, bytes]] = Counter()
+        self._waits: dict[str, Counter[bytes]] = {}
 
-    def has_room(self, service: str, client: bytes) -> bool:
-        """Return whether a client may ask."""
+    def refusal(self, service: str, client: bytes) -> str:
+        """Return why a client may not ask now; empty: it may."""
         with self._lock:
-            return self._waits[service, client] < _LATER
+            waits = self._waits.get(service)
+            if waits is None:
+                return ""
+            if waits[client] >= _LATER:
+                return f"{_LATER} requests of this client wait already"
+            full = waits.total() >= _LATER_OF_ALL
+            return f"{_LATER_OF_ALL} requests wait already; ask later" if full else ""
 
     def add(self, service: str, client: bytes, answer: Future[Any]) -> None:
         """Count an answer until it is there."""
         with self._lock:
-            self._waits[service, client] += 1
+            self._waits.setdefault(service, Counter())[client] += 1
         answer.add_done_callback(lambda _: self._done(service, client))
 
     def _done(self, service: str, client: bytes) -> None:
         with self._lock:
-            self._waits[service, client] -= 1
-            self._waits += Counter()  # without those that wait for none
+            waits = self._waits[service]
+            waits[client] -= 1
+            if not waits[client]:
+                del waits[client]
 
 
 class RosNode:
@@ -412,8 +419,8 @@ class RosNode:
         except ProtocolError as error:
             _refuse(query, str(error))
             return
-        if not self._later.has_room(end.name, asked.gid):
-            _refuse(query, f"{end.name}: {_LATER} requests of this client wait already")
+        if why := self._later.refusal(end.name, asked.gid):
+            _refuse(query, f"{end.name}: {why}")
             return
         try:
             response = answer(request)

@@ -18,7 +18,7 @@ _LOG: Final = "rcl_interfaces/msg/Log"
 _WARN: Final = 30
 """The level, as in the message's definition."""
 _QOS: Final = Qos(depth=10, transient_local=True)
-"""As of any node; a subscriber that comes later gets the last ones."""
+"""A subscriber that comes later gets the last ones, as those of any node."""
 
 
 class Rosout:

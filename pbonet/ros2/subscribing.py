@@ -76,7 +76,7 @@ class Selection:
         ]
         if about.joints:
             _must_name_joints(types, about.type, where)
-        self.form: DTypeLike = ("f8", sum(one.size for one in self._sources))
+        self.form: DTypeLike = ("f8", (sum(one.size for one in self._sources),))
         """The type of a record of the link."""
 
     def read(self, message: Any, to: NDArray[np.float64]) -> None:  # noqa: ANN401

@@ -28,6 +28,7 @@ HASHES = {
     "rcl_interfaces/srv/GetParameters": "bf9803d5c74cf989a5de3e0c",
     "rcl_interfaces/srv/SetParameters": "56eed9a67e169f9cb6c1f987",
     "rcl_interfaces/srv/ListParameters": "3e6062bfbb27bfb8730d4cef",
+    "rcl_interfaces/msg/Log": "e28ce254ca8abc06abf92773",
     "action_msgs/srv/CancelGoal": "573d8b0a534451d7bc2ac8c5",
     "action_msgs/msg/GoalStatusArray": "6c1684b00f177d37438febe6",
     "control_msgs/action/FollowJointTrajectory_SendGoal": "b13789dddc325a7a962825c4",
@@ -42,7 +43,6 @@ NAMED = [
     "geometry_msgs/msg/WrenchStamped",
     "trajectory_msgs/msg/JointTrajectory",
     "tf2_msgs/msg/TFMessage",
-    "rcl_interfaces/msg/Log",
 ]
 NODE = Node(3, "abc", "arm", "/lab")
 END = End(

@@ -13,7 +13,7 @@ from watching import wait_for
 
 from pbonet.config.model import Variable
 from pbonet.errors import AccessError, ProtocolError, UnknownTaskError
-from pbonet.ros2 import ros_node
+from pbonet.ros2 import repeated_warnings, ros_node
 from pbonet.ros2.message_types import COMMAND, MessageTypes
 from pbonet.ros2.publishing import Filling, Outgoing, TablePublisher
 from pbonet.ros2.repeated_warnings import Warnings
@@ -255,7 +255,58 @@ def test_a_client_that_waits_for_many_answers_keeps_no_other_from_asking(
     again = ask("later")
     assert ask("now").get(timeout=60) == ""
     assert again.empty(), "it may ask again"
-    assert not node._later._waits.keys() - {("/later", bytes(16))}
+    assert node._later._waits.keys() == {"/later"}
+    assert node._later._waits["/later"].keys() == {bytes(16)}
+
+
+def test_clients_with_ever_new_identities_cannot_fill_the_memory(
+    node, types, ask
+) -> None:
+    """And what keeps nobody waiting, such as a stop, is answered none the less."""
+    given = [Future() for _ in range(ros_node._LATER_OF_ALL + 1)]
+    later = iter(given)
+    node.serve("/later", COMMAND, lambda _: next(later))
+    node.serve("/now", COMMAND, lambda _: types.new(f"{COMMAND}_Response"))
+    waits = []
+    for k in range(ros_node._LATER_OF_ALL):
+        waits.append(ask("later", gid=k.to_bytes(16, "big")))
+        assert ask("now", gid=k.to_bytes(16, "big")).get(timeout=60) == ""
+    refused = ask("later", gid=b"o" * 16)
+    assert "256 requests wait already" in refused.get(timeout=60)
+    for one in given[:-1]:
+        one.set_result(types.new(f"{COMMAND}_Response"))
+    assert [one.get(timeout=60) for one in waits] == [""] * len(waits)
+    assert not node._later._waits["/later"]
+    last = ask("later", gid=b"o" * 16)
+    given[-1].set_result(types.new(f"{COMMAND}_Response"))
+    assert last.get(timeout=60) == ""
+
+
+def test_warnings_with_ever_new_names_are_bounded(told, monkeypatch) -> None:
+    times = [0.0]
+    monkeypatch.setattr(repeated_warnings.time, "monotonic", lambda: times[-1])
+    warnings, more = Warnings(told.append), []
+    warnings.also(more.append)
+    for k in range(2000):
+        warnings.warn("/follow", f"there is no joint {k}")
+    assert len(told) == len(more) == 50
+    times.append(10.0)
+    warnings.warn("/follow", "there is no joint 0")
+    assert (
+        told[50:]
+        == more[50:]
+        == ["/follow: there is no joint 0 (1950 other warnings were left out)"]
+    )
+
+
+def test_a_warning_is_one_short_line_whatever_a_node_sends(told) -> None:
+    warnings = Warnings(told.append)
+    warnings.warn("/a", "no joint \x1b[2J\n\udcff\0", f" (got {'x' * 10**6})")
+    assert told[0].startswith("/a: no joint ?[2J??? (got xxx")
+    assert len(told[0]) < 1100
+    warnings.warn("/a", "y" * 10**6)
+    assert len(told[1]) < 1100
+    assert max(map(len, warnings._shown)) < 1100, "nor is more kept"
 
 
 class Params:
