@@ -522,3 +522,19 @@ def test_gripper_that_takes_over_does_not_let_go() -> None:
         assert (bench.outputs.f <= before + 1e-9).all()
     assert bench.outputs.f == pytest.approx(np.full(2, -40.0), abs=1e-9)
     assert [one.bits for one in bench.notices()] == [Gripper.HOLDS]
+
+
+def test_gripper_holds_only_what_has_stood_for_settle() -> None:
+    values = {"w": [0.025], "w_des": [0.02], "wd": [0.05], "ngrip": 1}
+    bench = Bench(Gripper, params=GRIP, freq=500, **values)
+    bench.on()
+    bench.step(n=500)
+    assert bench.outputs.grip == 0, "the drive moves"
+    bench.inputs.wd = [0.0]
+    for goal in (0.02, -0.05, -0.06):  # with its whole force at the last two
+        bench.inputs.w_des = [goal]
+        bench.step(n=49)
+        assert bench.outputs.grip == 0
+        bench.step(n=300)
+        assert bench.outputs.grip == 2
+    assert [one.bits for one in bench.notices()] == [Gripper.HOLDS] * 3
