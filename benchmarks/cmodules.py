@@ -229,9 +229,8 @@ def swaps(folder: Path, count: int) -> Releases:
             axes.spawn("joint_pid")
             core = axes.clients.call("arm0", Hello(), AgentInfo).core
             loop = Stalls(folder, core, tasks=("axes",), period=PERIOD)
+            begun = time.monotonic_ns()  # cycles from before are in the rings, too
             rings = [Ring.attach(axes.status(task).ring) for task in PAIR]
-            for ring in rings:
-                ring.drain()  # cycles from before the loop runs
             for number in range(count + 1):
                 axes.wait(0.05)
                 for whose, ring in enumerate(rings):
@@ -242,16 +241,20 @@ def swaps(folder: Path, count: int) -> Releases:
             late = loop.end()[1]
             for ring in rings:
                 ring.close()
-    return judged(sorted(releases), late)
+    return judged(sorted(releases), late, begun)
 
 
-def judged(releases: list[tuple[int, int]], late: list[tuple[int, int]]) -> Releases:
+def judged(
+    releases: list[tuple[int, int]], late: list[tuple[int, int]], begun: int = 0
+) -> Releases:
     """Return which releases had no cycle, and whether the C loop was late then.
 
     Args:
         releases: Of the cycles that ran: instant, and whose.
         late: Of the loop's late wake-ups: when it was due, and when it came.
+        begun: When the loop began to run; releases before do not count.
     """
+    releases = [one for one in releases if one[0] >= begun]
     lost = {True: Losses(), False: Losses()}
     for (begin, one), (end, other) in pairwise(releases):
         missed = max(round((end - begin) / PERIOD) - 1, 0)

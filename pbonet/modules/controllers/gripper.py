@@ -31,9 +31,9 @@ class Gripper(PortBasedObject[Grip], module_class="controller"):
     when it gives way they go on from where they are. GRIP is 1 while all drives are as
     near as NEAR to W_DES. It is 2, something is held, when drives and r have not moved
     faster than STILL for SETTLE seconds; and stays 2 until W_DES is another one, or a
-    drive is further than NEAR from there, which is signalled as LOST. Else it is 0. r
-    begins at W_MEZ when the module is turned on; the force goes on from the F_GRIP that
-    is there, and the distance fades.
+    drive is further than NEAR from there, which is signalled as LOST. Else it is 0.
+    When the module is turned on r begins where the spring has the F_GRIP that is there,
+    so that what another gripper holds is not let go; what is left of it fades.
     """
 
     ARRIVED = UserSignal(0, "the fingers are at W_DES")
@@ -55,7 +55,8 @@ class Gripper(PortBasedObject[Grip], module_class="controller"):
         self._take_force()
 
     def on(self) -> None:
-        self._r[:] = self.w
+        k = self.params
+        self._r[:] = self.w + self.f.clip(-k.force, k.force) / k.kp
         self._state, self._stood = MOVES, 0.0
         self._takeover.begin()
 

@@ -27,6 +27,8 @@ RATES = 6
 """Elements of placo's torques before the joints': those of the base."""
 STANDS = 0.5
 """A foot of CONTACT_DES above it is one that stands."""
+OFTEN = 0.05
+"""Seconds from one comparison of the body's acceleration with a1 to the next."""
 FULL = 1.0 - 1e-6
 """Share of its effort from which the torque of a joint is at its limit."""
 
@@ -71,9 +73,9 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
     A goal pulls by KP times its distance, with no limit but efforts and friction: one
     that jumps makes T_REF jump, so let goals move no faster than the robot can. While
     the body lacks at least SHORT of a1, as when its goal is out of reach, a warning
-    says so, with the joints at their efforts: once, until it lacks less than half of
-    that. A program without a solution, or a value that is not finite, ends in ERROR:
-    T_REF gets old, and the robot interface holds the robot.
+    says so within 0.05 s, with the joints at their efforts: once, until it lacks less
+    than half of that. A program without a solution, or a value that is not finite, ends
+    in ERROR: T_REF gets old, and the robot interface holds the robot.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -108,6 +110,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
 
     def on(self) -> None:
         self._told.clear()
+        self._unseen = OFTEN
         self._takeover.begin()
 
     def cycle(self, dt: float) -> None:
@@ -166,7 +169,10 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
         if not found.success:
             return None
         torque: Vector = found.tau[RATES:]
-        self._watch(found, torque)
+        self._unseen += dt
+        if self._unseen >= OFTEN:  # each time would take 4 us
+            self._unseen = 0.0
+            self._watch(found, torque)
         self._model.joints.add_damping(torque, self.qd)
         return torque
 
@@ -178,7 +184,7 @@ class WholeBodyDyn(PortBasedObject[Gains], module_class="controller"):
             if (
                 np.dot(wanted, wanted) >= 0.25 * short * short
             ):  # else too little to lack
-                missing = max(missing, norm(task.A @ found.qdd - wanted))
+                missing = max(missing, float(norm(task.A @ found.qdd - wanted)))
         if missing < 0.5 * short:
             self._told.clear()
         elif missing >= short and not self._told.of("reach"):

@@ -116,6 +116,8 @@ def test_the_benchmark_tells_the_machine_s_losses_from_those_of_a_swap():
     assert cmodules.judged(releases, late) == (12, (1, 1), (1, 0))
     twice = sorted([*releases, (4 * period, 0)])
     assert cmodules.judged(twice, []) == (13, (1, 0), (2, 0)), "nothing is made good"
+    after = cmodules.judged(releases, [], begun=4 * period)
+    assert after == (8, (1, 0), (1, 0)), "what was before the loop ran does not count"
 
 
 def logged(call, job, runs):

@@ -469,7 +469,7 @@ def test_gripper_is_a_spring_and_a_damper_to_a_reference_of_its_speed(n: int) ->
     values = {"w": opening[0], "w_des": goal, "wd": rate[0], "f": before, "ngrip": n}
     bench = Bench(Gripper, params=GRIP, freq=500, **values)
     bench.on()
-    r, laws = opening[0].copy(), []
+    r, laws = opening[0] + before / 2000.0, []
     for k, (w, wd) in enumerate(zip(opening, rate, strict=True)):
         bench.inputs.w, bench.inputs.wd = w, wd
         bench.step()
@@ -510,3 +510,31 @@ def test_gripper_tells_what_is_lost_and_goes_on_as_fast_as_it_may() -> None:
     assert told[0] == Gripper.LOST
     assert fingers.fastest < 0.6, "it pressed with 40 N"
     assert fingers.w == pytest.approx(np.zeros(2), abs=1e-3)
+
+
+def test_gripper_that_takes_over_does_not_let_go() -> None:
+    before = np.array([-40.0, -30.0])
+    values = {"w": [0.025, 0.025], "w_des": [0.0, 0.0], "f": before, "ngrip": 2}
+    bench = Bench(Gripper, params=GRIP, freq=500, **values)
+    bench.on()
+    for _ in range(150):
+        bench.step()
+        assert (bench.outputs.f <= before + 1e-9).all()
+    assert bench.outputs.f == pytest.approx(np.full(2, -40.0), abs=1e-9)
+    assert [one.bits for one in bench.notices()] == [Gripper.HOLDS]
+
+
+def test_gripper_holds_only_what_has_stood_for_settle() -> None:
+    values = {"w": [0.025], "w_des": [0.02], "wd": [0.05], "ngrip": 1}
+    bench = Bench(Gripper, params=GRIP, freq=500, **values)
+    bench.on()
+    bench.step(n=500)
+    assert bench.outputs.grip == 0, "the drive moves"
+    bench.inputs.wd = [0.0]
+    for goal in (0.02, -0.05, -0.06):  # with its whole force at the last two
+        bench.inputs.w_des = [goal]
+        bench.step(n=49)
+        assert bench.outputs.grip == 0
+        bench.step(n=300)
+        assert bench.outputs.grip == 2
+    assert [one.bits for one in bench.notices()] == [Gripper.HOLDS] * 3

@@ -106,6 +106,20 @@ def test_a_moving_arm_slows_down_and_stays_where_it_stops() -> None:
     assert np.abs(bench.outputs.qd).max() < 1e-3
 
 
+def test_an_arm_stops_from_where_torques_have_taken_it_each_time() -> None:
+    bench = panda(t_ref=[2.0, -20.0, 0.0, 20.0, 0.0, 2.0, 0.0])
+    bench.on()
+    for _ in range(2):
+        bench.illegal = False
+        bench.step(n=50)
+        q, qd = bench.outputs.q.copy(), bench.outputs.qd.copy()
+        assert np.abs(q - HOME).max() > 0.02
+        bench.illegal = True
+        bench.step(n=700)
+        assert np.abs(bench.outputs.qd).max() < 1e-2
+        assert np.abs(bench.outputs.q - q - qd * np.abs(qd) / 8.0).max() < 0.02
+
+
 def test_off_is_with_brakes_and_a_handover_is_not() -> None:
     bench = panda(qd=[0.5] * 7)
     bench.on()

@@ -293,6 +293,7 @@ def test_a_singular_arm_is_told_once_until_it_can_follow_again() -> None:
     """As when it is stretched towards a goal out of reach."""
     singular, free = (np.array([0.0, 0.785, -3.14, 0.0, b, 0.0]) for b in (0.0, 0.6))
     bench = damped(singular, np.zeros(6))
+    stretched = bench.inputs.x_des.copy(), bench.inputs.jacobian.copy()
     u, s, _ = np.linalg.svd(scale(0.2)[:, None] * bench.inputs.jacobian)
     bench.inputs.v_des = 0.1 * u[:, -1] / scale(0.2)
     bench.step(n=3)
@@ -311,6 +312,10 @@ def test_a_singular_arm_is_told_once_until_it_can_follow_again() -> None:
     bench.inputs.x = bench.inputs.x_des
     bench.step(n=3)
     assert not bench.notices()
+    bench.inputs.x_des, bench.inputs.jacobian = stretched
+    bench.inputs.x = bench.inputs.x_des
+    bench.step(n=3)
+    assert len(bench.notices()) == 1, "and could follow meanwhile"
 
 
 def test_the_hand_is_asked_for_no_more_than_its_limits() -> None:
