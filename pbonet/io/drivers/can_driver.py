@@ -7,6 +7,7 @@ interface; when there is no more room, SocketCAN drops the newest.
 from __future__ import annotations
 
 import errno
+import fcntl
 import math
 import os
 import select
@@ -119,6 +120,7 @@ class CanBus:
             more["rx_queue_size"] = _ROOM
         if self._line:
             more["sleep_after_open"] = k.settle
+        self._lock = self._locked(device.entry.address) if self._line else -1
         try:
             self._bus: Any = self._can.Bus(
                 channel=device.entry.address,
@@ -127,6 +129,7 @@ class CanBus:
                 **more,
             )
         except (self._can.CanError, *_REFUSALS) as error:
+            self._unlock()
             raise self._unusable(str(error)) from None
         # Without a number, these two have no room.
         known = k.interface in {"socketcan", "virtual"}
@@ -141,6 +144,7 @@ class CanBus:
         """Close the channel."""
         with suppress(self._can.CanError, OSError):
             self._bus.shutdown()
+        self._unlock()
 
     def receive(self, seconds: float | None) -> Any:  # noqa: ANN401 - of python-can
         """Return the next message that passes; None: none has come in that time.
@@ -224,6 +228,31 @@ class CanBus:
             and one.is_extended_id == f["extended"]
             for f in self._filters
         )
+
+    def _locked(self, address: str) -> int:
+        """Return a descriptor that keeps others from a serial line, or -1.
+
+        Two that read from one would each have some of its bytes.
+
+        Raises:
+            DeviceError: Another one has it.
+        """
+        path, _, _ = address.partition("@")
+        try:
+            fd = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # opening it says why
+            return -1
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(fd)
+            raise self._unusable("an adapter that is open already") from None
+        return fd
+
+    def _unlock(self) -> None:
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
 
     def _garbled(self) -> DeviceError:
         return DeviceError(

@@ -26,6 +26,7 @@ def adapter(tmp_path, monkeypatch):
     made = {"interface": "slcan"}
     entries = {
         "can": Entry(driver="can", address=one.path, settings=made),
+        "twice": Entry(driver="can", address=f"{one.path}@9600", settings=made),
         "slow": Entry(driver="can", address=one.path, settings={**made, "settle": 2.5}),
         "other": Entry(driver="can", address="can0", settings={"settle": 1.0}),
     }
@@ -34,9 +35,9 @@ def adapter(tmp_path, monkeypatch):
     one.shutdown()
 
 
-def opened(name="can", mode=Mode.RW):
+def opened(name="can", port=0, mode=Mode.RW):
     safe = {"safe": None} if Mode.WRITE in mode else {}
-    return open_device(name, mode=mode, wait=Wait.NONE, **safe)
+    return open_device(name, port, mode=mode, wait=Wait.NONE, **safe)
 
 
 def test_frames_go_both_ways(adapter):
@@ -70,6 +71,19 @@ def test_what_it_acknowledges_hides_no_frame(adapter):
         found = []
         wait_for(lambda: found.extend(bus.read(9)) or found, "a frame")
         assert [one.data for one in found] == [b"\xab\xcd"] * 3
+
+
+def test_it_has_one_user_who_is_not_disturbed_by_another(adapter):
+    with opened() as bus:
+        adapter.recv(0)
+        for name, port in (("can", 1), ("twice", 2)):
+            with pytest.raises(DeviceError, match="an adapter that is open already"):
+                opened(name, port)
+        assert not adapter.recv(0)
+        assert adapter._is_open
+        os.write(adapter.fd, WHOLE)
+        assert wait_for(lambda: bus.read(9), "a frame")
+    opened("twice", 2).close()
 
 
 @pytest.mark.parametrize(
