@@ -150,6 +150,8 @@ class Drive:
         if kind == MEASURED and len(data) >= _SHOWN.size:
             self._status, self.position = _SHOWN.unpack_from(data)
             self.measured_ns = now
+            # Only an operational node sends them; its next heartbeat may be far.
+            self._operational |= self._phase is _Phase.START
         elif kind == MORE and len(data) >= _MORE.size:
             self.speed, self.torque, self._shown_mode = _MORE.unpack_from(data)
         elif kind == canopen.HEARTBEAT and data:

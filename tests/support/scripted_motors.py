@@ -18,8 +18,7 @@ from typing import ClassVar, NamedTuple
 import can
 
 from pbonet.errors import DeviceError
-from pbonet.io.drivers import CanBus, PortDevice, Wait
-from pbonet.io.drivers.can_driver import CanDevice
+from pbonet.io.drivers import PortDevice, Wait
 
 SIZES = 1, 1, 4, 2, 4, 4
 """Bytes of the registers 98, 64, 116, 126, 128 and 132."""
@@ -229,16 +228,6 @@ class ScriptedDrive:
     def fail(self, code):
         self.go("fault")
         self.send(0x80 + self.node, struct.pack("<HB5x", code, 1))
-
-
-class Slcan(CanDevice):
-    """A bus behind an adapter on a serial line, which is ready as soon as it is open.
-
-    python-can waits for 2 s after opening one, for those that start again by that.
-    """
-
-    def connect(self):
-        self._bus, self._held = CanBus(self, [], sleep_after_open=0.0), []
 
 
 class Adapter:

@@ -7,8 +7,10 @@ interface; when there is no more room, SocketCAN drops the newest.
 from __future__ import annotations
 
 import errno
+import fcntl
 import math
 import os
+import select
 import socket
 import time
 from contextlib import suppress
@@ -39,8 +41,12 @@ _ROOM: Final = 1024
 """Frames that the virtual bus keeps for one end."""
 _REFUSALS: Final = (OSError, ValueError, TypeError, ImportError, NotImplementedError)
 """Errors of interfaces for settings that they do not have, beside their own ones."""
+_NO_FRAME: Final = (ValueError, LookupError)
+"""Errors of python-can at a line that is damaged, some as the cause of its own."""
 _AGAIN: Final = 0.001
 """Seconds after which a full interface is tried again."""
+_NONE: Final = ({"can_id": 0x20000000, "can_mask": 0},)
+"""Filters of the kernel that no frame passes: the inverse of one that all pass."""
 
 
 class BusSettings(Settings, frozen=True, forbid_unknown_fields=True):
@@ -50,13 +56,17 @@ class BusSettings(Settings, frozen=True, forbid_unknown_fields=True):
     """Interface of python-can."""
     bitrate: int = 0
     """Bits a second; 0: as the interface is set. The system sets SocketCAN's."""
+    settle: A[float, Meta(ge=0.0)] = 0.0
+    """Seconds that an adapter on a serial line (slcan) needs after it was opened."""
 
     def __post_init__(self) -> None:
-        """Refuse a bit rate that nothing would set.
+        """Refuse what would do nothing.
 
         Raises:
-            ValueError: There is one, of SocketCAN.
+            ValueError: A bit rate of SocketCAN, or a time for another than slcan.
         """
+        if self.settle and self.interface != "slcan":
+            raise ValueError("only the interface slcan takes settle")
         if self.bitrate and self.interface == "socketcan":
             raise ValueError(
                 "socketcan takes no bitrate: `ip link set can0 type can bitrate N`"
@@ -79,6 +89,7 @@ class CanBus:
     Args:
         device: The device that is on it.
         filters: Identity and mask of what is received; none: all frames.
+        reads: Whether frames are received; else `send` drops those that have come.
         more: What else the interface is asked for.
 
     Raises:
@@ -86,7 +97,12 @@ class CanBus:
     """
 
     def __init__(
-        self, device: Device, filters: Sequence[dict[str, Any]], **more: object
+        self,
+        device: Device,
+        filters: Sequence[dict[str, Any]],
+        *,
+        reads: bool = True,
+        **more: object,
     ) -> None:
         with from_extra("can", f"the device {device.name}"):
             self._can: Any = import_module("can")
@@ -95,12 +111,16 @@ class CanBus:
         in_kernel = k.interface == "socketcan"
         # recv() of python-can stops at each frame that its own filters refuse.
         self._filters: Sequence[dict[str, Any]] = () if in_kernel else filters
+        self._drops, self._line = not reads, k.interface == "slcan"
         if k.bitrate:
             more["bitrate"] = k.bitrate
-        if in_kernel and filters:
-            more["can_filters"] = filters
+        if in_kernel and (filters or not reads):
+            more["can_filters"] = filters or _NONE
         if k.interface == "virtual":
             more["rx_queue_size"] = _ROOM
+        if self._line:
+            more["sleep_after_open"] = k.settle
+        self._lock = self._locked(device.entry.address) if self._line else -1
         try:
             self._bus: Any = self._can.Bus(
                 channel=device.entry.address,
@@ -109,6 +129,7 @@ class CanBus:
                 **more,
             )
         except (self._can.CanError, *_REFUSALS) as error:
+            self._unlock()
             raise self._unusable(str(error)) from None
         # Without a number, these two have no room.
         known = k.interface in {"socketcan", "virtual"}
@@ -123,6 +144,7 @@ class CanBus:
         """Close the channel."""
         with suppress(self._can.CanError, OSError):
             self._bus.shutdown()
+        self._unlock()
 
     def receive(self, seconds: float | None) -> Any:  # noqa: ANN401 - of python-can
         """Return the next message that passes; None: none has come in that time.
@@ -131,11 +153,13 @@ class CanBus:
             seconds: None: it waits for one.
 
         Raises:
+            DeviceError: What an adapter on a serial line sends is no frame.
             OSError: The device is gone.
         """
+        ends = None if seconds is None else time.monotonic() + seconds
         while True:
             try:
-                one = self._bus.recv(seconds)
+                one = self._next(seconds)
             except self._can.CanError as error:
                 raise _lost(error) from None
             if one is None:
@@ -144,6 +168,30 @@ class CanBus:
                 _check_bus(one)
             elif self._passes(one):
                 return one
+            seconds = _left(ends)
+
+    def _next(self, seconds: float | None) -> Any:  # noqa: ANN401 - of python-can
+        """Return the next message, or None.
+
+        On a serial line python-can's own recv() waits for 1 ms at least, stops at each
+        line that is no frame, as an acknowledgement, and takes part of a frame for it.
+        """
+        if not self._line:
+            return self._bus.recv(seconds)
+        ends = None if seconds is None else time.monotonic() + seconds
+        while select.select([self._bus], [], [], _left(ends))[0]:
+            try:
+                one = self._bus.recv(0)
+            except (*_NO_FRAME, self._can.CanError) as error:
+                if not isinstance(error.__cause__ or error, _NO_FRAME):
+                    raise
+                self._bus.flush()  # else it would keep bytes that are no text
+                raise self._garbled() from None
+            if one is not None:
+                if not _is_whole(one):
+                    raise self._garbled()
+                return one
+        return None
 
     def send(self, identity: int, data: bytes, **more: object) -> bool:
         """Hand a frame over; return False if there is no room for it now.
@@ -151,6 +199,10 @@ class CanBus:
         Raises:
             OSError: The device is gone.
         """
+        if self._drops:
+            self._drop()
+        if self._line and not select.select([], [self._bus], [], 0)[1]:
+            return False
         message = self._can.Message(arbitration_id=identity, data=data, **more)
         try:
             self._bus.send(message, timeout=0)
@@ -162,12 +214,52 @@ class CanBus:
             raise _lost(error) from None
         return True
 
+    def _drop(self) -> None:
+        """Drop what has come: who does not read it learns only that the bus is gone."""
+        while True:
+            with suppress(DeviceError):
+                if self.receive(0) is None:
+                    return
+
     def _passes(self, one: Any) -> bool:  # noqa: ANN401 - a message of python-can
         """Return whether a filter lets a message pass; the kernel's were before."""
         return not self._filters or any(
             not (one.arbitration_id ^ f["can_id"]) & f["can_mask"]
             and one.is_extended_id == f["extended"]
             for f in self._filters
+        )
+
+    def _locked(self, address: str) -> int:
+        """Return a descriptor that keeps others from a serial line, or -1.
+
+        Two that read from one would each have some of its bytes.
+
+        Raises:
+            DeviceError: Another one has it.
+        """
+        path, _, _ = address.partition("@")
+        try:
+            fd = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # opening it says why
+            return -1
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(fd)
+            raise self._unusable("an adapter that is open already") from None
+        return fd
+
+    def _unlock(self) -> None:
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def _garbled(self) -> DeviceError:
+        return DeviceError(
+            "what the CAN adapter sends is no frame",
+            where=self._where,
+            expected="lines of the slcan protocol",
+            remedy="check its cable; append @BAUD to the address; open it once only",
         )
 
     def _unusable(self, got: str) -> DeviceError:
@@ -190,7 +282,9 @@ class CanDevice(FrameDevice[Frame]):
         """Open the channel; see `Device.connect`."""
         k = self.settings
         filters = [_filter(one) for one in k.filters]
-        self._bus = CanBus(self, filters, **({"fd": True} if k.fd else {}))
+        reads = Mode.READ in self.opening.mode
+        more = {"fd": True} if k.fd else {}
+        self._bus = CanBus(self, filters, reads=reads, **more)
         self._held: list[tuple[Any, ...]] = []
 
     def disconnect(self) -> None:
@@ -301,6 +395,18 @@ def _plain(one: Any) -> tuple[Any, ...]:  # noqa: ANN401 - a message of python-c
         one.is_remote_frame,
         round(one.timestamp * 1e9),
     )
+
+
+def _left(ends: float | None) -> float | None:
+    """Return the seconds until then."""
+    return None if ends is None else max(0.0, ends - time.monotonic())
+
+
+def _is_whole(one: Any) -> bool:  # noqa: ANN401 - a message of python-can
+    """Return whether a message has an identity and data that there can be."""
+    size = 0 if one.is_remote_frame else one.dlc
+    largest = _LARGEST_ID[one.is_extended_id]
+    return 0 <= one.arbitration_id <= largest and len(one.data) == size
 
 
 def _check_bus(one: Any) -> None:  # noqa: ANN401 - a message of python-can

@@ -10,10 +10,8 @@ import os
 import signal
 import socket
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
-import scripted_motors
 from device_rigs import Servos
 from log_of_real_tasks import finish, record
 from modbus_rig import serving
@@ -265,7 +263,7 @@ class Actuators:
         self.devices = dict(bus.devices)
         for (tag, reads), drive in zip(AXES.items(), drives, strict=True):
             self.devices[tag] = Entry(
-                driver="scripted_motors:Slcan",
+                driver="can",
                 address=drive.bus.path,
                 settings={"interface": "slcan"},
             )
@@ -381,10 +379,8 @@ class Actuators:
 
 
 @pytest.fixture
-def actuators(bus, nodes, monkeypatch):
-    """All of them, on agent processes that know the test's own driver."""
-    support = str(Path(scripted_motors.__file__).parent)
-    monkeypatch.setenv("PYTHONPATH", support)
+def actuators(bus, nodes):
+    """All of them."""
     nodes.write_module("references", REFERENCES)
     drives, servos = Served(5, 5, 5), Servos(1)
     servos.memory[1][132:136] = (2048).to_bytes(4, "little")

@@ -161,6 +161,7 @@ def can():
         open_device("can", 0, mode=Mode.RW, safe=None) as a,
         open_device("can", 1, mode=Mode.RW, safe=None, wait=Wait.NONE) as b,
         open_device("drive", mode=Mode.READ, wait=Wait.NONE) as drive,
+        open_device("can", 2, mode=Mode.WRITE, safe=None) as deaf,
     ):
         nothing = b.read(9)
         taken = a.write(sent)
@@ -169,8 +170,10 @@ def can():
         answer = a.read(9)
         flood = sum(a.write([Frame(1, b"12345678")]) for _ in range(2000))
         kept = len(b.read(3000))
+        unheard = deaf._bus.receive(0) is None and deaf.write([Frame(1)]) == 1
         link("set", "vcan0", "down")
         lost = [refused(b.read, 1), refused(a.write, [Frame(1)]), refused(b.read, 1)]
+        lost.append(refused(deaf.write, [Frame(1)]))
     link("set", "vcan0", "up")
     with open_device("can", 1, mode=Mode.RW, safe=None, wait=Wait.NONE) as b:
         again = b.write([Frame(1)])
@@ -188,6 +191,7 @@ def can():
         "filtered": [one.id for one in filtered],
         "answer": [one.id for one in answer],
         "flood": [flood, kept],
+        "unheard": unheard,
         "lost": lost,
         "again": again,
         "deleted": deleted,

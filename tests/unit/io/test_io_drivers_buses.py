@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import random
 import sys
 import threading
 import time
@@ -185,6 +186,32 @@ def test_a_controller_that_leaves_the_bus_is_lost(raw):
         with pytest.raises(DeviceError, match="the device is not open"):
             a.read(9)
     opened().close()  # its port is free
+
+
+def test_who_only_writes_holds_no_one_up_and_learns_that_the_bus_is_gone(raw):
+    """An end of the virtual bus that is full refuses its senders."""
+    with open_device("can", mode=Mode.WRITE, safe=None, wait=Wait.NONE) as a:
+        for k in range(3000):
+            if k % 1000 == 0:
+                assert a.write([Frame(1)]) == 1
+            raw.send(can.Message(arbitration_id=5), timeout=0)
+        raw.send(can.Message(arbitration_id=0x40, is_error_frame=True), timeout=0)
+        with pytest.raises(DeviceError, match=r"the device is gone.*bus-off"):
+            a.write([Frame(1)])
+
+
+def test_garbage_comes_as_it_was_sent(raw):
+    """A hundred thousand bytes."""
+    chance = random.Random(1)
+    with opened() as a:
+        for _ in range(125):
+            sent = [
+                Frame(chance.randrange(1 << 29), chance.randbytes(8), extended=True)
+                for _ in range(100)
+            ]
+            for one in sent:
+                raw.send(can.Message(arbitration_id=one.id, data=one.data))
+            assert plain(a.read(101)) == sent
 
 
 def test_directions_of_a_bus_are_kept():

@@ -100,7 +100,7 @@ def test_garbage_ends_in_values_or_an_error(rig):
     assert rig.lost in errors[0]
 
 
-@pytest.mark.parametrize("rig", ["canopen"], indirect=True)
+@pytest.mark.parametrize("rig", ["canopen", "canopen_pdo"], indirect=True)
 def test_garbage_on_the_bus_ends_in_values_or_an_error(rig):
     """A hundred thousand bytes, many of them in frames that look like the node's."""
     chance, identities = random.Random(1), (0x585, 0x185, 0x7FF)

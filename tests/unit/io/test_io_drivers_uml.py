@@ -65,6 +65,7 @@ def test_frames_that_are_not_read_do_not_pile_up(results):
     sent, kept = results["can"]["flood"]
     assert sent == 2000
     assert 0 < kept < 2000
+    assert results["can"]["unheard"], "an opening that only writes gets none"
 
 
 def test_a_can_bus_that_goes_down_is_lost_and_opened_again(results):
@@ -72,6 +73,7 @@ def test_a_can_bus_that_goes_down_is_lost_and_opened_again(results):
     assert "can (vcan0): the device is gone (got Network is down)" in can["lost"][0]
     assert "the device is gone (got Network is down)" in can["lost"][1]
     assert "the device is not open" in can["lost"][2]
+    assert "the device is gone (got Network is down)" in can["lost"][3]
     assert can["again"] == 1
     assert "the device is gone (got No such device)" in can["deleted"]
 

@@ -4,6 +4,7 @@ kernel's own."""
 from __future__ import annotations
 
 import errno
+import random
 import socket
 import struct
 
@@ -48,6 +49,20 @@ def test_groups_have_source_destination_and_stamp(rig):
         ]  # fmt: skip
         one.room = 3
         assert bus.write([Group(0xFEF1, b"ab")] * 2) == 1
+
+
+def test_garbage_comes_as_it_was_sent(rig):
+    """A hundred thousand bytes, and more beside them than the kernel says today."""
+    chance, left = random.Random(1), 100_000
+    with opened(rig) as bus:
+        while left > 0:
+            data = chance.randbytes(chance.randrange(1786))
+            pgn, source = chance.randrange(1 << 18), chance.randrange(4, 256)
+            level, kind = chance.choice(((107, 9), (socket.SOL_SOCKET, 4)))
+            beside = level, kind, chance.randbytes(4)
+            rig.sockets[0].put(data, beside, pgn=pgn, source=source)
+            assert bus.read(9) == [Group(pgn, data, 0xFF, source)]
+            left -= len(data)
 
 
 @pytest.mark.parametrize(

@@ -140,6 +140,12 @@ def test_drives_are_set_up_enabled_step_by_step_and_go_at_a_speed(rig):
     assert it.task.output_age <= 0.01
 
 
+def test_heartbeats_that_are_far_apart_hold_no_drive_up(rig):
+    it = rig(CanSpeed, beat=10.0)
+    it.start(qd_ref=[0.0, 0.0])
+    assert it.drives[0].objects[0x1017, 0] == 2500, "ms, longer than it is waited for"
+
+
 def test_a_position_begins_where_the_drives_are_and_moves_at_its_speed(rig):
     it = rig(CanPosition, speed=(0.5,), gear=(1.0,), follow=50.0)
     it.start(q_ref=[100.0, math.pi])

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated as A, Any, ClassVar, Final
 from msgspec import Meta
 
 from pbonet.errors import DeviceError
-from pbonet.io.drivers import CanBus, Mode, Settings, Wait
+from pbonet.io.drivers import Mode, Settings, Wait
 
 from .sdo_driver import NMT, CanopenDevice, CanopenSettings, Sdo
 
@@ -87,13 +87,6 @@ class PdoDevice(CanopenDevice):
         self._must_have_pdos()
         super().connect()
         try:
-            self._frames = CanBus(
-                self,
-                [
-                    {"can_id": one, "can_mask": 0x7FF, "extended": False}
-                    for one in self._identities
-                ],
-            )
             self._data: dict[int, bytes] = {}
             """Bytes that came since the last read, by identity."""
             if o.mode is not Mode.NONE:
@@ -102,12 +95,6 @@ class PdoDevice(CanopenDevice):
         except BaseException:
             self.disconnect()
             raise
-
-    def disconnect(self) -> None:
-        """Close the channels; the node goes on with what it has."""
-        super().disconnect()
-        if hasattr(self, "_frames"):
-            self._frames.close()
 
     def read_ports(self) -> Sequence[int] | None:
         """Return the opened objects' values; None: not all have come again."""
@@ -137,7 +124,7 @@ class PdoDevice(CanopenDevice):
     def _send(self, identity: int, data: bytes) -> None:
         waits = self.opening.wait is not Wait.NONE
         ends = monotonic() + (self.patience or self.settings.timeout)
-        while not self._frames.send(identity, data, is_extended_id=False):
+        while not self._node.bus.send(identity, data, is_extended_id=False):
             if not waits:
                 return
             if monotonic() > ends:
@@ -146,7 +133,7 @@ class PdoDevice(CanopenDevice):
 
     def _take(self) -> None:
         for _ in range(_AT_ONCE):
-            one = self._frames.receive(0)
+            one = self._node.bus.receive(0)
             if one is None:
                 return
             self._note(one)
@@ -156,13 +143,15 @@ class PdoDevice(CanopenDevice):
         self._data.clear()  # which came before it was asked for
         ends = monotonic() + self.settings.timeout
         while len(self._data) < len(self._maps):
-            one = self._frames.receive(max(0.0, ends - monotonic()))
+            one = self._node.bus.receive(max(0.0, ends - monotonic()))
             if one is None:
                 raise self._silent()
             self._note(one)
 
     def _note(self, one: Any) -> None:  # noqa: ANN401 - a message of python-can
         identity, data = int(one.arbitration_id), bytes(one.data)
+        if identity not in self._identities:
+            return  # it answers a request that is over
         objects = self._maps[self._identities.index(identity)]
         size = sum(obj.size for obj in objects)
         if len(data) != size:

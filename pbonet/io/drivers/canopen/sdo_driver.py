@@ -115,13 +115,19 @@ class CanopenLine(Line[Sdo]):
     Args:
         device: The device of the node.
         where: For errors.
+        more: Identities of frames that are received beside its answers.
     """
 
-    def __init__(self, device: Device, where: str) -> None:
+    def __init__(self, device: Device, where: str, more: Sequence[int]) -> None:
         super().__init__(device.settings.timeout, where)
         self._node = device.settings.unit
-        own = {"can_id": _ANSWERS + self._node, "can_mask": 0x7FF, "extended": False}
-        self._bus = CanBus(device, [own])
+        self._answers = _ANSWERS + self._node
+        filters = [
+            {"can_id": one, "can_mask": 0x7FF, "extended": False}
+            for one in (self._answers, *more)
+        ]
+        reads = Mode.READ in device.opening.mode
+        self.bus = CanBus(device, filters, reads=reads)
 
     def begin(self, request: Sdo) -> None:
         """Hand a request over; what has come before is no answer to it."""
@@ -135,36 +141,40 @@ class CanopenLine(Line[Sdo]):
 
     def close(self) -> None:
         """Close the channel."""
-        self._bus.close()
+        self.bus.close()
 
     def give(self, data: bytes) -> int:
         """Hand a frame over; return how many of its bytes were taken: all, or none."""
-        return (
-            len(data) if self._bus.send(_REQUESTS + self._node, data, **_PLAIN) else 0
-        )
+        return len(data) if self.bus.send(_REQUESTS + self._node, data, **_PLAIN) else 0
 
     def taken(self) -> bytes:
         """Return the frames that have come."""
         found = bytearray()
         for _ in range(_AT_ONCE):
-            one = self._bus.receive(0)
+            one = self.bus.receive(0)
             if one is None:
                 break
-            found += bytes(one.data).ljust(_FRAME, b"\0")
+            found += self._answer_in(one)
         return bytes(found)
+
+    def _answer_in(self, one: Any) -> bytes:  # noqa: ANN401 - a message of python-can
+        """Return a frame's data, if it is an answer."""
+        if one.arbitration_id != self._answers:
+            return b""
+        return bytes(one.data).ljust(_FRAME, b"\0")
 
     def wait(self) -> None:
         """Wait for a frame, at most until the answer is late."""
         if self._out:
             time.sleep(_AGAIN)
             return
-        one = self._bus.receive(max(0.0, self.ends - monotonic()))
+        one = self.bus.receive(max(0.0, self.ends - monotonic()))
         if one is not None:
-            self._in.extend(bytes(one.data).ljust(_FRAME, b"\0"))
+            self._in.extend(self._answer_in(one))
 
     def command(self, number: int) -> bool:
         """Send a command for the node's state; return False if there is no room."""
-        return self._bus.send(0, bytes((number, self._node)), **_PLAIN)
+        return self.bus.send(0, bytes((number, self._node)), **_PLAIN)
 
     def framed(self, request: Sdo) -> bytes:
         """Return a request as a frame."""
@@ -189,6 +199,8 @@ class CanopenDevice(RequestDevice[Sdo]):
     kind: ClassVar[Kind] = "RCB"
     settings_type: ClassVar[type[Settings]] = CanopenSettings
     packages: ClassVar[tuple[str, ...]] = ("can",)
+    _identities: Sequence[int] = ()
+    """Of frames that are read beside answers."""
 
     def __init__(self, entry: Entry, opening: Opening, outside: Outside) -> None:
         super().__init__(entry, opening, outside)
@@ -210,7 +222,7 @@ class CanopenDevice(RequestDevice[Sdo]):
 
     def make_line(self) -> CanopenLine:
         """Return the way to the node."""
-        self._node = CanopenLine(self, self._where)
+        self._node = CanopenLine(self, self._where, self._identities)
         return self._node
 
     def status(self, command: str, port: int = 0) -> Any:  # noqa: ANN401
