@@ -386,14 +386,15 @@ def test_a_death_is_marked_before_it_is_judged_who_counts_on_the_task(rtpu):
     process = SimpleNamespace(
         core=SimpleNamespace(died=died, snapshot=core.snapshot, free=core.free),
         signals=SimpleNamespace(end=nothing),
-        vigil=SimpleNamespace(forget=nothing),
         fallbacks=SimpleNamespace(update=nothing),
         warnings=SimpleNamespace(end=nothing),
         tasks={},
         told={},
         spawned={},
         _died=lambda _task, _code, seen: judged.append((seen.dead, seen.called)),
-        **dict.fromkeys(("status_of", "rank", "save", "_reap", "now_ns"), nothing),
+        **dict.fromkeys(
+            ("status_of", "rank", "save", "_reap", "now_ns", "unwatch_life"), nothing
+        ),
     )
     task = SimpleNamespace(name="heir", facts=facts, stopping=False)
     Process.ended(process, task, -9)

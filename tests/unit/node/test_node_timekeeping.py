@@ -45,6 +45,7 @@ def test_a_cycle_that_does_not_end_is_told_with_its_time(
         in_sync=False,
         failures=(4, 0, 0),
         held_off=0,
+        safe=0,
         cycles=12,
         on_cycles=10,
         cpu_now_ns=now_ms * MS,
