@@ -241,7 +241,13 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         devices=rtpu.config.devices,
         spps=rtpu.config.spps,
     )
-    child = await rtpu.spawner.fork("task", request.task, spec)
+    rtpu.rings.add(ring)  # first: its process may make it before we are told of it
+    rtpu.save()
+    try:
+        child = await rtpu.spawner.fork("task", request.task, spec)
+    except PbonetError:
+        rtpu.rings.discard(ring)
+        raise
     facts = Facts(
         subsystem=request.subsystem,
         name=request.task,

@@ -11,6 +11,7 @@ from nodekit import rmod
 
 from pbonet.errors import StateError
 from pbonet.node.rtpu import create_task
+from pbonet.node.wire.rtpu_messages import RtpuConfig
 from pbonet.xm.net import Spawn
 
 
@@ -28,3 +29,23 @@ def test_a_task_that_was_forked_during_a_stop_does_not_stay(monkeypatch) -> None
         asyncio.run(create_task.spawn(rtpu, spawn))
     task.end.assert_awaited_once_with(0.0)
     task.wait_for.assert_not_called()
+
+
+def test_the_ring_of_a_task_is_on_record_before_its_process_is_there() -> None:
+    """Its RTPU process may be killed, or end, before it learns of the task."""
+    rtpu = Mock(tasks={}, times_stopped=Counter(), rings=set())
+    rtpu.name = "arm0"
+    rtpu.config = RtpuConfig(name="arm0", domain="d", core=0)
+    rtpu.claims.get.return_value = None
+    saved = []
+    rtpu.save.side_effect = lambda: saved.append(set(rtpu.rings))
+
+    async def fork(*_):
+        assert saved == [{"d.arm.a"}]
+        raise asyncio.CancelledError
+
+    rtpu.spawner.fork = fork
+    spawn = Spawn(subsystem="arm", task="a", rmod=rmod("counts"), rmod_name="a")
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(create_task.spawn(rtpu, spawn))
+    assert rtpu.rings == {"d.arm.a"}, "the end of the process removes it"
