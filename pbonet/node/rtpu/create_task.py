@@ -241,7 +241,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         devices=rtpu.config.devices,
         spps=rtpu.config.spps,
     )
-    rtpu.rings.add(ring)  # first: its process may make it before we are told of it
+    rtpu.rings.add(ring)  # first: the task may make it before the fork is answered
     rtpu.save()
     try:
         child = await rtpu.spawner.fork("task", request.task, spec)
