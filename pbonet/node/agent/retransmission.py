@@ -58,14 +58,12 @@ _OPEN = 0
 class Connection:
     """One TCP connection of this process.
 
-    Its socket object is kept: to make one for each look takes as long as the rest.
-
     Args:
-        fd: Its file descriptor, which zenoh closes.
+        fd: Its file descriptor.
     """
 
     def __init__(self, fd: int) -> None:
-        self._socket = _socket_of(fd)
+        self._fd = fd
         self._whole = time.monotonic()
         """When nothing was being sent again."""
         self._ever: int = 0
@@ -73,14 +71,9 @@ class Connection:
         self._limited = False
         self.is_busy = False
         """Whether it sends something again, or could not send."""
-        with contextlib.suppress(OSError):
-            one = self._socket
+        with contextlib.suppress(OSError), _opened(fd) as one:
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
             one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
-
-    def __del__(self) -> None:
-        """Leave the file descriptor open."""
-        self._socket.detach()
 
     def tend(self, now: float) -> bool:
         """Set the limit, or end it; return whether this is still a connection.
@@ -89,13 +82,13 @@ class Connection:
             now: `time.monotonic()`.
         """
         try:
-            self._limit(now)
+            with _opened(self._fd) as one:
+                self._limit(one, now)
         except OSError:
             return False
         return True
 
-    def _limit(self, now: float) -> None:
-        one = self._socket
+    def _limit(self, one: socket.socket, now: float) -> None:
         data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
         (state, congestion, again, probes, pause_us, sent, ago_ms, silent_ms, ever) = (
             _INFO.unpack(data)
@@ -157,15 +150,11 @@ def _opened(fd: int) -> Generator[socket.socket]:
     Raises:
         OSError: It is none.
     """
-    one = _socket_of(fd)
+    one = socket.socket(socket.AF_INET, socket.SOCK_STREAM, 0, fileno=fd)
     try:
         yield one
     finally:
         one.detach()
-
-
-def _socket_of(fd: int) -> socket.socket:
-    return socket.socket(socket.AF_INET, socket.SOCK_STREAM, 0, fileno=fd)
 
 
 def _set_limit(one: socket.socket, milliseconds: int) -> None:
