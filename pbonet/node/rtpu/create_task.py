@@ -247,6 +247,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         child = await rtpu.spawner.fork("task", request.task, spec)
     except PbonetError:
         rtpu.rings.discard(ring)
+        rtpu.save()  # another RTPU may have a task of that name next
         raise
     facts = Facts(
         subsystem=request.subsystem,
