@@ -73,7 +73,7 @@ class Cycles(ABC):
         return {}
 
     def lost(self) -> dict[str, int]:
-        """Return how many records of each task did not fit its ring."""
+        """Return how many records of each task are missing, if counted."""
         return {}
 
     def written(self, variable: str) -> list[Written]:

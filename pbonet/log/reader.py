@@ -424,16 +424,20 @@ class Log(Cycles):
             The time in nanoseconds since 1970, the task, and its ``cycles``, ``missed``
             and ``failed`` since it was spawned.
         """
-        for one in self.messages("json"):
-            if "/status/" not in one.topic:
-                continue
-            status = cast("dict[str, Any]", msgspec.json.decode(one.data))
-            subsystem = one.topic.partition("/status/")[0]
+        for one, subsystem, status in self._statuses():
             for short, counts in status["tasks"].items():
                 task = self.name_of(subsystem, short)
                 found = {"cycles": counts["cycles"]}
                 found |= {key: counts.get(key, 0) for key in ("missed", "failed")}
                 yield one.time_ns, task, found
+
+    def _statuses(self) -> Iterator[tuple[Message, str, dict[str, Any]]]:
+        """Yield each status of a recorder, with its subsystem and content."""
+        for one in self.messages("json"):
+            subsystem, is_status, _ = one.topic.partition("/status/")
+            if is_status:
+                status = cast("dict[str, Any]", msgspec.json.decode(one.data))
+                yield one, subsystem, status
 
     @property
     def only_last(self) -> bool:
@@ -441,9 +445,11 @@ class Log(Cycles):
         return any(life.only_last for life in self._lives)
 
     def lost(self) -> dict[str, int]:
-        """Return how many records of each task did not fit its ring.
+        """Return how many records of each task are missing that were to be recorded.
 
-        Those before the first one count only if it was to be recorded.
+        They did not fit its ring, or the disk was full or too slow for them. Records
+        say what did not fit the ring before them, the end of a file what its recorder
+        has lost in all.
         """
         found: dict[str, int] = {}
         for life in self._lives:
@@ -453,6 +459,10 @@ class Log(Cycles):
                 count -= min(int(head(one[0])["lost"]) for one in each)
             if count:
                 found[life.name] = found.get(life.name, 0) + count
+        for _, subsystem, status in self._statuses():
+            for short, count in status.get("lost", {}).items():
+                task = self.name_of(subsystem, short)
+                found[task] = max(count, found.get(task, 0))
         return found
 
 

@@ -5,6 +5,11 @@ cimports the classes needs no include path.
 """
 
 
+# Let a process that has called `survive_cuts` survive when this mapping's file is truncated.
+cdef void c_guard_map(const void *base, size_t bytes) noexcept
+cdef void c_unguard_map(const void *base) noexcept
+
+
 cdef class Arena:
     """A table's file, mapped whole."""
 

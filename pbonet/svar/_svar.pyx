@@ -34,6 +34,14 @@ def short_slices() -> bool:
     return pb_short_slices() == 0
 
 
+cdef void c_guard_map(const void *base, size_t bytes) noexcept:
+    pb_region_add(base, bytes)
+
+
+cdef void c_unguard_map(const void *base) noexcept:
+    pb_region_remove(base)
+
+
 def process_start(unsigned long long pid) -> int:
     return pb_process_start(pid)
 

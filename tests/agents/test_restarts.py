@@ -104,6 +104,7 @@ def test_with_a_master_each_task_comes_back_as_it_says(arm, nodes):
     assert there.keys() == {"off", "robot"}
     assert there["off"].endswith("; spawned again, OFF: RESTART off")
     assert there["robot"].endswith(f"; spawned again, OFF: {ROBOT}")
+    arm.wait_event("RESTARTED", "on")  # it is said when the task is ON
     told = {event.task: event.text for event in arm.events("RESTARTED")}
     assert told == there | {"on": told["on"]}
     assert told["on"].endswith("; spawned again, and ON again: RESTART on")

@@ -16,7 +16,7 @@ from pbonet.master.subsystem import SequenceState
 from . import summary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Generator, Iterable
+    from collections.abc import Callable, Container, Generator, Iterable, Mapping
     from types import FrameType
 
     from pbonet.log import Cycles, Log
@@ -63,6 +63,8 @@ class Outcome(Struct, kw_only=True):
     """The run's folder, with its log; empty when nothing was recorded here."""
     recording: Cycles | None = None
     """The same, to be read."""
+    unlogged: dict[str, int] = {}
+    """The number of records that each RTPU's recorder had lost by its last status."""
     sequence: SequenceState | None = None
     """How the sequence has ended; None: it was a job."""
 
@@ -101,7 +103,7 @@ def unrecorded(
     log: Log | None,
     planned: Iterable[str],
     recorded: Container[str],
-    tasks: Iterable[summary.TaskSummary] = (),
+    unlogged: Mapping[str, int] | None = None,
 ) -> str:
     """Return what a run's recording lacks, in one sentence; empty if nothing.
 
@@ -109,17 +111,23 @@ def unrecorded(
         log: The log on this machine, None if there is none.
         planned: The RTPUs that should have recorded.
         recorded: Those that did.
-        tasks: What they lost by their last status counts where a log is not read.
+        unlogged: The number of records that each RTPU's recorder had lost by its last
+            status. It counts where a log is not read: it is long, or elsewhere.
     """
     absent = [rtpu for rtpu in planned if rtpu not in recorded]
     lacks = [f"nothing of {', '.join(absent)}"] if absent else []
-    if log is not None:
-        whole = is_read(log)
-        lost = log.lost() if whole else {one.task: one.lost for one in tasks}
+    read: set[str] = set()
+    if log is not None and is_read(log):
+        read = {part.about.rtpu for part in log.parts if part.about is not None}
+        lost = log.lost()
         lacks += [f"{count} cycles of {task}" for task, count in lost.items() if count]
-        damage = len(log.check()) if whole else 0
+        damage = len(log.check())
         lacks += [f"{damage} damaged parts of the log"] if damage else []
-        lacks += [] if log.complete else ["the end of the log"]
+    for rtpu, count in (unlogged or {}).items():
+        if count and rtpu not in read:
+            lacks.append(f"{count} cycles of {rtpu}")
+    if log is not None and not log.complete:
+        lacks.append("the end of the log")
     return f"not recorded: {', '.join(lacks)}" if lacks else ""
 
 

@@ -191,6 +191,7 @@ class Run:
             tasks=summary.summarize(statuses),
             reason=self._reason,
             faults=self._faults,
+            unlogged={one.rtpu: one.unlogged for one in statuses},
             sequence=self._sequence.state if self._sequence else None,
         )
 
@@ -223,7 +224,7 @@ class Run:
         if self._recordings.wanted:
             planned = [entry.name for entry in self.files.sbs.rtpus]
             paths = self._recordings.paths
-            if text := unrecorded(log, planned, paths, outcome.tasks):
+            if text := unrecorded(log, planned, paths, outcome.unlogged):
                 outcome.shortfalls.append(Shortfall(Status.UNRECORDED, text))
         if log is None:
             return

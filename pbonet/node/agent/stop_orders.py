@@ -85,6 +85,7 @@ class _Peer(Struct):
     """An RTPU, as its agent described it last."""
 
     subsystems: list[str]
+    """Subsystems of its RTPU process, or of the last one, which may come back."""
     machine: str
     """In the form used in keys."""
     here: set[str]
@@ -262,8 +263,11 @@ class StopOrders:
         known = before.here | before.ended if before is not None else here
         if info.name not in here:  # an agent of an earlier version does not tell it
             here = known
+        subsystems = list(info.claims)
+        if before is not None and not info.rtpu_pid:  # it ends, or starts the next one
+            subsystems = before.subsystems
         self._peers[info.name] = _Peer(
-            list(info.claims), machine, here=here, ended=known - here
+            subsystems, machine, here=here, ended=known - here
         )
         return known - here
 

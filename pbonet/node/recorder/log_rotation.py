@@ -12,7 +12,7 @@ import math
 import platform
 import socket
 import time
-from collections import deque
+from collections import Counter, deque
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -91,15 +91,15 @@ class LogFiles:
         self.writer: LogWriter | None = None
         self._goes_on = False
         """Whether nothing is missing between the last file and the next."""
-        self.unwritten = 0
-        """Records that were lost because there was no file."""
+        self.lost: Counter[str] = Counter()
+        """Records of each task that are in no file, for lack of room or time."""
         self.told = False
         """Whether a failure to make a file was reported."""
         self._retry = self._sweep = 0.0
         self._begun = 0.0
         self._wrong = 0.0
         """The time until which everything is written, after an error."""
-        self._kept: deque[tuple[float, Do, bytes]] = deque()
+        self._kept: deque[tuple[float, Do, str, bytes]] = deque()
         self._late = 0
         """Records that waited too long for the open file."""
         self.behind = False
@@ -131,36 +131,38 @@ class LogFiles:
             self._sweep = now + SWEEP
             self._let_go()
 
-    def put(self, do: Do, records: bytes = b"") -> None:
+    def put(self, do: Do, task: str = "", records: bytes = b"") -> None:
         """Write something, now or when an error occurs.
 
         Args:
             do: Writes it.
-            records: The records that are lost if it fails, as read from a ring.
+            task: The task whose records these are.
+            records: The records that are lost if it fails, as read from its ring.
         """
         if self._wanted.last:
-            self._keep(do, records)
+            self._keep(do, task, records)
         elif not self.write(do):
-            self._count(records)
+            self._count(task, records)
 
-    def _keep(self, do: Do, records: bytes) -> None:
+    def _keep(self, do: Do, task: str, records: bytes) -> None:
         """Keep something; forget what is older than the last seconds.
 
         What is to be written may wait as long again.
         """
         now = self.by.clock()
-        self._kept.append((now, do, records))
+        self._kept.append((now, do, task, records))
         oldest = now - self._wanted.last * (2.0 if self._is_due else 1.0)
         while self._kept[0][0] < oldest:
             due = self._is_due
-            _, _, gone = self._kept.popleft()
+            _, _, task, gone = self._kept.popleft()
             if due:
-                self._late += self._count(gone)
+                self._late += self._count(task, gone)
 
-    def _count(self, records: bytes) -> int:
-        """Count records as lost; return how many they are."""
+    def _count(self, task: str, records: bytes) -> int:
+        """Count records of a task as lost; return how many they are."""
         count = len(parse(records)) if records else 0
-        self.unwritten += count
+        if count:
+            self.lost[task] += count
         return count
 
     @property
@@ -172,9 +174,9 @@ class LogFiles:
         """Write what was kept, in this time or a little more."""
         end = time.monotonic() + seconds
         while self._is_due and self.writer is not None:
-            _, do, records = self._kept.popleft()
+            _, do, task, records = self._kept.popleft()
             if not self.write(do):
-                self._count(records)
+                self._count(task, records)
             if time.monotonic() >= end:
                 break
         self.behind = self._is_due and self.writer is not None
@@ -207,6 +209,11 @@ class LogFiles:
         self._finish()
 
     def _finish(self) -> None:
+        """Finish the file; at its end stands what the recording has lost so far."""
+        if self.lost:
+            now, lost = round(self.by.clock() * 1e9), dict(self.lost)
+            status: dict[str, object] = {"tasks": {}, "lost": lost}
+            self.write(lambda writer: writer.add_status(now, status))
         writer = self.writer
         if writer is not None and self.write(lambda writer: writer.close()):
             self._done.add(writer.path)
@@ -227,7 +234,7 @@ class LogFiles:
 
     def _open(self) -> None:
         """Begin a file, and write to it what is known so far."""
-        lost = self.unwritten
+        lost = self.lost.total()
         try:
             self.writer = self._make()
             self._enter(self.writer)

@@ -86,7 +86,6 @@ class Recorder:
         self._waiting = False
         """Whether there are rings that may be followed later."""
         self._refused: dict[tuple[str, int], float] = {}
-        self._unfit = 0
         self._flush = self._status = 0.0
         self._told: tuple[str, int] | None = None
         self._core: rt.CoreTable | None = None
@@ -213,14 +212,16 @@ class Recorder:
             self._record(followed, text)
         if (lost := followed.ring.lost) > followed.lost:
             count, followed.lost = lost - followed.lost, lost
-            self._unfit += count
             task = followed.about.task
+            if not self._wanted.last:  # else most of them would not have been written
+                self._files.lost[task] += count
             text_ = f"{count} records of {task} did not fit its ring"
             self._say(Severity.WARNING, "RING_FULL", text_)
 
     def _record(self, followed: Followed, text: bytes) -> None:
         if text:
-            self._files.put(lambda writer: add(writer, followed, text), text)
+            task = followed.about.task
+            self._files.put(lambda writer: add(writer, followed, text), task, text)
 
     # -- other records -----------------------------------------------------------------
 
@@ -285,7 +286,7 @@ class Recorder:
         """Report to the agent which file is written, when that has changed."""
         writer = self._files.writer
         path = str(writer.path) if writer else ""
-        lost = self._files.unwritten + self._unfit
+        lost = self._files.lost.total()
         if (path, lost) != self._told:
             self._told = (path, lost)
             subsystem = self._wanted.subsystem

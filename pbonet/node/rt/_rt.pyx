@@ -26,7 +26,7 @@ from pbonet.analysis.schedule import octaves
 from pbonet.analysis.schedule import (
     CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
 )
-from pbonet.svar._svar cimport Arena, LocalTable
+from pbonet.svar._svar cimport Arena, LocalTable, c_guard_map, c_unguard_map
 from pbonet.tbuf._tbuf cimport c_defer_bells, c_ring_bells
 from pbonet.xm.ipc._ipc cimport c_steady
 

@@ -50,6 +50,8 @@ cdef class CoreTable:
         if error:
             _refuse(error, self.path)
         self.t = self.map.table
+        if not member:          # an agent survives a truncated file; members and tasks do not
+            c_guard_map(self.t, sizeof(rt_table))
         if virtual_ns:
             os.unlink(self.path)        # no other process may find it
             self.turn(virtual_ns)
@@ -68,6 +70,8 @@ cdef class CoreTable:
         rt_meter_close(&self.meters[0])
         rt_meter_close(&self.meters[1])
         if self.t is not NULL:
+            if not self.member:
+                c_unguard_map(self.t)
             self.t = NULL
             rt_detach(&self.map, self.file)
 

@@ -244,13 +244,16 @@ static inline int rt_check(const struct rt_table *t, const struct stat *s)
     return (uint64_t)s->st_size < sizeof *t ? RT_DAMAGED : 0;
 }
 
-/* With the lock held: map the file, or create it. EAGAIN: unlinked as stale. */
-static inline int rt_open_locked(struct rt_map *map, const char *path, int core)
+/* With the lock held: map the file, or fill the one that we have just made. EAGAIN:
+ * unlinked as stale. An empty file that another process made is not filled: members may
+ * have it mapped, and it was truncated. They die as they use it; filled, it would be their
+ * table again, without their tasks. */
+static inline int rt_open_locked(struct rt_map *map, const char *path, int core, int fresh)
 {
     struct stat s;
+    int error;
     if (!rt_same_file(map->fd, path) || fstat(map->fd, &s))
         return EAGAIN;
-    int fresh = s.st_size == 0, error;
     if (fresh && (error = posix_fallocate(map->fd, 0, sizeof(struct rt_table)))) {
         unlink(path);
         return error;
@@ -290,14 +293,20 @@ static inline int rt_attach_member(struct rt_map *map, const char *path, int cor
 {
     for (int tries = 0; tries < 100; tries++) {
         struct stat s;
-        map->fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_CREAT, 0600);
+        map->fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_CREAT | O_EXCL, 0600);
+        int fresh = map->fd >= 0;
+        if (!fresh && errno == EEXIST) {
+            map->fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+            if (map->fd < 0 && errno == ENOENT)
+                continue;
+        }
         if (map->fd < 0)
             return errno == EACCES || errno == ELOOP ? RT_FOREIGN : errno;
         int error = fstat(map->fd, &s) ? errno : rt_is_ours(&s) ? 0 : RT_FOREIGN;
         if (!error && flock(map->fd, LOCK_EX))
             error = errno;
         if (!error)
-            error = rt_open_locked(map, path, core);
+            error = rt_open_locked(map, path, core, fresh);
         if (!error) {
             flock(map->fd, LOCK_UN);
             return 0;

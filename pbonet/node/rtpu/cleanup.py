@@ -19,15 +19,16 @@ from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError
 from pbonet.node import rt
-from pbonet.node.ring import Ring
 from pbonet.node.wire import core_trace, process_setup
 from pbonet.svar import table_files
 from pbonet.xm import sweep
 from pbonet.xm.net import run_folder
 
+from .orphaned_rings import remove_ring
 from .tables import remove_unused
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
 PATIENCE = 1.5
@@ -38,11 +39,10 @@ _LOOK = 0.01
 
 
 class TaskLeft(Struct, array_like=True):
-    """A process and what it used."""
+    """The process of a task."""
 
     pid: int
     started: int
-    ring: str
 
 
 class Leftovers(Struct, kw_only=True):
@@ -54,6 +54,8 @@ class Leftovers(Struct, kw_only=True):
     epoch: int = 0
     tables: list[str] = []
     tasks: list[TaskLeft] = []
+    rings: list[str] = []
+    """Of these tasks, and of those that were being created."""
     mark: str = ""
     """Its `process_setup.MARK`."""
     agent_pid: int = 0
@@ -111,8 +113,7 @@ def clean(places: run_folder.Places, patience: float = PATIENCE) -> list[str]:
     if state.alive:
         return []
     done = _end_tasks(state, patience)
-    for task in state.tasks:
-        done += _remove_ring(task.ring)
+    done += remove_rings(state.rings)
     for name in state.tables:
         done += _remove_table(name)
     done += _sweep_mail(places)
@@ -160,12 +161,14 @@ def _outlive(tasks: list[TaskLeft], patience: float) -> list[TaskLeft]:
     return left
 
 
-def _remove_ring(name: str) -> list[str]:
-    with contextlib.suppress(PbonetError, OSError):
-        if name:
-            Ring.attach(name).destroy()
-            return [f"ring {name} was removed"]
-    return []
+def remove_rings(names: Iterable[str]) -> list[str]:
+    """Remove the rings of tasks that are gone; return what was done."""
+    done: list[str] = []
+    for name in names:
+        with contextlib.suppress(OSError):
+            if remove_ring(name):
+                done.append(f"ring {name} was removed")
+    return done
 
 
 def _remove_table(name: str) -> list[str]:

@@ -241,7 +241,14 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         devices=rtpu.config.devices,
         spps=rtpu.config.spps,
     )
-    child = await rtpu.spawner.fork("task", request.task, spec)
+    rtpu.rings.add(ring)  # first: the task may make it before the fork is answered
+    rtpu.save()
+    try:
+        child = await rtpu.spawner.fork("task", request.task, spec)
+    except PbonetError:
+        rtpu.rings.discard(ring)
+        rtpu.save()  # another RTPU may have a task of that name next
+        raise
     facts = Facts(
         subsystem=request.subsystem,
         name=request.task,

@@ -45,7 +45,7 @@ def let_ring_go(task: Task, recording: Recording | None) -> None:
     try:
         ring = Ring.attach(task.facts.ring)
     except (NodeError, ValueError):  # it ended before it had one, or as it made it
-        shm.path_of(task.facts.ring + _ENDING).unlink(missing_ok=True)
+        remove_ring(task.facts.ring)
         return
     if (
         recording is not None
@@ -55,6 +55,18 @@ def let_ring_go(task: Task, recording: Recording | None) -> None:
         ring.close()
     else:
         ring.destroy()
+
+
+def remove_ring(name: str) -> bool:
+    """Remove the ring of a task that is gone, finished or not; return if there was one.
+
+    Raises:
+        OSError: It cannot be removed.
+    """
+    path = shm.path_of(name + _ENDING)
+    there = path.exists()
+    path.unlink(missing_ok=True)
+    return there
 
 
 def ring_damage(task: Task) -> str:

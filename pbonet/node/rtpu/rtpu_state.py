@@ -88,8 +88,11 @@ class Rtpu:
     """Carries out a signal that a task's module sends to another task; never waits."""
     _budget: ranking.CoreBudget | None = None
     """Of its core; None in virtual time."""
+    _scheduling: SchedulingCheck
     agent_pid = 0
     """The agent that uses it now; 0: none."""
+    locks_memory = True
+    """Whether the kernel lets this process and its tasks lock their memory."""
 
     def __init__(
         self,
@@ -108,6 +111,8 @@ class Rtpu:
         self.tables = self._open_tables()
         self.flags = Flags(config.name, self.tables, events)
         self.tasks: dict[Key, Task] = {}
+        self.rings: set[str] = set()
+        """Rings of the tasks, and of those that are being created."""
         self.tombs: dict[Key, TaskStatus] = {}
         """The last status of tasks that died or were ended by force while they were ON,
         until they are killed (again) or respawned."""
@@ -132,7 +137,6 @@ class Rtpu:
         self.warnings = RepeatedWarnings(events)
         self._timing_failures = TimingFailureEvents(events)
         self._waiting_cycles = WaitingCycles(events)
-        self._scheduling: SchedulingCheck
         self.spawner = self._make_spawner(forks)
         self.core: rt.CoreTable
         self.dispatcher: rt.Dispatcher
@@ -141,7 +145,6 @@ class Rtpu:
         self.successors = Successors(self)
         self.owned_constants = ConstantOwners(self)
         self.limits: list[str] = []
-        self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
         self._awake: cpu_idle_states.IdleStateLock | None = None
         self.claims_changed: Callable[[], None] | None = None
@@ -249,9 +252,10 @@ class Rtpu:
             epoch=self.claims.epoch,
             tables=self.tables.names(),
             tasks=[
-                cleanup.TaskLeft(t.child.pid, t.child.started, t.facts.ring)
+                cleanup.TaskLeft(t.child.pid, t.child.started)
                 for t in self.tasks.values()
             ],
+            rings=sorted(self.rings),
             mark=process_setup.mark(),
             agent_pid=self.agent_pid,
             agent_started=process_setup.start_time(self.agent_pid),
@@ -513,6 +517,7 @@ class Rtpu:
             if opened is not None:
                 opened.table.reap(task.name)
             let_ring_go(task, self.recordings.get(task.facts.subsystem))
+            self.rings.discard(task.facts.ring)
         except (PbonetError, OSError) as error:
             self.events.add(Severity.ERROR, "INTERNAL", f"after {task.name}: {error}")
 

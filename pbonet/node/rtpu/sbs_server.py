@@ -33,6 +33,7 @@ from .rtpu_state import Rtpu
 
 if TYPE_CHECKING:
     import socket
+    from collections.abc import Iterable
 
     from pbonet.xm.net import Event
 
@@ -290,15 +291,18 @@ async def _serve(
         try:
             await rtpu.close()
         finally:
-            clean_up(places, rtpu.agent_pid)
+            clean_up(places, rtpu.agent_pid, rtpu.rings)
 
 
-def clean_up(places: run_folder.Places, agent: int = 0) -> None:
+def clean_up(
+    places: run_folder.Places, agent: int = 0, rings: Iterable[str] = ()
+) -> None:
     """Remove all that is not needed any more; one failure does not prevent the rest.
 
     Args:
         places: The RTPU's files.
         agent: The process of its last agent; 0: it has ended.
+        rings: Rings of tasks that were being created.
     """
     with contextlib.ExitStack() as last_first:
         if not process_setup.start_time(agent):
@@ -308,6 +312,7 @@ def clean_up(places: run_folder.Places, agent: int = 0) -> None:
         last_first.callback(core_trace.sweep)
         last_first.callback(tbuf.sweep, places.domain)
         last_first.callback(sweep, places.name, places.domain)
+        last_first.callback(cleanup.remove_rings, rings)
         last_first.callback(process_setup.end_marked, process_setup.mark())
 
 

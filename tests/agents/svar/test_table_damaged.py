@@ -5,15 +5,17 @@ A process that accesses a page which its file no longer has gets SIGBUS.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 from nodekit import CORE, alive, wait_gone
 from watching import wait_for
 
-from pbonet.errors import SvarDamagedError, TaskDiedError
+from pbonet.errors import PbonetError, SvarDamagedError, TaskDiedError
 from pbonet.node.restart import desired_state
 from pbonet.xm.net import messages as m
 
@@ -196,19 +198,33 @@ def is_on(master):
     return {one.task: one.state for one in master.status().values()} == {"a": "ON"}
 
 
-def test_the_rtpu_of_a_core_whose_schedule_was_truncated_starts_again(
-    nodes, shared_memory
+@pytest.mark.parametrize("asked", [False, True])
+def test_the_rtpus_of_a_core_whose_schedule_was_truncated_start_again(
+    nodes, shared_memory, asked
 ):
-    """Its RTPU process and tasks have it in their memory, and die."""
-    nodes.agent_processes("arm0")
-    master = nodes.master("arm0", "arm")
-    master.spawn("a", "counts", restart="on")
-    master.on("a")
-    wait_for(lambda: is_kept_on(nodes, "arm0"), "its state")
-    before = nodes.state("arm0").pid
+    """Their RTPU processes and tasks have it in their memory, and die.
+
+    The agents have it, too, and read it when they are asked.
+    """
+    names = ("arm0", "arm1")
+    nodes.agent_processes(*names)
+    masters = {name: nodes.master(name, f"of_{name}") for name in names}
+    for master in masters.values():
+        master.spawn("a", "counts", restart="on")
+        master.on("a")
+    for name in names:
+        wait_for(partial(is_kept_on, nodes, name), "its state")
+    before = {name: nodes.state(name).pid for name in names}
     (path,) = shared_memory.glob(f"*core{CORE}")
     os.truncate(path, 0)
-    nodes.wait_restarted("arm0", before)
-    wait_for(lambda: is_on(master), "the task is there again")
-    assert "SIGBUS" in master.wait_event("RTPU_DIED").text
-    master.wait_cycles("a", 5)
+    if asked:
+        for master in masters.values():
+            with contextlib.suppress(PbonetError):
+                master.status()
+    for name, pid in before.items():
+        nodes.wait_restarted(name, pid)
+    for master in masters.values():
+        wait_for(partial(is_on, master), "the task is there again")
+        assert "SIGBUS" in master.wait_event("RTPU_DIED").text
+        master.wait_cycles("a", 5)
+    assert all(process.poll() is None for process in nodes.processes.values())

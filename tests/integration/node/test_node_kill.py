@@ -439,7 +439,8 @@ class TestFiles:
             started=1,
             core=0,
             tables=["x.y"],
-            tasks=[cleanup.TaskLeft(2**22 - 1, 1, "no.such.ring")],
+            tasks=[cleanup.TaskLeft(2**22 - 1, 1)],
+            rings=["no.such.ring"],
         )
         cleanup.write(places.state, state)
         assert nodes.agent("arm0").info().name == "arm0"

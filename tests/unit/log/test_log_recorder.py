@@ -14,6 +14,7 @@ from watching import wait_for
 
 from pbonet.config.model import AgentConfig, Variable
 from pbonet.log import Log, TaskAbout
+from pbonet.master.console.run_end import unrecorded
 from pbonet.node.agent.agent import Agent
 from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders
 from pbonet.node.recorder import Time, log_rotation, recorder_process as recording
@@ -182,7 +183,7 @@ def test_records_of_which_no_error_wants_a_file_are_not_lost(ring, tmp_path) -> 
     clock.recorder.event(ERROR)
     for n, now in enumerate((100.5, 103.0, 104.5, 106.0, 107.5)):
         clock.turn(now, ring, 2 + n)
-    assert clock.files.unwritten == 2
+    assert clock.files.lost == {"a": 2}
     blocked.unlink()
     clock.turn(120.0)
     assert not blocked.exists(), "there is nothing to be written to a file"
@@ -198,13 +199,48 @@ def test_what_waits_too_long_to_be_written_is_counted_and_told(ring, tmp_path) -
         clock.turn(100.0 + cycle / 100, ring, cycle)
     clock.recorder.event(ERROR)
     clock.turn(102.3)
-    lost = clock.files.unwritten
+    lost = clock.files.lost["a"]
     assert 0 < lost < 20
     clock.recorder.end()
     (note,) = [one for one in said if isinstance(one, rtpu_messages.Note)]
     assert note.code == "NOT_RECORDED"
     assert note.text.startswith(f"{lost} records waited too long for the disk")
-    assert len(Log(tmp_path / "r").arrays("a")["cycle"]) == 20 - lost
+    log = Log(tmp_path / "r")
+    assert len(log.arrays("a")["cycle"]) == 20 - lost
+    assert unrecorded(log, ["arm0"], ["arm0"]) == f"not recorded: {lost} cycles of a"
+
+
+def test_what_a_ring_lost_after_its_last_record_is_counted(ring, tmp_path) -> None:
+    """The disk was too slow until the end: no record says so."""
+    recorder = begin(tmp_path, [])
+    recorder.turn()
+    cycle = 0
+    while not ring.lost:
+        cycle += 1
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+    recorder.end()
+    log = Log(tmp_path / "r")
+    assert log.arrays("a")["cycle"].tolist() == list(range(1, cycle))
+    assert log.lost() == {"a": 1}
+    assert log.complete
+
+
+def test_what_a_full_disk_lost_is_counted_in_the_next_file(ring, tmp_path) -> None:
+    said = []
+    recorder = begin(tmp_path, said)
+    blocked = tmp_path / "r"
+    blocked.write_text("a file where a folder should be")
+    for cycle in (1, 2):
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+        recorder.turn()
+    blocked.unlink()
+    recorder._files._retry = 0.0
+    ring.put(b"", cycle=3, now_ns=3)
+    recorder.turn()
+    recorder.end()
+    log = Log(tmp_path / "r")
+    assert log.arrays("a")["cycle"].tolist() == [3]
+    assert log.lost() == {"a": 2}
 
 
 @pytest.mark.parametrize(

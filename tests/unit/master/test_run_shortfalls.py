@@ -24,6 +24,8 @@ class FakeLog:
 
     complete = True
 
+    parts = (SimpleNamespace(about=SimpleNamespace(rtpu="c0")),)
+
     def __init__(self, lost=(), damage=(), size=0) -> None:
         self._lost, self._damage, self.size = dict(lost), damage, size
         self.read = False
@@ -92,13 +94,20 @@ def test_what_is_not_in_the_log_is_told():
 
 def test_a_long_log_is_not_read_at_the_end():
     """Reading that of a day takes minutes; what was lost stands in the status."""
-    (task,) = summary.summarize([rtpu(0, 0.0)])
-    task = msgspec.structs.replace(task, lost=3)
-    log = FakeLog(size=MOST_READ + 1)
-    assert unrecorded(log, ["c0"], {"c0"}, [task]) == "not recorded: 3 cycles of a"
+    log, lost = FakeLog(size=MOST_READ + 1), {"c0": 3, "c1": 0}
+    assert unrecorded(log, ["c0"], {"c0"}, lost) == "not recorded: 3 cycles of c0"
     assert not log.read
     log.complete = False
     assert "the end of the log" in unrecorded(log, ["c0"], {"c0"})
+
+
+def test_what_recorders_elsewhere_have_lost_stands_in_the_status():
+    lost = {"c0": 2, "c1": 5}
+    planned = ["c0", "c1"]
+    said = "not recorded: 4 cycles of a, 5 cycles of c1"
+    assert unrecorded(FakeLog({"a": 4}), planned, {*planned}, lost) == said
+    said = "not recorded: 2 cycles of c0, 5 cycles of c1"
+    assert unrecorded(None, planned, {*planned}, lost) == said
 
 
 @pytest.mark.parametrize("status", list(Status))

@@ -9,6 +9,7 @@ import threading
 
 import pytest
 
+from pbonet import shm
 from pbonet.config.model import Variable
 from pbonet.node.rtpu import cleanup, sbs_server
 from pbonet.node.wire import process_setup
@@ -44,7 +45,7 @@ def test_a_table_is_removed_though_a_task_takes_its_time_to_die(
     """It was killed, and the machine stands still before it is gone."""
     assert run_dir.is_dir()
     places = run_folder.Places("d", "arm0")
-    task = cleanup.TaskLeft(holder.pid, process_setup.start_time(holder.pid), "")
+    task = cleanup.TaskLeft(holder.pid, process_setup.start_time(holder.pid))
     dead = cleanup.Leftovers(pid=2**22 - 1, started=1, core=0, tables=["d.arm"])
     dead.tasks = [task]
     cleanup.write(places.state, dead)
@@ -84,3 +85,20 @@ def test_the_files_go_though_another_step_of_the_end_fails(
     with pytest.raises(OSError, match="at this moment"):
         sbs_server.clean_up(places)
     assert list(places.folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("content", [b"", bytes(100)])
+def test_the_ring_of_a_task_that_was_being_made_is_removed(
+    run_dir, shared_memory, content
+):
+    """Task and RTPU process were killed before the one had told the other."""
+    assert run_dir.is_dir()
+    places = run_folder.Places("d", "arm0")
+    ring = shm.path_of("d.arm.a.ring")
+    ring.write_bytes(content)
+    dead = cleanup.Leftovers(pid=2**22 - 1, started=1, core=0, rings=["d.arm.a"])
+    cleanup.write(places.state, dead)
+    assert "ring d.arm.a was removed" in cleanup.clean(places)
+    ring.write_bytes(content)
+    sbs_server.clean_up(places, rings=["d.arm.a", "d.arm.none"])
+    assert list(shared_memory.iterdir()) == []

@@ -197,6 +197,10 @@ QUERIES = [
 ]
 
 
+UNITS = {"short", "percentunit", "cps", "hertz", "s", "bytes"}
+"""Names of units as Grafana has them."""
+
+
 @pytest.mark.parametrize(("title", "query", "legend"), QUERIES)
 def test_the_dashboard_asks_for_what_a_scrape_has(figures, title, query, legend):
     there = exported(figures)
@@ -214,6 +218,52 @@ def test_the_dashboard_asks_for_what_a_scrape_has(figures, title, query, legend)
     bare = re.sub(r"\{[^}]*\}|\[\w+\]", "", query)
     assert {*re.findall(r"[A-Za-z_]\w*", bare)} <= {*there} | WORDS | grouped
     assert bare.count("(") == bare.count(")")
+
+
+def test_the_dashboard_has_what_an_import_by_grafana_needs():
+    """By Grafana's published kind `dashboard` (dashboard_kind.cue), version 36 on.
+
+    Its source of data is a variable that the file itself declares, so that an import
+    asks for nothing (no `__inputs`), and every query and panel names it.
+    """
+    board = dashboard()
+    assert isinstance(board["title"], str)
+    assert board["schemaVersion"] >= 36
+    assert "id" not in board, "Grafana gives it one"
+    assert 1 <= len(board["uid"]) <= 40
+    variables = {one["name"]: one for one in board["templating"]["list"]}
+    assert (
+        variables["datasource"] | {"type": "datasource", "query": "prometheus"}
+        == (variables["datasource"])
+    )
+    assert {one["type"] for one in variables.values()} == {"datasource", "query"}
+    named = {
+        *re.findall(r"\$\{?(\w+)", json.dumps([board["panels"], variables["rtpu"]]))
+    }
+    assert named - {"__all"} == {*variables}
+    assert "__inputs" not in board
+    source = {"type": "prometheus", "uid": "${datasource}"}
+    assert variables["rtpu"]["datasource"] == source
+    taken = set()
+    for panel in board["panels"]:
+        assert panel["type"] == "timeseries"
+        assert panel["datasource"] == source
+        assert {*panel["fieldConfig"]} == {"defaults", "overrides"}
+        assert panel["fieldConfig"]["defaults"]["unit"] in UNITS
+        ids = [target["refId"] for target in panel["targets"]]
+        assert ids == [chr(ord("A") + n) for n in range(len(ids))]
+        assert all(target["datasource"] == source for target in panel["targets"])
+        place = panel["gridPos"]
+        assert place["x"] + place["w"] <= 24
+        cells = {
+            (place["x"] + x, place["y"] + y)
+            for x in range(place["w"])
+            for y in range(place["h"])
+        }
+        assert not cells & taken, panel["title"]
+        taken |= cells
+    ids = [panel["id"] for panel in board["panels"]]
+    assert len({*ids}) == len(ids)
 
 
 def test_the_dashboard_chooses_among_the_rtpus_that_there_are(figures):

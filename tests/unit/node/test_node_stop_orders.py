@@ -8,6 +8,7 @@ import time
 from queue import Queue
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 import zenoh
@@ -117,6 +118,21 @@ def test_one_that_is_lost_after_the_order_is_stopped_later(orders, agents):
     orders.lost("arm1")
     orders.met(info("arm1", "arm"))
     assert agents.orders.get(timeout=60)[0] == "arm1"
+
+
+def test_one_that_was_asked_as_its_process_ended_is_stopped_later(orders, agents):
+    """Its machine is shut down, say: its tasks come back with the next process."""
+    orders.met(info("arm1", "arm"))
+    orders.met(msgspec.structs.replace(info("arm1"), rtpu_pid=0))
+    assert orders.others("arm") == ["arm1"]
+    orders.lost("arm1")
+    orders.add(stop())
+    assert orders.due() == {"arm1": [("s1", "arm")]}
+    orders.met(info("arm1"))
+    assert agents.orders.get(timeout=60)[0] == "arm1"
+    orders.met(info("arm1", stops=["s1"]))
+    orders.add(stop(stop_id="s2"))
+    assert "s2" not in str(orders.due()), "its new process has nothing of that"
 
 
 def test_who_has_stopped_is_left_alone(orders, agents):

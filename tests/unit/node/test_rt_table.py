@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -137,6 +138,41 @@ def test_another_version_with_living_members_is_refused(path) -> None:
     ):
         _rt.CoreTable(1)
     _poke(path, 8, b"\x01")
+
+
+def test_a_truncated_file_is_replaced_and_not_filled_again(path) -> None:
+    """Else its members had a table again, in which their tasks are not."""
+    code = (
+        "import os, sys; from pbonet.node.rt import _rt; t = _rt.CoreTable(1);"
+        "t.alloc('r', 't'); os.truncate(t.path, 0); print(flush=True); input();"
+        "t.slots()"
+    )
+    start = [sys.executable, "-c", code]
+    with subprocess.Popen(start, cwd=ROOT, stdin=-1, stdout=-1) as member:
+        member.stdout.readline()
+        table = _rt.CoreTable(1)
+        assert table.slots() == []
+        member.communicate(b"\n")
+        assert member.returncode == -signal.SIGBUS
+    table.close()
+    assert not path.exists()
+
+
+@pytest.mark.usefixtures("table")
+def test_a_process_that_only_reads_may_survive_a_truncated_file(path) -> None:
+    """An agent does, and a member does not."""
+    code = (
+        "import os; from pbonet.node.rt import _rt;"
+        "from pbonet.svar import survive_cuts; survive_cuts();"
+        "t = _rt.CoreTable(1, member=False); size = os.path.getsize(t.path);"
+        "os.truncate(t.path, 0); print(t.slots(), t.members(), t.status().core);"
+        "os.truncate(t.path, size)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True
+    )
+    assert done.stdout == b"[] [] 1\n"
+    path.unlink()
 
 
 def test_leftover_rubbish_is_replaced(path) -> None:

@@ -131,6 +131,17 @@ def test_unit_is_closed_but_for_what_control_needs():
     }
 
 
+def test_unit_lets_a_task_stop_the_dispatchers_timer():
+    """systemd counts the call for that among @debug, which is closed as a whole."""
+    lines = UNIT.read_text("utf-8").splitlines()
+    rules = [
+        one.partition("=")[2] for one in lines if one.startswith("SystemCallFilter")
+    ]
+    closed = next(n for n, one in enumerate(rules) if "@debug" in one)
+    assert rules[closed].startswith("~")
+    assert "pidfd_getfd" in " ".join(rules[closed + 1 :]).split()
+
+
 def test_unit_starts_an_agent():
     command = shlex.split(settings("Service")["ExecStart"])
     name, options = parsed(command[1:])
