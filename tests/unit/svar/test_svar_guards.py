@@ -188,3 +188,18 @@ def test_structs_and_booleans_are_not_judged():
         fill(task, B=[True, False, True])
         assert task.claim() == 0
         assert table.read("B").tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("value", [0.5, 2.0])
+def test_safe_values_are_those_of_the_port(table_of, value):
+    local = table_of(bounded("X", Limit.NONE)).local("t", ME, outvar=["X"])
+    assert local.keep_safe({"X": value}) == np.full(2, value).tobytes()
+
+
+@pytest.mark.parametrize("value", [2.0, np.nan, np.inf])
+@pytest.mark.parametrize("limit", [Limit.ERROR, Limit.CLIP])
+def test_safe_values_that_could_not_be_committed_are_refused(table_of, limit, value):
+    """The dispatcher commits them unseen."""
+    local = table_of(bounded("X", limit)).local("t", ME, outvar=["X"])
+    with pytest.raises(SvarError, match="safe values of arm/t"):
+        local.keep_safe({"X": value})
