@@ -81,7 +81,10 @@ def _missing_at_safe(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             "choose one of them, or take SAFE out of the .rmod file",
         )
         return
-    reserves = {"maxexec": ("MAXC", rmod.maxc or rmod.effc), "minexec": ("MINC", rmod.minc)}
+    reserves = {
+        "maxexec": ("MAXC", rmod.maxc or rmod.effc),
+        "minexec": ("MINC", rmod.minc),
+    }
     for kind, (keyword, given) in reserves.items():
         if kind in rmod.safe_at and not given:
             yield Missing(

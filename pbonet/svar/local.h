@@ -316,7 +316,7 @@ static inline bool pb_cycle_ends(struct pb_local *l) {
     if (how == PB_TAKEN) { /* with the lock, no process is amid it */
         if (pb_lock(&l->table, true)) { /* it stands still there, or the table is overwritten */
             l->outputs[PB_GROUP_VARS].live = false; /* the register has another writer */
-            return true;
+            return false;
         }
         how = (atomic_load(&l->safe->word) & 7) == PB_MADE_SAFE ? PB_MADE_SAFE : PB_COMMITS;
         pb_unlock(&l->table);

@@ -167,7 +167,9 @@ class LocalTable(shm.Closeable, NativeTable):
             variable = self._variables[index]
             given = np.broadcast_to(np.array(values[variable.name]), variable.nelem)
             where = f"safe values of {self._table}/{self._task}"
-            _view(variable, image, at)[...] = guards.typed(where, variable, given.tolist())
+            _view(variable, image, at)[...] = guards.typed(
+                where, variable, given.tolist()
+            )
         self.set_safe(image)
         return image.tobytes()
 

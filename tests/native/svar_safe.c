@@ -186,7 +186,7 @@ static void stands_still(void) {
         for (;;) pause();
     }
     if (read(ready[0], &byte, 1) != 1) die("read");
-    found.unsafe += !pb_cycle_ends(task);
+    found.unsafe += pb_cycle_ends(task);
     found.unsafe += pb_commit(task, task->outputs + PB_GROUP_VARS,
                               (struct pb_stamp){pb_now(), 1}) != PB_COMMIT_NOT_OWNER;
     kill(child, SIGKILL);

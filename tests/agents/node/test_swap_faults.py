@@ -340,7 +340,7 @@ def write_with_safe(tmp_path, **settings):
 
 
 def value(arm):
-    return tuple(arm.display(["Y0"])[0].value.values)
+    return tuple(arm.display(["Y0"])[0].values)
 
 
 def test_who_hangs_with_safe_values_leaves_them_to_its_heir(arm, tmp_path, briefly):

@@ -89,7 +89,12 @@ def test_the_module_s_handler_runs_afterwards_and_the_event_says_both(arm):
 
 
 def test_only_the_failures_that_are_named_count(arm):
-    start(arm, overruns("MINC 0.00001", "MAXC 0.005", "SAFE minexec", work="python", busy=0.05))
+    start(
+        arm,
+        overruns(
+            "MINC 0.00001", "MAXC 0.005", "SAFE minexec", work="python", busy=0.05
+        ),
+    )
     wait_for(lambda: arm.status("bad").failures["maxexec"] > 2, "failures")
     assert arm.status("bad").made_safe == 0
 

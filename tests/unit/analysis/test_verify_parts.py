@@ -319,9 +319,7 @@ def test_safe_values_are_for_failures_that_can_come(given, found) -> None:
 def test_safe_values_must_be_within_the_limits(safe, limit, good) -> None:
     """Nobody judges them when the dispatcher writes them."""
     info = module(port("outvar", "X", shape="2", safe=safe))
-    table = Variable(
-        name="X", type="double", nelem=2, min=(1.0, 1.0), max=(2.0, 2.0)
-    )
+    table = Variable(name="X", type="double", nelem=2, min=(1.0, 1.0), max=(2.0, 2.0))
     table = structs.replace(table, limit=Limit(limit))
     one = task("a", outvar="X", info=info, safe_at=("deadline",))
     found = texts(configuration(one, variables=[table]))
@@ -330,8 +328,8 @@ def test_safe_values_must_be_within_the_limits(safe, limit, good) -> None:
         if good
         else [
             "a.rmod: the safe value of X in mod is outside the limits of X (expected "
-            f"(1.0, 1.0) to (2.0, 2.0), got {safe}); write a safe value within them, or "
-            "other limits in the .svar file"
+            f"(1.0, 1.0) to (2.0, 2.0), got {safe}); write a safe value within them, "
+            "or other limits in the .svar file"
         ]
     )
 
