@@ -11,7 +11,7 @@ from watching import wait_for
 
 from pbonet.config import Variable
 from pbonet.node.rt import _rt
-from pbonet.svar import Table
+from pbonet.svar import Action, Freshness, Table
 
 MS = 1_000_000
 
@@ -167,3 +167,25 @@ def test_random_failures_never_tear_a_set(rig, kept):
     os.close(end)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     os.close(until)
+
+
+def test_a_cycle_that_was_left_by_an_error_is_not_made_safe_later(rig):
+    """Its report fails before the module is called; no process writes beside it then."""
+    core, dispatcher, slot, _ = rig
+    variables = [Variable(name=name, type="double") for name in ("U", "Y")]
+
+    def reports(_stale):
+        raise OSError("the report does not work")
+
+    with Table.create("aged", variables) as table:
+        local = table.local("t", os.getpid(), invar=["U"], outvar=["Y"])
+        local.keep_fresh({table.index("U"): Freshness(1e-3, Action.HOLD)})
+        values = local.keep_safe({"Y": -7.0})
+        dispatcher.keep_values(slot.index, table.arena, values)
+        assert local.claim() == 0
+        with pytest.raises(OSError, match="the report"):
+            slot.run(lambda _dt: None, local, aged=reports)
+        wait_for(lambda: core.snapshot(slot.index).failures[0], "the deadline")
+        assert core.snapshot(slot.index).safe == 0
+        assert local.commit() == 0
+        dispatcher.drop_values(slot.index)
