@@ -12,6 +12,8 @@ from watching import wait_for
 from pbonet.config import Variable
 from pbonet.node.rt import _rt
 from pbonet.svar import Action, Freshness, Table
+from pbonet.svar.mirror import packets
+from pbonet.svar.mirror.table_mirror import Mirror
 
 MS = 1_000_000
 
@@ -190,3 +192,38 @@ def test_a_cycle_that_fails_amid_a_report_that_raises_is_closed(rig):
         assert table.read("Y")[0] == -7.0
         assert local.commit() == 0, "it is its only writer again"
         dispatcher.drop_values(slot.index)
+
+
+def test_another_machine_has_them_while_the_cycle_still_runs(rig):
+    core, dispatcher, slot, _ = rig
+    variables, seen = [Variable(name="Y", type="double")], []
+    with (
+        Table.create("here", variables) as here,
+        Table.create("there", variables) as there,
+    ):
+        sides = [
+            Mirror(table, name, 1, keep=name == "here", late=lambda *_: 0)
+            for table, name in ((here, "here"), (there, "there"))
+        ]
+
+        def carry(one, other, *, full=False):
+            packet = one.next_packet(full=full)
+            other.take(packets.unpack(packets.pack(packet)))
+
+        def cycle(_dt):
+            wait_for(lambda: core.snapshot(slot.index).safe, "safe values")
+            carry(*sides)
+            seen.append(there.read("Y")[0])
+
+        local = here.local("t", os.getpid(), outvar=["Y"])
+        values = local.keep_safe({"Y": -7.0})
+        dispatcher.keep_values(slot.index, here.arena, values)
+        assert local.claim() == 0
+        for _ in range(2):
+            carry(*sides, full=True)
+            carry(*reversed(sides), full=True)
+        assert slot.run(cycle, local) == _rt.ABORTED
+        assert seen == [-7.0]
+        dispatcher.drop_values(slot.index)
+        for side in sides:
+            side.close()
