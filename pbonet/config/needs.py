@@ -50,14 +50,8 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             f"{lack} in {info.file or info.name}",
             "write it there, or another action after STALE",
         )
-    if rmod.safe_at and not is_safe(info.ports):
-        lack = lacks(Stale.SAFE, info.ports, info.methods) or "an out-var"
-        yield Missing(
-            f"module {info.name} has nothing to write at SAFE {' '.join(rmod.safe_at)}",
-            str(rmod.places.get("SAFE", rmod.file)),
-            f"{lack} in {info.file or info.name}",
-            "write it there, or take SAFE out of the .rmod file",
-        )
+    if rmod.safe_at:
+        yield from _missing_at_safe(rmod, info)
     if rmod.handler is not None and "timing_failure" not in info.methods:
         yield _missing(
             rmod,
@@ -66,6 +60,39 @@ def missing_methods(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
             f"HANDLER {rmod.handler}",
             "implement the reaction there, or take HANDLER out of the .rmod file",
         )
+
+
+def _missing_at_safe(rmod: Rmod, info: ModuleInfo) -> Iterator[Missing]:
+    """Yield what SAFE needs: values to write, and failures that can come."""
+    where = str(rmod.places.get("SAFE", rmod.file))
+    if not is_safe(info.ports):
+        lack = lacks(Stale.SAFE, info.ports, info.methods) or "an out-var"
+        yield Missing(
+            f"module {info.name} has nothing to write at SAFE {' '.join(rmod.safe_at)}",
+            where,
+            f"{lack} in {info.file or info.name}",
+            "write it there, or take SAFE out of the .rmod file",
+        )
+    if rmod.tasktype not in {TaskType.PERIODIC, TaskType.SYNCHRONOUS}:
+        yield Missing(
+            f"SAFE does nothing with TASKTYPE {rmod.tasktype}, which has no deadline",
+            where,
+            "TASKTYPE periodic or synchronous",
+            "choose one of them, or take SAFE out of the .rmod file",
+        )
+        return
+    reserves = {
+        "maxexec": ("MAXC", rmod.maxc or rmod.effc),
+        "minexec": ("MINC", rmod.minc),
+    }
+    for kind, (keyword, given) in reserves.items():
+        if kind in rmod.safe_at and not given:
+            yield Missing(
+                f"SAFE {kind} does nothing without {keyword}",
+                where,
+                f"{keyword} and seconds",
+                f"write {keyword}, or take {kind} out of SAFE",
+            )
 
 
 def critical_action(info: ModuleInfo) -> str:

@@ -289,10 +289,14 @@ static inline void pb_make_safe(struct pb_local *l) {
 /* Begin a cycle: from here on its failure makes the out-vars safe. */
 static inline void pb_cycle_begins(struct pb_local *l, uint64_t number) {
     const struct pb_outputs *o = l->outputs + PB_GROUP_VARS;
-    if (!l->safe || !pb_is_mine(o)) return;
+    uint64_t wanted;
+    if (!l->safe || !number || !pb_is_mine(o)) return;
     l->open = number;
     pb_safe_open(l->safe, number, (uint32_t)(o->group.reg - l->table.regs), o->group.uid);
-    if (atomic_load(&l->safe->wanted) == number) pb_make_safe(l);
+    wanted = atomic_load(&l->safe->wanted);
+    if (wanted == number) pb_make_safe(l);
+    else if (wanted) /* of another cycle; numbers come again after 2^32 of them */
+        atomic_compare_exchange_strong(&l->safe->wanted, &wanted, 0);
 }
 
 /* Whether the cycle may commit its outputs. Then no other process writes the register until
@@ -309,7 +313,11 @@ static inline bool pb_cycle_ends(struct pb_local *l) {
     if (!number) return false;
     l->open = 0;
     how = pb_safe_close(l->safe, number);
-    if (how == PB_TAKEN && !pb_lock(&l->table, true)) { /* with the lock, no process is amid it */
+    if (how == PB_TAKEN) { /* with the lock, no process is amid it */
+        if (pb_lock(&l->table, true)) { /* it stands still there, or the table is overwritten */
+            l->outputs[PB_GROUP_VARS].live = false; /* the register has another writer */
+            return false;
+        }
         how = (atomic_load(&l->safe->word) & 7) == PB_MADE_SAFE ? PB_MADE_SAFE : PB_COMMITS;
         pb_unlock(&l->table);
     }

@@ -156,12 +156,20 @@ class LocalTable(shm.Closeable, NativeTable):
 
         Returns:
             The values as they are committed.
+
+        Raises:
+            SvarError: A commit of them would be refused: one is not finite, outside
+                its limits, or does not fit the variable's type.
         """
         group = self._groups[VARS]
         image = np.zeros(group.bytes, np.uint8)
         for index, at in zip(group.indices, group.at, strict=True):
             variable = self._variables[index]
-            _view(variable, image, at)[...] = values[variable.name]
+            given = np.broadcast_to(np.array(values[variable.name]), variable.nelem)
+            where = f"safe values of {self._table}/{self._task}"
+            _view(variable, image, at)[...] = guards.typed(
+                where, variable, given.tolist()
+            )
         self.set_safe(image)
         return image.tobytes()
 

@@ -114,8 +114,9 @@ static inline bool pb_safe_commit(const struct pb_table *t, struct pb_safe *s,
         struct pb_reg *reg = t->regs + r;
         const struct pb_place at = pb_place_of(reg);
         const uint64_t head = pb_read_begin(&reg->head);
+        /* One that is not held may have been given up: its slots are others' by then. */
         if (at.uid == atomic_load_explicit(&s->uid, memory_order_relaxed) &&
-            pb_inside(t, &at) && bytes + PB_LINE <= at.stride && pb_is_head(head) &&
+            atomic_load(&reg->state) == PB_HELD && pb_inside(t, &at) && bytes + PB_LINE <= at.stride && pb_is_head(head) &&
             pb_safe_take(s, number, PB_TAKEN)) {
             uint8_t *slots = t->base + at.slots;
             pb_commit_raw(reg, slots, at.stride, data, bytes,

@@ -78,7 +78,7 @@ active proctype Task() {
 #ifndef NO_LOOK_BEFORE
         if /* S1 */
         :: atomic { TAKE -> phase = TAKEN }; publish(SAFE_OF(begun)); phase = MADE_SAFE
-        :: else
+        :: else -> atomic { if :: wanted != begun -> wanted = 0 :: else fi }
         fi;
 #endif
         assert(!owed || phase != OPEN);

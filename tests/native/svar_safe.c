@@ -1,12 +1,13 @@
 /* Has a cycle fail at each of its steps, and makes its out-vars safe meanwhile.
  *
- *   svar_safe dispatcher|signal|killed
+ *   svar_safe dispatcher|signal|killed|odd
  *
  * A task begins a cycle, computes, commits and ends it. At one step of that the failure is
  * found: the dispatcher commits the safe values, or leaves it to the task's handler of the
  * signal; or the handler alone does; or the dispatcher is a process that is killed at each
- * of its own steps, and nobody sends a signal. A reader copies at every step. Prints as JSON
- * how often what was done, and how often something was wrong. */
+ * of its own steps, and nobody sends a signal. A reader copies at every step. `odd` tries
+ * what comes once in years, or amid a burial. Prints as JSON how often what was done, and
+ * how often something was wrong. */
 #define _GNU_SOURCE 1
 #include <signal.h>
 #include <stdbool.h>
@@ -137,6 +138,67 @@ static void plain(void) {
     found.unsafe += cycle(0) && atomic_load(&shared->wanted) == number;
 }
 
+/* Begin a cycle that is to be made safe from outside, if at all. */
+static void open_cycle(uint64_t which) {
+    number = which;
+    pb_cycle_begins(task, number);
+}
+
+/* Cycles whose number is 0, or was that of a failure long ago: numbers have 32 bits. */
+static void numbers(void) {
+    open_cycle(0);
+    found.unsafe += dispatch() && pb_cycle_commits(task); /* two would write */
+    found.unsafe += pb_cycle_ends(task);
+    open_cycle(5);
+    found.unsafe += !dispatch() || !pb_cycle_ends(task);
+    open_cycle(6);
+    found.unsafe += pb_cycle_ends(task);
+    open_cycle(5);
+    found.unsafe += pb_cycle_ends(task);
+}
+
+/* A cycle of a dead task whose register was given up: its slots may be another's. */
+static void given_up(void) {
+    struct pb_reg *reg = task->outputs[PB_GROUP_VARS].group.reg;
+    const uint64_t head = pb_write_last(&reg->head);
+    for (int state = PB_FREE; state <= PB_LEFT; state++) {
+        if (state == PB_HELD) continue;
+        open_cycle(10 + (uint64_t)state);
+        atomic_store(&reg->state, state);
+        found.unsafe += dispatch() || pb_write_last(&reg->head) != head;
+        atomic_store(&reg->state, PB_HELD);
+        atomic_store(&shared->wanted, 0);
+        pb_cycle_ends(task);
+    }
+}
+
+/* A dispatcher that stands still amid its commit: the task writes no more beside it. */
+static void stands_still(void) {
+    int ready[2];
+    char byte;
+    pid_t child;
+    open_cycle(20);
+    if (pipe(ready) || (child = fork()) < 0) die("fork");
+    if (!child) {
+        pthread_mutex_lock(&table.live->lock);
+        pb_safe_take(shared, number, PB_TAKEN);
+        if (write(ready[1], "", 1) != 1) _exit(1);
+        for (;;) pause();
+    }
+    if (read(ready[0], &byte, 1) != 1) die("read");
+    found.unsafe += pb_cycle_ends(task);
+    found.unsafe += pb_commit(task, task->outputs + PB_GROUP_VARS,
+                              (struct pb_stamp){pb_now(), 1}) != PB_COMMIT_NOT_OWNER;
+    kill(child, SIGKILL);
+    waitpid(child, NULL, 0);
+}
+
+static void odd(void) {
+    numbers();
+    given_up();
+    stands_still();
+}
+
 int main(int argc, char **argv) {
     if (argc != 2) return 2;
     table = rig_table(WORDS);
@@ -154,7 +216,8 @@ int main(int argc, char **argv) {
     task->safe = shared;
     task->safe_data = (const uint8_t *)safe_words;
     fail = *argv[1] == 'd' ? dispatcher : *argv[1] == 's' ? by_signal : killed;
-    for (long at = 1, met = 1; met; at++) {
+    if (*argv[1] == 'o') odd();
+    for (long at = 1, met = *argv[1] != 'o'; met; at++) {
         dies_at = 1;
         do {
             died = false;

@@ -12,8 +12,8 @@ WRONG = ("torn", "stale", "unsafe", "refused")
 MUTANTS = {
     "what came before the cycle began": (
         "local.h",
-        "if (atomic_load(&l->safe->wanted) == number) pb_make_safe(l);",
-        "",
+        "if (wanted == number) pb_make_safe(l);",
+        "if (wanted == number) wanted = 0;",
         "unsafe",
     ),
     "the commit asks nobody": (
@@ -36,9 +36,23 @@ MUTANTS = {
     ),
     "a dead dispatcher is relied on": (
         "local.h",
-        "if (how == PB_TAKEN && !pb_lock(&l->table, true)) {",
+        "if (how == PB_TAKEN) {",
         "if (how == PB_OPEN) {",
         "unsafe",
+    ),
+}
+ODD_MUTANTS = {
+    "a cycle without a number": ("local.h", "!l->safe || !number ||", "!l->safe ||"),
+    "a failure of long ago": ("local.h", "else if (wanted)", "else if (!number)"),
+    "slots that were given up": (
+        "safe.h",
+        "atomic_load(&reg->state) == PB_HELD && pb_inside",
+        "pb_inside",
+    ),
+    "two writers": (
+        "local.h",
+        "l->outputs[PB_GROUP_VARS].live = false; /* the register has",
+        "/* the register has",
     ),
 }
 
@@ -58,3 +72,16 @@ def test_the_sweep_catches_a_missing_check(name, tmp_path):
     headers = mutant(tmp_path, header, right, wrong)
     program = build("svar_safe.c", tmp_path / "mutant", "-w", headers=headers)
     assert run(program, "killed")[symptom] > 0
+
+
+def test_what_comes_once_in_years_or_amid_a_burial(tmp_path):
+    found = run(build("svar_safe.c", tmp_path / "safe"), "odd")
+    assert {name: found[name] for name in WRONG} == dict.fromkeys(WRONG, 0)
+
+
+@pytest.mark.parametrize("name", ODD_MUTANTS)
+def test_the_odd_cases_catch_a_missing_check(name, tmp_path):
+    header, right, wrong = ODD_MUTANTS[name]
+    headers = mutant(tmp_path, header, right, wrong)
+    program = build("svar_safe.c", tmp_path / "mutant", "-w", headers=headers)
+    assert run(program, "odd")["unsafe"] > 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.config import missing_methods, numpy_type
+from pbonet.config import Limit, missing_methods, numpy_type
 from pbonet.errors import did_you_mean
 from pbonet.ports import Kind, Port, accepts, wanted
 
@@ -26,6 +26,7 @@ def check_task(configuration: Configuration, task: Task) -> Iterator[Problem]:
     if task.info is not None:
         yield from _stable(task, task.info)
         yield from _methods(task, task.info)
+        yield from _safe_values(configuration.table, task, task.info)
         yield from check_parts(configuration, task)
     for kind, keyword in KEYWORDS.items():
         yield from _variables(configuration.table, task, kind, keyword)
@@ -71,6 +72,39 @@ def _methods(task: Task, info: ModuleInfo) -> Iterator[Problem]:
             remedy=remedy,
             tasks=(task.name,),
         )
+
+
+def _safe_values(
+    table: dict[str, Variable], task: Task, info: ModuleInfo
+) -> Iterator[Problem]:
+    """Yield the safe values for SAFE that the table would refuse of the task itself."""
+    for port in info.ports:
+        variable = table.get(task.rmod.svar_name(port.name))
+        if not task.rmod.safe_at or port.safe is None or variable is None:
+            continue
+        if _within(variable, port.safe):
+            continue
+        yield Problem(
+            code=Code.SAFE_VALUE,
+            what=f"the safe value of {port.name} in {info.name} is outside the limits "
+            f"of {variable.name}",
+            where=task.place("SAFE"),
+            expected=f"{variable.min} to {variable.max}",
+            got=str(port.safe),
+            remedy="write a safe value within them, or other limits in the .svar file",
+            tasks=(task.name,),
+            ports=(port.name,),
+            variables=(variable.name,),
+        )
+
+
+def _within(variable: Variable, values: tuple[float, ...]) -> bool:
+    """Return whether values, or one for each element, keep the variable's LIMIT."""
+    if variable.limit is Limit.NONE or not variable.min or not variable.max:
+        return True
+    each = values * variable.nelem if len(values) == 1 else values
+    limits = zip(each, variable.min, variable.max, strict=False)
+    return all(low <= one <= high for one, low, high in limits)
 
 
 def check_ports(task: Task) -> Iterator[Problem]:

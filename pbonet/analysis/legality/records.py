@@ -53,6 +53,8 @@ class Code(StrEnum):
     """A CRITICAL task's module has no `stable`."""
     NO_METHOD = "no-method"
     """The RMOD counts on a method that its module does not have."""
+    SAFE_VALUE = "safe-value"
+    """A safe value that is to be written is outside its variable's limits."""
     UNKNOWN_RTPU = "unknown-rtpu"
     UNKNOWN_TASK = "unknown-task"
     TIMES = "times"

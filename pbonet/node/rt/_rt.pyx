@@ -153,6 +153,8 @@ cdef class Slot:
                     if last:
                         return LAST
         finally:
+            if local is not None and local.c_end_cycle():   # `aged` has raised
+                self.safe = True
             rt_use_safe(NULL, NULL)
             self.count_faults()
             if not last and why != RT_WAIT_IDLE:

@@ -70,7 +70,8 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
     (void)context;
     if (!f->task)
         return;
-    if (f->make_safe)           /* wherever the task is */
+    /* Wherever the task is, but in its own thread: a timer's signal may come to another. */
+    if (f->make_safe && info->si_code == SI_TKILL)
         f->make_safe(f->safe_of);
     if (info->si_code == SI_TIMER) {
         if (f->handling)

@@ -27,6 +27,8 @@ from pbonet.svar import Table
 from pbonet.xm.net import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+SAFE = (-7.0, -7.0)
+"""What tests/misbehaving/overruns.py declares."""
 FAILS = """
 from typing import Annotated as A
 
@@ -328,6 +330,45 @@ def test_off_in_an_exchange_that_ends_when_nobody_waits_any_more(
         wait_for(lambda: table.info("Y0").owner is None, "that nobody owns it")
     assert arm.swap("old", "good").items == [("good", "on")], "what is left"
     assert writer(arm) == "good"
+
+
+def write_with_safe(tmp_path, **settings):
+    """Write the RMOD of a task whose every fifth cycle fails in time."""
+    text = rmod("overruns", "Y0", 50.0, local=settings)
+    text = text.replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
+    (tmp_path / "bad.rmod").write_text(text)
+
+
+def value(arm):
+    return tuple(arm.display(["Y0"])[0].values)
+
+
+def test_who_hangs_with_safe_values_leaves_them_to_its_heir(arm, tmp_path, briefly):
+    write_with_safe(tmp_path, work="endless")
+    start(arm, "bad")
+    wait_for(lambda: arm.status("bad").made_safe, "safe values")
+    with briefly(), pytest.raises(ReconfigError) as caught:
+        arm.swap("bad", "good")
+    assert (writer(arm), value(arm)) == ("bad", SAFE)
+    with briefly():
+        arm.control("bad", "kill")
+    assert value(arm) == SAFE, "until somebody else writes"
+    assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
+    wait_for(lambda: value(arm) != SAFE, "the heir's values")
+    assert writer(arm) == "good"
+    assert not causes(arm)
+
+
+def test_a_swap_amid_failures_gives_the_heir_what_nobody_else_writes(arm, tmp_path):
+    write_with_safe(tmp_path, busy=0.05, work="sleep")
+    start(arm, "bad")
+    for count in (1, 2, 3):
+        wait_for(lambda n=count: arm.status("bad").made_safe >= n, "safe values")
+        arm.swap("bad", "good")
+        assert writer(arm) == "good"
+        seen = {value(arm) for _ in range(20)}
+        assert SAFE not in seen, "a late failure of the other task"
+        arm.swap("good", "bad")
 
 
 @pytest.fixture

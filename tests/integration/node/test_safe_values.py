@@ -11,7 +11,9 @@ from watching import wait_for
 
 from pbonet.config import Variable
 from pbonet.node.rt import _rt
-from pbonet.svar import Table
+from pbonet.svar import Action, Freshness, Table
+from pbonet.svar.mirror import packets
+from pbonet.svar.mirror.table_mirror import Mirror
 
 MS = 1_000_000
 
@@ -89,7 +91,12 @@ def test_the_module_s_handler_runs_afterwards_and_the_event_says_both(arm):
 
 
 def test_only_the_failures_that_are_named_count(arm):
-    start(arm, overruns("MAXC 0.005", "SAFE minexec", work="python", busy=0.05))
+    start(
+        arm,
+        overruns(
+            "MINC 0.00001", "MAXC 0.005", "SAFE minexec", work="python", busy=0.05
+        ),
+    )
     wait_for(lambda: arm.status("bad").failures["maxexec"] > 2, "failures")
     assert arm.status("bad").made_safe == 0
 
@@ -162,3 +169,61 @@ def test_random_failures_never_tear_a_set(rig, kept):
     os.close(end)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     os.close(until)
+
+
+def test_a_cycle_that_fails_amid_a_report_that_raises_is_closed(rig):
+    """The module has not been called; the task knows of the commit all the same."""
+    core, dispatcher, slot, _ = rig
+    variables = [Variable(name=name, type="double") for name in ("U", "Y")]
+
+    def reports(_stale):
+        wait_for(lambda: core.snapshot(slot.index).safe, "safe values")
+        raise OSError("the report does not work")
+
+    with Table.create("aged", variables) as table:
+        local = table.local("t", os.getpid(), invar=["U"], outvar=["Y"])
+        local.keep_fresh({table.index("U"): Freshness(1e-3, Action.HOLD)})
+        values = local.keep_safe({"Y": -7.0})
+        dispatcher.keep_values(slot.index, table.arena, values)
+        assert local.claim() == 0
+        with pytest.raises(OSError, match="the report"):
+            slot.run(lambda _dt: None, local, aged=reports)
+        assert slot.safe
+        assert table.read("Y")[0] == -7.0
+        assert local.commit() == 0, "it is its only writer again"
+        dispatcher.drop_values(slot.index)
+
+
+def test_another_machine_has_them_while_the_cycle_still_runs(rig):
+    core, dispatcher, slot, _ = rig
+    variables, seen = [Variable(name="Y", type="double")], []
+    with (
+        Table.create("here", variables) as here,
+        Table.create("there", variables) as there,
+    ):
+        sides = [
+            Mirror(table, name, 1, keep=name == "here", late=lambda *_: 0)
+            for table, name in ((here, "here"), (there, "there"))
+        ]
+
+        def carry(one, other, *, full=False):
+            packet = one.next_packet(full=full)
+            other.take(packets.unpack(packets.pack(packet)))
+
+        def cycle(_dt):
+            wait_for(lambda: core.snapshot(slot.index).safe, "safe values")
+            carry(*sides)
+            seen.append(there.read("Y")[0])
+
+        local = here.local("t", os.getpid(), outvar=["Y"])
+        values = local.keep_safe({"Y": -7.0})
+        dispatcher.keep_values(slot.index, here.arena, values)
+        assert local.claim() == 0
+        for _ in range(2):
+            carry(*sides, full=True)
+            carry(*reversed(sides), full=True)
+        assert slot.run(cycle, local) == _rt.ABORTED
+        assert seen == [-7.0]
+        dispatcher.drop_values(slot.index)
+        for side in sides:
+            side.close()

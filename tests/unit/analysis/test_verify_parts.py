@@ -7,7 +7,7 @@ from verify_parts import configuration, module, port, rtpu, task, texts
 from pbonet.analysis import legality
 from pbonet.analysis.legality.demands import SERVER_TYPES
 from pbonet.config import parse_rmod
-from pbonet.config.model import TaskType, Variable
+from pbonet.config.model import Limit, TaskType, Variable
 
 RMOD = """MODULE mod
 DESC a differentiator
@@ -262,12 +262,76 @@ def test_safe_values_at_a_failure_need_one_of_each_out_var() -> None:
     """Not of some: the dispatcher writes all of them, as one set."""
     info = module(port("outvar", "X"))
     assert texts(configuration(task("a", outvar="X", info=info))) == []
-    one = task("a", outvar="X", info=info, safe_at=("deadline", "maxexec"))
+    one = task("a", outvar="X", info=info, safe_at=("deadline", "maxexec"), maxc=0.001)
     assert texts(configuration(one)) == [
         "a.rmod: module mod has nothing to write at SAFE deadline maxexec (expected a "
         "safe value of X: OutVar(..., safe=0.0) in mod); write it there, or take SAFE "
         "out of the .rmod file"
     ]
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({"safe_at": ("deadline",)}, []),
+        ({"safe_at": ("maxexec",), "maxc": 0.001}, []),
+        ({"safe_at": ("minexec",), "minc": 0.001}, []),
+        (
+            {"safe_at": ("deadline", "maxexec")},
+            [
+                "a.rmod: SAFE maxexec does nothing without MAXC (expected MAXC and "
+                "seconds); write MAXC, or take maxexec out of SAFE"
+            ],
+        ),
+        (
+            {"safe_at": ("minexec",)},
+            [
+                "a.rmod: SAFE minexec does nothing without MINC (expected MINC and "
+                "seconds); write MINC, or take minexec out of SAFE"
+            ],
+        ),
+        (
+            {"safe_at": ("deadline",), "tasktype": TaskType.BACKGROUND, "freq": None},
+            [
+                "a.rmod: SAFE does nothing with TASKTYPE background, which has no "
+                "deadline (expected TASKTYPE periodic or synchronous); choose one of "
+                "them, or take SAFE out of the .rmod file"
+            ],
+        ),
+    ],
+)
+def test_safe_values_are_for_failures_that_can_come(given, found) -> None:
+    info = module(port("outvar", "X", safe=(0.0,)))
+    assert texts(configuration(task("a", outvar="X", info=info, **given))) == found
+
+
+@pytest.mark.parametrize(
+    ("safe", "limit", "good"),
+    [
+        ((0.0,), "error", False),
+        ((0.0,), "clip", False),
+        ((0.0,), "none", True),
+        ((1.5,), "error", True),
+        ((1.0, 2.0), "error", True),
+        ((1.0, 2.5), "error", False),
+    ],
+)
+def test_safe_values_must_be_within_the_limits(safe, limit, good) -> None:
+    """Nobody judges them when the dispatcher writes them."""
+    info = module(port("outvar", "X", shape="2", safe=safe))
+    table = Variable(name="X", type="double", nelem=2, min=(1.0, 1.0), max=(2.0, 2.0))
+    table = structs.replace(table, limit=Limit(limit))
+    one = task("a", outvar="X", info=info, safe_at=("deadline",))
+    found = texts(configuration(one, variables=[table]))
+    assert found == (
+        []
+        if good
+        else [
+            "a.rmod: the safe value of X in mod is outside the limits of X (expected "
+            f"(1.0, 1.0) to (2.0, 2.0), got {safe}); write a safe value within them, "
+            "or other limits in the .svar file"
+        ]
+    )
 
 
 def test_an_rtpu_that_the_subsystem_does_not_have() -> None:

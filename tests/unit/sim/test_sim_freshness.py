@@ -187,6 +187,6 @@ def test_the_state_of_a_robot_that_holds_is_on(tmp_path) -> None:
 
 def test_safe_values_at_failures_are_declared_and_no_cycle_fails(tmp_path) -> None:
     """Nothing takes time there: the line is read, and changes nothing."""
-    robot, log, _ = ran(tmp_path, "STALE safe\nSAFE deadline maxexec\n")
+    robot, log, _ = ran(tmp_path, "STALE safe\nSAFE deadline\n")
     assert flags(robot, SAFE).size
     assert all(verdict.good for verdict in verify(log))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pbonet.config.model import Limit, Variable
+from pbonet.errors import SvarError
 from pbonet.svar import Flags, Table
 
 ME = os.getpid()
@@ -188,3 +189,24 @@ def test_structs_and_booleans_are_not_judged():
         fill(task, B=[True, False, True])
         assert task.claim() == 0
         assert table.read("B").tolist() == [True, False, True]
+
+
+def keep_safe(limit, value):
+    one = Variable(
+        name="X", type="double", nelem=2, min=(0, 0), max=(1, 1), limit=limit
+    )
+    with Table.create("arm", [one]) as table:
+        return table.local("t", ME, outvar=["X"]).keep_safe({"X": value})
+
+
+@pytest.mark.parametrize(("limit", "value"), [(Limit.NONE, 2.0), (Limit.ERROR, 0.5)])
+def test_safe_values_are_kept_as_they_are_committed(limit, value):
+    assert keep_safe(limit, value) == np.full(2, value).tobytes()
+
+
+@pytest.mark.parametrize("value", [2.0, np.nan, np.inf])
+@pytest.mark.parametrize("limit", [Limit.ERROR, Limit.CLIP])
+def test_safe_values_that_are_no_values_of_the_variable_are_refused(limit, value):
+    """The dispatcher commits them unseen."""
+    with pytest.raises(SvarError, match="safe values of arm/t"):
+        keep_safe(limit, value)
