@@ -21,7 +21,8 @@ from log_of_python_tasks import RMOD, Shop, Task, drive
 from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError
 from pbonet.log import Did, Log, code_of
-from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.log.cycle_columns import HEAD_DTYPE
+from pbonet.log.schema import RECORD
 from pbonet.node.recorder.recorder_process import Recorder
 from pbonet.node.ring._ring import Ring
 from pbonet.node.wire import rtpu_messages

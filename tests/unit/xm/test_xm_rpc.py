@@ -30,14 +30,14 @@ def test_place_of_an_error_begins_with_its_rtpu(where, whole):
     "message", [m.Hello(id="i", client="anna"), m.Answer(id="anna", ok=True)]
 )
 def test_text_that_is_no_utf8_is_refused_like_all_that_is_malformed(message):
-    """msgspec tells of it by an exception of its own."""
+    """Older versions of msgspec raise an exception of another kind."""
     packed = codec.Codec().pack(message).replace(b"anna", b"an\xffa")
     read = (
         codec.Codec().answer if isinstance(message, m.Answer) else codec.Codec().request
     )
     with pytest.raises(ProtocolError) as caught:
         read(packed)
-    assert "utf-8" in str(caught.value)
+    assert "utf-8" in str(caught.value).lower()
     assert codec.refusal(caught.value, packed).id in {"i", ""}
 
 
