@@ -3,6 +3,7 @@
 import os
 import random
 import select
+import signal
 import time
 
 import pytest
@@ -10,6 +11,7 @@ from nodekit import rmod
 from watching import wait_for
 
 from pbonet.config import Variable
+from pbonet.errors import UnknownTaskError
 from pbonet.node.rt import _rt
 from pbonet.svar import Action, Freshness, Table
 from pbonet.svar.mirror import packets
@@ -99,6 +101,32 @@ def test_only_the_failures_that_are_named_count(arm):
     )
     wait_for(lambda: arm.status("bad").failures["maxexec"] > 2, "failures")
     assert arm.status("bad").made_safe == 0
+
+
+def is_off(arm, name="bad"):
+    try:
+        return arm.status(name).state == "OFF"
+    except UnknownTaskError:
+        return False
+
+
+def test_whichever_rtpu_leads_the_core_and_when_it_is_killed(nodes):
+    """One of two leads, and knows its own tasks' values alone."""
+    nodes.agent_processes("arm0", "arm1")
+    arms = nodes.master("arm0", "one"), nodes.master("arm1", "two")
+    late = overruns("SAFE deadline", work="sleep", busy=0.05)
+    for arm in arms:
+        start(arm, late)
+    for arm in arms:
+        wait_safe(arm, 2)
+    old = nodes.state("arm0").pid
+    os.kill(old, signal.SIGKILL)
+    wait_safe(arms[1], arms[1].status("bad").made_safe + 2)
+    nodes.wait_restarted("arm0", old)
+    wait_for(lambda: is_off(arms[0]), "that it is spawned again")
+    arms[0].on("bad")
+    for arm in arms:
+        wait_safe(arm, arm.status("bad").made_safe + 2)
 
 
 N = 4096
