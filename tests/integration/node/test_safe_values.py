@@ -4,6 +4,7 @@ import os
 import random
 import select
 import signal
+import threading
 import time
 
 import pytest
@@ -19,6 +20,7 @@ from pbonet.svar.mirror.table_mirror import Mirror
 
 MS = 1_000_000
 
+FAIL_SIGNAL = signal.SIGRTMIN + 3
 SAFE = (-7.0, -7.0)
 """What tests/misbehaving/overruns.py declares."""
 
@@ -255,3 +257,33 @@ def test_another_machine_has_them_while_the_cycle_still_runs(rig):
         dispatcher.drop_values(slot.index)
         for side in sides:
             side.close()
+
+
+def test_a_signal_that_comes_to_another_thread_writes_nothing(rig):
+    """The task would not know that its cycle is being taken."""
+    core, _, slot, table = rig
+    local = table.local("t", os.getpid(), outvar=["Y"])
+    local.keep_safe({"Y": -7.0})
+    assert local.claim() == 0
+    ready, sent = threading.Event(), threading.Event()
+    found = []
+
+    def other():
+        ready.wait()
+        os.kill(os.getpid(), FAIL_SIGNAL)
+        sent.set()
+
+    def cycle(_dt):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {FAIL_SIGNAL})
+        wait_for(lambda: core.snapshot(slot.index).failures[0], "the deadline")
+        ready.set()
+        sent.wait()
+        found.append(core.snapshot(slot.index).safe)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {FAIL_SIGNAL})
+        found.append(core.snapshot(slot.index).safe)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    assert slot.run(cycle, local) == _rt.ABORTED
+    thread.join()
+    assert found == [0, 1]
