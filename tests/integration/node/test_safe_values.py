@@ -3,6 +3,8 @@
 import os
 import random
 import select
+import signal
+import threading
 import time
 
 import pytest
@@ -10,6 +12,7 @@ from nodekit import rmod
 from watching import wait_for
 
 from pbonet.config import Variable
+from pbonet.errors import UnknownTaskError
 from pbonet.node.rt import _rt
 from pbonet.svar import Action, Freshness, Table
 from pbonet.svar.mirror import packets
@@ -17,6 +20,7 @@ from pbonet.svar.mirror.table_mirror import Mirror
 
 MS = 1_000_000
 
+FAIL_SIGNAL = signal.SIGRTMIN + 3
 SAFE = (-7.0, -7.0)
 """What tests/misbehaving/overruns.py declares."""
 
@@ -99,6 +103,32 @@ def test_only_the_failures_that_are_named_count(arm):
     )
     wait_for(lambda: arm.status("bad").failures["maxexec"] > 2, "failures")
     assert arm.status("bad").made_safe == 0
+
+
+def is_off(arm, name="bad"):
+    try:
+        return arm.status(name).state == "OFF"
+    except UnknownTaskError:
+        return False
+
+
+def test_whichever_rtpu_leads_the_core_and_when_it_is_killed(nodes):
+    """One of two leads, and knows its own tasks' values alone."""
+    nodes.agent_processes("arm0", "arm1")
+    arms = nodes.master("arm0", "one"), nodes.master("arm1", "two")
+    late = overruns("SAFE deadline", work="sleep", busy=0.05)
+    for arm in arms:
+        start(arm, late)
+    for arm in arms:
+        wait_safe(arm, 2)
+    old = nodes.state("arm0").pid
+    os.kill(old, signal.SIGKILL)
+    wait_safe(arms[1], arms[1].status("bad").made_safe + 2)
+    nodes.wait_restarted("arm0", old)
+    wait_for(lambda: is_off(arms[0]), "that it is spawned again")
+    arms[0].on("bad")
+    for arm in arms:
+        wait_safe(arm, arm.status("bad").made_safe + 2)
 
 
 N = 4096
@@ -227,3 +257,33 @@ def test_another_machine_has_them_while_the_cycle_still_runs(rig):
         dispatcher.drop_values(slot.index)
         for side in sides:
             side.close()
+
+
+def test_a_signal_that_comes_to_another_thread_writes_nothing(rig):
+    """The task would not know that its cycle is being taken."""
+    core, _, slot, table = rig
+    local = table.local("t", os.getpid(), outvar=["Y"])
+    local.keep_safe({"Y": -7.0})
+    assert local.claim() == 0
+    ready, sent = threading.Event(), threading.Event()
+    found = []
+
+    def other():
+        ready.wait()
+        os.kill(os.getpid(), FAIL_SIGNAL)
+        sent.set()
+
+    def cycle(_dt):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {FAIL_SIGNAL})
+        wait_for(lambda: core.snapshot(slot.index).failures[0], "the deadline")
+        ready.set()
+        sent.wait()
+        found.append(core.snapshot(slot.index).safe)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {FAIL_SIGNAL})
+        found.append(core.snapshot(slot.index).safe)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    assert slot.run(cycle, local) == _rt.ABORTED
+    thread.join()
+    assert found == [0, 1]

@@ -1,5 +1,7 @@
 """One task by itself: ports, variables, types, units, sizes, CRITICAL, RTPU."""
 
+from typing import Any
+
 import pytest
 from msgspec import structs
 from verify_parts import configuration, module, port, rtpu, task, texts
@@ -300,7 +302,9 @@ def test_safe_values_at_a_failure_need_one_of_each_out_var() -> None:
         ),
     ],
 )
-def test_safe_values_are_for_failures_that_can_come(given, found) -> None:
+def test_safe_values_are_for_failures_that_can_come(
+    given: dict[str, Any], found: list[str]
+) -> None:
     info = module(port("outvar", "X", safe=(0.0,)))
     assert texts(configuration(task("a", outvar="X", info=info, **given))) == found
 
@@ -316,7 +320,9 @@ def test_safe_values_are_for_failures_that_can_come(given, found) -> None:
         ((1.0, 2.5), "error", False),
     ],
 )
-def test_safe_values_must_be_within_the_limits(safe, limit, good) -> None:
+def test_safe_values_must_be_within_the_limits(
+    safe: tuple[float, ...], limit: str, good: bool
+) -> None:
     """Nobody judges them when the dispatcher writes them."""
     info = module(port("outvar", "X", shape="2", safe=safe))
     table = Variable(name="X", type="double", nelem=2, min=(1.0, 1.0), max=(2.0, 2.0))
