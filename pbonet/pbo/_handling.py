@@ -191,7 +191,7 @@ def innermost(calls: Iterable[tuple[str, str]]) -> str:
     """
     found, folder = "", None
     for file, line in calls:
-        own = not file.startswith(_RUNTIME) and not file.endswith(".pyx")
+        own = not file.startswith(_RUNTIME) and not file.endswith((".pyx", ".pxi"))
         if own and folder in {None, Path(file).parent}:
             folder, found = Path(file).parent, line
     return found

@@ -7,7 +7,8 @@ import plain_table
 from pbonet import svar
 from pbonet.svar import _svar
 
-plain_table.Watch = _svar.Watch  # only sleeps, and has no other version
+# These do nothing with a table, and have no other version.
+plain_table.Watch, plain_table.short_slices = _svar.Watch, _svar.short_slices
 sys.modules["pbonet.svar._svar"] = svar._svar = plain_table
 
 

@@ -362,7 +362,7 @@ class Pipe:
 def main(argv: list[str]) -> int:
     """Record by the plan in a memory file (its descriptor) until stdin is closed."""
     process_setup.set_title("pbonet-recorder")
-    process_setup.on_end_of_parent(os.getppid())
+    process_setup.on_end_of_parent(os.getppid(), always=True)
     stop = False
 
     def asked(_number: int, _frame: object) -> None:

@@ -58,14 +58,15 @@ def set_parent_death_signal(which: signal.Signals, parent: int = 0) -> bool:
     return os.getppid() == parent
 
 
-def on_end_of_parent(parent: int, call: Callable[[], None] | None = None) -> bool:
+def on_end_of_parent(
+    parent: int, call: Callable[[], None] | None = None, *, always: bool = False
+) -> bool:
     """Call a function once when the parent ends; return whether it is the parent.
 
     The kernel sends SIGCONT then, as a stopped process would not see another signal,
     and from then on every 0.2 s: it may be stopped again, and often no process is left
     that could continue it. A signal that stops the process takes back a SIGCONT that it
-    has not seen yet. Without a function, for a process that ends by itself and which no
-    user has a reason to stop, SIGCONT therefore comes every second before that, too.
+    has not seen yet. With `always`, SIGCONT therefore comes every second before that, too.
     """
     seen = False
     timer: ctypes.c_void_p | None = None
@@ -81,7 +82,7 @@ def on_end_of_parent(parent: int, call: Callable[[], None] | None = None) -> boo
             call()
 
     signal.signal(signal.SIGCONT, on_continue)
-    if call is None:
+    if always:
         with contextlib.suppress(OSError):
             timer = _continue_every(SLOW_CONTINUE_PERIOD)
     return set_parent_death_signal(signal.SIGCONT, parent)

@@ -54,7 +54,7 @@ def test_a_stop_that_takes_the_end_of_the_parent_back_does_not_last() -> None:
         from pbonet.node.wire import process_setup
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCONT})
         parent = os.getppid()
-        process_setup.on_end_of_parent(parent)
+        process_setup.on_end_of_parent(parent, always=True)
         print(os.getpid(), flush=True)
         while os.getppid() == parent:
             time.sleep(0.001)

@@ -165,9 +165,9 @@ def test_last_keeps_no_more_than_it_must(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(sim_log, "begin", begun)
     found = simulated(tmp_path, 9.0, record="last 0.5")
     (rtpu,) = logs[0]._rtpus.values()
-    times = [at for at, _, _ in rtpu._files._kept]
+    times = [at for at, *_ in rtpu._files._kept]
     assert times[-1] - times[0] <= 0.5
-    kept = sum(len(records) for _, _, records in rtpu._files._kept)
+    kept = sum(len(records) for *_, records in rtpu._files._kept)
     assert 0 < kept < 2 * 60 * 300, "of two tasks, 60 cycles at most"
     assert (found.recording, found.log) == (None, "")
 
