@@ -66,7 +66,7 @@ def on_end_of_parent(
     The kernel sends SIGCONT then, as a stopped process would not see another signal,
     and from then on every 0.2 s: it may be stopped again, and often no process is left
     that could continue it. A signal that stops the process takes back a SIGCONT that it
-    has not seen yet. With `always`, SIGCONT therefore comes every second before that, too.
+    has not seen yet. So with `always` it comes every second before that, too.
     """
     seen = False
     timer: ctypes.c_void_p | None = None
