@@ -259,6 +259,7 @@ def test_swap_does_it_where_the_job_does_not_say_so(start, hosts, lan, tmp_path)
     wait_replaced(arm, start)
     for name in ("arm1", "arm2"):
         wait_for(lambda n=name: not left(hosts, n), f"{name} to have no order left")
+    wait_for(lambda: reports(arm)[len(before) :], "the report")
     (text,) = reports(arm)[len(before) :]  # both repeat it; arm0 carries it out once
     assert text.endswith("has reached arm0 only now: first turned off")
 
