@@ -209,9 +209,11 @@ def test_mavsdk_steers_a_subsystem(tmp_path: Path) -> None:
             for k in range(20)
         ]  # fmt: skip
         await station.mission_raw.upload_mission(given)
-        assert [one.z for one in air.module.parts[0]._mission.items] == [
-            np.float32(k / 9) for k in range(20)
-        ]
+        heights = [np.float32(k / 9) for k in range(20)]
+        # The vehicle answers before it keeps them.
+        await until(
+            lambda: [one.z for one in air.module.parts[0]._mission.items] == heights
+        )
         got = await station.mission_raw.download_mission()
         assert [bits(one) for one in got] == [bits(one) for one in given]
 
