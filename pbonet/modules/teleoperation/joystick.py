@@ -9,7 +9,7 @@ from pbonet.errors import DeviceError, ParameterError
 from pbonet.io.drivers import Mode, open_device
 from pbonet.modules._values import keep
 
-from ._sticks import Feel, Sticks
+from ._joystick_ports import Feel, Sticks
 
 RETRY_NS = 1_000_000_000
 """Between two attempts to open a device that was lost."""

@@ -6,7 +6,7 @@ from pbonet import param
 from pbonet.modules._values import PerElement
 from pbonet.modules._wave import Wave
 
-from ._sticks import Feel, Sticks
+from ._joystick_ports import Feel, Sticks
 
 
 class Push(Feel):
