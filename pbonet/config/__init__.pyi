@@ -24,7 +24,12 @@ from .job import (
     read_job as read_job,
     write_job as write_job,
 )
-from .library import Library as Library, absent as absent, no_module as no_module
+from .library import (
+    Library as Library,
+    absent as absent,
+    load_common as load_common,
+    no_module as no_module,
+)
 from .library_search import (
     Found as Found,
     Search as Search,

@@ -11,9 +11,11 @@ came over the network.
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib.machinery
 import importlib.util
 import keyword
+import os
 import sys
 import threading
 import types
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 BUILT_IN = "pbonet.modules"
 """The package of the modules that pbonet brings."""
+_COMMON = f"{BUILT_IN}._values"
 GROUP = "pbonet.modules"
 """The entry point group of packages with more modules."""
 _VERSION = "__pbonet_version__"
@@ -84,7 +87,7 @@ class Library:
         """Folders of an application's files, which are searched before all others."""
         self._loaded: dict[tuple[str, str], LoadedModule] = {}
         self._records: dict[str, Rmod] = {}
-        self._stamps: dict[Path, int] = {}
+        self._stamps: dict[str, int] = {}
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -100,13 +103,8 @@ class Library:
         """Yield the folders; those of installed packages only if all else fails."""
         for folder in self.folders:
             yield Shelf(folder, _package_name(folder))
-        yield from self._built_in
+        yield from built_in()
         yield from self._installed
-
-    @cached_property
-    def _built_in(self) -> list[Shelf]:
-        """The folders of the modules that pbonet brings."""
-        return _packaged(BUILT_IN)
 
     @cached_property
     def _installed(self) -> list[Shelf]:
@@ -260,22 +258,29 @@ class Library:
 
         One that is wrong is left out; that is reported when it is used.
         """
-        files = self._files(".rmod")
-        stamps = {path: _written(path) for path in files.values()}
+        entries = self._entries(".rmod")
+        stamps = {entry.path: _written(entry) for entry in entries.values()}
         if stamps != self._stamps:
             self._records = {}
-            for name, path in files.items():
+            for name, entry in entries.items():
                 with contextlib.suppress(ConfigError):
-                    self._records[name] = self.read_rmod(path)
+                    self._records[name] = self.read_rmod(entry.path)
             self._stamps = stamps
         return self._records
 
     def _files(self, ending: str) -> dict[str, Path]:
         """Return the files of an ending by their names, of several the first."""
-        found: dict[str, Path] = {}
-        for shelf in self.shelves:
-            for path in shelf.folder.glob(f"*{ending}"):
-                found.setdefault(path.stem, path)
+        return {name: Path(one.path) for name, one in self._entries(ending).items()}
+
+    def _entries(self, ending: str) -> dict[str, os.DirEntry[str]]:
+        """Return what folders say of these files; without a `Path` for each file."""
+        found: dict[str, os.DirEntry[str]] = {}
+        for shelf in self._search():
+            with contextlib.suppress(OSError), os.scandir(shelf.folder) as entries:
+                for entry in entries:
+                    name = entry.name.removesuffix(ending)
+                    if name and name != entry.name:
+                        found.setdefault(name, entry)
         return dict(sorted(found.items()))
 
     def _first_with(self, *files: str) -> tuple[Shelf, Path] | None:
@@ -285,8 +290,9 @@ class Library:
             ModuleLoadError: It has several of them.
         """
         for shelf in self._search():
-            paths = [shelf.folder / file for file in files]
-            found = [path for path in paths if path.is_file()]
+            folder = str(shelf.folder)  # a `Path` for each file would take most of it
+            here = [one for one in files if os.path.isfile(f"{folder}/{one}")]  # noqa: PTH113
+            found = [shelf.folder / file for file in here]
             if len(found) > 1:
                 raise ModuleLoadError(
                     f"the folder has two modules {found[0].stem}",
@@ -391,10 +397,10 @@ def _checked(module: str) -> str:
     return module
 
 
-def _written(path: Path) -> int:
+def _written(entry: os.DirEntry[str]) -> int:
     """Return when a file was written; 0 where it has just been removed."""
     try:
-        return path.stat().st_mtime_ns
+        return entry.stat().st_mtime_ns
     except OSError:
         return 0
 
@@ -409,6 +415,18 @@ def _read(path: Path) -> bytes:
             got=error.strerror or str(error),
             remedy="check its permissions",
         ) from None
+
+
+@functools.cache
+def built_in() -> tuple[Shelf, ...]:
+    """Return the folders of the modules that pbonet brings."""
+    return tuple(_packaged(BUILT_IN))
+
+
+def load_common() -> str:
+    """Import what most modules that pbonet brings import; return its file."""
+    built_in()
+    return str(importlib.import_module(_COMMON).__file__)
 
 
 def _packaged(package: str) -> list[Shelf]:

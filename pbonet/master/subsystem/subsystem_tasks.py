@@ -105,6 +105,7 @@ class SubsystemTasks:
         self._noted: set[str] = set()  # reported already, of saved profiles
         self._modules: dict[str, Any] = {}  # that tasks run, as claims describe them
         self._fresh: dict[str, m.RtpuStatus] = {}  # for the next `refresh`
+        self._producers = files.producers()  # of the library as the command found it
         self.accepted: Collection[legality.Code] = ()
         """Problems for which no change is refused."""
         self._whole = False  # the tasks of every RTPU are known
@@ -266,6 +267,7 @@ class SubsystemTasks:
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
+        self._producers = self.files.producers()
         known, dead = {*self._model.names, *self._unread}, self._inbox.dead()
         wanted = self.clients.names if rtpus is None else rtpus
         results = {name: self._fresh[name] for name in wanted if name in self._fresh}
@@ -542,7 +544,7 @@ class SubsystemTasks:
             keeper=self.files.sbs.keeper,
             alone=self.files.sbs.alone,
             strict=self.files.sbs.strict,
-            producers=self.files.producers() if self._whole else {},
+            producers=self._producers if self._whole else {},
             core=schedule.ASSUMED,
             cores=self.clients.core_shares(),
             copy_speeds=self.clients.copy_speeds(),

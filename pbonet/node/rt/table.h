@@ -235,6 +235,19 @@ static inline void rt_prefault(struct rt_map *map)
     madvise(map->table, sizeof(struct rt_table), 23 /* MADV_POPULATE_WRITE */);
 }
 
+/* The same for what a process that is no member touches: not the trace, which the leader
+ * writes, and no slot that has never been used. Of one that is used later, each page
+ * faults once; only a handover to it writes there. */
+static inline void rt_prefault_used(struct rt_map *map)
+{
+    uint32_t high = atomic_load(&map->table->high);
+    if (high > RT_SLOTS)
+        high = RT_SLOTS;
+    madvise(map->table, offsetof(struct rt_table, trace), 23 /* MADV_POPULATE_WRITE */);
+    size_t page = (size_t)sysconf(_SC_PAGESIZE), from = (size_t)&map->table->slots[0] & ~(page - 1);
+    madvise((void *)from, (size_t)&map->table->slots[high] - from, 23);
+}
+
 static inline int rt_check(const struct rt_table *t, const struct stat *s)
 {
     if (t->magic != RT_MAGIC)
@@ -335,7 +348,7 @@ static inline int rt_attach_user(struct rt_map *map, const char *path)
     if (error)
         rt_unmap(map);
     else
-        rt_prefault(map);
+        rt_prefault_used(map);
     return error;
 }
 

@@ -95,7 +95,10 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once, like SIGTERM
     process_setup.set_title("pbonet-forks")
     process_setup.adopt_descendants()
-    if not gc.get_freeze_count():  # started by exec
+    task_process.prepare()
+    if gc.get_freeze_count():
+        gc.freeze()
+    else:  # started by exec
         share_objects()
     control.send(rtpu_messages.encode(rtpu_messages.Ready()))
     return ForkServer(control).serve()
@@ -161,11 +164,12 @@ class ForkServer:
 
     def _fork(self, request: rtpu_messages.Fork, fds: list[int]) -> int:
         server = os.getpid()
+        guarded = _guarded(server)
         pid = os.fork()
         if pid == 0:
             code = CRASHED
             try:
-                code = become_child(request, fds, server)
+                code = become_child(request, fds, server, guarded)
             finally:
                 os._exit(code)
         pidfd = os.pidfd_open(pid)
@@ -216,7 +220,9 @@ def _guard_mark() -> str:
     return GUARD
 
 
-def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:
+def become_child(
+    request: rtpu_messages.Fork, fds: list[int], server: int, guarded: list[int]
+) -> int:
     """Turn the process just forked into a task or an inspector; return its exit code.
 
     Never raises: errors are written to the file that the RTPU process reads.
@@ -228,7 +234,7 @@ def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> in
         process_setup.set_title(request.title)
         faulthandler.enable(crash_fd, all_threads=False)  # other threads keep running
         with contextlib.suppress(RealTimeError):  # the RTPU reports it, once
-            rt.restrict(_guarded(server))
+            rt.restrict(guarded)
         run = module_inspector.run if request.kind == "inspect" else task_process.run
         return run(sock_fd, spec_fd, crash_fd, server)
     except BaseException:  # noqa: BLE001 - the process ends, and the RTPU is notified

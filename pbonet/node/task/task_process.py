@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from pbonet.config import Library, TaskType, parse_rmod
+from pbonet.config import Library, TaskType, load_common, parse_rmod
 from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
-from pbonet.log import Did
+from pbonet.log import Did, code_of
 from pbonet.node import rt
 from pbonet.node.ring import Ring
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
@@ -65,6 +65,11 @@ _RECORDS: Final = 16
 """Records for which a ring has room, up to that: some passes of the recorder."""
 _REST: Final = 1 << 14
 """Bytes of a record for its head, and for what a cycle hears from outside."""
+
+
+def prepare() -> None:
+    """Do in the fork server what each task would do anew; no module's code runs."""
+    code_of([load_common()])
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:

@@ -122,6 +122,22 @@ for pages in ((), code_pages.code_pages()):
     assert copied < shared // 3
 
 
+def test_a_task_finds_loaded_what_modules_share() -> None:
+    """Each task would load it anew, and search the same folders."""
+    code = """
+import os, sys
+from pbonet.config import Library
+from pbonet.node.task import task_process
+task_process.prepare()
+before, scandir, seen = {*sys.modules}, os.scandir, []
+os.scandir = lambda path: seen.append(path) or scandir(path)
+Library().load("sine")
+print(len(seen), *sorted(sys.modules.keys() - before))
+"""
+    place = "pbonet.modules.trajectories"
+    assert python(code).split() == ["0", place, f"{place}.sine"]
+
+
 def test_a_large_buffer_of_which_little_is_used_stays_small() -> None:
     """OpenBLAS has one in each process."""
     code = """

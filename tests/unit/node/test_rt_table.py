@@ -310,3 +310,34 @@ def test_probe_says_why() -> None:
     assert probe.backend == ("fifo" if probe.fifo else "park")
     assert probe.cores == sorted(os.sched_getaffinity(0))
     assert probe.fifo or any("SCHED_FIFO is refused" in why for why in probe.reasons)
+
+
+USER = """
+import sys
+from pbonet.node.rt import _rt
+
+table, present, mapped = _rt.CoreTable(1, member=False), 0, False
+for line in open("/proc/self/smaps"):
+    if "-" in line.split()[0]:
+        mapped = line.rstrip().endswith(table.path)
+    elif mapped and line.startswith("Rss:"):
+        present = int(line.split()[1]) << 10
+print(present)
+"""
+
+
+def test_a_user_has_the_slots_that_were_used_and_not_the_whole_table(path, table):
+    """The rest is for the leader; each page of it would make a task start later."""
+
+    def present():
+        done = subprocess.run(
+            [sys.executable, "-c", USER], cwd=ROOT, capture_output=True, check=True
+        )
+        return int(done.stdout)
+
+    few = present()
+    size = path.stat().st_size
+    assert 0 < few < size // 4
+    for number in range(64):
+        table.alloc("r", f"task{number}")
+    assert present() > few + size // 4

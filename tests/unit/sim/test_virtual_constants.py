@@ -5,6 +5,8 @@ import threading
 import pytest
 import tool_constants
 
+from benchmarks import steering
+from pbonet.config import Library
 from pbonet.errors import MethodError
 from pbonet.master import Subsystem
 
@@ -74,3 +76,19 @@ def test_who_could_not_take_a_constant_in_does_so_before_it_comes_on(held):
     held.on("weigh")
     assert torque(held) == [1000.0], "and who uses what it gives has the new value"
     assert "on of weigh: re-initialized hold" in told
+
+
+def test_a_spawn_reads_the_library_once(tmp_path, monkeypatch):
+    """Its remedies name RMODs; the folders are not searched before and after it."""
+    read, seen = Library.records, []
+    monkeypatch.setattr(Library, "records", lambda one: seen.append(one) or read(one))
+    (tmp_path / "wave.sbs").write_text(steering.SBS.replace("steering", "wave"))
+    (tmp_path / "wave.svar").write_text(steering.SVAR)
+    warned = []
+    with Subsystem(tmp_path / "wave.sbs", virtual=True, warned=warned.append) as wave:
+        wave.spawn("sine", hz=100.0)
+        assert len(seen) == 1
+        assert "no task produces the constant NDOF" in warned[0]
+        wave.control("sine", "kill")
+        wave.spawn("sine", hz=100.0)
+    assert len(seen) == 2
