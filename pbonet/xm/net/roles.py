@@ -8,6 +8,8 @@ observer reaches only the last one, and an agent the last two.
 
 from __future__ import annotations
 
+import functools
+
 from pbonet.errors import AccessError
 
 from . import messages as m
@@ -19,24 +21,33 @@ _LOOKING = {
     *("modules", "events", "xm_stat", "xm_list", "xm_read", "xm_overview"),
 }
 """The ``op`` of requests that change nothing."""
+_BY_FIELDS = {"sigmask", "job", "status", "freq"}
+"""The ``op`` of requests that change something or nothing, as their fields say."""
 
 
 def only_looks(request: m.Request) -> bool:
     """Return whether the request changes nothing."""
+    op = request.__struct_config__.tag
+    if op not in _BY_FIELDS:
+        return op in _LOOKING
     if isinstance(request, m.Sigmask | m.Job):
         return not request.changes
     if isinstance(request, m.Status):
         return not request.reset
-    return request.__struct_config__.tag in _LOOKING or (
-        isinstance(request, m.Freq) and request.hz is None
-    )
+    return isinstance(request, m.Freq) and request.hz is None
 
 
 def leaf(request: m.Request) -> str:
     """Return the last part of the key on which the request is made."""
     if only_looks(request):
         return "status"
-    return "mail" if isinstance(request, XmRequest) else "sbs"
+    return "mail" if _is_mail(type(request)) else "sbs"
+
+
+@functools.cache
+def _is_mail(kind: type[m.Request]) -> bool:
+    """Return whether requests of a class are about semaphores, queues and the like."""
+    return issubclass(kind, XmRequest)
 
 
 def check(request: m.Request, key: str) -> None:
@@ -50,7 +61,7 @@ def check(request: m.Request, key: str) -> None:
         AccessError: The request is not allowed on that key.
     """
     asked = key.rpartition("/")[2]
-    if asked not in {"sbs", leaf(request)} and not only_looks(request):
+    if asked != "sbs" and asked != leaf(request) and not only_looks(request):
         raise AccessError(
             "this key accepts only requests that change nothing",
             where=key,
