@@ -5,7 +5,11 @@ from __future__ import annotations
 import errno
 import itertools
 import os
+import subprocess
+import sys
 import time
+from importlib import metadata
+from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
@@ -526,3 +530,21 @@ def test_a_burst_behind_the_start_kills_no_recorder(tmp_path) -> None:
     assert codes(said) == []
     asked = [one["asked"]["values"][0] for one in Log(tmp_path / "r").commands()]
     assert asked == list(range(burst)), "each one, in order"
+
+
+def test_the_version_of_numpy_is_found_without_loading_what_reads_packages(
+    monkeypatch,
+):
+    """It is a sixth of what a recorder loads, beside the first tasks of a run."""
+    code = (
+        "import sys; from pbonet.node.recorder import log_rotation, recorder_process\n"
+        "print(log_rotation.numpy_version(), 'importlib.metadata' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [metadata.version("numpy"), "False"]
+    found = [one for one in sys.path if not [*Path(one).glob("numpy-*.dist-info")]]
+    monkeypatch.setattr(sys, "path", found)
+    with pytest.raises(metadata.PackageNotFoundError, match="numpy"):
+        log_rotation.numpy_version()
