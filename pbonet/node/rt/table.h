@@ -240,12 +240,13 @@ static inline void rt_prefault(struct rt_map *map)
  * faults once; only a handover to it writes there. */
 static inline void rt_prefault_used(struct rt_map *map)
 {
-    uint32_t high = atomic_load(&map->table->high);
-    if (high > RT_SLOTS)
+    struct rt_table *t = map->table;
+    size_t page = (size_t)sysconf(_SC_PAGESIZE), from = (size_t)t->slots & ~(page - 1);
+    uint32_t high = atomic_load(&t->high);
+    if (high > RT_SLOTS)        /* another program has written there */
         high = RT_SLOTS;
-    madvise(map->table, offsetof(struct rt_table, trace), 23 /* MADV_POPULATE_WRITE */);
-    size_t page = (size_t)sysconf(_SC_PAGESIZE), from = (size_t)&map->table->slots[0] & ~(page - 1);
-    madvise((void *)from, (size_t)&map->table->slots[high] - from, 23);
+    madvise(t, offsetof(struct rt_table, trace), 23 /* MADV_POPULATE_WRITE */);
+    madvise((void *)from, (size_t)&t->slots[high] - from, 23);
 }
 
 static inline int rt_check(const struct rt_table *t, const struct stat *s)

@@ -68,7 +68,7 @@ _REST: Final = 1 << 14
 
 
 def prepare() -> None:
-    """Do in the fork server what each task would do anew; no module's code runs."""
+    """Do once, in the fork server, what tasks would; no code of a module runs."""
     code_of([load_common()])
 
 

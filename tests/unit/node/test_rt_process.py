@@ -123,7 +123,7 @@ for pages in ((), code_pages.code_pages()):
 
 
 def test_a_task_finds_loaded_what_modules_share() -> None:
-    """Each task would load it anew, and search the same folders."""
+    """Each task would load it again, and search the same folders."""
     code = """
 import os, sys
 from pbonet.config import Library
