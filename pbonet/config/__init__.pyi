@@ -27,6 +27,7 @@ from .job import (
 from .library import (
     Library as Library,
     absent as absent,
+    forget_common as forget_common,
     load_common as load_common,
     no_module as no_module,
 )

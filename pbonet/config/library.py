@@ -16,6 +16,7 @@ import importlib.machinery
 import importlib.util
 import keyword
 import os
+import stat
 import sys
 import threading
 import types
@@ -264,7 +265,7 @@ class Library:
             self._records = {}
             for name, entry in entries.items():
                 with contextlib.suppress(ConfigError):
-                    self._records[name] = self.read_rmod(entry.path)
+                    self._records[name] = self.read_rmod(Path(entry.path))
             self._stamps = stamps
         return self._records
 
@@ -287,11 +288,11 @@ class Library:
         """Return the first folder that has one of these files, and its path.
 
         Raises:
-            ModuleLoadError: It has several of them.
+            ModuleLoadError: It has several of them, or may not be searched.
         """
         for shelf in self._search():
             folder = str(shelf.folder)  # a `Path` for each file would take most of it
-            here = [one for one in files if os.path.isfile(f"{folder}/{one}")]  # noqa: PTH113
+            here = [one for one in files if _is_file(f"{folder}/{one}")]
             found = [shelf.folder / file for file in here]
             if len(found) > 1:
                 raise ModuleLoadError(
@@ -405,6 +406,26 @@ def _written(entry: os.DirEntry[str]) -> int:
         return 0
 
 
+def _is_file(path: str) -> bool:
+    """Return whether there is a file.
+
+    Raises:
+        ModuleLoadError: Its folder may not be searched: another one with a module of
+            that name must not be taken for it.
+    """
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)  # noqa: PTH116
+    except PermissionError as error:
+        raise ModuleLoadError(
+            "a folder of the library may not be searched",
+            where=path,
+            got=error.strerror or str(error),
+            remedy="check its permissions",
+        ) from None
+    except (OSError, ValueError):
+        return False
+
+
 def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
@@ -423,10 +444,40 @@ def built_in() -> tuple[Shelf, ...]:
     return tuple(_packaged(BUILT_IN))
 
 
-def load_common() -> str:
-    """Import what most modules that pbonet brings import; return its file."""
+def load_common() -> dict[Path, int]:
+    """Find the folders of `built_in` and import what most of their modules import.
+
+    Returns:
+        When each folder and file that was read was changed, for `forget_common`.
+    """
+    package = importlib.import_module(BUILT_IN)
+    places = [Path(one) for one in package.__path__]
+    names = [*places, places[0] / f"{_COMMON.rpartition('.')[2]}.py"]
+    read = {one: _changed(one) for one in names}  # first, for it may change meanwhile
     built_in()
-    return str(importlib.import_module(_COMMON).__file__)
+    importlib.import_module(_COMMON)
+    return read
+
+
+def forget_common(read: dict[Path, int]) -> bool:
+    """Forget what `load_common` has read if it was changed since; return whether so.
+
+    The next module then reads it again: the text that runs has the hash recorded.
+    """
+    if all(_changed(one) == then for one, then in read.items()):
+        return False
+    built_in.cache_clear()
+    for name in (_COMMON, BUILT_IN):
+        sys.modules.pop(name, None)
+    return True
+
+
+def _changed(path: Path) -> int:
+    """Return when a file or folder was changed or put there; 0 if it is not there."""
+    try:
+        return path.stat().st_ctime_ns
+    except OSError:
+        return 0
 
 
 def _packaged(package: str) -> list[Shelf]:

@@ -524,6 +524,7 @@ class SubsystemTasks:
         A task has ports as its RMOD says if its module is not there any more, or its
         RTPU does not answer.
         """
+        self._producers = self.files.producers()
         faults: list[configuration.GraphFault] = []
         for member in self.reached:
             try:

@@ -236,8 +236,9 @@ static inline void rt_prefault(struct rt_map *map)
 }
 
 /* The same for what a process that is no member touches: not the trace, which the leader
- * writes, and no slot that has never been used. Of one that is used later, each page
- * faults once; only a handover to it writes there. */
+ * writes, and no slot that has never been used. A task touches one that is used later only
+ * to hand over to it: its page faults once, when the task reads whether that slot expects
+ * its call, which is before it ends. */
 static inline void rt_prefault_used(struct rt_map *map)
 {
     struct rt_table *t = map->table;

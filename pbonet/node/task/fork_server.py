@@ -95,13 +95,13 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once, like SIGTERM
     process_setup.set_title("pbonet-forks")
     process_setup.adopt_descendants()
-    task_process.prepare()
+    prepared = task_process.Prepared()
     if gc.get_freeze_count():
         gc.freeze()
     else:  # started by exec
         share_objects()
     control.send(rtpu_messages.encode(rtpu_messages.Ready()))
-    return ForkServer(control).serve()
+    return ForkServer(control, prepared).serve()
 
 
 def share_objects() -> None:
@@ -120,10 +120,12 @@ class ForkServer:
 
     Args:
         control: The socket to the RTPU process.
+        prepared: What was done for the children.
     """
 
-    def __init__(self, control: socket.socket) -> None:
+    def __init__(self, control: socket.socket, prepared: task_process.Prepared) -> None:
         self._control = control
+        self._prepared = prepared
         self._children: dict[int, int] = {}
         """Process ids by the descriptor that is readable at the end."""
         self._rest = False
@@ -165,6 +167,7 @@ class ForkServer:
     def _fork(self, request: rtpu_messages.Fork, fds: list[int]) -> int:
         server = os.getpid()
         guarded = _guarded(server)
+        self._prepared.check()
         pid = os.fork()
         if pid == 0:
             code = CRASHED

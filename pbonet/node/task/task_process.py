@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from pbonet.config import Library, TaskType, load_common, parse_rmod
+from pbonet.config import Library, TaskType, forget_common, load_common, parse_rmod
 from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did, code_of
 from pbonet.node import rt
@@ -51,6 +51,7 @@ from .task_ports import (
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from pbonet.config import Rmod
     from pbonet.log import TaskAbout
@@ -67,9 +68,19 @@ _REST: Final = 1 << 14
 """Bytes of a record for its head, and for what a cycle hears from outside."""
 
 
-def prepare() -> None:
-    """Do once, in the fork server, what tasks would; no code of a module runs."""
-    code_of([load_common()])
+class Prepared:
+    """What the fork server does once that tasks would do; no code of a module runs."""
+
+    def __init__(self) -> None:
+        self._read: dict[Path, int] = {}
+        with contextlib.suppress(Exception):  # tasks whose module needs it report it
+            self._read = load_common()
+            code_of(self._read)
+
+    def check(self) -> None:
+        """Before a fork: forget what was changed on disk, which tasks read again."""
+        if forget_common(self._read):
+            self._read = {}
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:

@@ -1,5 +1,6 @@
 """Modules and RMODs by name: what is found, what is refused, what is run."""
 
+import errno
 import importlib
 import sys
 
@@ -52,6 +53,30 @@ def test_the_version_is_that_of_the_text_that_ran(folder):
     assert second.info.version != first.info.version
     assert second.info.doc == "Rise slowly."
     assert second.cls is not first.cls
+
+
+def test_a_folder_that_may_not_be_searched_is_not_passed_over(folder, monkeypatch):
+    """Else the module of that name in a later folder would run in its place."""
+    real = library.os.stat
+
+    def guarded(path, **more):
+        if str(path).startswith(str(folder)):
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return real(path, **more)
+
+    monkeypatch.setattr(library.os, "stat", guarded)
+    for search in (Library([folder]).load, Library([folder]).find_rmod):
+        with pytest.raises(ModuleLoadError, match="may not be searched") as caught:
+            search("sine")
+        assert str(folder) in caught.value.where
+        assert caught.value.got == "Permission denied"
+
+
+def test_rmods_of_the_current_folder_have_its_files_names(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    text = Library().find_rmod("sine").read_text()
+    (folder / "slow_sine.rmod").write_text(text)
+    assert Library(["."]).records()["slow_sine"].file == "slow_sine.rmod"
 
 
 def test_everything_is_listed_without_running_it(folder):

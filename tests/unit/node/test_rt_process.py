@@ -128,7 +128,7 @@ def test_a_task_finds_loaded_what_modules_share() -> None:
 import os, sys
 from pbonet.config import Library
 from pbonet.node.task import task_process
-task_process.prepare()
+task_process.Prepared()
 before, scandir, seen = {*sys.modules}, os.scandir, []
 os.scandir = lambda path: seen.append(path) or scandir(path)
 Library().load("sine")
@@ -136,6 +136,77 @@ print(len(seen), *sorted(sys.modules.keys() - before))
 """
     place = "pbonet.modules.trajectories"
     assert python(code).split() == ["0", place, f"{place}.sine"]
+
+
+CHANGED = """
+import os, socket, sys
+from pathlib import Path
+from pbonet.config import library
+from pbonet.node.task import fork_server, task_process
+shelf = Path(sys.path[0], "shelf")
+library.BUILT_IN, library._COMMON = "shelf", "shelf._values"
+
+def child(*_):
+    names = [one.folder.name for one in library.built_in()]
+    there = "shelf._values" in sys.modules
+    from shelf import _values
+    print(there, _values.N, *names, flush=True)
+    return 0
+
+fork_server.become_child = child
+server = fork_server.ForkServer(socket.socket(), task_process.Prepared())
+for change in (lambda: None, {change}):
+    change()
+    server._fork(None, [])
+    os.wait()
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "first", "later"),
+    [
+        ("lambda: None", "True 1 shelf arms", "True 1 shelf arms"),
+        (
+            "lambda: (shelf / '_values.py').write_text('N = 20')",
+            "True 1 shelf arms",
+            "False 20 shelf arms",
+        ),
+        (
+            "lambda: (shelf / 'arms').rename(shelf / 'hands')",
+            "True 1 shelf arms",
+            "False 1 shelf hands",
+        ),
+    ],
+)
+def test_what_changes_on_disk_is_read_again_by_tasks(
+    tmp_path, change, first, later
+) -> None:
+    """The text that runs is the one whose hash is recorded."""
+    (tmp_path / "shelf" / "arms").mkdir(parents=True)
+    for name in ("__init__.py", "arms/__init__.py", "_values.py"):
+        (tmp_path / "shelf" / name).write_text("N = 1\n")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+    code += CHANGED.replace("{change}", change)
+    done = python(code, PYTHONDONTWRITEBYTECODE="1")
+    assert done.splitlines() == [first, later]
+
+
+@pytest.mark.parametrize("text", ["1 / 0", None])
+def test_what_is_broken_on_disk_ends_no_fork_server(tmp_path, text) -> None:
+    """Tasks whose module needs it report it."""
+    (tmp_path / "shelf").mkdir()
+    (tmp_path / "shelf" / "__init__.py").touch()
+    if text:
+        (tmp_path / "shelf" / "_values.py").write_text(text)
+    code = f"""
+import sys; sys.path.insert(0, {str(tmp_path)!r})
+from pbonet.config import library
+from pbonet.node.task import task_process
+library.BUILT_IN, library._COMMON = "shelf", "shelf._values"
+task_process.Prepared().check()
+print("serves")
+"""
+    assert python(code).split() == ["serves"]
 
 
 def test_a_large_buffer_of_which_little_is_used_stays_small() -> None:

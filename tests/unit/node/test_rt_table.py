@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -341,3 +342,27 @@ def test_a_user_has_the_slots_that_were_used_and_not_the_whole_table(path, table
     for number in range(64):
         table.alloc("r", f"task{number}")
     assert present() > few + size // 4
+
+
+def test_a_user_touches_a_successor_before_it_calls_it(path, table):
+    """The slot was not used when it opened the table; no cycle waits for its page."""
+
+    def mapped():
+        found, ours = [], False
+        for line in Path("/proc/self/smaps").read_text().splitlines():
+            if "-" in line.split()[0]:
+                ours = line.endswith(str(path))
+            elif ours and line.startswith("Rss:"):
+                found.append(int(line.split()[1]))
+        return min(found)  # the member has all of it
+
+    with contextlib.closing(_rt.CoreTable(1, member=False)) as user:
+        for number in range(100):
+            table.alloc("r", f"task{number}")
+        before, slot, ticket = mapped(), 90, 5
+        life = table.expect(slot, ticket, callers=1)
+        assert user.expects(slot, life, ticket, 0)
+        there = mapped()
+        assert there > before
+        assert user.call(slot, life, ticket, 0)
+        assert mapped() == there

@@ -91,4 +91,6 @@ def test_a_spawn_reads_the_library_once(tmp_path, monkeypatch):
         assert "no task produces the constant NDOF" in warned[0]
         wave.control("sine", "kill")
         wave.spawn("sine", hz=100.0)
-    assert len(seen) == 2
+        assert len(seen) == 2
+        wave.graph()
+    assert len(seen) == 3, "a notebook shows it when a file was added"
