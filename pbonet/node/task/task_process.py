@@ -69,7 +69,7 @@ _REST: Final = 1 << 14
 
 
 class Prepared:
-    """What the fork server does once that tasks would do; no code of a module runs."""
+    """Work that the fork server does once for all tasks; no code of a module runs."""
 
     def __init__(self) -> None:
         self._read: dict[Path, int] = {}
