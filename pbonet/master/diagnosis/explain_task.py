@@ -62,7 +62,15 @@ def _absent(chain: Chain, name: str) -> tuple[str, list[Cause]]:
     ]
     if ends:  # an older one did not end what was spawned after it
         found.append(cause_of(max(ends, key=lambda event: event.wall), facts))
+    found += _left_safe(chain, name)
     return f"task {name}{where} is {State.NOT_CREATED}", found
+
+
+def _left_safe(chain: Chain, name: str) -> Iterator[Cause]:
+    """Yield that the last process of a task has left safe values, if it has."""
+    for event in chain.facts.news(("LEFT_SAFE", "SPAWNED"), task=name):
+        if event.code == "LEFT_SAFE":
+            yield cause_of(event, chain.facts)
 
 
 def _error(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
@@ -86,6 +94,7 @@ def _ended(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
     ends = [cause_of(one, facts) for one in facts.news(_ENDS, task=status.task)]
     again = facts.news(("NOT_SPAWNED",), task=status.task)
     ends += [cause_of(one, facts) for one in again]
+    ends += _left_safe(chain, status.task)
     yield Cause(
         what=status.error or "its process has ended",
         source=Source.STATUS,
@@ -159,6 +168,7 @@ def _on(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
             yield chain.behind("variable", name, Source.TABLE)
     for event in facts.since_on(("HANGS",), status):
         yield cause_of(event, facts)
+    yield from _left_safe(chain, status.task)  # the log of one that was killed
     if status.waits:
         yield Cause(what=status.waits, source=Source.STATUS, remedy=REMEDIES["waits"])
     if status.miss:

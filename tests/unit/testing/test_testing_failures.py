@@ -372,6 +372,7 @@ class Torque(PortBasedObject):
         self.from_where = self.y
 
     def cycle(self, dt):
+        self.dt = dt
         self.y += 1.0
         self.slow()
         self.y += 10.0
@@ -386,6 +387,7 @@ class Torque(PortBasedObject):
         return self.answer
 
     def error(self, error):
+        self.last = error
         return Answer.CONTINUE
 
 
