@@ -439,7 +439,7 @@ GOES_ON = """
 
 @pytest.mark.parametrize("how", ["raises", "dies"])
 def test_a_fallback_finds_the_safe_values_of_the_failed_cycle(start, nodes, how):
-    """They come with the failure, the fallback with the end; what is late never does."""
+    """They come with the failure, the fallback with the end; late values never do."""
     nodes.write_module("goes_on", GOES_ON)
     work = {"raises": "python", "dies": "endless"}[how]
     late = {"work": work, "busy": 0.05, "answer": "raise", "every": 20}
