@@ -242,6 +242,7 @@ def run_safe(dispatcher: rt.Dispatcher, work: str, cycles: int) -> Found:
 
         failures, _ = watched(core, slot, body, out)
         dispatcher.drop_values(slot)
+        table.destroy()
         safe = {int(release): int(at) for at, release in out}
     found = matched(work, failures.found, safe, 0)
     return Found(found.overshoot[:0], found.handler[:0], found.handler, 0)
