@@ -4,8 +4,8 @@
  * WHAT is "busy": a timer on CLOCK_THREAD_CPUTIME_ID is set to LIMIT_NS while the program
  * computes; printed is the CPU time beyond the limit in the handler's first line. Or it
  * is "asleep": a timer on CLOCK_MONOTONIC, the program sleeps, and the time beyond the
- * limit is printed. "told" and "told-asleep" are the least that a dispatcher could do: a
- * thread at the level above reads a timer, looks at the program's CPU time and sends the
+ * limit is printed. "thread" and "thread-asleep" are the least that a dispatcher could do: a
+ * thread at the level above reads a timer and the CPU time and sends the
  * signal; the program computes or sleeps, and rests 45 ms before each round.
  * Nanoseconds, one number a line. LEVEL 0 is SCHED_OTHER.
  */
@@ -52,7 +52,7 @@ static void rest(long ns)
     nanosleep(&moment, NULL);
 }
 
-static void *teller(void *level)
+static void *signaller(void *level)
 {
     struct sched_param param = {.sched_priority = *(int *)level + 1};
     struct timespec used;
@@ -67,15 +67,15 @@ static void *teller(void *level)
     return NULL;
 }
 
-/* Prepare "told": the thread, which takes the core and the rest from the caller. */
-static int start_teller(int *level)
+/* Start the thread of "thread", which takes the core and the rest from the caller. */
+static int start_signaller(int *level)
 {
     pthread_t thread;
     sigset_t all, old;
     timer_file = timerfd_create(CLOCK_MONOTONIC, TFD_CLOEXEC);
     sigfillset(&all);
     pthread_sigmask(SIG_SETMASK, &all, &old);
-    int error = timer_file < 0 || pthread_create(&thread, NULL, teller, level);
+    int error = timer_file < 0 || pthread_create(&thread, NULL, signaller, level);
     pthread_sigmask(SIG_SETMASK, &old, NULL);
     return error;
 }
@@ -86,7 +86,7 @@ int main(int argc, char **argv)
         return 2;
     int64_t limit = atoll(argv[3]);
     int rounds = atoi(argv[4]), busy = !strcmp(argv[5], "busy");
-    int told = !strncmp(argv[5], "told", 4), computes = busy || !strcmp(argv[5], "told");
+    int threaded = !strncmp(argv[5], "thread", 6), computes = busy || !strcmp(argv[5], "thread");
     struct sched_param param = {.sched_priority = atoi(argv[2])};
     struct sigaction action = {.sa_handler = on_limit};
     struct sigevent event = {.sigev_notify = SIGEV_THREAD_ID, .sigev_signo = SIGUSR1};
@@ -104,15 +104,15 @@ int main(int argc, char **argv)
         return perror("timer_create"), 1;
     prctl(PR_SET_TIMERSLACK, 1);
     mlockall(MCL_CURRENT | MCL_FUTURE);
-    if (told && start_teller(&param.sched_priority))
+    if (threaded && start_signaller(&param.sched_priority))
         return perror("thread"), 1;
     for (int k = 0; k < rounds; k++) {
         struct itimerspec at = {.it_value = {limit / 1000000000, limit % 1000000000}};
         struct timespec long_time = {.tv_sec = 1};
-        rest(told ? 45000000 : 5000000);
+        rest(threaded ? 45000000 : 5000000);
         handled = 0;
         int64_t begun = now();
-        if (told)
+        if (threaded)
             timerfd_settime(timer_file, 0, &at, NULL);
         else
             timer_settime(timer, 0, &at, NULL);

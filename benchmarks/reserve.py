@@ -325,8 +325,8 @@ def main() -> None:
     rivals = {
         "C, kernel, busy": "busy",
         "C, kernel, asleep": "asleep",
-        "C, thread, busy": "told",
-        "C, thread, asleep": "told-asleep",
+        "C, thread, busy": "thread",
+        "C, thread, asleep": "thread-asleep",
     }
     found: dict[str, list[Found]] = {name: [] for name in (*WORK, *rivals)}
     print(rtbench.machine())

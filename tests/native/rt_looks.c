@@ -28,14 +28,6 @@ static void begin(void)
     rt_set_look(&looker, rt_now() + INT64_C(60000000000));
 }
 
-/* What is due after a turn of the timer's thread while the dispatcher sleeps until `until`. */
-static void after(int64_t due, int64_t sure, int64_t until)
-{
-    rt_set_look(&looker, 0);
-    atomic_store(&table.sure_ns, sure);
-    rt_set_next(&looker, due, until);
-}
-
 static void finish(struct rt_task *task)
 {
     atomic_store(&task->slot->post.done, 7);
@@ -72,27 +64,6 @@ int main(void)
     atomic_store(&table.slots[0].grant.look, 1);
     finish(&one);
     require(set() && (uint32_t)atomic_load(&table.look) == 2, "an old number ends nothing");
-
-    const int64_t soon = rt_now() + INT64_C(60000000000), later = soon + 1, last = soon + 2;
-    begin();
-    after(soon, later, last);
-    require(set() && atomic_load(&table.look_ns) == soon, "the thread takes the next check");
-    finish(&one);
-    finish(&two);
-    require(!set(), "which the last cycle stops");
-    begin();
-    after(later, later, last);
-    require(set() && atomic_load(&table.look_ns) == later, "and a release, also for nobody");
-    finish(&one);
-    finish(&two);
-    require(set(), "which no cycle stops");
-    begin();
-    after(later, later, later);
-    require(!set(), "but not what the dispatcher wakes up for");
-    after(0, 0, later);
-    require(!set(), "nor nothing");
-    after(soon, soon, 0);
-    require(set(), "and all if that sleeps until it is woken");
 
     begin();
     close(looker.fd);           /* another leader, whose descriptor nobody gets */

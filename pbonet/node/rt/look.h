@@ -5,7 +5,7 @@
  * does. So under `fifo` it sleeps until the next release, and a timerfd represents the
  * check. The task that ends the last cycle covered by the check stops that timer with one
  * system call, and the dispatcher is not woken. If the timer does expire, a second thread
- * of the leader takes the turn, with the dispatcher asleep: see looker.h.
+ * of the leader rings the mailbox.
  *
  * `look` in the table holds a number and a count of checked cycles. The dispatcher writes
  * it with the next number in every turn that needs a check; a task decrements the count

@@ -8,8 +8,6 @@
 struct rt_looker {
     struct rt_table *table;
     pthread_t thread;
-    pthread_mutex_t turn;       /* held in a turn, by the dispatcher or the timer's thread */
-    int64_t until;              /* the dispatcher sleeps so long; 0: until there is mail */
     int running, fd;
     _Atomic int stop;
 };
@@ -46,43 +44,43 @@ static inline void rt_set_look(struct rt_looker *looker, int64_t at)
     timerfd_settime(looker->fd, TFD_TIMER_ABSTIME, &when, NULL);
 }
 
-/* Set the timer for the next check, or take it out, and return when the dispatcher has to
- * wake up without it (0: on mail only). */
-static inline int64_t rt_set_check(struct rt_looker *looker, int64_t due)
+/* Sleep until mail or `due`; the timer handles a check before the next certain event. */
+static inline void rt_sleep(struct rt_looker *looker, uint32_t mail, int64_t due)
 {
     struct rt_table *t = looker->table;
     int64_t sure = atomic_load(&t->sure_ns), set = atomic_load(&t->look_ns);
     if (!looker->running || due == sure) {
         if (set)
             rt_set_look(looker, 0);
-        return due;
+        rt_futex_wait(&t->mailbox, mail, due);
+        return;
     }
     rt_count_looked(t);
     if (set != due)
         rt_set_look(looker, due);
-    return sure;
+    rt_futex_wait(&t->mailbox, mail, sure);
 }
 
-/* The same after a turn of the timer's own thread: it takes every turn that is due before
- * `until`, when the dispatcher wakes up, so that the dispatcher goes on sleeping. */
-static inline void rt_set_next(struct rt_looker *looker, int64_t due, int64_t until)
+static inline void *rt_looker_thread(void *arg)
 {
+    struct rt_looker *looker = arg;
     struct rt_table *t = looker->table;
-    if (!due || (until && due >= until))
-        return;
-    if (due == atomic_load(&t->sure_ns))
-        atomic_store(&t->look, ((atomic_load(&t->look) >> 32) + 1) << 32); /* no task stops it */
-    else
-        rt_count_looked(t);
-    rt_set_look(looker, due);
+    uint64_t times;
+    pthread_setname_np(pthread_self(), "looker");
+    atomic_store(&t->look_tid, (int32_t)syscall(SYS_gettid));
+    while (read(looker->fd, &times, sizeof times) > 0 && !atomic_load(&looker->stop)) {
+        atomic_store(&t->looked_ns, atomic_exchange(&t->look_ns, 0));
+        rt_kick(t);
+    }
+    return NULL;
 }
 
 /* Start the timer's thread beside a dispatcher under `fifo`; without it the dispatcher
  * itself wakes up for checks. */
-static inline void rt_looker_start(struct rt_looker *looker, void *(*run)(void *), void *arg)
+static inline void rt_looker_start(struct rt_looker *looker, struct rt_table *t)
 {
-    struct rt_table *t = looker->table;
     pthread_attr_t attr;
+    looker->table = t;
     looker->running = 0;
     atomic_store(&looker->stop, 0);
     atomic_store(&t->look_ns, 0);
@@ -92,7 +90,7 @@ static inline void rt_looker_start(struct rt_looker *looker, void *(*run)(void *
         return;
     pthread_attr_init(&attr);   /* level, core, blocked signals are the dispatcher's own */
     pthread_attr_setstacksize(&attr, 1 << 17);
-    looker->running = !pthread_create(&looker->thread, &attr, run, arg);
+    looker->running = !pthread_create(&looker->thread, &attr, rt_looker_thread, looker);
     pthread_attr_destroy(&attr);
     if (!looker->running) {
         close(looker->fd);

@@ -217,58 +217,26 @@ static inline void rt_wake_all(struct rt_table *t)
     }
 }
 
-/* Take one turn, and lend the releases of a lone task. */
-static inline int64_t rt_turn_and_lend(struct rt_loop *loop, int lead)
-{
-    int64_t due = rt_once(loop, lead);
-    if (loop->looker.running)
-        rt_lend(loop->table);
-    return due;
-}
-
-/* The thread of the timer takes the turn of a check itself: it is awake already, and what
- * the check finds is acted on two switches earlier than by the dispatcher. */
-static inline void *rt_looker_thread(void *arg)
-{
-    struct rt_loop *loop = arg;
-    struct rt_looker *looker = &loop->looker;
-    struct rt_table *t = loop->table;
-    uint64_t times;
-    pthread_setname_np(pthread_self(), "looker");
-    atomic_store(&t->look_tid, (int32_t)syscall(SYS_gettid));
-    while (read(looker->fd, &times, sizeof times) > 0 && !atomic_load(&looker->stop)) {
-        pthread_mutex_lock(&looker->turn);
-        atomic_store(&t->looked_ns, atomic_exchange(&t->look_ns, 0));
-        rt_set_next(looker, rt_turn_and_lend(loop, 0), looker->until);
-        pthread_mutex_unlock(&looker->turn);
-    }
-    return NULL;
-}
-
 static inline void rt_lead(struct rt_loop *loop)
 {
     struct rt_table *t = loop->table;
-    struct rt_looker *looker = &loop->looker;
-    int lead = 1, sleeps;
+    int lead = 1;
     rt_recover(t);
     rt_wake_all(t);
     t->due_ns = 0;
-    *looker = (struct rt_looker){.table = t, .turn = PTHREAD_MUTEX_INITIALIZER};
+    loop->looker = (struct rt_looker){.table = t};
     if (loop->backend == RT_FIFO)
-        rt_looker_start(looker, rt_looker_thread, loop);
+        rt_looker_start(&loop->looker, t);
     while (!atomic_load(&loop->stop)) {
         /* SYNC POINT: rt_kick adds to the mailbox after its news; anything that comes after
          * this load changes the word that the sleep compares. */
         uint32_t mail = atomic_load(&t->mailbox);
-        pthread_mutex_lock(&looker->turn);
-        int64_t due = rt_turn_and_lend(loop, lead);
+        int64_t due = rt_once(loop, lead);
         lead = 0;
-        sleeps = !rt_top_done(t) && !atomic_load(&loop->stop);
-        if (sleeps)
-            looker->until = due = rt_set_check(looker, due);
-        pthread_mutex_unlock(&looker->turn);
-        if (sleeps)
-            rt_futex_wait(&t->mailbox, mail, due);
+        if (loop->looker.running)
+            rt_lend(t);
+        if (!rt_top_done(t) && !atomic_load(&loop->stop))
+            rt_sleep(&loop->looker, mail, due);
     }
     rt_looker_stop(&loop->looker);
     if (rt_is_lent(t))          /* no task keeps a lease without a leader */
