@@ -25,7 +25,11 @@ _SAME: Final = 1e-3
 """Seconds by which times of one event may differ."""
 _BREAK: Final = 1000
 """A longer gap, in periods, is time in which the task was OFF."""
-_FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED")
+_FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED", "FORCED")
+_LOST: Final = ("TASK_DIED", "FORCED")
+"""A task's process has ended, and not in order."""
+_OUT_OF_ORDER: Final = ("FORCED", "LEFT_SAFE")
+"""What is about a task that did not end in order, also amid the end of a run."""
 _ENDING: Final = 10.0
 """Seconds within which the tasks of a run are turned off at its end."""
 _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DOTALL)
@@ -33,6 +37,8 @@ _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DO
 
 def read_log(path: str | Path) -> Facts:
     """Return the facts of a recorded run, as they were before its tasks were ended.
+
+    A task whose process was ended by force, or died, has no process.
 
     Args:
         path: The log, or the folder of a run.
@@ -66,7 +72,7 @@ def read_log(path: str | Path) -> Facts:
     facts = Facts(
         subsystem=graph.name,
         graph=graph,
-        events=[one for one in events if one.wall < end],
+        events=[one for one in events if one.wall < end or one.code in _OUT_OF_ORDER],
         from_log=True,
         unknown=unknown,
     )
@@ -84,7 +90,9 @@ def _rtpus(log: Log, facts: Facts, end: float) -> dict[str, RtpuStatus]:
     tasks: dict[str, list[TaskStatus]] = {}
     for name in log.tasks:
         about = log.task_about(name)
-        status = _task(log, name, states.get(name, _GONE), facts)
+        lost = _is_lost(facts.events, name)
+        state = _GONE if lost else states.get(name, _GONE)
+        status = _task(log, name, state, facts)
         status.miss, status.failed = missed.get(name, 0), failed.get(name, 0)
         tasks.setdefault(about.rtpu, []).append(status)
     names = dict.fromkeys([*(one.name for one in facts.graph.rtpus), *tasks])
@@ -107,6 +115,17 @@ def _last(line: list[Any], end: float) -> str:
     states = [one.state for one in line if one.begin_ns * 1e-9 < end - _SAME]
     before = states[:-1] if len(states) > 1 and states[-1] == _GONE else states
     return before[-1] if before else _GONE
+
+
+def _is_lost(events: list[Event], task: str) -> bool:
+    """Return whether a task's last process did not end in order."""
+    for event in reversed(events):
+        if event.task == task:
+            if event.code in _LOST:
+                return True
+            if event.code == "SPAWNED" or event.state not in {"", _GONE}:
+                return False
+    return False
 
 
 def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:

@@ -203,7 +203,9 @@ def test_a_task_that_is_killed_while_it_hangs_leaves_word_of_its_safe_values(lin
     assert told["task"] == "asks"
     assert told["cycle"] == 2
     assert "Y2 got the safe values" in told["text"]
-    assert "LEFT_SAFE of arm0/asks" in str(diagnosis.answer(path, ("asks",), Place()))
+    text = str(diagnosis.answer(path, ("asks",), Place()))
+    assert text.startswith("task asks on arm0 is NOT-CREATED"), text
+    assert "LEFT_SAFE of arm0/asks" in text
 
 
 @pytest.mark.parametrize("answer", [0, 3, -1], ids=["ok", "skip", "error"])

@@ -421,6 +421,34 @@ def test_safe_values_are_there_at_once_and_the_cycle_is_discarded(answer):
     assert bench.outputs.y == 10.0, "the next cycle is an ordinary one"
 
 
+def test_after_safe_values_a_skip_still_leaves_out_a_release():
+    bench = safe_bench(Recovery.SKIP)
+    bench.module.slow = lambda: bench.timing_failure(DEADLINE)
+    bench.step()
+    assert bench.outputs.y == bench.module.from_where == -1.0
+    bench.module.slow = lambda: None
+    bench.step()
+    assert bench.outputs.y == -1.0, "left out"
+    bench.step(dt=0.01)
+    assert bench.outputs.y == 10.0
+    assert bench.module.dt == pytest.approx(bench.task.period + 0.01)
+
+
+def test_a_cycle_that_raises_after_safe_values_has_them_in_its_out_vars():
+    bench = safe_bench()
+
+    def slow():
+        bench.timing_failure(DEADLINE)
+        raise ValueError("and then")
+
+    bench.module.slow = slow
+    assert bench.step() is State.ON
+    assert bench.module.y == bench.outputs.y == -1.0
+    bench.module.slow = lambda: None
+    bench.step()
+    assert bench.outputs.y == 10.0
+
+
 def test_safe_values_between_two_steps_and_other_failures():
     bench = safe_bench()
     bench.timing_failure(TimingFailure.MAXEXEC)
