@@ -27,9 +27,9 @@ _BREAK: Final = 1000
 """A longer gap, in periods, is time in which the task was OFF."""
 _FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED", "FORCED")
 _LOST: Final = ("TASK_DIED", "FORCED")
-"""A task's process has ended, and not in order."""
+"""Events that say that a process has ended, and not in order."""
 _OUT_OF_ORDER: Final = ("FORCED", "LEFT_SAFE")
-"""What is about a task that did not end in order, also amid the end of a run."""
+"""Events of a task that did not end in order, also amid the end of a run."""
 _ENDING: Final = 10.0
 """Seconds within which the tasks of a run are turned off at its end."""
 _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DOTALL)
