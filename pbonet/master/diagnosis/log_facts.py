@@ -90,8 +90,7 @@ def _rtpus(log: Log, facts: Facts, end: float) -> dict[str, RtpuStatus]:
     tasks: dict[str, list[TaskStatus]] = {}
     for name in log.tasks:
         about = log.task_about(name)
-        lost = _is_lost(facts.events, name)
-        state = _GONE if lost else states.get(name, _GONE)
+        state = _of_process(facts.events, name) or states.get(name, _GONE)
         status = _task(log, name, state, facts)
         status.miss, status.failed = missed.get(name, 0), failed.get(name, 0)
         tasks.setdefault(about.rtpu, []).append(status)
@@ -117,15 +116,20 @@ def _last(line: list[Any], end: float) -> str:
     return before[-1] if before else _GONE
 
 
-def _is_lost(events: list[Event], task: str) -> bool:
-    """Return whether a task's last process did not end in order."""
+def _of_process(events: list[Event], task: str) -> str:
+    """Return the state of a task whose newest event is the begin or loss of a process.
+
+    Such events have no state of their own. Empty: another one is newer.
+    """
     for event in reversed(events):
         if event.task == task:
             if event.code in _LOST:
-                return True
-            if event.code == "SPAWNED" or event.state not in {"", _GONE}:
-                return False
-    return False
+                return _GONE
+            if event.code == "SPAWNED":
+                return "OFF"
+            if event.state not in {"", _GONE}:
+                return ""
+    return ""
 
 
 def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:

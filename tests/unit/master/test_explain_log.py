@@ -180,10 +180,17 @@ def test_a_task_that_died_has_no_process_until_it_is_spawned_again(tmp_path):
     assert found.what == "task pid on arm0 is NOT-CREATED"
     assert "because signal SIGSEGV" in str(found)
     assert "HANGS" not in str(found), "that cycle may have ended"
+    (tmp_path / "buried").mkdir()
+    buried = event("STATE", "kill: NOT-CREATED", 31 * PERIOD, "pid", "NOT-CREATED")
+    ask = recorded(tmp_path / "buried", [*SOUND[:3], died, buried])
+    assert ask("pid").what == "task pid on arm0 is NOT-CREATED"
     again = event("SPAWNED", "process 7", 31 * PERIOD, "pid")
     on = event("STATE", "on: ON", 32 * PERIOD, "pid", "ON")
-    (tmp_path / "again").mkdir()
-    ask = recorded(tmp_path / "again", [*SOUND[:3], SAFE, died, again, on])
+    for folder in ("again", "on"):
+        (tmp_path / folder).mkdir()
+    ask = recorded(tmp_path / "again", [*SOUND[:3], SAFE, died, again])
+    assert ask("pid").what == "task pid on arm0 is OFF"
+    ask = recorded(tmp_path / "on", [*SOUND[:3], SAFE, died, again, on])
     assert ask("pid").what == "task pid on arm0 is ON"
     assert "LEFT_SAFE" not in str(ask("pid"))
 
