@@ -8,7 +8,9 @@ measured, one within a single matmul of whole numbers (numpy does that in one th
 and no handler runs before it has returned), and one that sleeps when its deadline is
 reached, for which the time counts from the deadline. The rival, in turns with them:
 the kernel's timers in a C program, CLOCK_THREAD_CPUTIME_ID for the busy ones and
-CLOCK_MONOTONIC for the one asleep, from expiry to the first line of a C handler.
+CLOCK_MONOTONIC for the one asleep, from expiry to the first line of a C handler. The
+least that a dispatcher could do is measured with them: a timer, a thread at a higher
+level that reads it and sends a signal, the first line of a C handler.
 
 *Safe* is the time from the same instant until a task's safe values are in the table
 (`SAFE` in its RMOD), by their time stamp: the dispatcher commits them, whatever the
@@ -240,6 +242,7 @@ def run_safe(dispatcher: rt.Dispatcher, work: str, cycles: int) -> Found:
 
         failures, _ = watched(core, slot, body, out)
         dispatcher.drop_values(slot)
+        table.destroy()
         safe = {int(release): int(at) for at, release in out}
     found = matched(work, failures.found, safe, 0)
     return Found(found.overshoot[:0], found.handler[:0], found.handler, 0)
@@ -319,7 +322,12 @@ def main() -> None:
     core = rt.CoreTable(args.core)
     dispatcher = rt.Dispatcher(core)
     level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
-    rivals = {"C, kernel, busy": "busy", "C, kernel, asleep": "asleep"}
+    rivals = {
+        "C, kernel, busy": "busy",
+        "C, kernel, asleep": "asleep",
+        "C, thread, busy": "thread",
+        "C, thread, asleep": "thread-asleep",
+    }
     found: dict[str, list[Found]] = {name: [] for name in (*WORK, *rivals)}
     print(rtbench.machine())
     print(

@@ -31,7 +31,7 @@ from pbonet.pbo import (
     local_text,
     make_params,
 )
-from pbonet.ports import Kind, Port, solve_shapes
+from pbonet.ports import Kind, Port, Stale, is_safe, lacks, solve_shapes
 from pbonet.svar import Action
 
 from ._ages import InputAges
@@ -58,6 +58,8 @@ class Bench(Generic[M]):
         crit: The task's criticality.
         handler: That of its handler of timing failures, as HANDLER in the RMOD.
         on_stale: What the task does while an input is too old, as STALE in the RMOD.
+        safe_at: The timing failures at which the out-vars get their safe values at
+            once, as SAFE in the RMOD; see `timing_failure`.
         settle: Seconds that all inputs must be fresh before it goes on, as there; None:
             two cycles.
         clock: Shared with other benches, if need be.
@@ -96,6 +98,7 @@ class Bench(Generic[M]):
         crit: int = INSIDE,
         handler: int | None = None,
         on_stale: str = "",
+        safe_at: Iterable[str] = (),
         settle: float | None = None,
         clock: FakeClock | None = None,
         name: str = "bench",
@@ -137,6 +140,7 @@ class Bench(Generic[M]):
             seed=seed,
         )
         self.task.libraries = tuple(map(str, library))
+        self.task.safe_at = _safe_at(module, safe_at)
         self._watch = self.task.watch = PythonWatch(self.task)
         self._cycling = self._skips = False
         self._passed = 0.0
@@ -174,7 +178,8 @@ class Bench(Generic[M]):
 
         Args:
             rmod: The ``.rmod`` file; parts of a combination are beside it or in the
-                library. Its LOCAL part, FREQ, CRITICAL, HANDLER and STALE are used.
+                library. Its LOCAL part, FREQ, CRITICAL, HANDLER, STALE and SAFE are
+                used.
             values: As for the constructor, like the following arguments.
             library: Folders with modules beside those of pbonet.
             more: As for the constructor.
@@ -193,6 +198,7 @@ class Bench(Generic[M]):
             "critical": record.critical,
             "handler": record.handler,
             "on_stale": record.stale or "",
+            "safe_at": record.safe_at,
             "settle": record.settle,
             "name": record.name,
             "library": folders,
@@ -385,6 +391,10 @@ class Bench(Generic[M]):
         from within a cycle, by a test's substitute for a slow part of the module: the
         failure then happens there, and an abort ends the cycle there.
 
+        A failure of ``safe_at`` first gives the out-vars their safe values, also in a
+        critical section, and where the module writes others they are discarded: after
+        the cycle `on` runs again, whatever the handler answers.
+
         Args:
             kind: What fails.
 
@@ -398,6 +408,9 @@ class Bench(Generic[M]):
             MethodError: The handler, or `on` after an abort, failed and `error` did
                 not put it right.
         """
+        if kind in self.task.safe_at and self.state is State.ON:
+            self.table.make_safe()
+            self.executor.made_safe = True
         if not self._watch.in_critical:
             return self._fail(kind)
         self._watch.when_free(lambda: self._fail(kind))
@@ -417,7 +430,7 @@ class Bench(Generic[M]):
             self._skips = True
         if wanted is Recovery.ABORT and self._cycling:
             raise CycleAborted
-        if wanted is Recovery.ABORT:
+        if wanted is Recovery.ABORT or (self.table.made_safe and not self._cycling):
             self.executor.abort()
         return wanted
 
@@ -565,6 +578,34 @@ def _size(word: str, value: Any) -> int:  # noqa: ANN401 - whatever was given
 def _critical(module: type[PortBasedObject[Any]]) -> Action:
     has_stable = "stable" in module.__interface__.methods
     return Action.STABLE if has_stable else Action.SAFE
+
+
+def _safe_at(
+    module: type[PortBasedObject[Any]], kinds: Iterable[str]
+) -> frozenset[str]:
+    """Return the kinds of failure, which need out-vars that have safe values.
+
+    Raises:
+        PortError: One of them has none, or there is no such failure.
+    """
+    __tracebackhide__ = True  # of pytest
+    found, ports = frozenset(kinds), module.__interface__.ports
+    if unknown := found - frozenset(TimingFailure):
+        raise PortError(
+            "safe_at has the kinds of timing failure",
+            where="Bench",
+            expected=" or ".join(TimingFailure),
+            got=", ".join(sorted(unknown)),
+            remedy="write such as: safe_at=[TimingFailure.DEADLINE]",
+        )
+    if found and not is_safe(ports):
+        raise PortError(
+            f"module {module.__name__} has nothing to write at a timing failure",
+            where="Bench",
+            expected=lacks(Stale.SAFE, ports, ()) or "an out-var",
+            remedy="declare it there, or leave safe_at out",
+        )
+    return found
 
 
 def _params(

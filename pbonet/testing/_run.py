@@ -442,7 +442,8 @@ class Run:
         """Leave a cycle that is not recorded, and start again."""
         self._feed(self._aborted.pop(self._at - 1, b""))
         self._failing.aborted(self._cycle, done.calls)
-        self._executor.abort(safe=done.name == "safe")
+        self._executor.made_safe = done.name == "safe"
+        self._executor.abort()
 
     def refused(self, what: str) -> int:
         """Return the flags of a copy that was refused in the recording; else 0."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from pbonet.errors import PortError, did_you_mean
 from pbonet.node.wire import Step
+from pbonet.pbo import CycleAborted
 from pbonet.ports import Kind, Port
 from pbonet.svar import Action, Blamed
 
@@ -91,6 +92,9 @@ class BenchTable:
         self.ages = ages or InputAges(ports)
         self.step = 0.0
         """Seconds since the last cycle."""
+        self.made_safe = False
+        """Whether the cycle under way has failed in time, and its outputs are discarded
+        because safe values are there."""
 
     def get(self, port: Port) -> Any:  # noqa: ANN401 - a number or an array
         """Return the global value of a port."""
@@ -171,14 +175,28 @@ class BenchTable:
         return flags
 
     def commit(self, now_ns: int = 0, cycle: int = 0, own_ns: int = 0) -> int:
-        """Copy the out-vars out."""
+        """Copy the out-vars out.
+
+        Raises:
+            CycleAborted: The safe values are there in place of what the cycle gives.
+        """
+        if self.made_safe:
+            raise CycleAborted
         self._age(now_ns, own_ns)
         del cycle
         return self._out(Step.COMMIT, Kind.OUTVAR)
 
-    def was_made_safe(self) -> None:
-        """Copy the safe values out; they are new."""
+    def make_safe(self) -> None:
+        """Have readers see the safe values, as the dispatcher does at a failure."""
+        self.made_safe = True
         self.make_new()
+        for port in self.ports:
+            if port.kind is Kind.OUTVAR:
+                self.globals[port.attr][...] = port.safe
+
+    def was_made_safe(self) -> None:
+        """Note the safe values, which the out-vars have as well by now."""
+        self.made_safe = False
         self._out(Step.COMMIT, Kind.OUTVAR)
 
     def cede(self) -> None:

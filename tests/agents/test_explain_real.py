@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import threading
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from pbonet.errors import PbonetError
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
 from pbonet.master.console import Subsystem
+from pbonet.xm.net import messages as m
 
 
 @pytest.fixture
@@ -70,6 +72,44 @@ def test_a_task_that_failed_and_the_flag_for_it(arm, asked):
     arm.clear("first")
     assert "because STATE of arm0/first" in asked("first")
     assert "task first on arm0 is OFF" in asked("Y0"), "nobody writes it now"
+
+
+@pytest.mark.parametrize("by", ["kill", "signal"])
+def test_a_task_that_ended_in_a_cycle_with_safe_values(nodes, arm, tmp_path, by):
+    job = tmp_path / "late.job"
+    job.write_text("JOB late\nDESC a late task\nSBS t.sbs\nTASK busy arm0\nEOF\n")
+    place = Place(domain=nodes.domain, libraries=arm.files.library.folders)
+    hangs = rmod("overruns", "Y2", 50.0, local={"WORK": "endless", "EVERY": 2})
+    hangs = hangs.replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
+    (tmp_path / "busy.rmod").write_text(hangs)
+    arm.spawn("busy")
+    arm.on("busy")
+    status = wait_for(
+        lambda: (found := arm.status("busy")).made_safe and found, "safe values"
+    )
+    if by == "kill":
+        arm.kill("busy")
+    else:
+        os.kill(status.tid, signal.SIGKILL)
+        wait_for(
+            lambda: any(
+                one.code == "TASK_DIED"
+                for one in arm.clients.call("arm0", m.Events(), list[m.Event])
+            ),
+            "its death",
+        )
+    text = str(diagnosis.answer(job, ("busy",), place))
+    assert re.search(
+        r"LEFT_SAFE of arm0/busy at [\d:]+, cycle 1: the task has ended amid a cycle "
+        r"that had failed in time; Y2 got the safe values [\d.]+ us after the failure",
+        text,
+    ), text
+    assert "LEFT_SAFE" in str(diagnosis.answer(job, ("Y2",), place))
+    (tmp_path / "busy.rmod").write_text(rmod("overruns", "Y2", 50.0))
+    arm.spawn("busy")
+    arm.kill("busy")
+    text = str(diagnosis.answer(job, ("busy",), place))
+    assert "LEFT_SAFE" not in text, "of an earlier process"
 
 
 def test_cycles_that_are_missed(arm, asked):

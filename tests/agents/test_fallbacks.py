@@ -417,3 +417,45 @@ def test_when_both_die_the_flag_is_up_and_the_rest_goes_on(start):
     arm.spawn("second", "arm0")
     arm.control("second", "on")
     wait_for(lambda: not causes(arm), "the flag to go down")
+
+
+GOES_ON = """
+    from typing import Annotated as A
+
+    from pbonet import OutVar, PortBasedObject, Vector
+
+
+    class GoesOn(PortBasedObject):
+        y: A[Vector, OutVar("Y", "2", "none", "what it has found, and its cycles")]
+
+        def on(self) -> None:
+            self.found = self.y.copy()
+
+        def cycle(self, dt: float) -> None:
+            self.y[0] = self.found.sum()
+            self.y[1] += 1.0
+"""
+
+
+@pytest.mark.parametrize("how", ["raises", "dies"])
+def test_a_fallback_finds_the_safe_values_of_the_failed_cycle(start, nodes, how):
+    """They come with the failure, the fallback with the end; late values never do."""
+    nodes.write_module("goes_on", GOES_ON)
+    work = {"raises": "python", "dies": "endless"}[how]
+    late = {"work": work, "busy": 0.05, "answer": "raise", "every": 20}
+    first = rmod("overruns", freq=50.0, local=late)
+    first = first.replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
+    arm = start("overruns", text=first, standby=rmod("goes_on", freq=50.0))
+    if how == "dies":  # a hanging task keeps its variables until it ends
+        status = wait_for(
+            lambda: (found := arm.status("first")).made_safe and found, "safe values"
+        )
+        assert not events(arm, "FALLBACK")
+        assert tuple(arm.display(["Y0"])[0].values) == (-7.0, -7.0)
+        os.kill(status.tid, signal.SIGKILL)
+    assert "state ON, time 1 of 3" in told(arm)[-1]
+    wait_for(lambda: arm.display(["Y0"])[0].values[0] == -14.0, "what it has found")
+    assert arm.display(["Y0"])[0].writer == "second"
+    if how == "dies":
+        wait_for(lambda: events(arm, "LEFT_SAFE"), "word of the safe values")
+    wait_for(lambda: not causes(arm), "the flag to go down")

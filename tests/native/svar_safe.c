@@ -1,14 +1,17 @@
 /* Has a cycle fail at each of its steps, and makes its out-vars safe meanwhile.
  *
- *   svar_safe dispatcher|signal|killed|odd
+ *   svar_safe dispatcher|signal|killed|odd|threads
  *
  * A task begins a cycle, computes, commits and ends it. At one step of that the failure is
  * found: the dispatcher commits the safe values, or leaves it to the task's handler of the
  * signal; or the handler alone does; or the dispatcher is a process that is killed at each
  * of its own steps, and nobody sends a signal. A reader copies at every step. `odd` tries
- * what comes once in years, or amid a burial. Prints as JSON how often what was done, and
+ * what comes once in years, or amid a burial. `threads` has task, dispatcher and reader run
+ * at once for the thread sanitizer, without steps. Prints as JSON how often what was done, and
  * how often something was wrong. */
 #define _GNU_SOURCE 1
+#include <pthread.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -20,7 +23,7 @@ static void step(void);
 #define PBONET_STEP_WORDS 1
 #include "svar_rig.h"
 
-enum { WORDS = 2 };
+enum { WORDS = 2, TOGETHER = 6000 };
 #define SAFE_WORD UINT64_C(7000000000)
 
 static struct pb_table table;
@@ -32,6 +35,11 @@ static void (*fail)(void);
 static long dies_at;
 static bool died;
 static bool looks, was_safe, owed, begun;
+static _Atomic uint64_t running;    /* of `threads`: the cycle under way; 0: it has ended */
+static _Atomic uint64_t met;        /* the last one that the dispatcher has come to */
+static bool made[TOGETHER + 1];     /* the dispatcher has committed for that cycle */
+static _Atomic bool over;
+static pthread_t main_thread;
 static struct {
     unsigned long cycles, safe, kept, deaths, torn, stale, unsafe, refused;
 } found;
@@ -176,7 +184,7 @@ static void given_up(void) {
 static void stands_still(void) {
     int ready[2];
     char byte;
-    pid_t child;
+    pid_t child = 0;
     open_cycle(20);
     if (pipe(ready) || (child = fork()) < 0) die("fork");
     if (!child) {
@@ -191,6 +199,77 @@ static void stands_still(void) {
                               (struct pb_stamp){pb_now(), 1}) != PB_COMMIT_NOT_OWNER;
     kill(child, SIGKILL);
     waitpid(child, NULL, 0);
+}
+
+static void on_failure(int signal) {
+    (void)signal;
+    pb_make_safe(task);
+}
+
+/* A dispatcher that finds a failure in every third cycle, at any time of it. */
+static void *dispatches(void *arg) {
+    uint64_t last = 0;
+    (void)arg;
+    for (unsigned round = 0; !atomic_load(&over); round++) {
+        const uint64_t now = atomic_load(&running);
+        if (now == last || now % 3) {
+            sched_yield();
+            continue;
+        }
+        last = now;
+        atomic_store(&met, now);
+        for (volatile unsigned wait = round * 7919 % 400; wait; wait--) continue;
+        pb_safe_want(shared, now, pb_now() - 1);
+        made[now] = pb_safe_commit(&table, shared, now, safe_words,
+                                   task->outputs[PB_GROUP_VARS].group.bytes);
+        if (!made[now]) pthread_kill(main_thread, SIGUSR1);
+    }
+    return NULL;
+}
+
+static void *reads(void *arg) {
+    unsigned long *torn = arg;
+    while (!atomic_load(&over))
+        if (!(pb_copy_in(reader, reader->plans + PB_PLAN_ON) & (PB_COPY_TORN | PB_COPY_LOST)))
+            *torn += !rig_is_whole(reader, 0);
+    return NULL;
+}
+
+/* One cycle beside the others; returns whether its values are safe ones. */
+static bool beside(struct pb_local *own) {
+    bool safe;
+    pb_cycle_begins(task, number);
+    atomic_store(&running, number);
+    while (number % 3 == 0 && atomic_load(&met) != number) sched_yield();
+    rig_fill(task, 0, ++counter);
+    for (volatile unsigned wait = counter * 104729 % 400; wait; wait--) continue;
+    if (pb_cycle_commits(task))
+        found.refused += pb_commit(task, task->outputs + PB_GROUP_VARS,
+                                   (struct pb_stamp){pb_now(), counter}) != 0;
+    safe = pb_cycle_ends(task);
+    atomic_store(&running, 0);
+    pb_copy_in(own, own->plans + PB_PLAN_ON);
+    found.unsafe += (*rig_word(own, 0, 0) == SAFE_WORD) != safe || !rig_is_whole(own, 0);
+    return safe;
+}
+
+static void together(void) {
+    static bool safe[TOGETHER + 1];
+    struct pb_local *own = rig_local(&table, -1);
+    pthread_t thread[2];
+    main_thread = pthread_self();
+    signal(SIGUSR1, on_failure);
+    if (pthread_create(thread, NULL, dispatches, NULL) ||
+        pthread_create(thread + 1, NULL, reads, &found.torn)) die("pthread_create");
+    for (number = 1; number <= TOGETHER; number++) safe[number] = beside(own);
+    atomic_store(&over, true);
+    for (int i = 0; i < 2; i++) pthread_join(thread[i], NULL);
+    for (number = 1; number <= TOGETHER; number++) {
+        found.cycles++;
+        found.safe += safe[number];
+        found.kept += !safe[number];
+        found.unsafe += made[number] && !safe[number];
+    }
 }
 
 static void odd(void) {
@@ -217,11 +296,12 @@ int main(int argc, char **argv) {
     task->safe_data = (const uint8_t *)safe_words;
     fail = *argv[1] == 'd' ? dispatcher : *argv[1] == 's' ? by_signal : killed;
     if (*argv[1] == 'o') odd();
-    for (long at = 1, met = *argv[1] != 'o'; met; at++) {
+    if (*argv[1] == 't') together();
+    for (long at = 1, more = !strchr("ot", *argv[1]); more; at++) {
         dies_at = 1;
         do {
             died = false;
-            met = cycle(at);
+            more = cycle(at);
             plain();
             dies_at++;
         } while (died);

@@ -5,8 +5,10 @@ behind its cycle, also after a dispatcher that was killed at any of its own step
 mutants show that each check is needed.
 """
 
+import subprocess
+
 import pytest
-from svar_rig import build, mutant, run
+from svar_rig import build, compiler, mutant, run
 
 WRONG = ("torn", "stale", "unsafe", "refused")
 MUTANTS = {
@@ -77,6 +79,29 @@ def test_the_sweep_catches_a_missing_check(name, tmp_path):
 def test_what_comes_once_in_years_or_amid_a_burial(tmp_path):
     found = run(build("svar_safe.c", tmp_path / "safe"), "odd")
     assert {name: found[name] for name in WRONG} == dict.fromkeys(WRONG, 0)
+
+
+def test_the_thread_sanitizer_is_silent_about_task_dispatcher_and_reader(tmp_path):
+    flags = ("-g", "-fsanitize=thread", "-fno-sanitize-recover=all")
+    program = build("svar_safe.c", tmp_path / "tsan", *flags, cc=compiler("clang"))
+    found = run(program, "threads")
+    assert {name: found[name] for name in WRONG} == dict.fromkeys(WRONG, 0)
+    assert found["safe"] > 100
+    assert found["kept"] > 100
+
+
+def test_the_thread_sanitizer_finds_a_missing_order(tmp_path):
+    right = "atomic_store(&s->wanted, number); /* SYNC"
+    wrong = "*(uint64_t *)(void *)&s->wanted = number; /* SYNC"
+    headers = mutant(tmp_path, "safe.h", right, wrong)
+    flags = ("-g", "-w", "-fsanitize=thread")
+    program = build(
+        "svar_safe.c", tmp_path / "t", *flags, cc=compiler("clang"), headers=headers
+    )
+    done = subprocess.run(
+        [str(program), "threads"], capture_output=True, text=True, check=False
+    )
+    assert "data race" in done.stderr
 
 
 @pytest.mark.parametrize("name", ODD_MUTANTS)

@@ -23,6 +23,7 @@ FIELDS = [
     ("tasktype", ["periodic", "synchronous", "often"]),
     ("restart", ["on", "never", "off"]),
     ("stale", ["hold", None]),
+    ("safe_at", ["deadline", "maxexec deadline", "late", ""]),
 ]
 PARAMS = [
     ("TAU", "0.2"),

@@ -95,6 +95,13 @@ const MORE: Setting[] = [
     hint: "how long all inputs must have been fresh before it goes on",
   },
   {
+    field: "safe_at",
+    label: "SAFE",
+    hint: "timing failures at which its out-vars get their safe values at once: deadline maxexec minexec",
+    words: ["deadline", "maxexec", "minexec", "deadline maxexec", "deadline maxexec minexec"],
+    wide: true,
+  },
+  {
     field: "needs",
     label: "NEEDS",
     hint: "the device that a special purpose processor must have",

@@ -162,6 +162,8 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     safe_last_ns: int
     safe_max_ns: int
     """... and how long after it they came."""
+    safe_stands: bool
+    """The cycle of the last one has not ended."""
     delivery_last_ns: int
     """From the finding of a failure to the begin of its handler."""
     delivery_max_ns: int

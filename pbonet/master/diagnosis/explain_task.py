@@ -62,7 +62,15 @@ def _absent(chain: Chain, name: str) -> tuple[str, list[Cause]]:
     ]
     if ends:  # an older one did not end what was spawned after it
         found.append(cause_of(max(ends, key=lambda event: event.wall), facts))
+    found += _of_last_process(chain, name, "LEFT_SAFE")
     return f"task {name}{where} is {State.NOT_CREATED}", found
+
+
+def _of_last_process(chain: Chain, name: str, code: str) -> Iterator[Cause]:
+    """Yield the newest event of a code, if it is about a task's last process."""
+    for event in chain.facts.news((code, "SPAWNED"), task=name):
+        if event.code == code:
+            yield cause_of(event, chain.facts)
 
 
 def _error(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
@@ -83,9 +91,13 @@ def _error(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
 def _ended(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
     """Yield why a task whose status is kept has no process."""
     facts = chain.facts
-    ends = [cause_of(one, facts) for one in facts.news(_ENDS, task=status.task)]
+    last = facts.news(_ENDS, task=status.task)
+    ends = [cause_of(one, facts) for one in last]
+    if last and last[0].code == "FORCED":
+        ends += _of_last_process(chain, status.task, "HANGS")
     again = facts.news(("NOT_SPAWNED",), task=status.task)
     ends += [cause_of(one, facts) for one in again]
+    ends += _of_last_process(chain, status.task, "LEFT_SAFE")
     yield Cause(
         what=status.error or "its process has ended",
         source=Source.STATUS,

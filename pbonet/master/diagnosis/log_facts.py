@@ -25,7 +25,11 @@ _SAME: Final = 1e-3
 """Seconds by which times of one event may differ."""
 _BREAK: Final = 1000
 """A longer gap, in periods, is time in which the task was OFF."""
-_FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED")
+_FAILED: Final = ("METHOD", "SIGNAL_FAILED", "TASK_DIED", "FORCED")
+_LOST: Final = ("TASK_DIED", "FORCED")
+"""Events that say that a process has ended, and not in order."""
+_OUT_OF_ORDER: Final = ("FORCED", "LEFT_SAFE")
+"""Events of a task that did not end in order, also amid the end of a run."""
 _ENDING: Final = 10.0
 """Seconds within which the tasks of a run are turned off at its end."""
 _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DOTALL)
@@ -33,6 +37,8 @@ _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DO
 
 def read_log(path: str | Path) -> Facts:
     """Return the facts of a recorded run, as they were before its tasks were ended.
+
+    A task whose process was ended by force, or died, has no process.
 
     Args:
         path: The log, or the folder of a run.
@@ -66,7 +72,7 @@ def read_log(path: str | Path) -> Facts:
     facts = Facts(
         subsystem=graph.name,
         graph=graph,
-        events=[one for one in events if one.wall < end],
+        events=[one for one in events if one.wall < end or one.code in _OUT_OF_ORDER],
         from_log=True,
         unknown=unknown,
     )
@@ -84,7 +90,8 @@ def _rtpus(log: Log, facts: Facts, end: float) -> dict[str, RtpuStatus]:
     tasks: dict[str, list[TaskStatus]] = {}
     for name in log.tasks:
         about = log.task_about(name)
-        status = _task(log, name, states.get(name, _GONE), facts)
+        state = _of_process(facts.events, name) or states.get(name, _GONE)
+        status = _task(log, name, state, facts)
         status.miss, status.failed = missed.get(name, 0), failed.get(name, 0)
         tasks.setdefault(about.rtpu, []).append(status)
     names = dict.fromkeys([*(one.name for one in facts.graph.rtpus), *tasks])
@@ -107,6 +114,22 @@ def _last(line: list[Any], end: float) -> str:
     states = [one.state for one in line if one.begin_ns * 1e-9 < end - _SAME]
     before = states[:-1] if len(states) > 1 and states[-1] == _GONE else states
     return before[-1] if before else _GONE
+
+
+def _of_process(events: list[Event], task: str) -> str:
+    """Return the state of a task whose newest event is the begin or loss of a process.
+
+    Such events have no state of their own. Empty: another one is newer.
+    """
+    for event in reversed(events):
+        if event.task == task:
+            if event.code in _LOST:
+                return _GONE
+            if event.code == "SPAWNED":
+                return "OFF"
+            if event.state not in {"", _GONE}:
+                return ""
+    return ""
 
 
 def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:

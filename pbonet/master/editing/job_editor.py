@@ -412,6 +412,7 @@ class JobEditor:
         for name in JOB_FIELDS[:2]:
             said = None if standby else getattr(line, name)
             found[name] = getattr(record, name) if said is None else said
+        found["safe_at"] = " ".join(record.safe_at)
         found["module"] = record.module
         lines = record.local.items()
         found["local"] = {name: " ".join(line.words) for name, line in lines}

@@ -41,6 +41,7 @@ RMOD_FIELDS = (
     "softness",
     "stale",
     "settle",
+    "safe_at",
     "needs",
 )
 """Settings of a task that its RMOD says."""
@@ -363,6 +364,8 @@ def _converted(kind: type[msgspec.Struct], field: str, value: Any, task: str) ->
     about = next(one for one in structs.fields(kind) if one.name == field)
     if value is None or (value == "" and field != "desc"):
         return about.default
+    if about.type == tuple[str, ...] and isinstance(value, str):
+        value = value.split()
     try:
         return convert(value, about.type, strict=False)
     except msgspec.ValidationError as error:

@@ -201,6 +201,7 @@ cdef extern from "view.h" nogil:
         uint64_t delivery_last_ns, delivery_max_ns
         uint32_t safe
         int64_t safe_last_ns, safe_max_ns
+        int safe_stands
         rt_section_view *sections
         uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost
         uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults

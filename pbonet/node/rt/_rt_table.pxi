@@ -250,6 +250,7 @@ cdef class CoreTable:
             skipped=v.skipped, handlers=v.handlers, stale_failures=v.stale_failures,
             delivery_last_ns=v.delivery_last_ns, delivery_max_ns=v.delivery_max_ns,
             safe=v.safe, safe_last_ns=v.safe_last_ns, safe_max_ns=v.safe_max_ns,
+            safe_stands=bool(v.safe_stands),
             hangs=bool(v.hangs), hung=bool(v.hung), flooded=bool(v.flooded), in_sync=bool(v.in_sync), sections=tuple([
                 Section(v.sections[k].name.decode(errors="replace"), v.sections[k].count,
                         v.sections[k].total_ns, v.sections[k].min_ns,

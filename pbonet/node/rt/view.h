@@ -20,6 +20,7 @@ struct rt_view {
     uint64_t delivery_last_ns, delivery_max_ns;
     uint32_t safe;              /* commits of safe values at a timing failure ... */
     int64_t safe_last_ns, safe_max_ns;  /* ... and how long after it they came */
+    int safe_stands;            /* the cycle of the last one has not ended */
     struct rt_section_view sections[RT_SECTIONS];
     uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost;
     uint64_t on_cycles, on_missed, on_failed, on_cpu_ns, on_faults;
@@ -91,6 +92,7 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     v->safe = atomic_load(&slot->safe.count);
     v->safe_last_ns = atomic_load(&slot->safe.last_ns);
     v->safe_max_ns = atomic_load(&slot->safe.max_ns);
+    v->safe_stands = (atomic_load(&slot->safe.word) & 7) == PB_MADE_SAFE;
     v->n_sections = (int)atomic_load(&slot->n_sections);
     for (int k = 0; k < v->n_sections; k++) {
         const struct rt_section *s = &slot->sections[k];

@@ -494,6 +494,7 @@ class Rtpu:
         self.core.died(task.facts.slot)
         # After the mark: from here on callers learn that no successor comes.
         slot = self.core.snapshot(task.facts.slot)
+        self._timing_failures.report_end(task, slot)
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop((task.facts.subsystem, task.name), None)

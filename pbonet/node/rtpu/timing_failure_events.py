@@ -148,6 +148,24 @@ class TimingFailureEvents:
             cycle=slot.cycles - slot.on_cycles,
         )
 
+    def report_end(self, task: Task, slot: SlotStatus) -> None:
+        """Report that a task has ended amid a cycle whose safe values stay.
+
+        Nothing else says so: the cycle's own record was never written.
+        """
+        if slot.safe_stands:
+            self._events.add(
+                Severity.WARNING,
+                "LEFT_SAFE",
+                f"the task has ended amid a cycle that had failed in time; "
+                f"{', '.join(task.facts.outputs)} got the safe values "
+                f"{slot.safe_last_ns / 1e3:.1f} us after the failure, and keep them "
+                "until another task writes",
+                subsystem=task.facts.subsystem,
+                task=task.name,
+                cycle=slot.cycles - slot.on_cycles,
+            )
+
     def _check_core(self, core: CoreStatus) -> None:
         if core.stalls > self._stalls:
             took = (core.stalled_ns - self._stalled_ns) / 1e6

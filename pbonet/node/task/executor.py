@@ -93,6 +93,10 @@ class Executor:
         """The last failure of a method, whatever `error` answered."""
         self.cycling: Callable[[], str] = lambda: "cycle"
         """Returns the method that runs now; set by the owner of a native loop."""
+        self.made_safe = False
+        """Whether the cycle under way has failed in time and the table has the safe
+        values of its out-vars; set by the owner of the loop before `abort` or `fault`,
+        which take them into the out-vars."""
         self._spent = False
         self._outdated = False
         self._actions = LifecycleSteps(instance, copies, illegal)
@@ -279,6 +283,7 @@ class Executor:
         """
         event = Event.SYNC if method == "sync" else Event.WAKEUP
         cause = contained(error)
+        self._take_safe()
         found = rule(self.state, event, where=self.task.name)
         self._put_right(found, cause, self._described(cause, method))
         return self.state
@@ -317,17 +322,16 @@ class Executor:
         self._actions.method = before
         return answer
 
-    def was_made_safe(self) -> None:
-        """Note that the out-vars got their safe values when a cycle failed in time."""
-        self._actions.was_made_safe()
+    def _take_safe(self) -> None:
+        """Take the safe values into the out-vars if the failed cycle has got them."""
+        if self.made_safe:
+            self.made_safe = False
+            self._actions.was_made_safe()
 
-    def abort(self, *, safe: bool = False) -> State:
+    def abort(self) -> State:
         """Restart after a cycle that a timing failure ended: `on` runs again.
 
         The cycle's values of the out-vars are discarded; the task still owns them.
-
-        Args:
-            safe: The out-vars got their safe values when it failed.
 
         Returns:
             The state afterwards: ON, or OFF if `on` answers that it cannot continue.
@@ -337,8 +341,7 @@ class Executor:
             MethodError: `on` failed and the error was not corrected; `state` is the
                 task's new state.
         """
-        if safe:
-            self.was_made_safe()
+        self._take_safe()
         self.task.restart_rng()
         return self._run(Event.ABORT)
 

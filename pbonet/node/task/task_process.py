@@ -490,7 +490,8 @@ class Host:
         did = Did("abort", calls=self.tape.calls(), name="safe" * self.slot.safe)
         try:
             with self.journal.doing(did):
-                self.executor.abort(safe=self.slot.safe)
+                self.executor.made_safe = self.slot.safe
+                self.executor.abort()
         except PbonetError as error:
             self.to_rtpu.report(error, self.executor, self.time.cyclecount)
         if self.executor.state is not State.ON:
@@ -510,8 +511,7 @@ class Host:
         settled = False
         try:
             with self.journal.doing(Did("fault", name=method, arg=text_of(error))):
-                if self.slot.safe:
-                    self.executor.was_made_safe()
+                self.executor.made_safe = self.slot.safe
                 self.executor.fault(error, method)
             settled = self.executor.failure is None
         except PbonetError as second:

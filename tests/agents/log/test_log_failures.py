@@ -14,6 +14,8 @@ from log_of_real_tasks import finish, record
 from nodekit import rmod
 from watching import wait_for
 
+from pbonet.master import diagnosis
+from pbonet.master.configuration import Place
 from pbonet.testing import rerun, verify
 
 ASKS = """
@@ -185,6 +187,25 @@ def test_safe_values_are_on_record_and_so_is_who_read_them(line, nodes):
         assert verdict.good, str(verdict)
         assert verdict.cycles >= 2
     assert rerun(log, ["asks", "copies"]).good
+
+
+def test_a_task_that_is_killed_while_it_hangs_leaves_word_of_its_safe_values(line):
+    """Who has read them is verified up to there."""
+    path = record(line)
+    text = rmod("overruns", "Y2", freq=50.0, local={"work": "endless", "every": 3})
+    text = text.replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
+    line.spawn("asks", "overruns", text=text)
+    line.on("asks")
+    wait_for(lambda: line.status("asks").made_safe, "safe values")
+    line.kill("asks")
+    log = finish(line, path)
+    (told,) = [event for event in log.events() if event["code"] == "LEFT_SAFE"]
+    assert told["task"] == "asks"
+    assert told["cycle"] == 2
+    assert "Y2 got the safe values" in told["text"]
+    text = str(diagnosis.answer(path, ("asks",), Place()))
+    assert text.startswith("task asks on arm0 is NOT-CREATED"), text
+    assert "LEFT_SAFE of arm0/asks" in text
 
 
 @pytest.mark.parametrize("answer", [0, 3, -1], ids=["ok", "skip", "error"])

@@ -208,6 +208,17 @@ def test_forms_the_keyboard_and_a_simulated_run(assembling, folder):
     page.get_by_role("button", name="undo").press("Enter")
 
     page.locator(".canvas .card", has_text="puma_pidg").locator(".kind").click()
+    page.get_by_text("More settings").click()
+    safe = page.get_by_role("combobox", name="SAFE", exact=True)
+    safe.fill("deadline late")
+    safe.press("Enter")
+    page.locator("[role=alert]", has_text="'late' is not a timing failure").wait_for()
+    safe.fill("deadline")
+    safe.press("Enter")
+    nothing = "has nothing to write at SAFE deadline"
+    page.locator(".side .fault-card", has_text=nothing).wait_for()
+    page.get_by_role("button", name="undo").click()
+    page.locator(".side .fault-card", has_text=nothing).wait_for(state="detached")
     follow = page.get_by_role("textbox", name="follow")
     follow.fill("fast")
     follow.press("Enter")

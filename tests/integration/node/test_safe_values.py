@@ -94,6 +94,14 @@ def test_the_module_s_handler_runs_afterwards_and_the_event_says_both(arm):
     assert "us after the failure" in text
 
 
+def test_a_handler_that_answers_skip_has_a_release_left_out(arm):
+    start(arm, overruns("SAFE deadline", work="python", busy=0.03, answer="skip"))
+    status = wait_safe(arm, 2)
+    assert status.skipped >= 1
+    assert status.aborted >= 1, "`on` has run again all the same"
+    assert status.state == "ON"
+
+
 def test_only_the_failures_that_are_named_count(arm):
     start(
         arm,

@@ -157,6 +157,13 @@ def test_settings_of_the_job_and_of_the_rmod(puma):
     assert any("qrdiff" in text for text in state["errors"])
     state = editor.set_field("qrdiff", "maxc", None)
     assert state["settings"]["qrdiff"]["maxc"] is None
+    state = editor.set_field("qrdiff", "safe_at", "deadline maxexec")
+    assert state["settings"]["qrdiff"]["safe_at"] == "deadline maxexec"
+    assert any("SAFE maxexec does nothing without MAXC" in e for e in state["errors"])
+    text = "".join(change.diff for change in editor.changes())
+    assert "+SAFE      deadline maxexec" in text
+    state = editor.set_field("qrdiff", "safe_at", "")
+    assert state["settings"]["qrdiff"]["safe_at"] == ""
 
 
 @pytest.mark.parametrize(
@@ -165,6 +172,7 @@ def test_settings_of_the_job_and_of_the_rmod(puma):
         ("maxc", "long", "MAXC cannot be 'long'"),
         ("crit", -5, "CRIT cannot be '-5'"),
         ("restart", "maybe", "RESTART cannot be 'maybe'"),
+        ("safe_at", "deadline late", "'late' is not a timing failure"),
         ("tasktype", "often", "TASKTYPE cannot be 'often'"),
         ("maxcc", 1, "did you mean maxc?"),
     ],

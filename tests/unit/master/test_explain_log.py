@@ -155,6 +155,46 @@ def test_what_was_turned_off_long_before_the_end_was_off(tmp_path):
     assert ask("arm0").what == "RTPU arm0 was used in this run, with 1 task"
 
 
+HUNG = event("HANGS", "a cycle does not return", 30 * PERIOD, "pid")
+SAFE = event("LEFT_SAFE", "Y got the safe values", 35 * PERIOD, "pid")
+FORCED = event("FORCED", "pid was ended by force", 37 * PERIOD, "pid")
+
+
+@pytest.mark.parametrize("ended", [0, 34], ids=["alone", "with the run"])
+def test_a_task_that_was_ended_by_force_has_no_process(tmp_path, ended):
+    off = [event("STATE", "off: OFF", ended * PERIOD, "other", "OFF")] if ended else []
+    kill = event("STATE", "kill: ON", 36 * PERIOD, "pid", "ON")
+    stopped = event("STOPPED", "all", 38 * PERIOD)
+    events = [*SOUND[:3], HUNG, *off, SAFE, kill, FORCED, stopped]
+    found = recorded(tmp_path, events)("pid")
+    assert found.what == "task pid on arm0 is NOT-CREATED"
+    text = str(found)
+    assert "because pid was ended by force" in text
+    for code in ("FORCED", "HANGS", "LEFT_SAFE"):
+        assert f"{code} of arm0/pid" in text
+
+
+def test_a_task_that_died_has_no_process_until_it_is_spawned_again(tmp_path):
+    died = event("TASK_DIED", "signal SIGSEGV", 30 * PERIOD, "pid")
+    found = recorded(tmp_path, [*SOUND[:3], HUNG, died])("pid")
+    assert found.what == "task pid on arm0 is NOT-CREATED"
+    assert "because signal SIGSEGV" in str(found)
+    assert "HANGS" not in str(found), "that cycle may have ended"
+    (tmp_path / "buried").mkdir()
+    buried = event("STATE", "kill: NOT-CREATED", 31 * PERIOD, "pid", "NOT-CREATED")
+    ask = recorded(tmp_path / "buried", [*SOUND[:3], died, buried])
+    assert ask("pid").what == "task pid on arm0 is NOT-CREATED"
+    again = event("SPAWNED", "process 7", 31 * PERIOD, "pid")
+    on = event("STATE", "on: ON", 32 * PERIOD, "pid", "ON")
+    for folder in ("again", "on"):
+        (tmp_path / folder).mkdir()
+    ask = recorded(tmp_path / "again", [*SOUND[:3], SAFE, died, again])
+    assert ask("pid").what == "task pid on arm0 is OFF"
+    ask = recorded(tmp_path / "on", [*SOUND[:3], SAFE, died, again, on])
+    assert ask("pid").what == "task pid on arm0 is ON"
+    assert "LEFT_SAFE" not in str(ask("pid"))
+
+
 def test_cycles_that_are_not_in_the_log_are_not_missed(tmp_path):
     text = str(recorded(tmp_path, SOUND, without=range(20, 25))("miss", "pid"))
     assert text.startswith("pid has missed 3 cycles in 1 places\n")

@@ -1,8 +1,10 @@
 """Timing failures on a bench: what a handler may do, and what follows."""
 
+from pathlib import Path
 from typing import Annotated as A
 
 import pytest
+from nodekit import rmod
 
 from pbonet import (
     Answer,
@@ -14,10 +16,11 @@ from pbonet import (
     State,
     TimingFailure,
 )
-from pbonet.errors import MethodError, StateError
+from pbonet.errors import MethodError, PortError, StateError
 from pbonet.testing import Bench
 
 DEADLINE = TimingFailure.DEADLINE
+OVERRUNS = Path(__file__).parents[2] / "misbehaving" / "overruns.py"
 
 
 class Search(PortBasedObject):
@@ -356,3 +359,144 @@ def test_timed_sections_are_on_the_bench():
     bench.module.slow = slow
     bench.step(n=5)
     assert bench.sections()["slow part"].count == 5
+
+
+class Torque(PortBasedObject):
+    """Count up; a test may have it fail amid its cycle."""
+
+    y: A[float, OutVar("Y", "1", "none", "what acts", safe=-1.0)]
+
+    answer = None
+
+    def on(self):
+        self.from_where = self.y
+
+    def cycle(self, dt):
+        self.dt = dt
+        self.y += 1.0
+        self.slow()
+        self.y += 10.0
+
+    def slow(self):
+        pass
+
+    def timing_failure(self, kind):
+        self.seen = (self.y, kind in self.task.safe_at)
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def error(self, error):
+        self.last = error
+        return Answer.CONTINUE
+
+
+def safe_bench(answer=None, **more):
+    body = {"answer": answer, "__module__": __name__}
+    bench = Bench(type("Torque", (Torque,), body), safe_at=[DEADLINE], **more)
+    bench.on()
+    bench.step()
+    assert bench.outputs.y == 11.0
+    return bench
+
+
+@pytest.mark.parametrize("answer", [None, Recovery.CONTINUE, Recovery.ABORT])
+def test_safe_values_are_there_at_once_and_the_cycle_is_discarded(answer):
+    bench = safe_bench(answer)
+    seen = []
+
+    def slow():
+        try:
+            bench.timing_failure(DEADLINE)
+        finally:
+            seen.append(bench.outputs.y)
+
+    bench.module.slow = slow
+    assert bench.step() is State.ON
+    assert seen == [-1.0], "while the cycle still runs"
+    assert bench.module.seen == (12.0, True), "the module's own value is untouched"
+    assert bench.outputs.y == bench.module.from_where == -1.0
+    bench.module.slow = lambda: None
+    bench.step()
+    assert bench.outputs.y == 10.0, "the next cycle is an ordinary one"
+
+
+def test_after_safe_values_a_skip_still_leaves_out_a_release():
+    bench = safe_bench(Recovery.SKIP)
+    bench.module.slow = lambda: bench.timing_failure(DEADLINE)
+    bench.step()
+    assert bench.outputs.y == bench.module.from_where == -1.0
+    bench.module.slow = lambda: None
+    bench.step()
+    assert bench.outputs.y == -1.0, "left out"
+    bench.step(dt=0.01)
+    assert bench.outputs.y == 10.0
+    assert bench.module.dt == pytest.approx(bench.task.period + 0.01)
+
+
+def test_a_cycle_that_raises_after_safe_values_has_them_in_its_out_vars():
+    bench = safe_bench()
+
+    def slow():
+        bench.timing_failure(DEADLINE)
+        raise ValueError("and then")
+
+    bench.module.slow = slow
+    assert bench.step() is State.ON
+    assert bench.module.y == bench.outputs.y == -1.0
+    bench.module.slow = lambda: None
+    bench.step()
+    assert bench.outputs.y == 10.0
+
+
+def test_safe_values_between_two_steps_and_other_failures():
+    bench = safe_bench()
+    bench.timing_failure(TimingFailure.MAXEXEC)
+    assert bench.outputs.y == bench.module.y == 11.0
+    bench.timing_failure(DEADLINE)
+    assert bench.outputs.y == bench.module.from_where == bench.module.y == -1.0
+
+
+def test_a_critical_section_does_not_hold_off_safe_values():
+    bench = safe_bench()
+
+    def slow():
+        with bench.task.critical():
+            assert bench.timing_failure(DEADLINE) is None
+            assert bench.outputs.y == -1.0
+
+    bench.module.slow = slow
+    bench.step()
+    assert bench.executor.failure is None
+    assert bench.module.seen == (12.0, True)
+    assert bench.outputs.y == -1.0
+
+
+@pytest.mark.parametrize("within", [True, False])
+def test_a_handler_that_raises_after_safe_values_has_them_in_its_out_vars(within):
+    bench = safe_bench(ValueError("no"))
+    if within:
+        bench.module.slow = lambda: bench.timing_failure(DEADLINE)
+        bench.step()
+    else:
+        bench.timing_failure(DEADLINE)
+    assert bench.state is State.ON
+    assert bench.module.y == bench.outputs.y == -1.0
+    assert bench.module.from_where == 0.0, "`on` does not run again"
+
+
+def test_safe_values_need_some_and_a_known_failure():
+    with pytest.raises(PortError, match="safe value of Y"):
+        Bench(Search, safe_at=["deadline"])
+    with pytest.raises(PortError, match="deadline or maxexec or minexec"):
+        Bench(Torque, safe_at=["late"])
+
+
+def test_the_bench_takes_safe_from_an_rmod(tmp_path):
+    (tmp_path / "overruns.py").write_text(OVERRUNS.read_text())
+    text = rmod("overruns", freq=50.0).replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
+    (tmp_path / "overruns.rmod").write_text(text)
+    with Bench.of(tmp_path / "overruns.rmod", library=[tmp_path]) as bench:
+        bench.on()
+        bench.timing_failure(DEADLINE)
+        assert bench["Y"].tolist() == [-7.0, -7.0]
