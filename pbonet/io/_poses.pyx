@@ -390,19 +390,60 @@ cdef class PlaceSteps:
         return most, which
 
 
-cdef class JointSteps:
-    cdef double[::1] q, q_ref, qd_ref, step
+cdef double leaving(double way, double accel, double dt) noexcept nogil:
+    """Return the speed of a step from which steps that brake end within the way.
 
-    def __init__(self, q, q_ref, qd_ref):
+    A joint beyond its limit, with no way left, comes back.
+    """
+    if way <= accel * dt * dt:
+        return way / dt
+    return sqrt(2.0 * accel * way) - 0.5 * accel * dt
+
+
+cdef class JointSteps:
+    cdef double[::1] q, q_ref, qd_ref, step, to
+    cdef const double[:] lower, upper, speed
+    cdef double most                # the largest change of a speed in this step
+    cdef readonly object room
+    cdef readonly bint at_accel
+
+    def __init__(self, q, q_ref, qd_ref, lower, upper, speed):
         self.q, self.q_ref, self.qd_ref = q, q_ref, qd_ref
+        self.lower, self.upper, self.speed = lower, upper, speed
         if not 1 <= self.q.shape[0] == self.q_ref.shape[0] == self.qd_ref.shape[0]:
             raise ValueError("the references are not those of the joints")
+        if not self.q.shape[0] == self.lower.shape[0] == self.upper.shape[0] == self.speed.shape[0]:
+            raise ValueError("the limits are not those of the joints")
         self.step = np.zeros(RATES + self.q.shape[0])
+        self.room = np.zeros(2 * self.q.shape[0])
+        self.to = self.room
+        self.at_accel = False
+
+    def limit(self, double accel, double dt):
+        cdef Py_ssize_t i, n = self.q.shape[0]
+        cdef double low, high, below, above, slower, faster
+        self.most = accel * dt
+        for i in range(n):
+            below, above = self.lower[i] - self.q[i], self.upper[i] - self.q[i]
+            if max(below, -above) > self.speed[i] * dt:
+                return False
+            slower, faster = self.qd_ref[i] - self.most, self.qd_ref[i] + self.most
+            high = min(self.speed[i], faster, max(slower, leaving(above, accel, dt)))
+            low = max(-self.speed[i], slower, min(faster, -leaving(-below, accel, dt)))
+            if low > high:          # taken over with more than its largest speed
+                low = high = slower if self.qd_ref[i] > 0.0 else faster
+            above, below = max(above, 0.0), min(below, 0.0)
+            self.to[i] = self.q[i] + min(max(dt * high, below), above)
+            self.to[n + i] = -(self.q[i] + min(max(dt * low, below), above))
+        return True
 
     def take(self, step, double dt):
         cdef Py_ssize_t i
+        cdef double speed
         copy(step, 0, self.step.shape[0], &self.step[0])
+        self.at_accel = False
         for i in range(self.q.shape[0]):
+            speed = self.step[RATES + i] / dt
+            self.at_accel = self.at_accel or fabs(speed - self.qd_ref[i]) > 0.999 * self.most
             self.q[i] += self.step[RATES + i]
-            self.q_ref[i] = self.q[i]
-            self.qd_ref[i] = self.step[RATES + i] / dt
+            self.q_ref[i], self.qd_ref[i] = self.q[i], speed
