@@ -78,7 +78,7 @@ MODULE_CLASSES: tuple[str, ...] = get_args(ModuleClass)[1:]
 """The classes of modules in the library (Stewart 1994, Figure 3.14)."""
 ROBOT_INTERFACE: ModuleClass = "robot interface"
 IN_CLASS_LINE = {"freq": "frequency", "module_class": "class of modules"}
-"""What only the class line says, never the body."""
+"""Words of the class line that a body must not repeat."""
 LEAST_HZ, MOST_HZ = 1e-6, 1e6
 """Lowest and highest frequency of a task."""
 
