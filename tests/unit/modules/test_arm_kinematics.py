@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from pbonet.errors import ParameterError
 from pbonet.io import (
     FrameStep,
-    JointSteps,
     FreeMotion,
+    JointSteps,
     difference,
     fault_of_pose,
     is_rotation,

@@ -326,12 +326,15 @@ def test_the_hand_is_asked_for_no_more_than_its_limits() -> None:
     assert moved == pytest.approx([0.3, 0.0, 0.4, 0.0, 0.6, 0.8], abs=1e-12)
 
 
+FAR = np.outer([1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0])
+
+
 def test_a_goal_that_jumps_is_approached_by_the_joints_acceleration() -> None:
     q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
     bench = damped(q, np.zeros(6), linear=9.0, joint_accel=20.0)
     whole = damped(q, np.zeros(6), linear=9.0, joint_accel=1e9)
     for one in (bench, whole):
-        one.inputs.x_des = one.inputs.x + [[0, 0, 0, 5.0], [0] * 4, [0] * 4]
+        one.inputs.x_des = one.inputs.x + FAR
     whole.step()
     found = [bench.outputs.qd.copy()]
     for _ in range(300):
@@ -349,7 +352,7 @@ def test_it_begins_with_the_velocity_of_the_goal_alone() -> None:
     q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
     pose, jacobian = GEOMETRY.jacobian(q)
     wanted = np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.4])
-    far = pose + [[0, 0, 0, 5.0], [0] * 4, [0] * 4]
+    far = pose + FAR
     bench = Bench(DampedLS, ndof=6, x_des=far, x=pose, v_des=wanted, jacobian=jacobian)
     bench.on()
     assert jacobian @ bench.outputs.qd == pytest.approx(wanted, abs=1e-12)

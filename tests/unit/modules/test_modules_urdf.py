@@ -259,10 +259,11 @@ def velocities(bench: Bench[IkPlaco], cycles: int) -> np.ndarray:
 
 
 FAR = {
-    "out of reach": lambda goal: goal + [[0, 0, 0, 5.0], [0] * 4, [0] * 4],
-    "a turn that a wrist cannot do": lambda goal: np.column_stack(
-        (goal[:, :3] @ rotation(np.array([0.0, 0.0, 2.5])), goal[:, 3])
-    ),
+    "out of reach": lambda goal: goal + np.outer([1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0]),
+    "a turn that a wrist cannot do": lambda goal: np.column_stack((
+        goal[:, :3] @ rotation(np.array([0.0, 0.0, 2.5])),
+        goal[:, 3],
+    )),
     "out of reach at the other side": lambda goal: goal * [[1.0] * 3 + [-9.0]],
 }
 
