@@ -31,11 +31,12 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -272,6 +273,48 @@ class Releases(NamedTuple):
     at_swaps: Losses
     """Between a cycle of one and a cycle of the other."""
     elsewhere: Losses
+    dropped: int = 0
+    """Cycles without a record; then releases seem to be lost that were not."""
+
+
+class Drained:
+    """Rings that are drained while swaps are under way.
+
+    A swap may take longer than a ring has room for, on a busy machine, and a full ring
+    drops what comes.
+    """
+
+    def __init__(self, names: list[str]) -> None:
+        self.releases: list[tuple[int, int]] = []
+        """Of the cycles that ran: instant, and whose."""
+        self.dropped = 0
+        self._rings = [Ring.attach(name) for name in names]
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._drain)
+
+    def __enter__(self) -> Self:
+        self._take()
+        self._before = [ring.lost for ring in self._rings]
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ends.set()
+        self._thread.join()
+        self._take()
+        lost = [ring.lost for ring in self._rings]
+        self.dropped = sum(lost) - sum(self._before)
+        for ring in self._rings:
+            ring.close()
+
+    def _drain(self) -> None:
+        while not self._ends.wait(0.02):
+            self._take()
+
+    def _take(self) -> None:
+        for whose, ring in enumerate(self._rings):
+            cycles = [one for one in ring.drain() if not one.kind]
+            self.releases += [(one.release_ns, whose) for one in cycles]
 
 
 def swaps(folder: Path, count: int) -> Releases:
@@ -281,7 +324,6 @@ def swaps(folder: Path, count: int) -> Releases:
     make = ["make", "--silent", "-C", str(copy), f"PYTHON={sys.executable}"]
     subprocess.run(make, check=True)
     os.environ["PBONET_RUN_DIR"] = f"{folder}/run"
-    releases: list[tuple[int, int]] = []
     with Embedded("default", libraries=[str(copy)]) as agents:
         agents.start(["arm0"])
         job = copy / "c_pid.job"
@@ -291,31 +333,26 @@ def swaps(folder: Path, count: int) -> Releases:
             core = axes.clients.call("arm0", Hello(), AgentInfo).core
             loop = Stalls(folder, core, tasks=("axes",), period=PERIOD)
             begun = time.monotonic_ns()  # cycles from before are in the rings, too
-            rings = [Ring.attach(axes.status(task).ring) for task in PAIR]
-            for number in range(count + 1):
-                axes.wait(0.05)
-                for whose, ring in enumerate(rings):
-                    cycles = [one for one in ring.drain() if not one.kind]
-                    releases += [(one.release_ns, whose) for one in cycles]
-                if number < count:
+            with Drained([axes.status(task).ring for task in PAIR]) as drained:
+                for number in range(count):
+                    axes.wait(0.05)
                     axes.swap(*(PAIR if number % 2 == 0 else PAIR[::-1]))
+                axes.wait(0.05)
             late = loop.end()[1]
-            for ring in rings:
-                ring.close()
-    return judged(sorted(releases), late, begun)
+    releases = sorted(one for one in drained.releases if one[0] >= begun)
+    return judged(releases, late, drained.dropped)
 
 
 def judged(
-    releases: list[tuple[int, int]], late: list[tuple[int, int]], begun: int = 0
+    releases: list[tuple[int, int]], late: list[tuple[int, int]], dropped: int = 0
 ) -> Releases:
     """Return which releases had no cycle, and whether the C loop was late then.
 
     Args:
         releases: Of the cycles that ran: instant, and whose.
         late: Of the loop's late wake-ups: when it was due, and when it came.
-        begun: When the loop began to run; releases before do not count.
+        dropped: Cycles that ran, but whose records the rings had no room for.
     """
-    releases = [one for one in releases if one[0] >= begun]
     lost = {True: Losses(), False: Losses()}
     for (begin, one), (end, other) in pairwise(releases):
         missed = max(round((end - begin) / PERIOD) - 1, 0)
@@ -325,7 +362,7 @@ def judged(
             on_time + missed * (not was_late), excused + missed * was_late
         )
     missed = sum(lost[True]) + sum(lost[False])
-    return Releases(len(releases) + missed, lost[True], lost[False])
+    return Releases(len(releases) + missed, lost[True], lost[False], dropped)
 
 
 def main() -> None:
@@ -357,7 +394,8 @@ def main() -> None:
         print(
             f"{args.swaps} swaps: {done.all} releases; without a cycle at swaps "
             f"{done.at_swaps.on_time} (and {done.at_swaps.late} while the loop was "
-            f"late), elsewhere {done.elsewhere.on_time} (and {done.elsewhere.late})"
+            f"late), elsewhere {done.elsewhere.on_time} (and {done.elsewhere.late}); "
+            f"{done.dropped} cycles without a record"
         )
     low = {kind: min(ns) for kind, ns in called.items()}
     over = low["empty, by pointer"] - low["empty, function in C alone"]
