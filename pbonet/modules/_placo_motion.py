@@ -19,6 +19,8 @@ AT_LIMIT = 1e-6
 """rad; a joint that is no further from a limit stands at it."""
 NEARLY = 0.999
 """The share of a joint's largest speed that counts as that speed."""
+SAME = 1e-3
+"""Weights that differ by this share of them count as the same."""
 STIFFEN = 4.0
 """Weight of the joints' own motion for each radian that the last step missed.
 
@@ -69,7 +71,8 @@ class PlacoMotion:
         placo, self.robot = placo_robot(model, "inverse kinematics within limits")
         self.solver: Any = placo.KinematicsSolver(self.robot)
         self.solver.mask_fbase(not floats)
-        self._own, self._damping = self.solver.add_regularization_task(1.0), damping
+        self._own: Any = self.solver.add_regularization_task(1.0)
+        self._damping, self._weight = damping, 1.0
         self._all = np.array(self.robot.state.q)
         self.q: Vector = self._all[BASE:]
         self._qd_ref, self._dt, self._missing = qd_ref, 0.0, 0.0
@@ -118,7 +121,10 @@ class PlacoMotion:
         if not self._steps.limit(accel, dt):
             return False
         self._room.b = self._steps.room
-        self._own.configure("own", "soft", self._damping + STIFFEN * self._missing)
+        weight = self._damping + STIFFEN * self._missing
+        if abs(weight - self._weight) > SAME * self._weight:
+            self._weight = weight
+            self._own.configure("own", "soft", weight)
         try:
             step = self.solver.solve(True)  # noqa: FBT003 - placo's
         except RuntimeError:
