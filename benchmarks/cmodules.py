@@ -256,7 +256,8 @@ def cycles_on(
 def share(found: dict[str, list[float]]) -> float:
     """Return C's share of Python's, of blocks that ran one after the other."""
     pairs = zip(*found.values(), strict=True)
-    return statistics.median(c / python for python, c in pairs)
+    shares: list[float] = [c / python for python, c in pairs]
+    return statistics.median(shares)
 
 
 class Losses(NamedTuple):
@@ -384,10 +385,10 @@ def main() -> None:
             wanted = args.core, str(folder / "empty.so"), args.blocks, args.seconds
             cycled = apart.submit(whole_cycles, *wanted).result()
         del os.environ["LD_PRELOAD"]
-        for kind, (cpu, proper) in cycled.items():
-            wake = [all_of_it - own for all_of_it, own in zip(cpu, proper, strict=True)]
+        for kind, (cpu, own) in cycled.items():
+            wake = [both - one for both, one in zip(cpu, own, strict=True)]
             print(
-                f"{kind:25} {rtbench.spread(proper, 0)} ns a cycle, and "
+                f"{kind:25} {rtbench.spread(own, 0)} ns a cycle, and "
                 f"{rtbench.spread(wake, 0)} of CPU time for the wake-up"
             )
         done = swaps(folder, args.swaps)
