@@ -153,7 +153,7 @@ class JointSteps:
 
     Attributes:
         room: Largest positions after the next step, and the smallest ones times -1.
-        at_accel: Whether a joint used all of its acceleration in the last step.
+        at_accel: Whether its acceleration held a joint back in the last step.
 
     Raises:
         ValueError: The sizes differ.

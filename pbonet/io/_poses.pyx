@@ -391,19 +391,19 @@ cdef class PlaceSteps:
 
 
 cdef double leaving(double way, double accel, double dt) noexcept nogil:
-    """Return the speed of a step from which steps that brake end within the way.
+    """Return the speed of a step after which the way is still enough to stop.
 
+    After it v^2 / (2 accel) of the way is left, so that later steps may be of any length.
     A joint beyond its limit, with no way left, comes back.
     """
-    if way <= accel * dt * dt:
+    if way <= 0.0:
         return way / dt
-    return sqrt(2.0 * accel * way) - 0.5 * accel * dt
+    return 2.0 * way / (dt + sqrt(dt * dt + 2.0 * way / accel))
 
 
 cdef class JointSteps:
     cdef double[::1] q, q_ref, qd_ref, step, to
     cdef const double[:] lower, upper, speed
-    cdef double most                # the largest change of a speed in this step
     cdef readonly object room
     cdef readonly bint at_accel
 
@@ -421,13 +421,12 @@ cdef class JointSteps:
 
     def limit(self, double accel, double dt):
         cdef Py_ssize_t i, n = self.q.shape[0]
-        cdef double low, high, below, above, slower, faster
-        self.most = accel * dt
+        cdef double low, high, below, above, slower, faster, most = accel * dt
         for i in range(n):
             below, above = self.lower[i] - self.q[i], self.upper[i] - self.q[i]
             if max(below, -above) > self.speed[i] * dt:
                 return False
-            slower, faster = self.qd_ref[i] - self.most, self.qd_ref[i] + self.most
+            slower, faster = self.qd_ref[i] - most, self.qd_ref[i] + most
             high = min(self.speed[i], faster, max(slower, leaving(above, accel, dt)))
             low = max(-self.speed[i], slower, min(faster, -leaving(-below, accel, dt)))
             if low > high:          # taken over with more than its largest speed
@@ -438,12 +437,16 @@ cdef class JointSteps:
         return True
 
     def take(self, step, double dt):
-        cdef Py_ssize_t i
-        cdef double speed
+        cdef Py_ssize_t i, n = self.q.shape[0]
+        cdef double speed, way
+        cdef bint held
         copy(step, 0, self.step.shape[0], &self.step[0])
         self.at_accel = False
-        for i in range(self.q.shape[0]):
+        for i in range(n):
             speed = self.step[RATES + i] / dt
-            self.at_accel = self.at_accel or fabs(speed - self.qd_ref[i]) > 0.999 * self.most
             self.q[i] += self.step[RATES + i]
+            held = self.q[i] > self.to[i] - SMALL or self.q[i] < SMALL - self.to[n + i]
+            if held and fabs(fabs(speed) - self.speed[i]) > 1e-3 * self.speed[i]:
+                way = min(self.upper[i] - self.q[i], self.q[i] - self.lower[i])
+                self.at_accel = self.at_accel or way > NEARLY
             self.q_ref[i], self.qd_ref[i] = self.q[i], speed

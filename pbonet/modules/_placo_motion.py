@@ -87,7 +87,7 @@ class PlacoMotion:
 
     @property
     def speeds_up(self) -> bool:
-        """Whether a joint used all of its acceleration in the last step."""
+        """Whether its acceleration held a joint back in the last step."""
         return self._steps.at_accel
 
     def show(self) -> None:

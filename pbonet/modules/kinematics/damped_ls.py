@@ -18,11 +18,16 @@ from pbonet.io import difference, fault_of_pose
 from pbonet.modules._dh import scale, shorten
 from pbonet.modules._warn_once import WarnOnce
 
+MOST_GAIN = 0.5
+"""Share of the error that a cycle takes at most; X_MEZ may be of the cycle before."""
+
 
 class Damping(Params):
     """Gains, damping near a singularity, and speed limits."""
 
-    gain: A[float, param("1/s", "gain of the pose error", gt=0)] = 4.0
+    gain: A[float, param("1/s", "gain of the error, at most half per cycle", gt=0)] = (
+        4.0
+    )
     sigma: A[
         float, param("none", "singular value above which there is no damping", gt=0)
     ] = 0.2
@@ -47,8 +52,10 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
     in Maciejewski and Klein 1988). So away from singularities the hand follows exactly,
     near one it gives up what would cost most, and nowhere do the joints' speeds exceed
     sqrt(1/(2 DAMPING)^2 + 1/SIGMA^2) times the size of v, positions counted in LENGTH.
-    The joints' speeds change by JOINT_ACCEL at most, all by the same share, and begin
-    at X^_DES alone, so that no goal makes them jump.
+    The joints' speeds change by JOINT_ACCEL at most, all by the same share. They begin
+    with the Q^_CMD that was there, or with X^_DES alone where that is zero, so that no
+    goal makes them jump. Where GAIN times their speeds is more than JOINT_ACCEL, the
+    hand passes its goal and comes back.
     While damping takes at least SHORT from the hand's velocity, as before a goal out of
     reach, a warning says so: once, until it takes less than half of that. A goal that
     is no pose stops the joints.
@@ -72,15 +79,17 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
 
     def on(self) -> None:
         self._told.clear()
-        self.qd[:] = 0.0
-        if self._has_goal():  # who integrates Q^_CMD is turned on next
+        if not self._has_goal():
+            self.qd[:] = 0.0
+        elif not self.qd.any():  # who integrates Q^_CMD is turned on next
             self.qd[:] = self._solve(self._shortened(self.v_des.copy()))
 
     def cycle(self, dt: float) -> None:
         if not self._has_goal():
             self.qd[:] = 0.0
             return
-        wish = self.params.gain * difference(self.x_des, self.x) + self.v_des
+        gain = min(self.params.gain, MOST_GAIN / dt)
+        wish = gain * difference(self.x_des, self.x) + self.v_des
         change = self._solve(self._shortened(wish)) - self.qd
         most, room = float(np.abs(change).max()), self.params.joint_accel * dt
         if most > room:

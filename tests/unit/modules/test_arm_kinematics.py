@@ -197,8 +197,8 @@ def test_joints_that_are_driven_anyhow_stop_before_their_limits(accel: float) ->
     steps, q, qd = joints()
     rng = np.random.default_rng(2)
     wish = np.sign(rng.normal(size=JOINTS))
-    dt, reached = 0.003, 0.0
-    for _ in range(3000):
+    reached = 0.0
+    for dt in np.where(rng.random(3000) < 0.1, 0.009, 0.003):  # some are missed
         wish = np.where(rng.random(JOINTS) < 0.01, -wish, wish)
         assert steps.limit(accel, dt)
         high, low = steps.room[:JOINTS], -steps.room[JOINTS:]

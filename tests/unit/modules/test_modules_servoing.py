@@ -359,6 +359,32 @@ def test_it_begins_with_the_velocity_of_the_goal_alone() -> None:
     assert bench.inputs.v_des == pytest.approx(wanted), "which is not its to change"
 
 
+def test_it_goes_on_from_the_velocity_that_was_there() -> None:
+    q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
+    pose, jacobian = GEOMETRY.jacobian(q)
+    there = np.array([0.5, -0.4, 0.3, 0.0, 0.2, -0.1])
+    bench = Bench(DampedLS, ndof=6, x_des=pose + FAR, x=pose, jacobian=jacobian,
+                  qd=there, freq=100)  # fmt: skip
+    bench.on()
+    assert bench.outputs.qd == pytest.approx(there, abs=0.0)
+    bench.step()
+    assert np.abs(bench.outputs.qd - there).max() == pytest.approx(20.0 * 0.01)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_hand_arrives_at_a_low_frequency(delay: int) -> None:
+    """Also with a pose that was measured a cycle before."""
+    q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
+    bench = damped(q, np.zeros(6))
+    bench.inputs.x_des = GEOMETRY.pose(q + 0.05)
+    past = [q] * (1 + delay)
+    for _ in range(60):
+        bench.inputs.x, bench.inputs.jacobian = GEOMETRY.jacobian(past[-1 - delay])
+        bench.step(dt=1.0)
+        past.append(past[-1] + bench.outputs.qd)
+    assert GEOMETRY.pose(past[-1]) == pytest.approx(bench.inputs.x_des, abs=1e-6)
+
+
 def test_what_is_no_pose_stops_the_joints_and_is_told_once() -> None:
     bench = damped(POSTURE, np.ones(6))
     bench.inputs.x_des = np.zeros((3, 4))

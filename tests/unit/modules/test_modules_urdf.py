@@ -209,8 +209,7 @@ def pursuit(**values: Any) -> Bench[IkPlaco]:
         IkPlaco,
         params={"urdf": "panda.urdf", "frame": "hand", **values.pop("params", {})},
         library=[PANDA],
-        freq=500,
-        **{"ndof": 7, "q_ref": HOME, "x_des": panda_pose(), **values},
+        **{"freq": 500, "ndof": 7, "q_ref": HOME, "x_des": panda_pose(), **values},
     )
     bench.on()
     return bench
@@ -247,6 +246,15 @@ def test_a_goal_out_of_reach_is_approached_and_told_once() -> None:
     bench.inputs.x_des = panda_pose()
     assert largest_step(bench, 3000) < 0.006, "and comes back"
     assert panda_pose(bench.outputs.q_ref) == pytest.approx(panda_pose(), abs=1e-3)
+
+
+@pytest.mark.parametrize("freq", [1.0, 2.0, 10.0])
+def test_the_hand_arrives_at_a_low_frequency(freq: float) -> None:
+    bench = pursuit(freq=freq)
+    goal = panda_pose(HOME + 0.2)
+    bench.inputs.x_des = goal
+    bench.step(n=40)
+    assert panda_pose(bench.outputs.q_ref) == pytest.approx(goal, abs=1e-6)
 
 
 def velocities(bench: Bench[IkPlaco], cycles: int) -> np.ndarray:
