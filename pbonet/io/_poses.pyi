@@ -147,12 +147,43 @@ class JointSteps:
         q: Joint positions, [n], which `take` changes.
         q_ref: Where it writes them, [n].
         qd_ref: Where it writes their velocities, [n].
+        lower: The joints' smallest positions, [n].
+        upper: Their largest ones.
+        speed: Their largest speeds.
+
+    Attributes:
+        room: Largest positions after the next step, and the smallest ones times -1.
+        at_accel: Whether its acceleration held a joint back in the last step.
 
     Raises:
         ValueError: The sizes differ.
     """
 
-    def __init__(self, q: Floats, q_ref: Floats, qd_ref: Floats) -> None: ...
+    room: Floats
+    at_accel: bool
+
+    def __init__(
+        self,
+        q: Floats,
+        q_ref: Floats,
+        qd_ref: Floats,
+        lower: Floats,
+        upper: Floats,
+        speed: Floats,
+    ) -> None: ...
+    def limit(self, accel: float, dt: float) -> bool:
+        """Set `room`, so that each joint can stop before its limit.
+
+        Velocities go on from those in `qd_ref`.
+
+        Args:
+            accel: How fast a joint's velocity may change, per s^2; may be infinite.
+            dt: Length of the step, seconds.
+
+        Returns:
+            False: a joint is further beyond a limit than a step takes it.
+        """
+
     def take(self, step: Floats, dt: float) -> None:
         """Take a step of base and joints, [6 + n], in `dt` seconds.
 

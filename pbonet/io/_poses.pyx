@@ -390,19 +390,63 @@ cdef class PlaceSteps:
         return most, which
 
 
-cdef class JointSteps:
-    cdef double[::1] q, q_ref, qd_ref, step
+cdef double leaving(double way, double accel, double dt) noexcept nogil:
+    """Return the speed of a step after which the way is still enough to stop.
 
-    def __init__(self, q, q_ref, qd_ref):
+    After it v^2 / (2 accel) of the way is left, so that later steps may be of any length.
+    A joint beyond its limit, with no way left, comes back.
+    """
+    if way <= 0.0:
+        return way / dt
+    return 2.0 * way / (dt + sqrt(dt * dt + 2.0 * way / accel))
+
+
+cdef class JointSteps:
+    cdef double[::1] q, q_ref, qd_ref, step, to
+    cdef const double[:] lower, upper, speed
+    cdef readonly object room
+    cdef readonly bint at_accel
+
+    def __init__(self, q, q_ref, qd_ref, lower, upper, speed):
         self.q, self.q_ref, self.qd_ref = q, q_ref, qd_ref
+        self.lower, self.upper, self.speed = lower, upper, speed
         if not 1 <= self.q.shape[0] == self.q_ref.shape[0] == self.qd_ref.shape[0]:
             raise ValueError("the references are not those of the joints")
+        if not self.q.shape[0] == self.lower.shape[0] == self.upper.shape[0] == self.speed.shape[0]:
+            raise ValueError("the limits are not those of the joints")
         self.step = np.zeros(RATES + self.q.shape[0])
+        self.room = np.zeros(2 * self.q.shape[0])
+        self.to = self.room
+        self.at_accel = False
+
+    def limit(self, double accel, double dt):
+        cdef Py_ssize_t i, n = self.q.shape[0]
+        cdef double low, high, below, above, slower, faster, most = accel * dt
+        for i in range(n):
+            below, above = self.lower[i] - self.q[i], self.upper[i] - self.q[i]
+            if max(below, -above) > self.speed[i] * dt:
+                return False
+            slower, faster = self.qd_ref[i] - most, self.qd_ref[i] + most
+            high = min(self.speed[i], faster, max(slower, leaving(above, accel, dt)))
+            low = max(-self.speed[i], slower, min(faster, -leaving(-below, accel, dt)))
+            if low > high:          # taken over with more than its largest speed
+                low = high = slower if self.qd_ref[i] > 0.0 else faster
+            above, below = max(above, 0.0), min(below, 0.0)
+            self.to[i] = self.q[i] + min(max(dt * high, below), above)
+            self.to[n + i] = -(self.q[i] + min(max(dt * low, below), above))
+        return True
 
     def take(self, step, double dt):
-        cdef Py_ssize_t i
+        cdef Py_ssize_t i, n = self.q.shape[0]
+        cdef double speed, way
+        cdef bint held
         copy(step, 0, self.step.shape[0], &self.step[0])
-        for i in range(self.q.shape[0]):
+        self.at_accel = False
+        for i in range(n):
+            speed = self.step[RATES + i] / dt
             self.q[i] += self.step[RATES + i]
-            self.q_ref[i] = self.q[i]
-            self.qd_ref[i] = self.step[RATES + i] / dt
+            held = self.q[i] > self.to[i] - SMALL or self.q[i] < SMALL - self.to[n + i]
+            if held and fabs(fabs(speed) - self.speed[i]) > 1e-3 * self.speed[i]:
+                way = min(self.upper[i] - self.q[i], self.q[i] - self.lower[i])
+                self.at_accel = self.at_accel or way > NEARLY
+            self.q_ref[i], self.qd_ref[i] = self.q[i], speed

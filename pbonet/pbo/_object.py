@@ -77,6 +77,8 @@ ModuleClass = Literal[
 MODULE_CLASSES: tuple[str, ...] = get_args(ModuleClass)[1:]
 """The classes of modules in the library (Stewart 1994, Figure 3.14)."""
 ROBOT_INTERFACE: ModuleClass = "robot interface"
+IN_CLASS_LINE = {"freq": "frequency", "module_class": "class of modules"}
+"""Words of the class line that a body must not repeat."""
 LEAST_HZ, MOST_HZ = 1e-6, 1e6
 """Lowest and highest frequency of a task."""
 
@@ -151,9 +153,9 @@ class PortBasedObject(Generic[P]):
         super().__init_subclass__(**settings)
         body = Declaring(cls, here())
         cls.__abstract__ = abstract
+        _refuse_in_body(cls, body)
         cls.module_class = module_class or cls.module_class
         _check_class(module_class, body)
-        _refuse_freq_in_body(cls, body)
         cls.__freq__ = cls.__freq__ if freq is None else _checked_freq(freq, body)
         cls.__params__ = _params(cls, body)
         _refuse_constructor(cls, body)
@@ -361,16 +363,18 @@ def _checked_freq(freq: object, body: Declaring) -> float:
     )
 
 
-def _refuse_freq_in_body(cls: type, body: Declaring) -> None:
-    """Refuse a frequency that nothing would read."""
+def _refuse_in_body(cls: type, body: Declaring) -> None:
+    """Refuse what belongs into the class line, and would be a second way to say it."""
     for name, value in vars(cls).items():
-        if name.lower() == "freq" and isinstance(value, int | float | str):
+        what = IN_CLASS_LINE.get(name.lower())
+        if what and isinstance(value, int | float | str):
+            line = f"{name.lower()}={value!r}"
             raise body.error(
                 name,
-                "a class body gives no task its frequency",
-                expected="it in the class line",
+                f"the {what} stands in the class line, not in the body",
+                expected="it in one place",
                 got=f"{name} = {value!r}",
-                remedy=f"write `class {cls.__name__}(..., freq=500)`; a constant of "
+                remedy=f"write `class {cls.__name__}(..., {line})`; a constant of "
                 "another meaning needs another name",
             )
 

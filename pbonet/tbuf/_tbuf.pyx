@@ -263,6 +263,7 @@ cdef class Out(End):
              bint turned=False) -> bool:
         cdef tb_buffer *b = self.ready()
         cdef const uint8_t *at = <const uint8_t *>PyBytes_AS_STRING(message)
+        cdef const uint8_t *values
         cdef tb_head head
         cdef int64_t written, offset = 0 if offset_ns is None else offset_ns
         cdef int code = tb_unpack(at, len(message), &head)
@@ -278,8 +279,10 @@ cdef class Out(End):
                                 remedy="run the same pbonet version on every machine")
         self.stamp = tb_stamp(number=head.number & 0xffffffffffffff, source=head.source,
                               time_ns=written, stamp_ns=head.stamp_ns)
-        code = tb_write(b, self.form.bytes, &self.stamp,
-                        self.copy if turned else at + sizeof(tb_head) + head.text_bytes)
+        values = at + sizeof(tb_head) + head.text_bytes
+        if turned:
+            values = <const uint8_t *>self.copy
+        code = tb_write(b, self.form.bytes, &self.stamp, values)
         if code < 0:
             _refuse_memory(self)
         if code:

@@ -18,17 +18,25 @@ from pbonet.io import difference, fault_of_pose
 from pbonet.modules._dh import scale, shorten
 from pbonet.modules._warn_once import WarnOnce
 
+MOST_GAIN = 0.5
+"""Share of the error that a cycle takes at most; X_MEZ may be of the cycle before."""
+
 
 class Damping(Params):
     """Gains, damping near a singularity, and speed limits."""
 
-    gain: A[float, param("1/s", "gain of the pose error", gt=0)] = 4.0
+    gain: A[float, param("1/s", "gain of the error, at most half per cycle", gt=0)] = (
+        4.0
+    )
     sigma: A[
         float, param("none", "singular value above which there is no damping", gt=0)
     ] = 0.2
     damping: A[float, param("none", "damping at the singularity", gt=0)] = 0.2
     linear: A[float, param("m/s", "largest commanded linear speed", gt=0)] = 0.5
     angular: A[float, param("rad/s", "largest commanded angular speed", gt=0)] = 1.5
+    joint_accel: A[
+        float, param("rad/s^2", "how fast a joint's velocity may change", gt=0)
+    ] = 20.0
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
     short: A[float, param("m/s", "speed that may be missing unreported", gt=0)] = 0.01
 
@@ -44,6 +52,10 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
     in Maciejewski and Klein 1988). So away from singularities the hand follows exactly,
     near one it gives up what would cost most, and nowhere do the joints' speeds exceed
     sqrt(1/(2 DAMPING)^2 + 1/SIGMA^2) times the size of v, positions counted in LENGTH.
+    The joints' speeds change by JOINT_ACCEL at most, all by the same share. They begin
+    with the Q^_CMD that was there, or with X^_DES alone where that is zero, so that no
+    goal makes them jump. Where GAIN times their speeds is more than JOINT_ACCEL, the
+    hand passes its goal and comes back.
     While damping takes at least SHORT from the hand's velocity, as before a goal out of
     reach, a warning says so: once, until it takes less than half of that. A goal that
     is no pose stops the joints.
@@ -67,22 +79,40 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
 
     def on(self) -> None:
         self._told.clear()
-        self.cycle(0.0)  # who integrates Q^_CMD is turned on next
+        if not self._has_goal():
+            self.qd[:] = 0.0
+        elif not self.qd.any():  # who integrates Q^_CMD is turned on next
+            self.qd[:] = self._solve(self._shortened(self.v_des.copy()))
 
-    def cycle(self, dt: float) -> None:  # noqa: ARG002 - a velocity
-        if why := fault_of_pose(self.x_des):
-            self._told.warn("goal", f"X_DES is not a pose: {why}; the joints stop")
+    def cycle(self, dt: float) -> None:
+        if not self._has_goal():
             self.qd[:] = 0.0
             return
-        self._told.clear("goal")
-        wish = self.params.gain * difference(self.x_des, self.x) + self.v_des
-        shorten(wish[:3], self.params.linear)
-        shorten(wish[3:], self.params.angular)
-        self.qd[:] = self._solve(wish)
+        gain = min(self.params.gain, MOST_GAIN / dt)
+        wish = gain * difference(self.x_des, self.x) + self.v_des
+        change = self._solve(self._shortened(wish)) - self.qd
+        most, room = float(np.abs(change).max()), self.params.joint_accel * dt
+        if most > room:
+            change *= room / most
+        self.qd += change
 
     def off(self) -> None:
         if not self.task.handover:
             self.qd[:] = 0.0
+
+    def _has_goal(self) -> bool:
+        """Return whether the goal is a pose, and report once if it is none."""
+        if why := fault_of_pose(self.x_des):
+            self._told.warn("goal", f"X_DES is not a pose: {why}; the joints stop")
+            return False
+        self._told.clear("goal")
+        return True
+
+    def _shortened(self, wish: Vector) -> Vector:
+        """Return the hand's velocity, [6], within its limits."""
+        shorten(wish[:3], self.params.linear)
+        shorten(wish[3:], self.params.angular)
+        return wish
 
     def _solve(self, wish: Vector) -> Vector:
         """Return the joint velocities (rad/s) for a hand velocity, [6]."""

@@ -23,9 +23,14 @@ class Pursuit(Params):
 
     urdf: A[str, param("none", "file of the robot, in a folder of modules")]
     frame: A[str, param("none", "link whose frame is the hand")]
-    gain: A[float, param("1/s", "gain of the pose error", gt=0)] = 10.0
+    gain: A[float, param("1/s", "gain of the error, at most one per cycle", gt=0)] = (
+        10.0
+    )
     linear: A[float, param("m/s", "largest linear speed of the hand", gt=0)] = 0.5
     angular: A[float, param("rad/s", "largest angular speed of the hand", gt=0)] = 1.5
+    joint_accel: A[
+        float, param("rad/s^2", "how fast a joint's velocity may change", gt=0)
+    ] = 20.0
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
     damping: A[float, param("none", "weight of the joints' own motion", gt=0)] = 1e-4
     short: A[float, param("m/s", "speed that may be missing unreported", gt=0)] = 0.01
@@ -38,9 +43,13 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
     and velocity that the URDF file gives each joint; x and J are those at Q_REF itself,
     so nothing is measured. Rows of positions are counted in LENGTH. Q_REF goes on from
     where it stands when the module is turned on, and a goal far away is approached at
-    LINEAR and ANGULAR. A goal that cannot be reached takes the hand as near as the
-    joints allow; a warning names those that stand at a limit. What is no pose, or a
-    program without a solution, leaves Q_REF where it is.
+    LINEAR and ANGULAR. No joint's velocity changes faster than JOINT_ACCEL, from the
+    Q^_REF that was there on, and each brakes before its limit. Where GAIN times their
+    speeds is more than JOINT_ACCEL, the hand passes its goal and comes back. A goal
+    that cannot be reached takes the hand as near as the joints allow, and DAMPING grows
+    with what is missing, so that they come to rest there; a warning names those that
+    stand at a limit. What is no pose, or a program without a solution, leaves Q_REF
+    where it is.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -66,12 +75,14 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             self._hold("goal", why)
             return
         k, motion, hand = self.params, self._motion, self._hand
-        hand.aim(self._x, k.gain, k.linear, k.angular, dt)
+        hand.aim(self._x, min(k.gain, 1.0 / dt), k.linear, k.angular, dt)
         self._task.T_world_frame = hand.goal
-        if motion.step(dt):
+        if motion.step(dt, k.joint_accel):
             motion.robot.update_kinematics()
             self._x = motion.robot.get_T_world_frame(k.frame)
-            self._watch(hand.missing(self._x, k.length) / dt)
+            missing = hand.missing(self._x, k.length)
+            motion.missed(missing / k.length)
+            self._watch(missing / dt)
         else:
             why = motion.stopped()
             self._hold("limits", f"no joint motion keeps the limits: {why}")
@@ -98,7 +109,9 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         short = self.params.short
         if missing < 0.5 * short:
             self._told.clear()
-        elif missing >= short and not self._told.of("reach"):
+        elif missing >= short and not (
+            self._motion.speeds_up or self._told.of("reach")
+        ):
             why = self._motion.stopped()
             self._told.warn(
                 "reach", f"frame {self.params.frame} cannot follow X_DES: {why}"

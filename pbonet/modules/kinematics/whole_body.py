@@ -62,6 +62,9 @@ class Pursuit(Params):
         float, param("m/s^2", "how fast the largest of their speeds may grow", gt=0)
     ] = 10.0
     angular: A[float, param("rad/s", "largest angular speed of the body", gt=0)] = 3.0
+    joint_accel: A[
+        float, param("rad/s^2", "how fast a joint's velocity may change", gt=0)
+    ] = 500.0
     length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
     grip: A[float, param("none", "weight of a foot, the body's is 1", gt=0)] = 100.0
     damping: A[float, param("none", "weight of the joints' own motion", gt=0)] = 1e-4
@@ -79,10 +82,11 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
     body, and rows of positions are counted in LENGTH. When the module is turned on,
     Q_REF goes on from where it is, as fast as Q^_REF; the body is where the feet then
     fit their goals best, turned as its own goal where they leave that open. Goals far
-    away are approached at LINEAR and ANGULAR, which speeds reach by ACCEL. Goals that
-    cannot be reached are taken as near as the joints allow; a warning names the frame,
-    and joints that stand at a limit. Goals that are not finite, or a program without a
-    solution, leave Q_REF where it is.
+    away are approached at LINEAR and ANGULAR, which speeds reach by ACCEL; no joint's
+    velocity changes faster than JOINT_ACCEL. Goals that cannot be reached are taken as
+    near as the joints allow, and DAMPING grows with what is missing, so that they come
+    to rest there; a warning names the frame, and joints that stand at a limit. Goals
+    that are not finite, or a program without a solution, leave Q_REF where it is.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -128,7 +132,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         if self._begins:
             self._begin(dt)
         self._aim(dt)
-        if self._motion.step(dt):
+        if self._motion.step(dt, self.params.joint_accel):
             self._read_frames()
             self._watch(dt)
         else:
@@ -189,10 +193,12 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         k = self.params
         away = self._body.missing(self._pose, k.length)
         gap, foot = self._feet.farthest()
-        far = max(away, gap) / dt
+        far = max(away, gap)
+        self._motion.missed(far / k.length)
+        far /= dt
         if far < 0.5 * k.short:
             self._told.clear()
-        elif far >= k.short and not self._told.of("reach"):
+        elif far >= k.short and not (self._motion.speeds_up or self._told.of("reach")):
             which = f"{k.body} cannot follow X_BODY_DES"
             if gap > away:
                 which = f"{k.feet[foot]} cannot follow X_FEET_DES"

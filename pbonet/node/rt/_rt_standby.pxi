@@ -24,7 +24,9 @@ cdef class Vigil:
         self.table.slot(i)
         self.forget(i)
         cdef rt_watched *w = &self.vigil.watched[i]
-        w.table = NULL if arena is None else <const pb_table *>arena.core
+        w.table = NULL
+        if arena is not None:
+            w.table = <const pb_table *>arena.core
         w.died[0] = w.fell[0] = w.raiser[0] = w.machine[0] = 0
         strncat(w.died, died, RT_CAUSE - 1)
         strncat(w.fell, fell, RT_CAUSE - 1)

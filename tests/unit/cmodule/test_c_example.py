@@ -13,6 +13,7 @@ from virtual_job import VirtualJob
 from benchmarks import cmodules
 from pbonet.config import Library
 from pbonet.master.tools.scaffold_c import MAKEFILE
+from pbonet.node.ring._ring import Ring
 from pbonet.testing import Bench, verify
 
 LAW = """
@@ -110,14 +111,25 @@ def test_the_benchmark_tells_the_machine_s_losses_from_those_of_a_swap():
     whose = [0, 0, 0, 1, 1, 1, 1, 0, 0]
     releases = [(one * period, who) for one, who in zip(times, whose, strict=True)]
     on_time = cmodules.judged(releases, [])
-    assert on_time == (12, (2, 0), (1, 0)), "two at swaps, one elsewhere"
+    assert on_time == (12, (2, 0), (1, 0), 0), "two at swaps, one elsewhere"
     due = 3 * period - ms  # as the machine stood still at the first swap
     late = [(due, due + period), (6 * period - ms, 6 * period - ms + ms // 4)]
-    assert cmodules.judged(releases, late) == (12, (1, 1), (1, 0))
+    assert cmodules.judged(releases, late) == (12, (1, 1), (1, 0), 0)
     twice = sorted([*releases, (4 * period, 0)])
-    assert cmodules.judged(twice, []) == (13, (1, 0), (2, 0)), "nothing is made good"
-    after = cmodules.judged(releases, [], begun=4 * period)
-    assert after == (8, (1, 0), (1, 0)), "what was before the loop ran does not count"
+    assert cmodules.judged(twice, []) == (13, (1, 0), (2, 0), 0), "nothing is made good"
+
+
+def test_the_benchmark_counts_cycles_whose_records_a_ring_had_no_room_for():
+    ring = Ring.create("full", 4096)
+    try:
+        ring.put(bytes(48), cycle=1)
+        with cmodules.Drained(["full"]) as drained:
+            for number in range(2, 500):
+                ring.put(bytes(48), cycle=number)
+        assert drained.dropped > 0
+        assert len(drained.releases) + drained.dropped == 499
+    finally:
+        ring.destroy()
 
 
 def logged(call, job, runs):

@@ -147,6 +147,21 @@ def test_a_frequency_in_the_body_is_refused_with_the_line_to_write(folder, name)
         Library([folder]).record("spring")
 
 
+@pytest.mark.parametrize("line", ["", ', module_class="controller"'])
+def test_a_class_of_modules_in_the_body_is_refused_with_the_line_to_write(folder, line):
+    code = SPRING.replace(', module_class="controller"', line).replace(
+        "    def cycle", '    module_class = "sensor"\n\n    def cycle'
+    )
+    assert line in code
+    (folder / "spring.py").write_text(code)
+    with pytest.raises(
+        DeclarationError,
+        match=r"Spring\.module_class \(line 17\): .*got module_class = 'sensor'\); "
+        r"write `class Spring\(..., module_class='sensor'\)`",
+    ):
+        Library([folder]).record("spring")
+
+
 def test_freq_may_be_the_name_of_a_port_or_a_method():
     class Tone(PortBasedObject):
         freq: A[float, InVar("F", "1", "Hz", "of the tone")]

@@ -14,6 +14,7 @@ from pbonet.errors import ParameterError
 from pbonet.io import (
     FrameStep,
     FreeMotion,
+    JointSteps,
     difference,
     fault_of_pose,
     is_rotation,
@@ -179,6 +180,53 @@ def test_a_goal_that_is_taken_at_once_is_a_pose(bad: float) -> None:
         fits = good == bad or (column == 3 and bool(np.isfinite(bad)))
         assert step.take() == fits
         wanted[row, column] = good
+
+
+JOINTS = 40
+
+
+def joints(speed: float = 2.0) -> tuple[JointSteps, np.ndarray, np.ndarray]:
+    """Return steps of many joints from -1 to 1 rad, with q and velocities."""
+    q, qd = np.linspace(-0.5, 0.5, JOINTS), np.zeros(JOINTS)
+    ones = np.ones(JOINTS)
+    return JointSteps(q, np.zeros(JOINTS), qd, -ones, ones, speed * ones), q, qd
+
+
+@pytest.mark.parametrize("accel", [5.0, 80.0, np.inf])
+def test_joints_that_are_driven_anyhow_stop_before_their_limits(accel: float) -> None:
+    steps, q, qd = joints()
+    rng = np.random.default_rng(2)
+    wish = np.sign(rng.normal(size=JOINTS))
+    reached = 0.0
+    for dt in np.where(rng.random(3000) < 0.1, 0.009, 0.003):  # some are missed
+        wish = np.where(rng.random(JOINTS) < 0.01, -wish, wish)
+        assert steps.limit(accel, dt)
+        high, low = steps.room[:JOINTS], -steps.room[JOINTS:]
+        assert (low <= high + 1e-15).all()
+        before = qd.copy()
+        steps.take(np.concatenate((np.zeros(6), np.where(wish > 0, high, low) - q)), dt)
+        assert np.abs(qd - before).max() <= accel * dt * (1 + 1e-9)
+        assert np.abs(qd).max() <= 2.0 * (1 + 1e-9)
+        reached = max(reached, np.abs(q).max())
+    assert reached == pytest.approx(1.0, abs=1e-9), "and not long before"
+
+
+def test_a_joint_beyond_its_limit_comes_back_if_a_step_takes_it() -> None:
+    steps, q, _ = joints()
+    q[0], q[-1] = -1.0 - 0.005, 1.0 + 0.005
+    assert steps.limit(1e9, 0.003)
+    assert -steps.room[JOINTS] == pytest.approx(-1.0)
+    assert steps.room[JOINTS - 1] == pytest.approx(1.0)
+    q[-1] = 1.0 + 0.007
+    assert not steps.limit(1e9, 0.003)
+
+
+def test_limits_of_another_number_of_joints_are_refused() -> None:
+    three, two = np.zeros(3), np.zeros(2)
+    with pytest.raises(ValueError, match="limits are not those of the joints"):
+        JointSteps(three, three.copy(), three.copy(), two, three, three)
+    with pytest.raises(ValueError, match="references are not those of the joints"):
+        JointSteps(three, two, three.copy(), three, three, three)
 
 
 def test_difference_takes_one_pose_to_the_other(geometry: Geometry) -> None:

@@ -404,6 +404,27 @@ def test_a_goal_that_jumps_is_approached_by_accel_and_linear() -> None:
     assert max(speeds) == pytest.approx(0.1, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("port", "place"), [("x_body", (0, 3)), ("x_body", (2, 3)), ("x_feet", (1, 0))]
+)
+def test_joints_keep_their_acceleration_when_a_goal_is_out_of_reach(
+    port: str, place: tuple[int, int]
+) -> None:
+    bench = posture()
+    bench.step(n=3)
+    far = np.array(getattr(bench.inputs, port))
+    far[place] += 5.0
+    setattr(bench.inputs, port, far)
+    found = [bench.outputs.qd_ref.copy()]
+    for _ in range(3000):
+        bench.step()
+        found.append(bench.outputs.qd_ref.copy())
+    most = np.abs(np.diff(found, axis=0)).max()
+    allowed = 500.0 * DT
+    assert 0.8 * allowed < most < allowed * (1 + 1e-6), "much of it, and no more"
+    assert np.abs(found[-1]).max() < 1e-3, "and they come to rest"
+
+
 def test_a_foot_out_of_reach_is_named_and_comes_back() -> None:
     bench = posture()
     places = PLACES.copy()

@@ -253,7 +253,7 @@ def test_joint_velocity_is_bounded_everywhere_and_at_singularities(
     rng = np.random.default_rng(9)
     bound = np.hypot(1.0 / (2.0 * damping), 1.0 / 0.2)
     bench = damped(POSTURE, np.zeros(6), damping=damping, sigma=0.2, linear=9.0,
-                   angular=9.0)  # fmt: skip
+                   angular=9.0, joint_accel=1e9)  # fmt: skip
     weights, reached, undamped = scale(0.2), 0.0, 0.0
     for bend in np.concatenate((np.geomspace(1e-9, 1.0, 500), np.zeros(10))):
         q = rng.uniform(PUMA560.lower, PUMA560.upper)
@@ -324,6 +324,65 @@ def test_the_hand_is_asked_for_no_more_than_its_limits() -> None:
     bench = damped(q, wanted, linear=0.5, angular=1.0)
     moved = GEOMETRY.jacobian(q)[1] @ bench.outputs.qd
     assert moved == pytest.approx([0.3, 0.0, 0.4, 0.0, 0.6, 0.8], abs=1e-12)
+
+
+FAR = np.outer([1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0])
+
+
+def test_a_goal_that_jumps_is_approached_by_the_joints_acceleration() -> None:
+    q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
+    bench = damped(q, np.zeros(6), linear=9.0, joint_accel=20.0)
+    whole = damped(q, np.zeros(6), linear=9.0, joint_accel=1e9)
+    for one in (bench, whole):
+        one.inputs.x_des = one.inputs.x + FAR
+    whole.step()
+    found = [bench.outputs.qd.copy()]
+    for _ in range(300):
+        bench.step()
+        found.append(bench.outputs.qd.copy())
+    steps = np.abs(np.diff(found, axis=0)).max(axis=1)
+    assert steps[0] == pytest.approx(20.0 * 0.01)
+    assert steps.max() == pytest.approx(20.0 * 0.01)
+    assert found[-1] == pytest.approx(whole.outputs.qd), "the law has it then"
+    share = found[1] / whole.outputs.qd
+    assert share == pytest.approx(np.full(6, share[0])), "all by the same share"
+
+
+def test_it_begins_with_the_velocity_of_the_goal_alone() -> None:
+    q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
+    pose, jacobian = GEOMETRY.jacobian(q)
+    wanted = np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.4])
+    far = pose + FAR
+    bench = Bench(DampedLS, ndof=6, x_des=far, x=pose, v_des=wanted, jacobian=jacobian)
+    bench.on()
+    assert jacobian @ bench.outputs.qd == pytest.approx(wanted, abs=1e-12)
+    assert bench.inputs.v_des == pytest.approx(wanted), "which is not its to change"
+
+
+def test_it_goes_on_from_the_velocity_that_was_there() -> None:
+    q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
+    pose, jacobian = GEOMETRY.jacobian(q)
+    there = np.array([0.5, -0.4, 0.3, 0.0, 0.2, -0.1])
+    bench = Bench(DampedLS, ndof=6, x_des=pose + FAR, x=pose, jacobian=jacobian,
+                  qd=there, freq=100)  # fmt: skip
+    bench.on()
+    assert bench.outputs.qd == pytest.approx(there, abs=0.0)
+    bench.step()
+    assert np.abs(bench.outputs.qd - there).max() == pytest.approx(20.0 * 0.01)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_hand_arrives_at_a_low_frequency(delay: int) -> None:
+    """Also with a pose that was measured a cycle before."""
+    q = np.array([0.2, 0.785, -2.6, 0.3, 0.9, 0.1])
+    bench = damped(q, np.zeros(6))
+    bench.inputs.x_des = GEOMETRY.pose(q + 0.05)
+    past = [q] * (1 + delay)
+    for _ in range(60):
+        bench.inputs.x, bench.inputs.jacobian = GEOMETRY.jacobian(past[-1 - delay])
+        bench.step(dt=1.0)
+        past.append(past[-1] + bench.outputs.qd)
+    assert GEOMETRY.pose(past[-1]) == pytest.approx(bench.inputs.x_des, abs=1e-6)
 
 
 def test_what_is_no_pose_stops_the_joints_and_is_told_once() -> None:

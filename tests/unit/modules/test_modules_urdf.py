@@ -107,8 +107,9 @@ def test_a_step_of_placo_is_that_of_the_normal_equations(
     turn = np.array([0.01, -0.02, 0.015])
     goal[:, 3] += [0.001, -0.002, 0.0015]
     goal[:, :3] = rotation(turn) @ goal[:, :3]
+    params = {"frame": "hand", "joint_accel": 1e9}
     bench = bench_of(
-        IkPlaco, chain, params={"frame": "hand"}, x_des=goal, q_ref=q, v_des=[0.01] * 6
+        IkPlaco, chain, params=params, x_des=goal, q_ref=q, v_des=[0.01] * 6
     )
     bench.on()
     assert bench.outputs.q_ref == pytest.approx(q, abs=1e-12)
@@ -208,8 +209,7 @@ def pursuit(**values: Any) -> Bench[IkPlaco]:
         IkPlaco,
         params={"urdf": "panda.urdf", "frame": "hand", **values.pop("params", {})},
         library=[PANDA],
-        freq=500,
-        **{"ndof": 7, "q_ref": HOME, "x_des": panda_pose(), **values},
+        **{"freq": 500, "ndof": 7, "q_ref": HOME, "x_des": panda_pose(), **values},
     )
     bench.on()
     return bench
@@ -246,6 +246,60 @@ def test_a_goal_out_of_reach_is_approached_and_told_once() -> None:
     bench.inputs.x_des = panda_pose()
     assert largest_step(bench, 3000) < 0.006, "and comes back"
     assert panda_pose(bench.outputs.q_ref) == pytest.approx(panda_pose(), abs=1e-3)
+
+
+@pytest.mark.parametrize("freq", [1.0, 2.0, 10.0])
+def test_the_hand_arrives_at_a_low_frequency(freq: float) -> None:
+    bench = pursuit(freq=freq)
+    goal = panda_pose(HOME + 0.2)
+    bench.inputs.x_des = goal
+    bench.step(n=40)
+    assert panda_pose(bench.outputs.q_ref) == pytest.approx(goal, abs=1e-6)
+
+
+def velocities(bench: Bench[IkPlaco], cycles: int) -> np.ndarray:
+    """Return Q^_REF before and after each of the cycles."""
+    found = [bench.outputs.qd_ref.copy()]
+    for _ in range(cycles):
+        bench.step()
+        found.append(bench.outputs.qd_ref.copy())
+    return np.array(found)
+
+
+FAR = {
+    "out of reach": lambda goal: goal + np.outer([1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0]),
+    "a turn that a wrist cannot do": lambda goal: np.column_stack((
+        goal[:, :3] @ rotation(np.array([0.0, 0.0, 2.5])),
+        goal[:, 3],
+    )),
+    "out of reach at the other side": lambda goal: goal * [[1.0] * 3 + [-9.0]],
+}
+
+
+@pytest.mark.parametrize("goal", FAR)
+def test_a_goal_that_jumps_is_approached_by_the_joints_acceleration(goal: str) -> None:
+    bench = pursuit()
+    bench.inputs.x_des = FAR[goal](panda_pose())
+    there = velocities(bench, 4000)
+    bench.inputs.x_des = panda_pose()
+    back = velocities(bench, 4000)
+    for found in (there, back):
+        most = np.abs(np.diff(found, axis=0)).max()
+        assert most == pytest.approx(20.0 * 0.002, rel=1e-6), "all it has, and no more"
+        assert np.abs(found[-1]).max() < 0.02, "and the joints come to rest"
+
+
+def test_a_goal_is_approached_from_the_velocity_that_was_there() -> None:
+    bench = pursuit(qd_ref=[0.0, 0.5, 0.0, -0.4, 0.0, 0.3, 0.0])
+    assert np.abs(np.diff(velocities(bench, 50), axis=0)).max() <= 0.0400001
+
+
+def test_more_than_the_largest_speed_is_braked_as_fast_as_it_may() -> None:
+    bench = pursuit(qd_ref=[0.0] * 6 + [9.0])
+    found = velocities(bench, 300)[:, 6]
+    assert np.abs(np.diff(found)).max() <= 0.0400001
+    assert found[-1] < 2.62
+    assert bench.notices() == []
 
 
 def test_a_joint_at_its_limit_is_named_and_keeps_it() -> None:
