@@ -10,17 +10,14 @@ import ast
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.lib import format as numpy_format
-
 from pbonet.errors import XmLayoutError
 
 from ._tbuf import LONGEST_TEXT
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import DTypeLike
 
-npy: Any = numpy_format  # its functions have types only from numpy 2.4 on
 _NO_LAYOUT = (
     *(ValueError, TypeError, SyntaxError, OverflowError),
     *(MemoryError, RecursionError),  # raised by malicious texts
@@ -35,6 +32,8 @@ def describe(dtype: np.dtype[Any]) -> bytes:
     Raises:
         XmLayoutError: Records of that type cannot be sent.
     """
+    from numpy.lib import format as npy  # an agent without links needs no numpy
+
     base, shape = dtype.subdtype or (dtype, ())
     if dtype.hasobject or not 0 < dtype.itemsize <= LARGEST:
         raise XmLayoutError(
@@ -60,6 +59,9 @@ def parse(text: bytes) -> np.dtype[Any]:
     Raises:
         XmLayoutError: It does not describe a type.
     """
+    import numpy as np
+    from numpy.lib import format as npy
+
     with contextlib.suppress(*_NO_LAYOUT):
         descr, shape = ast.literal_eval(text.decode())
         return np.dtype((npy.descr_to_dtype(descr), tuple(shape)))
@@ -72,6 +74,8 @@ def parse(text: bytes) -> np.dtype[Any]:
 
 def as_dtype(dtype: DTypeLike) -> np.dtype[Any]:
     """Return `dtype` as a numpy dtype; ``("f8", 6)`` is six numbers."""
+    import numpy as np
+
     return np.dtype(dtype)
 
 
@@ -82,6 +86,8 @@ def same_values(one: np.dtype[Any], other: np.dtype[Any]) -> bool:
 
 def room(dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
     """Return zeroed memory for one record."""
+    import numpy as np
+
     return np.zeros((), dtype)
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pbonet.errors import SvarError
-from pbonet.svar import Flags
-from pbonet.xm.net import VarValue, plain
+from pbonet.svar import Flags, layout
+from pbonet.xm.net import VarValue
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from _typeshed import ReadableBuffer
 
     from pbonet.svar import LocalTable, Table, VarInfo
 
@@ -74,30 +74,32 @@ def write(
 
 def _value(table: Table, name: str, *, whole: bool) -> VarValue:
     """Return a single variable, from one read."""
-    value, info = table.see(name)
+    value, info = table.seen(name)
     return _shown(table, name, value, info, stale=info.stale, whole=whole)
 
 
 def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
     """Return a variable from a consistent copy of several."""
     info, stale = table.info(name), local.stale(name)
-    return _shown(table, name, local.array(name), info, stale=stale, whole=whole)
+    return _shown(table, name, local.memory(name), info, stale=stale, whole=whole)
 
 
 def _shown(
     table: Table,
     name: str,
-    value: NDArray[Any],
+    data: ReadableBuffer,
     info: VarInfo,
     *,
     stale: bool,
     whole: bool,
 ) -> VarValue:
     variable = table.variable(name)
+    value = layout.elements(variable, data)
+    is_struct = variable.dtype.startswith("V")
     return VarValue(
         name=name,
         index=table.index(name),
-        values=plain(value),
+        values=value.tobytes() if is_struct else value.tolist(),
         units=variable.units,
         desc=variable.desc,
         writer=info.writer,
