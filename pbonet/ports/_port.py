@@ -8,12 +8,8 @@ from msgspec import Struct
 
 _KINDS = {"float": "f", "int": "iu", "bool": "b"}
 """Types of scalar ports, and the numpy kinds that they hold."""
-_ELEMENTS = {
-    **{"float32": "f4", "float64": "f8", "bool": "b1"},
-    **{f"int{8 * size}": f"i{size}" for size in (1, 2, 4, 8)},
-    **{f"uint{8 * size}": f"u{size}" for size in (1, 2, 4, 8)},
-}
-"""numpy's type string of each type of an element that a variable may have, by name."""
+_LETTERS = {"float": "f", "int": "i", "uint": "u", "complex": "c"}
+"""The letter in numpy's type string for each name that ends in its bits."""
 
 
 class Kind(StrEnum):
@@ -92,11 +88,19 @@ def accepts(port: Port, dtype: str) -> bool:
     A Python float holds any floating type and an int any integer type; an array port,
     and a scalar whose annotation is a numpy type, is that very type.
     """
-    kind = dtype.lstrip("<")
+    held = _code(dtype)
     if port.type in _KINDS:
-        return kind[0] in _KINDS[port.type]
-    element = port.type.removesuffix("[]")
-    return kind[0] == "V" if element.startswith("void") else kind == _ELEMENTS.get(element)
+        return held[0] in _KINDS[port.type]
+    element = _code(port.type.removesuffix("[]"))
+    return held == element or held[0] == element[0] == "V"
+
+
+def _code(kind: str) -> str:
+    """Return numpy's type string of a type, which may be given as that or as a name."""
+    word = kind.rstrip("0123456789")
+    if word in _LETTERS:
+        return f"{_LETTERS[word]}{int(kind.removeprefix(word)) // 8}"
+    return {"bool": "b1", "void": "V"}.get(kind, kind.lstrip("<|"))
 
 
 def wanted(port: Port) -> str:
