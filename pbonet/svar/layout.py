@@ -29,8 +29,17 @@ LINE = 64
 NAME_LENGTH = 15
 """Maximum length of a variable's name in characters (Stewart 1994, section 5.5.2)."""
 _CODES: Final = {
-    **{"b1": "B", "i1": "b", "u1": "B", "<i2": "h", "<u2": "H", "<i4": "i"},
-    **{"<u4": "I", "<i8": "q", "<u8": "Q", "<f4": "f", "<f8": "d"},
+    "b1": "B",
+    "i1": "b",
+    "u1": "B",
+    "<i2": "h",
+    "<u2": "H",
+    "<i4": "i",
+    "<u4": "I",
+    "<i8": "q",
+    "<u8": "Q",
+    "<f4": "f",
+    "<f8": "d",
 }
 """Python's own arrays of each type but ``struct[xx]``, by numpy's type string."""
 

@@ -24,7 +24,7 @@ from watching import processes_of, wait_for
 from pbonet import log
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_job as run_module
-from pbonet.master.console.live_status import Screen
+from pbonet.master.console.live_screen import Screen
 from pbonet.master.subsystem import subsystem_tasks
 from pbonet.master.subsystem.embedded_agents import assign_cores
 from pbonet.node.restart import desired_state

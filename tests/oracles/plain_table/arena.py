@@ -13,8 +13,6 @@ import platform
 import struct
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pbonet.svar import ALIVE, FULL, RIVAL, Verdict
 
 from .flag import FLAG_BYTES, Flag, identity
