@@ -7,7 +7,6 @@ copied together.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from array import array
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -166,6 +165,8 @@ def layout_hash(variables: Sequence[Variable]) -> bytes:
 
     DESC is not included: it may be corrected while a subsystem runs.
     """
+    import hashlib  # brings OpenSSL; an agent makes no table
+
     digest = hashlib.sha256()
     for v in variables:
         fields = (v.name, v.dtype, v.nelem, v.units, v.maxage, v.limit.value, v.finite)
