@@ -86,6 +86,19 @@ def until_on(process):
     pytest.fail(process.stderr.read())
 
 
+def test_neither_a_run_nor_its_agents_need_numpy(run, nodes):
+    """They have it in memory only where a value of numpy is asked for."""
+    process = run("--record", "off")
+    until_on(process)
+    found = {
+        command: "_multiarray_umath" in Path(f"/proc/{pid}/maps").read_text()
+        for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
+    }
+    assert any(found.values()), "tasks have it"
+    ours = [has for command, has in found.items() if "pbonet.cli" in command]
+    assert ours == [False] * 3, found
+
+
 def left_of(nodes):
     """Return processes of this test beside those of the kit."""
     return [
