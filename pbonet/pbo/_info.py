@@ -1,4 +1,4 @@
-"""What is known of a module without running it, as data and as text."""
+"""Descriptions of modules, as data and as text; no module is run for them."""
 
 from __future__ import annotations
 

@@ -85,21 +85,24 @@ def values_of(
             got=f"{len(values)} values",
             remedy="correct it, or NELEM and TYPE, in the .svar file",
         )
-    lossy = "a value that the type cannot hold exactly"
     try:
         made = array(filled.typecode, _converted(variable, values))
-        fits = filled.typecode in "fd" or made.tolist() == list(values)
     except (ValueError, OverflowError, TypeError) as error:
-        fits, lossy = False, str(error)
-    if not fits:
-        raise SvarLayoutError(
-            f"{where} of {variable.name} does not fit",
-            expected=f"values of type {variable.type}",
-            got=lossy,
-            remedy="correct it, or NELEM and TYPE, in the .svar file",
-        )
+        raise _misfit(variable, where, str(error)) from None
+    if filled.typecode not in "fd" and made.tolist() != list(values):
+        lossy = "a value that the type cannot hold exactly"
+        raise _misfit(variable, where, lossy)
     filled[: len(made)] = made
     return filled
+
+
+def _misfit(variable: Variable, where: str, got: str) -> SvarLayoutError:
+    return SvarLayoutError(
+        f"{where} of {variable.name} does not fit",
+        expected=f"values of type {variable.type}",
+        got=got,
+        remedy="correct it, or NELEM and TYPE, in the .svar file",
+    )
 
 
 def _converted(variable: Variable, values: Iterable[float]) -> Iterable[float]:

@@ -26,14 +26,19 @@ LARGEST = 1 << 20
 """Maximum size of a record in bytes: it is copied within a cycle."""
 
 
+def _npy() -> Any:  # noqa: ANN401 - its functions have types only from numpy 2.4 on
+    """Return numpy's part for files; an agent without links loads no numpy."""
+    from numpy.lib import format as npy
+
+    return npy
+
+
 def describe(dtype: np.dtype[Any]) -> bytes:
     """Return the text that describes records of a type.
 
     Raises:
         XmLayoutError: Records of that type cannot be sent.
     """
-    from numpy.lib import format as npy  # an agent without links needs no numpy
-
     base, shape = dtype.subdtype or (dtype, ())
     if dtype.hasobject or not 0 < dtype.itemsize <= LARGEST:
         raise XmLayoutError(
@@ -42,7 +47,7 @@ def describe(dtype: np.dtype[Any]) -> bytes:
             got=f"{dtype}, {dtype.itemsize} bytes",
             remedy="send fields of fixed size; no Python objects",
         )
-    text = repr((npy.dtype_to_descr(base), shape)).encode()
+    text = repr((_npy().dtype_to_descr(base), shape)).encode()
     if len(text) > LONGEST_TEXT:
         raise XmLayoutError(
             "the description of the record is too long",
@@ -60,11 +65,10 @@ def parse(text: bytes) -> np.dtype[Any]:
         XmLayoutError: It does not describe a type.
     """
     import numpy as np
-    from numpy.lib import format as npy
 
     with contextlib.suppress(*_NO_LAYOUT):
         descr, shape = ast.literal_eval(text.decode())
-        return np.dtype((npy.descr_to_dtype(descr), tuple(shape)))
+        return np.dtype((_npy().descr_to_dtype(descr), tuple(shape)))
     raise XmLayoutError(
         "the description of the record is not understood",
         got=repr(text[:100]),

@@ -115,7 +115,7 @@ class Machine:
             return False
         room = room_of(self._table, theirs.shown[0])
         seen = self._table.peek(theirs.shown[0], room)
-        return seen is not None and room == theirs.news.data
+        return seen is not None and bytes(room) == theirs.news.data
 
     def claims(self) -> dict[int, Claim]:
         """Return the claims of its groups, by variable."""
