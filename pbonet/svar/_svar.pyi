@@ -84,8 +84,11 @@ class LocalTable:
     @property
     def out_number(self) -> int: ...
     def set_plan(
-        self, which: int, vars: ReadableBuffer, to: ReadableBuffer
-    ) -> None: ...  # noqa: A002
+        self,
+        which: int,
+        vars: ReadableBuffer,  # noqa: A002
+        to: ReadableBuffer,
+    ) -> None: ...
     def set_freshness(
         self, which: int, limits: Iterable[tuple[int, int, bool]], settle: float
     ) -> None: ...
