@@ -67,7 +67,7 @@ def values_of(
 ) -> array[Any]:
     """Return `values` in the variable's type, padded with zeros; bytes of a struct.
 
-    It is no array of numpy, which agents and RTPU processes do without.
+    It is no array of numpy, which agents do without.
 
     Raises:
         SvarLayoutError: There are too many, or a value does not fit the type.
@@ -119,7 +119,9 @@ def elements(variable: Variable, data: ReadableBuffer) -> array[Any]:
         data: Its bytes, as stored in a group; padding may follow.
     """
     size = variable.itemsize * variable.nelem
-    return array(_CODES.get(variable.dtype, "B"), bytes(memoryview(data)[:size]))
+    made: array[Any] = array(_CODES.get(variable.dtype, "B"))
+    made.frombytes(memoryview(data).cast("B")[:size])
+    return made
 
 
 def check_variables(variables: Sequence[Variable]) -> None:

@@ -192,7 +192,7 @@ class Table(shm.Closeable):
 
     def see(self, which: str | int) -> tuple[NDArray[Any], VarInfo]:
         """Return the newest value of a variable and its `info`, of one instant."""
-        import numpy as np  # not in agents and RTPU processes, which call `seen`
+        import numpy as np  # not in agents, which call `seen`
 
         data, info = self.seen(which)
         return np.frombuffer(data, self.variable(which).dtype), info

@@ -409,23 +409,21 @@ class _Walk:
 
     def _function(self, node: ast.Call) -> _Quantity:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
-        found = [self._number(one) for one in node.args]
-        for at in range(1, len(found)):
-            self._must_fit(node.args[at], found[0], found[at])
-            found[0], found[at] = self._alike(node.args[at], found[0], found[at])
-        first = found[0]
-        literal = all(one.literal for one in found)
+        first, *others = [self._number(one) for one in node.args]
         if name == "abs":
             return first._replace(values=[*map(abs, first.values)])
         if name == "norm":
             squares = sum(value * value for value in first.values)
             return first._replace(values=[math.sqrt(squares)])
         choose = _most if name == "max" else _least
-        if len(found) == 1:
+        if not others:
             return first._replace(values=[reduce(choose, first.values)])
-        for one in found[1:]:
-            first = first._replace(values=_each(choose, first, one))
-        return first._replace(literal=literal)
+        for part, other in zip(node.args[1:], others, strict=True):
+            self._must_fit(part, first, other)
+            left, right = self._alike(part, first, other)
+            literal = left.literal and right.literal
+            first = _Quantity(_each(choose, left, right), left.unit, literal)
+        return first
 
     # -- what goes together -----------------------------------------------------------
 

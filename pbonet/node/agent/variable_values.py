@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import SvarError
 from pbonet.svar import Flags, layout
 from pbonet.xm.net import VarValue
 
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Sequence
 
     from _typeshed import ReadableBuffer
 
+    from pbonet.config import Variable
     from pbonet.svar import LocalTable, Table, VarInfo
 
 
@@ -95,11 +97,10 @@ def _shown(
 ) -> VarValue:
     variable = table.variable(name)
     value = layout.elements(variable, data)
-    is_struct = variable.dtype.startswith("V")
     return VarValue(
         name=name,
         index=table.index(name),
-        values=value.tobytes() if is_struct else value.tolist(),
+        values=_sent(variable, value),
         units=variable.units,
         desc=variable.desc,
         writer=info.writer,
@@ -109,3 +110,12 @@ def _shown(
         stale=stale,
         whole=whole,
     )
+
+
+def _sent(variable: Variable, value: array[Any]) -> list[float] | bytes:
+    """Return a variable's elements as sent in messages; ``bool`` becomes 0 and 1."""
+    if variable.dtype.startswith("V"):
+        return value.tobytes()
+    if variable.dtype == "b1":  # any other byte than 0 is true
+        return [int(one != 0) for one in value]
+    return value.tolist()
