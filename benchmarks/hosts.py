@@ -256,7 +256,7 @@ def quantiles(values: list[float]) -> dict[str, float]:
 
 def watch(table: Table, seconds: float) -> list[float]:
     """Return how old each new commit of V0 was when it was first seen."""
-    room = np.zeros(48, np.uint8)
+    room = bytearray(48)
     ages: list[float] = []
     last, end = -1, time.monotonic() + seconds
     while time.monotonic() < end:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_type_hints
 
 import msgspec
@@ -293,6 +292,8 @@ def _table(value: object) -> dict[str, Any] | None:
 
 def _toml(text: str, file: str) -> dict[str, Any]:
     """Return the table that the text is."""
+    import tomllib  # most agents have no file
+
     _refuse_long_lines(text, file)
     try:
         return tomllib.loads(text)

@@ -7,17 +7,7 @@ from ._bind import (
 )
 from ._combine import Fault as Fault, Part as Part, faults as faults
 from ._combined import Combined as Combined, PartClass as PartClass, combine as combine
-from ._describe import (
-    OUTPUT_DEVICES as OUTPUT_DEVICES,
-    ModuleInfo as ModuleInfo,
-    ParamInfo as ParamInfo,
-    PartInfo as PartInfo,
-    combined_info as combined_info,
-    describe as describe,
-    local_text as local_text,
-    render as render,
-    source_version as source_version,
-)
+from ._describe import OUTPUT_DEVICES as OUTPUT_DEVICES, describe as describe
 from ._handling import (
     ErrorScope as ErrorScope,
     Handling as Handling,
@@ -29,11 +19,22 @@ from ._handling import (
     said as said,
     text_of as text_of,
 )
-from ._object import (
+from ._info import (
+    ModuleInfo as ModuleInfo,
+    ParamInfo as ParamInfo,
+    PartInfo as PartInfo,
+    combined_info as combined_info,
+    local_text as local_text,
+    render as render,
+    source_version as source_version,
+)
+from ._names import (
     METHODS as METHODS,
     MODULE_CLASSES as MODULE_CLASSES,
-    Interface as Interface,
     ModuleClass as ModuleClass,
+)
+from ._object import (
+    Interface as Interface,
     PortBasedObject as PortBasedObject,
     interface as interface,
 )

@@ -9,7 +9,6 @@ from typing import (
     Any,
     ClassVar,
     Generic,
-    Literal,
     TypeGuard,
     get_args,
     get_origin,
@@ -29,6 +28,7 @@ from pbonet.ports import (
     make_port,
 )
 
+from ._names import METHODS, MODULE_CLASSES, ModuleClass
 from ._params import Params
 from ._signals import SignalInfo, UserSignal, refusal
 from ._task import Answer, TaskContext
@@ -43,40 +43,6 @@ else:
 
     P = TypeVar("P")
 
-METHODS = {
-    "init": "(self)",
-    "on": "(self)",
-    "cycle": "(self, dt)",
-    "off": "(self)",
-    "kill": "(self)",
-    "error": "(self, error)",
-    "clear": "(self)",
-    "reinit": "(self)",
-    "sync": "(self)",
-    "set": "(self, name, value)",
-    "get": "(self, name)",
-    "stable": "(self, dt)",
-    "timing_failure": "(self, kind)",
-}
-"""The methods that the runtime calls, and how each is written."""
-
-
-ModuleClass = Literal[
-    "",
-    "controller",
-    "robot interface",
-    "kinematics",
-    "trajectory",
-    "sensor",
-    "teleoperation",
-    "signal",
-    "connector",
-    "subsystem interface",
-]
-"""A class of modules in the library; empty: none is declared."""
-MODULE_CLASSES: tuple[str, ...] = get_args(ModuleClass)[1:]
-"""The classes of modules in the library (Stewart 1994, Figure 3.14)."""
-ROBOT_INTERFACE: ModuleClass = "robot interface"
 IN_CLASS_LINE = {"freq": "frequency", "module_class": "class of modules"}
 """Words of the class line that a body must not repeat."""
 LEAST_HZ, MOST_HZ = 1e-6, 1e6

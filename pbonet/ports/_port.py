@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-import numpy as np
 from msgspec import Struct
 
 _KINDS = {"float": "f", "int": "iu", "bool": "b"}
 """Types of scalar ports, and the numpy kinds that they hold."""
+_LETTERS = {"float": "f", "int": "i", "uint": "u", "complex": "c"}
+"""The letter in numpy's type string for each name that ends in its bits."""
 
 
 class Kind(StrEnum):
@@ -87,11 +88,19 @@ def accepts(port: Port, dtype: str) -> bool:
     A Python float holds any floating type and an int any integer type; an array port,
     and a scalar whose annotation is a numpy type, is that very type.
     """
-    kind = np.dtype(dtype)
+    held = _code(dtype)
     if port.type in _KINDS:
-        return kind.kind in _KINDS[port.type]
-    element = np.dtype(port.type.removesuffix("[]"))
-    return kind.kind == "V" if element.kind == "V" else kind == element
+        return held[0] in _KINDS[port.type]
+    element = _code(port.type.removesuffix("[]"))
+    return held == element or held[0] == element[0] == "V"
+
+
+def _code(kind: str) -> str:
+    """Return numpy's type string of a type, which may be given as that or as a name."""
+    word = kind.rstrip("0123456789")
+    if word in _LETTERS:
+        return f"{_LETTERS[word]}{int(kind.removeprefix(word)) // 8}"
+    return {"bool": "b1", "void": "V"}.get(kind, kind.lstrip("<|"))
 
 
 def wanted(port: Port) -> str:

@@ -1,7 +1,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from numpy.typing import NDArray
+from _typeshed import ReadableBuffer, WriteableBuffer
 
 VERSION: int
 CAUSES: int
@@ -16,8 +16,8 @@ def short_slices() -> bool: ...
 class Blueprint:
     def __init__(
         self,
-        sizes: NDArray[Any],
-        maxages: NDArray[Any],
+        sizes: ReadableBuffer,
+        maxages: ReadableBuffer,
         text: bytes,
         layout: bytes,
         spare: int,
@@ -27,7 +27,7 @@ class Blueprint:
 
 class Arena:
     def __init__(self, fd: int, size: int, machine: bytes) -> None: ...
-    def format(self, plan: Blueprint, values: NDArray[Any]) -> int: ...
+    def format(self, plan: Blueprint, values: ReadableBuffer) -> int: ...
     def verify(self) -> int: ...
     def sound(self) -> bool: ...
     @property
@@ -45,10 +45,12 @@ class Arena:
     @property
     def changes(self) -> int: ...
     def look(
-        self, v: int, to: NDArray[Any]
+        self, v: int, to: WriteableBuffer
     ) -> tuple[int, bool, int, int, int, int, str] | None: ...
     def written(self, v: int) -> bool: ...
-    def set(self, v: int, value: NDArray[Any], now: int, wait: bool = True) -> int: ...
+    def set(
+        self, v: int, value: ReadableBuffer, now: int, wait: bool = True
+    ) -> int: ...
     def registers(
         self,
     ) -> list[tuple[int, int, int, int, str, int, int, bool]] | int: ...
@@ -63,8 +65,8 @@ class LocalTable:
     def __init__(
         self,
         arena: Arena,
-        data: NDArray[Any],
-        staging: NDArray[Any] | None,
+        data: WriteableBuffer,
+        staging: WriteableBuffer | None,
         largest: int,
         *args: object,
         **kwargs: object,
@@ -81,15 +83,20 @@ class LocalTable:
     def out_uid(self) -> int: ...
     @property
     def out_number(self) -> int: ...
-    def set_plan(self, which: int, vars: NDArray[Any], to: NDArray[Any]) -> None: ...  # noqa: A002
+    def set_plan(
+        self,
+        which: int,
+        vars: ReadableBuffer,  # noqa: A002
+        to: ReadableBuffer,
+    ) -> None: ...
     def set_freshness(
         self, which: int, limits: Iterable[tuple[int, int, bool]], settle: float
     ) -> None: ...
     def set_group(
         self,
         which: int,
-        vars: NDArray[Any],  # noqa: A002
-        at: NDArray[Any],
+        vars: ReadableBuffer,  # noqa: A002
+        at: ReadableBuffer,
         first: int,
         size: int,
         checks: list[Any],
@@ -102,7 +109,7 @@ class LocalTable:
     def give(self, which: int, leave: bool) -> int: ...
     def succeed(self, which: int, names: list[bytes]) -> None: ...
     def note_ends(self, which: int) -> int: ...
-    def set_safe(self, values: NDArray[Any]) -> None: ...
+    def set_safe(self, values: ReadableBuffer) -> None: ...
     def cede(self) -> None: ...
     def owns(self, which: int) -> bool: ...
     def register_uid(self, which: int) -> int: ...

@@ -6,16 +6,16 @@ an operator are checked here.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
 
 from pbonet.config import Limit
 from pbonet.errors import SvarError, SvarLayoutError
 
-from .layout import values_of
+from .layout import elements, values_of
 
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
@@ -36,8 +36,8 @@ class Check(NamedTuple):
     var: int
     at: int
     n: int
-    low: NDArray[np.uint8] | None
-    high: NDArray[np.uint8] | None
+    low: bytes | None
+    high: bytes | None
 
 
 def checks_of(variables: Sequence[Variable], group: Group) -> list[Check]:
@@ -50,17 +50,17 @@ def checks_of(variables: Sequence[Variable], group: Group) -> list[Check]:
     limits: list[Check] = []
     for index, at in zip(group.indices, group.at, strict=True):
         variable = variables[index]
-        dtype = np.dtype(variable.dtype)
-        if dtype.kind not in "iuf":
+        kind = variable.dtype.lstrip("<")
+        if kind not in _TYPES:
             continue
-        code = _TYPES.index(f"{dtype.kind}{dtype.itemsize}")
-        if dtype.kind == "f" and variable.finite:
+        code = _TYPES.index(kind)
+        if _is_float(variable) and variable.finite:
             _add_finite(
                 finite, Check(code, _FINITE, index, at, variable.nelem, None, None)
             )
         if variable.limit is not Limit.NONE and variable.min and variable.max:
             rule = _CLIP if variable.limit is Limit.CLIP else _LIMIT
-            low, high = (limit.view(np.uint8) for limit in limits_of(variable))
+            low, high = (limit.tobytes() for limit in limits_of(variable))
             limits.append(Check(code, rule, index, at, variable.nelem, low, high))
     return finite + sorted(limits, key=lambda check: -check.rule)
 
@@ -96,7 +96,7 @@ def blame(variable: Variable, element: int, array: NDArray[Any]) -> Blamed:
     """
     expected = ""
     if variable.limit is not Limit.NONE and variable.min and variable.max:
-        low, high = (limit[element].item() for limit in limits_of(variable))
+        low, high = (limit[element] for limit in limits_of(variable))
         units = "" if variable.units == "none" else f" {variable.units}"
         expected = f"{low} to {high}{units}"
     return Blamed(variable.name, element, str(array[element].item()), expected)
@@ -123,7 +123,7 @@ def blamed(
     return variables[index], element
 
 
-def limits_of(variable: Variable) -> tuple[NDArray[Any], NDArray[Any]]:
+def limits_of(variable: Variable) -> tuple[array[Any], array[Any]]:
     """Return MIN and MAX in the variable's type; both must be given."""
     return (
         values_of(variable, variable.min, where="MIN"),
@@ -133,7 +133,7 @@ def limits_of(variable: Variable) -> tuple[NDArray[Any], NDArray[Any]]:
 
 def typed(
     where: str, variable: Variable, values: Sequence[float] | bytes
-) -> NDArray[Any]:
+) -> array[Any]:
     """Return an operator's values in the variable's type.
 
     Raises:
@@ -141,9 +141,8 @@ def typed(
             fit the type.
         SvarError: A value is not finite, or outside LIMIT.
     """
-    dtype = np.dtype(variable.dtype)
     raw = isinstance(values, bytes)
-    expected = dtype.itemsize * variable.nelem if raw else variable.nelem
+    expected = variable.itemsize * variable.nelem if raw else variable.nelem
     if len(values) != expected:
         unit = "bytes" if raw else "values"
         raise SvarLayoutError(
@@ -154,16 +153,19 @@ def typed(
             remedy="give a value for each element",
         )
     if isinstance(values, bytes):
-        result: NDArray[Any] = np.frombuffer(values, dtype)
+        result = elements(variable, values)
     else:
         result = values_of(variable, values, where="the value")
     _check_range(where, variable, result)
     return result
 
 
-def _check_range(where: str, variable: Variable, values: NDArray[Any]) -> None:
-    finite = values.dtype.kind != "f" or bool(np.isfinite(values).all())
-    if variable.finite and not finite:
+def _is_float(variable: Variable) -> bool:
+    return "f" in variable.dtype
+
+
+def _check_range(where: str, variable: Variable, values: array[Any]) -> None:
+    if variable.finite and _is_float(variable) and not all(map(math.isfinite, values)):
         raise SvarError(
             f"{variable.name} takes finite values only",
             where=where,
@@ -171,7 +173,8 @@ def _check_range(where: str, variable: Variable, values: NDArray[Any]) -> None:
         )
     if variable.limit is not Limit.NONE and variable.min and variable.max:
         low, high = limits_of(variable)
-        if bool(((values < low) | (values > high)).any()):
+        parts = zip(values, low, high, strict=True)
+        if any(value < least or value > most for value, least, most in parts):
             raise SvarError(
                 f"{variable.name} would be outside its limits",
                 where=where,

@@ -7,8 +7,8 @@ copied together.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
+from array import array
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -19,8 +19,7 @@ from pbonet.errors import SvarLayoutError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
+    from _typeshed import ReadableBuffer
 
 _VARIABLES: Final = msgspec.msgpack.Decoder(tuple[Variable, ...])
 
@@ -28,6 +27,20 @@ WORD = 8
 LINE = 64
 NAME_LENGTH = 15
 """Maximum length of a variable's name in characters (Stewart 1994, section 5.5.2)."""
+_CODES: Final = {
+    "b1": "B",
+    "i1": "b",
+    "u1": "B",
+    "<i2": "h",
+    "<u2": "H",
+    "<i4": "i",
+    "<u4": "I",
+    "<i8": "q",
+    "<u8": "Q",
+    "<f4": "f",
+    "<f8": "d",
+}
+"""Python's own arrays of each type but ``struct[xx]``, by numpy's type string."""
 
 
 class Group(NamedTuple):
@@ -51,41 +64,64 @@ def var_bytes(variable: Variable) -> int:
 
 def values_of(
     variable: Variable, values: Sequence[float] | None, *, where: str
-) -> NDArray[Any]:
-    """Return `values` in the variable's type, padded with zeros.
+) -> array[Any]:
+    """Return `values` in the variable's type, padded with zeros; bytes of a struct.
+
+    It is no array of numpy, which agents do without.
 
     Raises:
         SvarLayoutError: There are too many, or a value does not fit the type.
     """
-    import numpy as np  # not in a recorder, which asks for sizes only
-
-    dtype = np.dtype(variable.dtype)
-    filled = np.zeros(variable.nelem, dtype)
+    filled = elements(variable, bytes(variable.itemsize * variable.nelem))
     if values is None:
         return filled
-    if dtype.kind == "V" or len(values) > variable.nelem:
+    is_struct = variable.dtype not in _CODES
+    if is_struct or len(values) > variable.nelem:
         raise SvarLayoutError(
             f"{where} of {variable.name} does not fit",
             expected="none for a struct"
-            if dtype.kind == "V"
+            if is_struct
             else f"at most {variable.nelem} values",
             got=f"{len(values)} values",
             remedy="correct it, or NELEM and TYPE, in the .svar file",
         )
-    lossy = "a value that the type cannot hold exactly"
     try:
-        filled[: len(values)] = values
-        fits = dtype.kind not in "biu" or np.array_equal(filled[: len(values)], values)
+        made = array(filled.typecode, _converted(variable, values))
     except (ValueError, OverflowError, TypeError) as error:
-        fits, lossy = False, str(error)
-    if not fits:
-        raise SvarLayoutError(
-            f"{where} of {variable.name} does not fit",
-            expected=f"values of type {variable.type}",
-            got=lossy,
-            remedy="correct it, or NELEM and TYPE, in the .svar file",
-        )
+        raise _misfit(variable, where, str(error)) from None
+    if filled.typecode not in "fd" and made.tolist() != list(values):
+        lossy = "a value that the type cannot hold exactly"
+        raise _misfit(variable, where, lossy)
+    filled[: len(made)] = made
     return filled
+
+
+def _misfit(variable: Variable, where: str, got: str) -> SvarLayoutError:
+    return SvarLayoutError(
+        f"{where} of {variable.name} does not fit",
+        expected=f"values of type {variable.type}",
+        got=got,
+        remedy="correct it, or NELEM and TYPE, in the .svar file",
+    )
+
+
+def _converted(variable: Variable, values: Iterable[float]) -> Iterable[float]:
+    if variable.dtype == "b1":
+        return map(bool, values)
+    return values if "f" in variable.dtype else map(int, values)
+
+
+def elements(variable: Variable, data: ReadableBuffer) -> array[Any]:
+    """Return a copy of a variable's elements; the bytes of a struct.
+
+    Args:
+        variable: The variable.
+        data: Its bytes, as stored in a group; padding may follow.
+    """
+    size = variable.itemsize * variable.nelem
+    made: array[Any] = array(_CODES.get(variable.dtype, "B"))
+    made.frombytes(memoryview(data).cast("B")[:size])
+    return made
 
 
 def check_variables(variables: Sequence[Variable]) -> None:
@@ -134,6 +170,8 @@ def layout_hash(variables: Sequence[Variable]) -> bytes:
 
     DESC is not included: it may be corrected while a subsystem runs.
     """
+    import hashlib  # brings OpenSSL; an agent makes no table
+
     digest = hashlib.sha256()
     for v in variables:
         fields = (v.name, v.dtype, v.nelem, v.units, v.maxage, v.limit.value, v.finite)
@@ -145,18 +183,13 @@ def layout_hash(variables: Sequence[Variable]) -> bytes:
     return digest.digest()[:16]
 
 
-def initial_values(variables: Sequence[Variable]) -> NDArray[np.uint8]:
+def initial_values(variables: Sequence[Variable]) -> bytes:
     """Return the keeper's first group: INIT of every variable, zeros elsewhere."""
-    import numpy as np
-
-    sizes = [var_bytes(variable) for variable in variables]
-    group = np.zeros(max(1, sum(sizes)), np.uint8)
-    at = 0
-    for variable, size in zip(variables, sizes, strict=True):
-        values = values_of(variable, variable.init, where="INIT")
-        group[at : at + values.nbytes] = values.view(np.uint8)
-        at += size
-    return group
+    group = b"".join(
+        values_of(one, one.init, where="INIT").tobytes().ljust(var_bytes(one), b"\0")
+        for one in variables
+    )
+    return group or bytes(1)
 
 
 def group_of(variables: Sequence[Variable], indices: Iterable[int]) -> Group:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
+import mmap
+from array import array
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from pbonet import shm
 from pbonet.errors import (
@@ -60,7 +60,8 @@ class LocalTable(shm.Closeable, NativeTable):
     _task: str
     _table: str
     _variables: tuple[Variable, ...]
-    _arrays: dict[str | int, NDArray[Any]]
+    _memory: memoryview
+    _arrays: dict[int, NDArray[Any]]
     _places: dict[str | int, tuple[int, int]]
     _groups: tuple[layout.Group, layout.Group]
     _written: dict[str | int, tuple[int, int]]
@@ -113,16 +114,16 @@ class LocalTable(shm.Closeable, NativeTable):
             for place, index in enumerate(group.indices)
             for key in (variables[index].name, index)
         }
-        self._places, self._arrays, self._limits = {}, {}, {}
-        for index, place in places.items():
-            view = _view(variables[index], data, place)
-            for key in (variables[index].name, index):
-                self._places[key] = index, place
-                self._arrays[key] = view
+        self._memory, self._arrays, self._limits = data, {}, {}
+        self._places = {
+            key: (index, place)
+            for index, place in places.items()
+            for key in (variables[index].name, index)
+        }
         for which, wanted in ((CONSTS, inconst), (IN, invar), (ON, {*invar, *outvar})):
             chosen = sorted(wanted)
-            at = np.array([places[i] for i in chosen], np.uint64)
-            self.set_plan(which, np.array(chosen, np.uint32), at)
+            at = array("Q", [places[i] for i in chosen])
+            self.set_plan(which, array("I", chosen), at)
         self._plans = {IN: sorted(invar), ON: sorted({*invar, *outvar})}
         self._closed = False
         self.given_up = _never
@@ -161,17 +162,18 @@ class LocalTable(shm.Closeable, NativeTable):
             SvarError: A commit of them would be refused: one is not finite, outside
                 its limits, or does not fit the variable's type.
         """
+        import numpy as np
+
         group = self._groups[VARS]
-        image = np.zeros(group.bytes, np.uint8)
+        image = bytearray(group.bytes)
         for index, at in zip(group.indices, group.at, strict=True):
             variable = self._variables[index]
             given = np.broadcast_to(np.array(values[variable.name]), variable.nelem)
             where = f"safe values of {self._table}/{self._task}"
-            _view(variable, image, at)[...] = guards.typed(
-                where, variable, given.tolist()
-            )
+            data = guards.typed(where, variable, given.tolist()).tobytes()
+            image[at : at + len(data)] = data
         self.set_safe(image)
-        return image.tobytes()
+        return bytes(image)
 
     def was_made_safe(self) -> None:
         """Nothing is left to do: the values were committed when the cycle failed."""
@@ -182,8 +184,8 @@ class LocalTable(shm.Closeable, NativeTable):
             first = places[group.indices[0]] if group.indices else 0
             self.set_group(
                 which,
-                np.array(group.indices, np.uint32),
-                np.array(group.at, np.uint64),
+                array("I", group.indices),
+                array("Q", group.at),
                 first,
                 group.bytes,
                 guards.checks_of(self._variables, group),
@@ -228,9 +230,9 @@ class LocalTable(shm.Closeable, NativeTable):
         if self.action and self.flags & Flags.COPY_STALE:
             return self._blamed_age(self.fault[0])
         one, element = guards.blamed(self._variables, self._groups, *self.fault)
-        if one.name not in self._arrays:  # no value was refused yet
+        if one.name not in self._places:  # no value was refused yet
             return guards.Blamed()
-        return guards.blame(one, element, self._arrays[one.name])
+        return guards.blame(one, element, self.array(one.name))
 
     def _blamed_age(self, index: int) -> guards.Blamed:
         """Return the input that was too old in the last copy, its age and its limit."""
@@ -243,7 +245,7 @@ class LocalTable(shm.Closeable, NativeTable):
 
     def names(self) -> list[str]:
         """Return the variables of the local table."""
-        return [name for name in self._arrays if isinstance(name, str)]
+        return [name for name in self._places if isinstance(name, str)]
 
     def array(self, which: str | int) -> NDArray[Any]:
         """Return the private copy of a variable: one-dimensional, writable, for life.
@@ -253,8 +255,33 @@ class LocalTable(shm.Closeable, NativeTable):
         Raises:
             UnknownVariableError: The task has no such variable.
         """
+        index, _ = self._place_of(which)
+        made = self._arrays.get(index)
+        if made is None:
+            import numpy as np  # not in an agent, which uses `memory`
+
+            made = np.frombuffer(self.memory(which), self._variables[index].dtype)
+            self._arrays[index] = made
+        return made
+
+    def memory(self, which: str | int) -> memoryview:
+        """Return the bytes of the private copy of a variable, writable.
+
+        Raises:
+            UnknownVariableError: The task has no such variable.
+        """
+        index, at = self._place_of(which)
+        variable = self._variables[index]
+        return self._memory[at : at + variable.itemsize * variable.nelem]
+
+    def _place_of(self, which: str | int) -> tuple[int, int]:
+        """Return index and place of a variable.
+
+        Raises:
+            UnknownVariableError: The task has no such variable.
+        """
         try:
-            return self._arrays[which]
+            return self._places[which]
         except KeyError:
             raise UnknownVariableError(
                 f"{self._task} has no {_called(which)}",
@@ -352,7 +379,7 @@ class LocalTable(shm.Closeable, NativeTable):
         try:
             return self.is_stale(self._places[which][0])
         except KeyError:
-            self.array(which)
+            self._place_of(which)
             raise
 
     def age(self, which: str | int) -> float:
@@ -364,7 +391,7 @@ class LocalTable(shm.Closeable, NativeTable):
         try:
             age_ns = self.age_ns(self._places[which][0])
         except KeyError:
-            self.array(which)
+            self._place_of(which)
             raise
         return math.inf if age_ns < 0 else age_ns * 1e-9
 
@@ -377,7 +404,7 @@ class LocalTable(shm.Closeable, NativeTable):
         try:
             return self.stamp_from(self._places[which][0])
         except KeyError:
-            self.array(which)
+            self._place_of(which)
             raise
 
     def read(self, which: str | int) -> int:
@@ -388,7 +415,7 @@ class LocalTable(shm.Closeable, NativeTable):
         try:
             return self.read_one(*self._places[which])
         except KeyError:
-            self.array(which)
+            self._place_of(which)
             raise
 
     def write(self, which: str | int, now_ns: int = 0, cycle: int = 0) -> int:
@@ -439,7 +466,7 @@ class LocalTable(shm.Closeable, NativeTable):
     def _judge(self, code: int, rival: int, *, constants: bool = False) -> None:
         if code == RIVAL:
             variable = self._variables[rival]
-            room = np.zeros(layout.var_bytes(variable), np.uint8)
+            room = bytearray(layout.var_bytes(variable))
             seen = self.arena.look(rival, room)
             owner = (seen[-1] if seen and seen[1] else "") or "another task"
             if constants:
@@ -504,13 +531,7 @@ def _called(which: str | int) -> str:
     )
 
 
-def _aligned(size: int) -> NDArray[np.uint8]:
-    """Return zeroed bytes that begin at a cache line boundary."""
-    room = np.zeros(size + 2 * layout.LINE, np.uint8)
-    skip = -room.ctypes.data % layout.LINE
-    return room[skip : skip + layout.padded(max(size, 1), layout.LINE)]
-
-
-def _view(variable: Variable, data: NDArray[np.uint8], at: int) -> NDArray[Any]:
-    dtype = np.dtype(variable.dtype)
-    return data[at : at + variable.nelem * dtype.itemsize].view(dtype)
+def _aligned(size: int) -> memoryview:
+    """Return zeroed bytes of this process that begin at a page's boundary."""
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | mmap.MAP_POPULATE
+    return memoryview(mmap.mmap(-1, layout.padded(max(size, 1), layout.LINE), flags))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from array import array
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
 from pbonet import shm
 from pbonet.errors import (
@@ -81,8 +81,8 @@ class Table(shm.Closeable):
         path = table_files.path_of(name)
         maxages = [round((v.maxage or 0.0) * 1e9) for v in variables]
         plan = Blueprint(
-            np.array([lay.var_bytes(v) for v in variables], np.uint64),
-            np.array(maxages, np.int64),
+            array("Q", [lay.var_bytes(v) for v in variables]),
+            array("q", maxages),
             lay.encode(variables),
             lay.layout_hash(variables),
             spare,
@@ -180,11 +180,11 @@ class Table(shm.Closeable):
             UnknownVariableError: There is no variable of that name or index.
             SvarDamagedError: The table was overwritten.
         """
-        return self._read_raw(self._number(which))[0]
+        return self.see(which)[0]
 
     def info(self, which: str | int) -> VarInfo:
         """Return who wrote a variable, when, and who owns it now."""
-        return self.see(which)[1]
+        return self.seen(which)[1]
 
     def written(self, which: str | int) -> bool:
         """Return whether a task writes a variable: one that lives and has not ended."""
@@ -192,6 +192,13 @@ class Table(shm.Closeable):
 
     def see(self, which: str | int) -> tuple[NDArray[Any], VarInfo]:
         """Return the newest value of a variable and its `info`, of one instant."""
+        import numpy as np  # not in agents, which call `seen`
+
+        data, info = self.seen(which)
+        return np.frombuffer(data, self.variable(which).dtype), info
+
+    def seen(self, which: str | int) -> tuple[array[Any], VarInfo]:
+        """Return what `see` does, the value as `layout.elements` has it."""
         number = self._number(which)
         variable = self._variables[number]
         value, (_, live, time_ns, cycle, uid, seq, task) = self._read_raw(number)
@@ -226,9 +233,9 @@ class Table(shm.Closeable):
         """
         number = self._number(which)
         variable = self._variables[number]
-        value = guards.typed(self.name, variable, values)
+        value = guards.typed(self.name, variable, values).tobytes()
         room = _room(variable)
-        room[: value.nbytes] = value.view(np.uint8)
+        room[: len(value)] = value
         code = self._open().set(number, room, self._now(), wait)
         if code == RIVAL:
             owner = self.info(number).owner
@@ -244,13 +251,13 @@ class Table(shm.Closeable):
         return code != STUCK
 
     def peek(
-        self, number: int, room: NDArray[np.uint8]
+        self, number: int, room: bytearray
     ) -> tuple[int, bool, int, int, int, int, str] | None:
         """Copy a variable into `room`, to send it to other machines.
 
         Args:
             number: Its index.
-            room: Array of its size in a group, in bytes.
+            room: Bytes of its size in a group.
 
         Returns:
             Register, whether a task owns it, time (ns), cycle, the register's uid, the
@@ -258,7 +265,7 @@ class Table(shm.Closeable):
         """
         return self._open().look(number, room)
 
-    def put(self, number: int, data: NDArray[np.uint8], time_ns: int) -> bool:
+    def put(self, number: int, data: bytes, time_ns: int) -> bool:
         """Set a variable to another machine's value; return whether it has no owner."""
         code = self._open().set(number, data, time_ns)
         self._check_lock(code)
@@ -473,7 +480,7 @@ class Table(shm.Closeable):
 
     def _read_raw(
         self, number: int
-    ) -> tuple[NDArray[Any], tuple[int, bool, int, int, int, int, str]]:
+    ) -> tuple[array[Any], tuple[int, bool, int, int, int, int, str]]:
         variable = self._variables[number]
         room = _room(variable)
         seen = self._open().look(number, room)
@@ -484,13 +491,12 @@ class Table(shm.Closeable):
                 where=self.name,
                 remedy="its writer commits faster than this reader can copy; try again",
             )
-        dtype = np.dtype(variable.dtype)
-        return room[: variable.nelem * dtype.itemsize].view(dtype), seen
+        return lay.elements(variable, room), seen
 
     def _check_lock(self, code: int) -> None:
         if code in {STUCK, GONE}:
             raise table_files.locked_out(self.name, code)
 
 
-def _room(variable: Variable) -> NDArray[np.uint8]:
-    return np.zeros(lay.var_bytes(variable), np.uint8)
+def _room(variable: Variable) -> bytearray:
+    return bytearray(lay.var_bytes(variable))

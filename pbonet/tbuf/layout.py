@@ -10,23 +10,27 @@ import ast
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.lib import format as numpy_format
-
 from pbonet.errors import XmLayoutError
 
 from ._tbuf import LONGEST_TEXT
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import DTypeLike
 
-npy: Any = numpy_format  # its functions have types only from numpy 2.4 on
 _NO_LAYOUT = (
     *(ValueError, TypeError, SyntaxError, OverflowError),
     *(MemoryError, RecursionError),  # raised by malicious texts
 )
 LARGEST = 1 << 20
 """Maximum size of a record in bytes: it is copied within a cycle."""
+
+
+def _npy() -> Any:  # noqa: ANN401 - its functions have types only from numpy 2.4 on
+    """Return numpy's part for files; an agent without links loads no numpy."""
+    from numpy.lib import format as npy
+
+    return npy
 
 
 def describe(dtype: np.dtype[Any]) -> bytes:
@@ -43,7 +47,7 @@ def describe(dtype: np.dtype[Any]) -> bytes:
             got=f"{dtype}, {dtype.itemsize} bytes",
             remedy="send fields of fixed size; no Python objects",
         )
-    text = repr((npy.dtype_to_descr(base), shape)).encode()
+    text = repr((_npy().dtype_to_descr(base), shape)).encode()
     if len(text) > LONGEST_TEXT:
         raise XmLayoutError(
             "the description of the record is too long",
@@ -60,9 +64,11 @@ def parse(text: bytes) -> np.dtype[Any]:
     Raises:
         XmLayoutError: It does not describe a type.
     """
+    import numpy as np
+
     with contextlib.suppress(*_NO_LAYOUT):
         descr, shape = ast.literal_eval(text.decode())
-        return np.dtype((npy.descr_to_dtype(descr), tuple(shape)))
+        return np.dtype((_npy().descr_to_dtype(descr), tuple(shape)))
     raise XmLayoutError(
         "the description of the record is not understood",
         got=repr(text[:100]),
@@ -72,6 +78,8 @@ def parse(text: bytes) -> np.dtype[Any]:
 
 def as_dtype(dtype: DTypeLike) -> np.dtype[Any]:
     """Return `dtype` as a numpy dtype; ``("f8", 6)`` is six numbers."""
+    import numpy as np
+
     return np.dtype(dtype)
 
 
@@ -82,6 +90,8 @@ def same_values(one: np.dtype[Any], other: np.dtype[Any]) -> bool:
 
 def room(dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
     """Return zeroed memory for one record."""
+    import numpy as np
+
     return np.zeros((), dtype)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import secrets
 import struct
 import time
 from pathlib import Path
@@ -134,7 +133,7 @@ def _make(path: Path, dtype: np.dtype[Any], end: Buffer) -> np.dtype[Any]:
     fd, fresh = FILES.make(path, size)
     try:
         end.map(fd, size, str(path))
-        end.make(dtype.itemsize, secrets.randbits(63), text)
+        end.make(dtype.itemsize, int.from_bytes(os.urandom(8)) >> 1, text)
         FILES.publish(fresh, path)
     except BaseException:
         end.unmap()

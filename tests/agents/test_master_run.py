@@ -24,7 +24,7 @@ from watching import processes_of, wait_for
 from pbonet import log
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_job as run_module
-from pbonet.master.console.live_status import Screen
+from pbonet.master.console.live_screen import Screen
 from pbonet.master.subsystem import subsystem_tasks
 from pbonet.master.subsystem.embedded_agents import assign_cores
 from pbonet.node.restart import desired_state
@@ -84,6 +84,19 @@ def until_on(process):
         if " is ON: " in line:
             return
     pytest.fail(process.stderr.read())
+
+
+def test_neither_a_run_nor_its_agents_need_numpy(run, nodes):
+    """They have it in memory only where a value of numpy is asked for."""
+    process = run("--record", "off")
+    until_on(process)
+    found = {
+        command: "_multiarray_umath" in Path(f"/proc/{pid}/maps").read_text()
+        for pid, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
+    }
+    assert any(found.values()), "tasks have it"
+    ours = [has for command, has in found.items() if "pbonet.cli" in command]
+    assert ours == [False] * 3, found
 
 
 def left_of(nodes):

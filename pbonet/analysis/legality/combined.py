@@ -93,7 +93,7 @@ def _inner(task: Task, info: ModuleInfo) -> Iterator[Problem]:
 def _differences(
     writer: Port, reader: Port
 ) -> Iterator[tuple[Code, str, str, str, str]]:
-    kinds = {"float": "f8", "int": "i8", "bool": "?"}
+    kinds = {"float": "f8", "int": "i8", "bool": "b1"}
     held = kinds.get(writer.type, writer.type.removesuffix("[]"))
     if not accepts(reader, held):
         yield Code.TYPE, "types", writer.type, reader.type, "connect others"

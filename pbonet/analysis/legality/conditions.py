@@ -2,7 +2,8 @@
 
 One walk over the tree does it all: it computes with values, sizes and units at once, so
 that a condition is judged before anything runs by the very rules by which it is
-evaluated later, only with values that do not matter.
+evaluated later, only with values that do not matter. Values are Python's own floats:
+they are few, and `run` does without numpy.
 """
 
 from __future__ import annotations
@@ -10,10 +11,9 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 from msgspec import Struct
 
 from pbonet.config import Parsed, cost_of, parse
@@ -25,11 +25,9 @@ from .units import ANY, conversion, factor, known_unit, same_unit
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from pbonet.config import Condition, Variable
 
-    Floats = NDArray[np.float64]
+    Floats = Sequence[float]
 
 _SHOWN = 8
 """Elements of a variable that a refusal shows."""
@@ -105,7 +103,7 @@ def check_conditions(
 ) -> list[Problem]:
     """Return the problems of conditions: unknown variables, sizes, units."""
     table = {variable.name: variable for variable in variables}
-    values = {name: np.zeros(one.nelem) for name, one in table.items()}
+    values = {name: [0.0] * one.nelem for name, one in table.items()}
     problems: list[Problem] = []
     for condition in conditions:
         walk = _Walk(parse(condition.text, condition.place), table, values)
@@ -119,7 +117,7 @@ def check_conditions(
 def check_cost(cost: Condition, variables: Sequence[Variable]) -> list[Problem]:
     """Return the problem of a COST line: an unknown variable, a size, a unit."""
     try:
-        amounts(cost, variables, {one.name: np.zeros(one.nelem) for one in variables})
+        amounts(cost, variables, {one.name: [0.0] * one.nelem for one in variables})
     except _PartError as error:
         return [error.problem]
     return []
@@ -137,7 +135,8 @@ def amounts(
     """
     table = {variable.name: variable for variable in variables}
     _, parsed = _cost_of(cost)
-    return _Walk(parsed, table, values).numbers(parsed.tree)
+    floats = {name: [*map(float, numbers)] for name, numbers in values.items()}
+    return _Walk(parsed, table, floats).numbers(parsed.tree)
 
 
 _cost_of = lru_cache(maxsize=8)(cost_of)
@@ -164,12 +163,12 @@ def evaluate(
     """
     table = {variable.name: variable for variable in variables}
     parsed = parse(condition.text, condition.place)
-    arrays = {name: np.array(v, np.float64).reshape(-1) for name, v in values.items()}
-    walk = _Walk(parsed, table, arrays)
+    floats = {name: [*map(float, numbers)] for name, numbers in values.items()}
+    walk = _Walk(parsed, table, floats)
     holds = walk.truth(parsed.tree)
     old = [name for name in parsed.variables if name in set(stale)]
     told = list(walk.told)
-    told += [f"{v} = {_shown(arrays[v], table[v])}" for v in parsed.variables]
+    told += [f"{v} = {_shown(floats[v], table[v])}" for v in parsed.variables]
     told += [f"{v} is older than its MAXAGE, {table[v].maxage:g} s" for v in old]
     return Outcome(condition, holds and walk.finite and not old, "; ".join(told))
 
@@ -177,7 +176,7 @@ def evaluate(
 def parts(condition: Condition, variables: Sequence[Variable]) -> list[Part]:
     """Return what a condition demands; `check_conditions` has found nothing in it."""
     table = {variable.name: variable for variable in variables}
-    values = {name: np.ones(one.nelem) for name, one in table.items()}
+    values = {name: [1.0] * one.nelem for name, one in table.items()}
     walk = _Walk(parse(condition.text, condition.place), table, values)
     return list(walk.parts(walk.parsed.tree))
 
@@ -194,7 +193,7 @@ class _Walk:
     Args:
         parsed: The condition.
         table: The variables that there are.
-        values: Their values; float64, as many as the variable has elements.
+        values: Their values, as many as the variable has elements.
     """
 
     def __init__(
@@ -307,14 +306,14 @@ class _Walk:
         Raises:
             _PartError: There are several: which is meant?
         """
-        if found.values.size != 1:
+        if len(found.values) != 1:
             text = self.parsed.source(node)
             raise self._fault(
                 node,
                 code=Code.SHAPE,
                 what="several numbers cannot be compared at once",
                 expected="one number",
-                got=f"{text}, which has {found.values.size}",
+                got=f"{text}, which has {len(found.values)}",
                 remedy=f"write max(abs({text})), norm({text}), or an element of it",
             )
         return float(found.values[0])
@@ -329,7 +328,7 @@ class _Walk:
         if isinstance(node, ast.Constant):
             unit = self.parsed.units.get(node.col_offset, ANY)
             value: Any = node.value
-            return _Quantity(np.array([float(value)]), unit, literal=True)
+            return _Quantity([float(value)], unit, literal=True)
         if isinstance(node, ast.Name):
             return self._variable(node)
         if isinstance(node, ast.Subscript):
@@ -337,7 +336,7 @@ class _Walk:
         if isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.Not):
             found = self._number(node.operand)
             minus = isinstance(node.op, ast.USub)
-            return found._replace(values=-found.values if minus else found.values)
+            return found._replace(values=_times(found, -1.0)) if minus else found
         if isinstance(node, ast.BinOp):
             return self._arithmetic(node)
         if isinstance(node, ast.Call):
@@ -381,7 +380,7 @@ class _Walk:
         if not isinstance(node.value, ast.Name):  # `parse` lets nothing else through
             raise TypeError(node.value)
         whole = self._variable(node.value)
-        size = whole.values.size
+        size = len(whole.values)
         low, high = _bounds(node.slice, size)
         if not 0 <= low < high <= size:
             raise self._fault(
@@ -398,47 +397,45 @@ class _Walk:
         left, right = self._number(node.left), self._number(node.right)
         literal = left.literal and right.literal
         self._must_fit(node.right, left, right)
-        with np.errstate(all="ignore"):
-            if isinstance(node.op, ast.Mult):
-                unit = _product(left.unit, right.unit, "*")
-                return _Quantity(left.values * right.values, unit, literal)
-            if isinstance(node.op, ast.Div):
-                unit = _product(left.unit, right.unit, "/")
-                return _Quantity(left.values / right.values, unit, literal)
-            left, right = self._alike(node.right, left, right)
-            add = isinstance(node.op, ast.Add)
-            values = left.values + (right.values if add else -right.values)
-        return _Quantity(values, left.unit, literal)
+        if isinstance(node.op, ast.Mult):
+            unit = _product(left.unit, right.unit, "*")
+            return _Quantity(_each(operator.mul, left, right), unit, literal)
+        if isinstance(node.op, ast.Div):
+            unit = _product(left.unit, right.unit, "/")
+            return _Quantity(_each(_quotient, left, right), unit, literal)
+        left, right = self._alike(node.right, left, right)
+        sign = operator.add if isinstance(node.op, ast.Add) else operator.sub
+        return _Quantity(_each(sign, left, right), left.unit, literal)
 
     def _function(self, node: ast.Call) -> _Quantity:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
-        found = [self._number(one) for one in node.args]
-        for at in range(1, len(found)):
-            self._must_fit(node.args[at], found[0], found[at])
-            found[0], found[at] = self._alike(node.args[at], found[0], found[at])
-        first = found[0]
-        literal = all(one.literal for one in found)
+        first, *others = [self._number(one) for one in node.args]
         if name == "abs":
-            return first._replace(values=np.abs(first.values))
+            return first._replace(values=[*map(abs, first.values)])
         if name == "norm":
-            return first._replace(values=np.atleast_1d(np.linalg.norm(first.values)))
-        choose = np.max if name == "max" else np.min
-        if len(found) == 1:
-            return first._replace(values=np.atleast_1d(choose(first.values)))
-        both = np.broadcast_arrays(*(one.values for one in found))
-        return _Quantity(choose(np.stack(both), axis=0), first.unit, literal)
+            squares = sum(value * value for value in first.values)
+            return first._replace(values=[math.sqrt(squares)])
+        choose = _most if name == "max" else _least
+        if not others:
+            return first._replace(values=[reduce(choose, first.values)])
+        for part, other in zip(node.args[1:], others, strict=True):
+            self._must_fit(part, first, other)
+            left, right = self._alike(part, first, other)
+            literal = left.literal and right.literal
+            first = _Quantity(_each(choose, left, right), left.unit, literal)
+        return first
 
     # -- what goes together -----------------------------------------------------------
 
     def _must_fit(self, node: ast.expr, left: _Quantity, right: _Quantity) -> None:
-        sizes = {left.values.size, right.values.size} - {1}
+        sizes = {len(left.values), len(right.values)} - {1}
         if len(sizes) > 1:
             raise self._fault(
                 node,
                 code=Code.SHAPE,
                 what="these have different numbers of elements",
-                expected=f"{left.values.size}, or 1",
-                got=f"{self.parsed.source(node)}, which has {right.values.size}",
+                expected=f"{len(left.values)}, or 1",
+                got=f"{self.parsed.source(node)}, which has {len(right.values)}",
                 remedy="take the elements that belong together, such as X[0:3]",
             )
 
@@ -457,9 +454,9 @@ class _Walk:
             unit = right.unit if left.unit == ANY else left.unit
             return left._replace(unit=unit), right._replace(unit=unit)
         if right.literal and (by := factor(right.unit, left.unit)):
-            return left, right._replace(values=right.values * by, unit=left.unit)
+            return left, right._replace(values=_times(right, by), unit=left.unit)
         if left.literal and (by := factor(left.unit, right.unit)):
-            return left._replace(values=left.values * by, unit=right.unit), right
+            return left._replace(values=_times(left, by), unit=right.unit), right
         raise self._fault(
             node,
             code=Code.UNIT,
@@ -493,6 +490,39 @@ class _Walk:
         )
 
 
+def _times(found: _Quantity, by: float) -> Floats:
+    return [value * by for value in found.values]
+
+
+def _each(
+    compute: Callable[[float, float], float], left: _Quantity, right: _Quantity
+) -> Floats:
+    """Return the results element by element; a single number goes with each one."""
+    size = max(len(left.values), len(right.values))
+    one, other = (
+        [*found.values] * size if len(found.values) == 1 else found.values
+        for found in (left, right)
+    )
+    return [*map(compute, one, other)]
+
+
+def _quotient(one: float, other: float) -> float:
+    """Return a quotient; by zero it is infinity or no number, which answer nothing."""
+    if other:
+        return one / other
+    return one * math.copysign(math.inf, other)
+
+
+def _most(one: float, other: float) -> float:
+    """Return the greater number; if either is no number, that."""
+    return other if other > one or math.isnan(other) else one
+
+
+def _least(one: float, other: float) -> float:
+    """Return the smaller number; if either is no number, that."""
+    return other if other < one or math.isnan(other) else one
+
+
 def _bounds(node: ast.expr, size: int) -> tuple[int, int]:
     if isinstance(node, ast.Slice):
         low, high = (
@@ -521,5 +551,5 @@ def _product(left: str, right: str, sign: str) -> str:
 
 def _shown(values: Floats, variable: Variable) -> str:
     text = " ".join(f"{value:.6g}" for value in values[:_SHOWN])
-    text += " ..." if values.size > _SHOWN else ""
+    text += " ..." if len(values) > _SHOWN else ""
     return text if variable.units in {"none", ""} else f"{text} {variable.units}"

@@ -15,7 +15,6 @@ import math
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-import numpy as np
 from msgspec import Struct, structs
 
 from .criticality import liu_layland
@@ -23,6 +22,8 @@ from .servers import Server, ServerKind
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
+
+    import numpy as np
 
 CHUNK = 1 << 16
 """Deadlines that the demand test checks in one go."""
@@ -264,6 +265,8 @@ def _horizon(tasks: list[Demand], servers: list[Server], total: Fraction) -> int
 
 def _fits(tasks: list[Demand], servers: list[Server], low: int, high: int) -> bool:
     """Test the deadlines of one stretch, both ends included."""
+    import numpy as np  # most sets are judged without it
+
     ends: list[np.ndarray] = []
     for task in tasks:
         first = max(0, -(-(low - task.due_ns) // task.period_ns))
@@ -283,6 +286,8 @@ def _fits(tasks: list[Demand], servers: list[Server], low: int, high: int) -> bo
 
 def _taken(server: Server, windows: np.ndarray) -> np.ndarray:
     """Return `Server.taken_ns` of many windows."""
+    import numpy as np
+
     first = np.zeros_like(windows)
     if server.kind is ServerKind.DEFERRABLE:
         first = np.minimum(windows, server.capacity_ns)

@@ -2,6 +2,7 @@ from . import (
     ask_master as ask_master,
     follow_events as follow_events,
     interfaces as interfaces,
+    live_screen as live_screen,
     live_status as live_status,
     oneshot as oneshot,
     profile_plot as profile_plot,

@@ -14,7 +14,6 @@ loss control goes back. Watching and ``stop`` are open to everybody.
 from __future__ import annotations
 
 import contextlib
-import logging
 import queue
 import re
 import threading
@@ -33,6 +32,7 @@ from pbonet.errors import (
     ProtocolError,
     StateError,
 )
+from pbonet.lazy import logger
 from pbonet.xm.net import check_name, codec, direct, key_expressions, messages as m, rpc
 
 from . import render
@@ -52,7 +52,9 @@ _TOKEN_TIME: Final = 1.0
 _LOOK: Final = 0.2
 """Seconds between checks whether serving is to end."""
 
-log = logging.getLogger("pbonet.master")
+
+def _note(text: str) -> None:
+    logger("pbonet.master").info("%s", text)
 
 
 class Order(Struct, kw_only=True):
@@ -89,7 +91,7 @@ class Port:
         name: str,
         *,
         handover: bool = True,
-        told: Callable[[str], None] = log.info,
+        told: Callable[[str], None] = _note,
     ) -> None:
         self.name = check_name("a port", name)
         self.ended = threading.Event()
@@ -227,6 +229,7 @@ class Port:
         except PbonetError as error:
             return codec.failure(error, order.id)
         except Exception as error:  # the port outlives any command
+            log = logger("pbonet.master")
             log.exception("the command %s failed inside pbonet", order.command)
             return codec.failure(
                 NodeError(
@@ -328,7 +331,7 @@ class Port:
             with query:
                 query.reply(self._key, data)  # pyright: ignore[reportUnknownMemberType]
         except zenoh.ZError as error:
-            log.warning("an answer could not be sent: %s", error)
+            logger("pbonet.master").warning("an answer could not be sent: %s", error)
 
 
 def _decode(data: bytes) -> Order:

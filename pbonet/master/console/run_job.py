@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
@@ -145,7 +144,6 @@ class Run:
         if not agents.launched:
             agents.launch(agents.missing(names))
         if agents.children:
-            import_module("numpy")  # needed later, and loaded while they start
             for rtpu, core in agents.wait().items():
                 self._view.say(f"{rtpu} has no agent: started one on core {core}")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 from msgspec import Struct
 
 from pbonet.master.subsystem import delay_quantile, profile
@@ -122,6 +121,8 @@ def _refined(one: TaskSummary, cycles: Cycles) -> TaskSummary:
     arrays = cycles.arrays(one.task)
     if not len(arrays["release_ns"]):
         return one
+    import numpy as np  # at the end of a run, not before its first cycle
+
     delays = (arrays["start_ns"] - arrays["release_ns"]) * 1e-9
     return msgspec.structs.replace(
         one,

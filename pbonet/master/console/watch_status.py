@@ -15,7 +15,7 @@ from pbonet.master.subsystem import Subsystem, status_fields
 from . import render
 from .command_session import Call, CommandSession, convert
 from .commands import find
-from .live_status import Plain, Screen
+from .live_status import Plain
 from .run_end import Interrupts
 from .watch_values import Listener
 
@@ -124,11 +124,13 @@ class _Table:
             subsystem.model.find(task)
         screen = sys.stdout.isatty()
         self.pause = _SCREEN if screen else _LINES
-        self._view: View = (
-            Screen(fields=fields, end=_END)
-            if screen
-            else Plain(fields=fields, period=0)
-        )
+        self._view: View
+        if screen:
+            from .live_screen import Screen
+
+            self._view = Screen(fields=fields, end=_END)
+        else:
+            self._view = Plain(fields=fields, period=0)
         self._warnings = warnings
         self._listener = Listener(subsystem)
 

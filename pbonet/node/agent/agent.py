@@ -13,7 +13,6 @@ import contextlib
 import logging
 import os
 import platform
-import secrets
 import socket
 import threading
 import time
@@ -140,7 +139,7 @@ class Agent:
         )
         self._recorders = Recorders(self._note, config)
         self._executives = Executives(config, self._note)
-        self._mark = f"again-{secrets.token_hex(4)}-"
+        self._mark = f"again-{os.urandom(4).hex()}-"
         file = path_of(config.domain, config.name) if lasts else None
         self._desired = DesiredState(file, self._note, self._mark)
         self._overview = SharedMemoryStatus(

@@ -11,7 +11,6 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import zenoh
 
 from pbonet.errors import PbonetError, XmError
@@ -22,6 +21,7 @@ from pbonet.xm.net import VALUES_PRIORITY, direct
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from pbonet.node.wire import Clock
@@ -176,6 +176,8 @@ class Receiver:
                 raise layout.refuse(self._name, self._dtype, theirs)
             self._theirs, self._text = theirs, text
         if len(data) == self._raw.nbytes:
+            import numpy as np  # loaded already: an end of a link has types
+
             base, shape = self._theirs.subdtype or (self._theirs, ())
             values: NDArray[Any] = np.frombuffer(data, base).reshape(shape)
             self._raw[...] = values

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import select
 import subprocess
 import sys
@@ -56,7 +55,7 @@ class Starting:
                     [*command, msgspec.json.encode(config).decode()],
                     env={
                         **process_setup.environment(),
-                        process_setup.MARK: secrets.token_hex(8),
+                        process_setup.MARK: os.urandom(8).hex(),
                     },
                     pass_fds=[write],
                     stdin=subprocess.DEVNULL,

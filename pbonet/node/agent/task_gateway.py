@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import secrets
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -93,7 +92,7 @@ class TaskGateway:
     ) -> None:
         self._domain, self._path, self._note = domain, path, note
         self._parts = parts
-        self._client = Client(session, domain, f"{name}-{secrets.token_hex(4)}")
+        self._client = Client(session, domain, f"{name}-{os.urandom(4).hex()}")
         self._codec = codec.Codec()
         self._letter = msgspec.msgpack.Decoder(Letter)
         self._guard = threading.Lock()

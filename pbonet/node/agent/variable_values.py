@@ -6,14 +6,16 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import SvarError
-from pbonet.svar import Flags
-from pbonet.xm.net import VarValue, plain
+from pbonet.svar import Flags, layout
+from pbonet.xm.net import VarValue
 
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from _typeshed import ReadableBuffer
 
+    from pbonet.config import Variable
     from pbonet.svar import LocalTable, Table, VarInfo
 
 
@@ -74,30 +76,31 @@ def write(
 
 def _value(table: Table, name: str, *, whole: bool) -> VarValue:
     """Return a single variable, from one read."""
-    value, info = table.see(name)
+    value, info = table.seen(name)
     return _shown(table, name, value, info, stale=info.stale, whole=whole)
 
 
 def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
     """Return a variable from a consistent copy of several."""
     info, stale = table.info(name), local.stale(name)
-    return _shown(table, name, local.array(name), info, stale=stale, whole=whole)
+    return _shown(table, name, local.memory(name), info, stale=stale, whole=whole)
 
 
 def _shown(
     table: Table,
     name: str,
-    value: NDArray[Any],
+    data: ReadableBuffer,
     info: VarInfo,
     *,
     stale: bool,
     whole: bool,
 ) -> VarValue:
     variable = table.variable(name)
+    value = layout.elements(variable, data)
     return VarValue(
         name=name,
         index=table.index(name),
-        values=plain(value),
+        values=_sent(variable, value),
         units=variable.units,
         desc=variable.desc,
         writer=info.writer,
@@ -107,3 +110,12 @@ def _shown(
         stale=stale,
         whole=whole,
     )
+
+
+def _sent(variable: Variable, value: array[Any]) -> list[float] | bytes:
+    """Return a variable's elements as sent in messages; ``bool`` becomes 0 and 1."""
+    if variable.dtype.startswith("V"):
+        return value.tobytes()
+    if variable.dtype == "b1":  # any other byte than 0 is true
+        return [int(one != 0) for one in value]
+    return value.tolist()

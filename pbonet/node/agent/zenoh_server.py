@@ -12,9 +12,9 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import os
 import queue
 import re
-import secrets
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -396,7 +396,7 @@ class Server:
 
     def _follow(self, query: zenoh.Query, request: m.TraceCore) -> None:
         """Follow a core once; a repetition gets the same answer, when there is one."""
-        who = request.client, request.id or secrets.token_hex(8)
+        who = request.client, request.id or os.urandom(8).hex()
         if self._repeats.begin(who, partial(self._reply, query)):
             self._looks.submit(
                 lambda: self._repeats.end(who, self._overview.answer(request))
@@ -405,7 +405,7 @@ class Server:
     def _once(self, query: zenoh.Query, request: m.Write, *, short: bool) -> None:
         """Carry out a request unless it is a repetition; a short one at once."""
         do = self._overview.write_at_once if short else self._overview.answer
-        who = request.client, request.id or secrets.token_hex(8)
+        who = request.client, request.id or os.urandom(8).hex()
         if self._repeats.begin(who, partial(self._reply, query)):
             begun_ns = time.monotonic_ns()
             data = do(request)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import secrets
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
@@ -284,7 +283,7 @@ class MirroredTable:
         self.mirror = Mirror(
             self.table,
             owner.machine,
-            secrets.randbits(62),
+            int.from_bytes(os.urandom(8)) >> 2,
             keep=self._use.keep,
             late=owner.late,
             speaks=owner.speaks,

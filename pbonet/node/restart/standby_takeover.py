@@ -20,7 +20,7 @@ original OFF; that is a new loss.
 from __future__ import annotations
 
 import logging
-import secrets
+import os
 import threading
 import time
 from typing import TYPE_CHECKING, Final, Protocol
@@ -230,7 +230,7 @@ class Takeovers:
         standby = one.standby
         order = one.order = one.order or m.Replaced(
             subsystem=standby.subsystem,
-            stop_id=secrets.token_hex(8),
+            stop_id=os.urandom(8).hex(),
             tasks={standby.rtpu: [standby.original]},
             timeout=TIME,
         )

@@ -16,7 +16,6 @@ from msgspec import Struct
 from pbonet.errors import UnknownTaskError, did_you_mean
 from pbonet.xm.net import Restart, TaskStatus
 
-from . import ranking
 from .claims import Claims, Entry
 
 if TYPE_CHECKING:
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from pbonet.config import Rmod
     from pbonet.node.wire import EventLog
 
+    from . import ranking
     from .fallbacks import Fallbacks
     from .task_handle import Task
 
@@ -128,7 +128,7 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
     """Return what an RTPU process knows of one of its tasks."""
     facts, ready = task.facts, task.ready
     pair = rtpu.fallbacks.of(task)
-    rank = rtpu.ranks.get((facts.subsystem, facts.name), _UNRANKED)
+    rank = rtpu.ranks.get((facts.subsystem, facts.name))
     return TaskSnapshot(
         subsystem=facts.subsystem,
         task=facts.name,
@@ -136,7 +136,7 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
         rmod=facts.rmod.name,
         tid=task.child.pid,
         S=letter(facts.rmod),
-        crit_assumed=rank.assumed,
+        crit_assumed=rank is None or rank.assumed,
         state=task.state.value,
         ref_f=task.freq,
         warn=task.warnings,
@@ -154,9 +154,6 @@ def of(rtpu: Home, task: Task) -> TaskSnapshot:
         restart=facts.restart,
         robot_interface=bool(ready and ready.info.get("robot_interface")),
     )
-
-
-_UNRANKED = ranking.Ranked(0, 0, assumed=True)
 
 
 def letter(rmod: Rmod) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
@@ -62,6 +61,8 @@ def _bounded(value: object) -> object:
 def _short(value: Any) -> Any:  # noqa: ANN401 - as JSON has it
     """Return a value with long texts and lists cut."""
     if isinstance(value, str) and len(value) > LONGEST_TEXT:
+        import hashlib  # brings OpenSSL, which an agent seldom needs
+
         digest = hashlib.sha256(value.encode()).hexdigest()
         return f"{value[:60]}... ({len(value)} characters, sha256 {digest})"
     if isinstance(value, dict):

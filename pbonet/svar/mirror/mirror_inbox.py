@@ -6,8 +6,6 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pbonet.errors import SvarError
 from pbonet.svar import layout, now_ns
 
@@ -56,7 +54,7 @@ class RemoteGroup:
         if news is None:
             return b""
         at = dict(_places(table, self.group.vars))[variable]
-        return news.data[at : at + np.dtype(record.dtype).itemsize * record.nelem]
+        return news.data[at : at + record.itemsize * record.nelem]
 
     def drop(self) -> None:
         """Release the variables; their values remain until a task takes over."""
@@ -117,7 +115,7 @@ class Machine:
             return False
         room = room_of(self._table, theirs.shown[0])
         seen = self._table.peek(theirs.shown[0], room)
-        return seen is not None and room.tobytes() == theirs.news.data
+        return seen is not None and bytes(room) == theirs.news.data
 
     def claims(self) -> dict[int, Claim]:
         """Return the claims of its groups, by variable."""
@@ -207,9 +205,8 @@ class Machine:
         if news is None or not theirs.shown:
             return
         if self.kept(theirs):
-            data = np.frombuffer(news.data, np.uint8)
             with contextlib.suppress(SvarError, ValueError):
-                self._table.put(theirs.shown[0], data, theirs.time_ns)
+                self._table.put(theirs.shown[0], news.data, theirs.time_ns)
             return
         local = theirs.local
         if local is None or not local.claimed:
@@ -227,8 +224,8 @@ class Machine:
             return
         for variable, at in _places(self._table, theirs.group.vars):
             if variable in theirs.shown:
-                array = local.array(variable)
-                array[:] = np.frombuffer(news.data, array.dtype, array.size, at)
+                memory = local.memory(variable)
+                memory[:] = news.data[at : at + memory.nbytes]
 
 
 def _time(now_ns: int, news: News, late_ns: int | None) -> int:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pbonet.errors import SvarDamagedError
 from pbonet.svar import PASSED_ON, layout, now_ns
 
 from .packets import Group, News
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from pbonet.svar import Table
 
     from .epochs import Epochs
@@ -111,7 +107,7 @@ class OwnGroup:
             if all(
                 update is not None and update[4:6] == first[4:6] for update in looks
             ):
-                data = b"".join(room.tobytes() for room in self._rooms)
+                data = b"".join(self._rooms)
                 return News(
                     self.uid, first[5], max(now_ns() - first[2], 0), first[3], data
                 )
@@ -137,8 +133,8 @@ class Outbox:
         self._kept: int | None = None
         """A variable in the keeper's register, and the last commit there."""
         self._kept_seq = -1
-        self._kept_room = np.zeros(0, np.uint8)
-        self._unset: list[tuple[int, NDArray[np.uint8]]] = []
+        self._kept_room = bytearray()
+        self._unset: list[tuple[int, bytearray]] = []
         """Variables that an operator may set and has not set yet."""
 
     def update(self, epochs: Epochs) -> bool:
@@ -154,7 +150,7 @@ class Outbox:
         found: dict[int, tuple[str, bool, list[int]]] = {}
         registers: dict[int, int] = {}
         for number, variable in enumerate(self._table.variables):
-            room = np.zeros(layout.var_bytes(variable), np.uint8)
+            room = bytearray(layout.var_bytes(variable))
             seen = self._table.peek(number, room)
             if seen is not None and seen[0] == 0 and self._keep:
                 self._kept, self._kept_seq, self._kept_room = number, seen[5], room
@@ -301,9 +297,9 @@ class Outbox:
         return False
 
 
-def room_of(table: Table, number: int) -> NDArray[np.uint8]:
-    """Return an array for a variable as stored in a group."""
-    return np.zeros(layout.var_bytes(table.variables[number]), np.uint8)
+def room_of(table: Table, number: int) -> bytearray:
+    """Return room for a variable as stored in a group."""
+    return bytearray(layout.var_bytes(table.variables[number]))
 
 
 def _pause(table: Table, variables: list[int]) -> int:

@@ -338,7 +338,7 @@ class Mirror:
         other = self.others.get(machine)
         if other is None or info.cycle:
             return False
-        here = self.table.read(variable).tobytes()
+        here = self.table.seen(variable)[0].tobytes()
         for theirs in other.groups.values():
             if variable in theirs.group.vars and theirs.news is not None:
                 same = theirs.value(self.table, variable)

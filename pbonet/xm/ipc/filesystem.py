@@ -11,7 +11,7 @@ appears as a whole when it is closed, or not at all.
 from __future__ import annotations
 
 import contextlib
-import secrets
+import os
 import shutil
 from datetime import UTC, datetime
 from pathlib import Path
@@ -362,7 +362,7 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
                 where=f"pbonet://{path}",
                 remedy="choose another name, or mode wb to replace it",
             )
-        self._part = secrets.token_hex(8)
+        self._part = os.urandom(8).hex()
         self._written = 0
         super().__init__(fs, path, mode, block_size, autocommit, **options)
         if mode == "rb" and self.details["type"] != "file":

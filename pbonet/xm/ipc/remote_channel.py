@@ -10,7 +10,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
-import secrets
 import select
 import sys
 import threading
@@ -83,7 +82,7 @@ class RemoteChannel:
     """
 
     def __init__(self, path: str, rtpu: str, subsystem: str) -> None:
-        self.name = f"{rtpu}-{os.getpid()}-{secrets.token_hex(4)}"
+        self.name = f"{rtpu}-{os.getpid()}-{os.urandom(4).hex()}"
         self._path, self._rtpu, self._subsystem = path, rtpu, subsystem
         self._codec = codec.Codec()
         self._own = threading.local()
@@ -245,7 +244,7 @@ def client(
         if not endpoints:
             error.remedy += f"; a program sets {CONNECT} instead"
         raise
-    made = Client(opened, domain, f"p{os.getpid()}-{secrets.token_hex(4)}")
+    made = Client(opened, domain, f"p{os.getpid()}-{os.urandom(4).hex()}")
     token = made.announce(key_expressions.customer(domain, made.name))
     atexit.register(_end, made, token)  # also keeps the token alive
     return made

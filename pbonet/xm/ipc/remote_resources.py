@@ -8,7 +8,7 @@ A client that was disconnected attaches again with its next operation.
 from __future__ import annotations
 
 import contextlib
-import secrets
+import os
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -117,7 +117,7 @@ class RemoteResource:
             until: Time-out, CLOCK_MONOTONIC nanoseconds; None for none.
             result: Type of the result.
         """
-        take, wait = secrets.token_hex(8), _left(until)
+        take, wait = os.urandom(8).hex(), _left(until)
         try:
             got = self.ask(lambda handle: make(handle, take, wait), result, wait=wait)
             if isinstance(got, r.Took) and got.code:

@@ -14,8 +14,6 @@ import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-import numpy as np
-
 from pbonet import shm
 from pbonet.errors import (
     XmDamagedError,
@@ -156,6 +154,8 @@ class Segment(shm.Closeable):
         Raises:
             XmLayoutError: The array does not fit.
         """
+        import numpy as np  # not in an agent, which only removes segments
+
         kind, count = np.dtype(dtype), int(np.prod(shape, dtype=np.int64))
         if offset < 0 or offset + kind.itemsize * count > self.size:
             raise XmLayoutError(

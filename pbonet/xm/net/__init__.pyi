@@ -24,7 +24,7 @@ from .codec import Codec as Codec, failure as failure
 from .decoders import convert as convert, decoder as decoder, prepare as prepare
 from .deliveries import Deliveries as Deliveries
 from .file_messages import FileWrite as FileWrite
-from .message_parts import Restart as Restart, VarValue as VarValue, plain as plain
+from .message_parts import Restart as Restart, VarValue as VarValue
 from .messages import (
     LAST_TICKET as LAST_TICKET,
     MOST_CALLERS as MOST_CALLERS,

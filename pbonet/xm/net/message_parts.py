@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from msgspec import Struct
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 Restart: TypeAlias = Literal["never", "off", "on"]
 """Treatment of a task whose RTPU process or machine was lost."""
-
-
-def plain(value: NDArray[Any]) -> list[float] | bytes:
-    """Return a variable's elements as sent in messages; ``bool`` becomes 0 and 1."""
-    if value.dtype.kind == "V":
-        return value.tobytes()
-    numbers: list[float] = (value + 0 if value.dtype.kind == "b" else value).tolist()
-    return numbers
 
 
 class ParamValue(Struct, kw_only=True):

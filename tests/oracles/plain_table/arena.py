@@ -13,8 +13,6 @@ import platform
 import struct
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pbonet.svar import ALIVE, FULL, RIVAL, Verdict
 
 from .flag import FLAG_BYTES, Flag, identity
@@ -130,7 +128,7 @@ class Arena(Flag):
         self._set_reg(0, _SLOTS, self.arena)
         self._set_reg(0, _STRIDE, _stride(self.keep_bytes))
         self._set_reg(0, _STATE, HELD)
-        self.commit(0, values[: self.keep_stamps].tobytes(), (0, 0))
+        self.commit(0, bytes(values[: self.keep_stamps]), (0, 0))
         entries = ((0, 0, self.keep_of(v)) for v in range(self.n_vars))
         self._publish(dict(enumerate(entries)))
         self._set(self.live + 8, 1)
@@ -436,7 +434,7 @@ class Arena(Flag):
         size = _stride(self.keep_bytes)
         self.map[new : new + size] = self.map[old : old + size]
         at = new + LINE + self.keep_of(v)
-        self.map[at : at + self.size_of(v)] = value.tobytes()[: self.size_of(v)]
+        self.map[at : at + self.size_of(v)] = bytes(value)[: self.size_of(v)]
         mark = new + LINE + self.keep_stamps + 16 * v
         times = struct.unpack_from("<Q", self.map, mark + 8)[0]
         struct.pack_into("<qQ", self.map, mark, now, times + 1)
@@ -466,7 +464,7 @@ class Arena(Flag):
         head = self.reg(reg, 0)
         where = self.slot(reg, head) + LINE + at
         size = self.size_of(v)
-        to[:size] = np.frombuffer(self.map[where : where + size], np.uint8)
+        memoryview(to)[:size] = self.map[where : where + size]
         time_ns, cycle = self.stamp(v, reg, head)
         return (
             reg,

@@ -62,12 +62,12 @@ class LocalTable:
         *_largest: int,
     ) -> None:
         self.arena = arena
-        self.data = data
+        self.data = np.frombuffer(data, np.uint8)
         self.keep = staging is not None
         self.plans: list[list[tuple[int, int]]] = [[], [], []]
         self.groups = [Group(), Group()]
         for group in self.groups:
-            group.data = data.data
+            group.data = self.data.data
         self.flags = self.cycles = self.out_uid = 0
         self.pairs: list[tuple[int, int]] = []
         self.fault = 0, 0
@@ -288,7 +288,7 @@ class LocalTable:
         if check.low is None or check.high is None:
             bad = ~np.isfinite(x)
         else:
-            low, high = check.low.view(dtype), check.high.view(dtype)
+            low, high = (np.frombuffer(one, dtype) for one in (check.low, check.high))
             bad = (x < low) | (x > high)
             if check.rule == _CLIP:
                 self.counts["clipped"] += int(bad.sum())

@@ -29,7 +29,7 @@ CASES = {
     "fleet": (["fleet"], NEVER | NODE),
     "set": (["set", str(PUMA / "puma.sbs"), "a", "b", "1"], NEVER | NODE | {"numpy"}),
 }
-MOST = {"version": 4, "completion": 45, "check": 116, "status": 88}
+MOST = {"version": 4, "completion": 45, "check": 118, "status": 88}
 """Modules of pbonet that are loaded at most; what adds one should need it."""
 
 
@@ -67,13 +67,33 @@ def test_status_asks_over_the_network():
     assert {"zenoh", "pbonet.xm.net.rpc"} <= modules
 
 
-@pytest.mark.slow
-def test_an_agent_loads_nothing_that_only_its_rtpu_process_needs():
-    """Each machine has one for each RTPU, and 3 MB more for asyncio and TLS."""
-    code = "import pbonet.node.agent.agent_main, sys; print('\\n'.join(sys.modules))"
+def imported(*names: str) -> set[str]:
+    """Return what is loaded once these modules are."""
+    code = f"import {', '.join(names)}, sys; print('\\n'.join(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    modules = set(done.stdout.splitlines())
+    return set(done.stdout.splitlines())
+
+
+@pytest.mark.slow
+def test_an_agent_loads_nothing_that_only_its_rtpu_process_needs():
+    """Each machine has one for each RTPU; numpy alone is 5 MB and 60 ms."""
+    modules = imported("pbonet.node.agent.agent_main")
     assert "pbonet.node.agent.rtpu_link" in modules
     assert not modules & {"asyncio", "ssl", "pbonet.node.rtpu.rtpu_state"}
+    assert not modules & {"numpy", "_hashlib", "tomllib", "pbonet.node.rtpu.ranking"}
+
+
+@pytest.mark.slow
+def test_a_run_loads_before_its_job_is_on_neither_numpy_nor_its_screen():
+    """`agents/test_master_run.py` shows the same of one that runs."""
+    console = "pbonet.master.console"
+    modules = imported(
+        f"{console}.run_agents",
+        f"{console}.run_job",
+        "pbonet.master.subsystem.assembly",
+        "pbonet.analysis.legality.verdict",
+    )
+    assert f"{console}.live_status" in modules
+    assert not modules & {"numpy", "rich", "logging", f"{console}.live_screen"}

@@ -66,6 +66,9 @@ def outcome(text, stale=()):
         ("COUNT*2 == 14", True),
         ("min(GRIP, 0.5, 15 [mm]) == 0.015", True),
         ("min(max(Q, 0.4)) == 0.4", True),
+        ("max(max(0.1, OLD, 3.5)) == 4 and min(max(0.1, OLD, 3.5)) == 3.5", True),
+        ("max(1, 2000 [mm], GRIP) == 2 [m]", True),
+        ("500 [mm] + max(1, 1500 [mm]) == 2 [m]", True),
         ("N != 0x3", False),
         ("1/(N - 3) > 0", False),
         ("FREE < 1 or FREE >= 1", False),
@@ -122,6 +125,19 @@ def test_what_is_older_than_its_maxage_answers_nothing():
             "lift.job:5:17: these have different numbers of elements (expected 3, or "
             "1, got Q, which has 6); take the elements that belong together, such as "
             "X[0:3]",
+        ),
+        (
+            "min(max(1, OLD*0, Q*0)) < 1",
+            "shape",
+            "lift.job:5:24: these have different numbers of elements (expected 3, or "
+            "1, got Q*0, which has 6); take the elements that belong together, such as "
+            "X[0:3]",
+        ),
+        (
+            "max(1, GRIP, Q[0]) < 1",
+            "unit",
+            "lift.job:5:19: different units cannot be compared or added (expected m, "
+            "got Q[0] in rad); correct UNITS in the .svar file, or the condition",
         ),
         (
             "Q[6] < 1",

@@ -6,6 +6,7 @@ from pbonet.errors import NoAnswerError
 from pbonet.master.console import (
     Call,
     find,
+    live_screen,
     live_status,
     summary,
     watch_status,
@@ -80,7 +81,7 @@ def test_a_task_that_died_has_no_rate_and_a_reason(capsys):
 
 def test_the_screen_shows_why_a_task_died():
     console = Console(width=160, record=True, force_terminal=True)
-    with live_status.Screen(console) as screen:
+    with live_screen.Screen(console) as screen:
         screen.show(5.1, [rtpu(task("lqr", "NOT-CREATED", 521, DIED))], [])
     shown = console.export_text()
     assert f"lqr: {DIED}" in shown
@@ -118,7 +119,7 @@ def test_watched_status_says_once_that_nobody_answers(capsys, monkeypatch):
 
 def test_columns_of_the_screen_may_be_chosen():
     console = Console(width=160, record=True, force_terminal=True)
-    with live_status.Screen(console, fields=["state", "refF"], end="so") as screen:
+    with live_screen.Screen(console, fields=["state", "refF"], end="so") as screen:
         screen.show(5.1, [rtpu(task("lqr", "ON", 521))], [])
     lines = [line.split() for line in console.export_text().splitlines()]
     assert ["task", "state", "refF"] in lines

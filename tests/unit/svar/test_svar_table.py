@@ -1,5 +1,6 @@
 """The table as one process sees it: values, names, provenance, what it refuses."""
 
+import math
 import os
 import struct
 import subprocess
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 import pbonet.svar
 from pbonet.config.model import Limit, Variable
@@ -23,7 +25,7 @@ from pbonet.errors import (
     SvarOwnerError,
     UnknownVariableError,
 )
-from pbonet.svar import Table, VarInfo
+from pbonet.svar import Table, VarInfo, layout
 
 ALL_TYPES = [*TYPES, "struct[24]"]
 
@@ -97,6 +99,38 @@ def test_every_type_keeps_its_values(kind):
         table.write("X", values)
         assert table.read("X").dtype == dtype
         assert table.read("X").tolist() == values
+
+
+@given(st.sampled_from(sorted(TYPES)), st.data())
+def test_values_are_stored_as_numpy_has_them(kind, data):
+    type_ = TYPES[kind]
+    low, high = type_.low, type_.high
+    if type_.is_float:
+        number = st.floats(low, high, width=8 * type_.size)
+    else:
+        number = st.integers(low, high)
+    values = data.draw(st.lists(number, max_size=5))
+    variable = Variable(name="X", type=kind, nelem=5)
+    expected = np.zeros(5, variable.dtype)
+    expected[: len(values)] = values
+    assert layout.values_of(variable, values, where="X").tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "got"),
+    [
+        ("byte", 256, "unsigned byte integer is greater than maximum"),
+        ("byte", -1, "unsigned byte integer is less than minimum"),
+        ("int", math.nan, "cannot convert float NaN to integer"),
+        ("int", 0.5, "a value that the type cannot hold exactly"),
+        ("bool", 2, "a value that the type cannot hold exactly"),
+        ("double", "1", "must be real number, not str"),
+    ],
+)
+def test_what_a_type_cannot_hold_is_refused(kind, value, got):
+    variable = Variable(name="X", type=kind)
+    with pytest.raises(SvarLayoutError, match=f"values of type {kind}, got {got}"):
+        layout.values_of(variable, [value], where="INIT")
 
 
 def test_a_large_variable_is_read_whole():
@@ -208,6 +242,25 @@ def test_finite_no_admits_nan(table):
 def changed(**fields):
     base = {"name": "X", "type": "double", "units": "m", "nelem": 2, "init": (1.0,)}
     return Table.layout_of([Variable(**{**base, **fields})])
+
+
+def test_layout_is_that_of_earlier_versions():
+    """Machines of two versions share a subsystem only if theirs are equal."""
+    kinds = ["byte", "char", "word", "short", "unsigned", "int", "float", "double"]
+    kinds += ["int64", "uint64", "bool"]
+    bounds = {"init": (1, 0, 1), "min": (0, 0, 0), "max": (1, 1, 1)}
+    variables = [
+        *(
+            Variable(name=f"V{n}", type=kind, nelem=3, **bounds)
+            for n, kind in enumerate(kinds)
+        ),
+        Variable(name="F", type="float", init=(0.1, 1e-50, 3e38), nelem=4, units="m"),
+        Variable(name="D", type="double", init=(-0.0, 0.1), nelem=2, maxage=0.5),
+        Variable(name="S", type="struct[12]", nelem=2),
+        Variable(name="BIG", type="uint64", init=(2**64 - 1,)),
+        Variable(name="NEG", type="char", init=(-128, 127), nelem=2),
+    ]
+    assert Table.layout_of(variables) == "123975956a510556c8ec3e33f253abee"
 
 
 def test_layout_is_equal_for_tables_that_mean_the_same():
