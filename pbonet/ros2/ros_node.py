@@ -9,8 +9,7 @@ import threading
 import time
 from collections import Counter
 from concurrent.futures import Future
-from functools import partial
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVarTuple, Unpack, cast
 
 import zenoh
 from zenoh import ext
@@ -26,6 +25,7 @@ from .wire_format import (
     Node,
     Qos,
     must_be_short,
+    packed,
     parse_token,
     tokens_of,
 )
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
     from .message_types import MessageTypes
     from .repeated_warnings import Warnings
+
+Given = TypeVarTuple("Given")
 
 _WAITING: Final = 32
 """Requests to services that wait at most; more are refused."""
@@ -89,8 +91,7 @@ class Publisher:
             data: The message in CDR.
             stamp_ns: When its content was made, nanoseconds since 1970.
         """
-        attachment = Attachment(next(self._numbers), stamp_ns, self._gid).pack()
-        self._put(data, attachment=attachment)
+        self._put(data, attachment=packed(next(self._numbers), stamp_ns, self._gid))
 
 
 class _Newest:
@@ -301,7 +302,7 @@ class RosNode:
         end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
 
         def safely(sample: zenoh.Sample, arrived: int) -> None:
-            self._safely(end.name, partial(take, sample, arrived))
+            self._safely(end.name, take, sample, arrived)
 
         newest = _Newest(safely, max_hz)
         self._ends.append(newest.end)
@@ -397,7 +398,7 @@ class RosNode:
         def run() -> None:
             while (item := requests.get()) is not None:
                 answer, end, query = item
-                self._safely(end.name, partial(self._reply, answer, end, query))
+                self._safely(end.name, self._reply, answer, end, query)
 
         self._ends.append(requests.end)
         self._start(run, name)
@@ -433,7 +434,7 @@ class RosNode:
             self._later.add(end.name, asked.gid, later)
             later.add_done_callback(
                 lambda done: self._safely(
-                    end.name, partial(self._respond, end, query, asked, done.result())
+                    end.name, self._respond, end, query, asked, done.result()
                 )
             )
         else:
@@ -456,10 +457,12 @@ class RosNode:
             back = asked._replace(stamp_ns=time.time_ns())
             query.reply(end.key, data, encoding=_CDR, attachment=back.pack())
 
-    def _safely(self, name: str, what: Callable[[], None]) -> None:
+    def _safely(
+        self, name: str, what: Callable[[Unpack[Given]], object], *given: *Given
+    ) -> None:
         """Call a function; the node outlives whatever a message does."""
         try:
-            what()
+            what(*given)
         except PbonetError as error:
             self.warnings.warn_of(name, error)
         except zenoh.ZError as error:
