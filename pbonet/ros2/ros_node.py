@@ -54,6 +54,9 @@ _OTHERS: Final = {
     Kind.SERVICE: Kind.CLIENT,
     Kind.CLIENT: Kind.SERVICE,
 }
+_KEPT: Final = 10_000
+"""Publishers, subscribers, services and clients of others that are kept at most; those
+beyond that are compared with what this node has when they come, and not later."""
 _END_TIME: Final = 2.0
 
 
@@ -233,6 +236,8 @@ class RosNode:
         self.session, self.types, self.warnings = session, types, warnings
         self.node = node._replace(session=str(session.info.zid()))
         self.ends: list[End] = []
+        self._others: dict[str, End] = {}
+        """By token; some were there before what this node has."""
         self._declared: list[Any] = []
         self._threads: list[threading.Thread] = []
         self._ends: list[Callable[[], None]] = []
@@ -361,6 +366,8 @@ class RosNode:
             qos.text,
         )
         self.ends.append(made)
+        for other in list(self._others.values()):
+            self._compare(made, other)
         return made
 
     def _declare(self, end: End) -> None:
@@ -374,21 +381,31 @@ class RosNode:
     # -- other nodes ------------------------------------------------------------------
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        """Tell of others that mean another type; their messages never come here."""
-        other = parse_token(str(sample.key_expr))
-        if sample.kind != zenoh.SampleKind.PUT or not isinstance(other, End):
+        """Compare an end of another node that has come with those of this one."""
+        token = str(sample.key_expr)
+        if sample.kind != zenoh.SampleKind.PUT:
+            self._others.pop(token, None)
             return
-        for own in self.ends:
-            if other.name != own.name or other.kind != _OTHERS[own.kind]:
-                continue
-            if (other.type, other.hash) != (own.type, own.hash):
-                what = "another definition" if other.type == own.type else other.type
-                self.warnings.warn(
-                    own.name,
-                    f"node {other.node.full_name} means {what}",
-                    f" (expected {own.type} {own.hash}, got {other.type} {other.hash})"
-                    "; no message passes",
-                )
+        other = parse_token(token)
+        if not isinstance(other, End):
+            return
+        if len(self._others) < _KEPT:
+            self._others[token] = other
+        for own in list(self.ends):
+            self._compare(own, other)
+
+    def _compare(self, own: End, other: End) -> None:
+        """Tell of an end that means another type; its messages never come here."""
+        if other.name != own.name or other.kind != _OTHERS[own.kind]:
+            return
+        if (other.type, other.hash) != (own.type, own.hash):
+            what = "another definition" if other.type == own.type else other.type
+            self.warnings.warn(
+                own.name,
+                f"node {other.node.full_name} means {what}",
+                f" (expected {own.type} {own.hash}, got {other.type} {other.hash})"
+                "; no message passes",
+            )
 
     # -- services ---------------------------------------------------------------------
 
