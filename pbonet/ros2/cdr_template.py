@@ -92,7 +92,7 @@ class Layout:
         self.mask = mask.tobytes()
         """255 for each byte that is the same in all messages, and 0 for others."""
         self.rest = (mask & _bytes_of(data)).tobytes()
-        """Those bytes, and 0 for others."""
+        """Bytes of the message that are the same in all, and 0 for others."""
         self.place = self._template.place
         """Returns where the numbers of a field begin; see `Template.place`."""
 
