@@ -36,7 +36,7 @@ _GLANCE_NS: Final = 1_000_000
 """Nanoseconds between checks of a table that is not expected to change."""
 _NEAR_NS: Final = 20_000
 """The same while a commit is expected."""
-_AWAKE_NS: Final = (100_000, 60_000) if len(os.sched_getaffinity(0)) > 1 else (0, 0)
+_AWAKE_NS: Final = (80_000, 20_000) if len(os.sched_getaffinity(0)) > 1 else (0, 0)
 """Nanoseconds before and after the time when a commit is expected in which the thread
 does not sleep, as to be woken takes longer than to copy. Commits come a little before
 that time, as it is the mean of when they were seen. Not on a machine of one core.

@@ -9,7 +9,8 @@ import threading
 import time
 from collections import Counter
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Final, TypeVarTuple, Unpack, cast
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import zenoh
 from zenoh import ext
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
     from .message_types import MessageTypes
     from .repeated_warnings import Warnings
-
-Given = TypeVarTuple("Given")
 
 _WAITING: Final = 32
 """Requests to services that wait at most; more are refused."""
@@ -305,11 +304,7 @@ class RosNode:
             max_hz: The highest rate, Hz.
         """
         end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
-
-        def safely(sample: zenoh.Sample, arrived: int) -> None:
-            self._safely(end.name, take, sample, arrived)
-
-        newest = _Newest(safely, max_hz)
+        newest = _Newest(partial(self._safely, end.name, take), max_hz)
         self._ends.append(newest.end)
         self._start(newest.run, f"ros {topic}")
         handler = direct(newest.put)
@@ -474,9 +469,7 @@ class RosNode:
             back = asked._replace(stamp_ns=time.time_ns())
             query.reply(end.key, data, encoding=_CDR, attachment=back.pack())
 
-    def _safely(
-        self, name: str, what: Callable[[Unpack[Given]], object], *given: *Given
-    ) -> None:
+    def _safely(self, name: str, what: Callable[..., object], *given: object) -> None:
         """Call a function; the node outlives whatever a message does."""
         try:
             what(*given)

@@ -311,10 +311,15 @@ class Incoming:
         """
         payload, attachment = sample.payload, sample.attachment  # each a new object
         must_be_short(len(payload))
+        sent = None
         if attachment is not None:
-            self._count(Attachment.unpack(attachment.to_bytes()))
-        stamp_ns = self._read(payload.to_bytes())
-        self._writer.write(arrived - self._age(stamp_ns, arrived))
+            sent = Attachment.unpack(attachment.to_bytes())
+        try:
+            stamp_ns = self._read(payload.to_bytes())
+            self._writer.write(arrived - self._age(stamp_ns, arrived))
+        finally:  # after the reader was woken
+            if sent is not None:
+                self._count(sent)
 
     def _read(self, data: bytes) -> int:
         """Copy the numbers of a message; return its header's stamp.
