@@ -321,6 +321,22 @@ def test_what_has_the_layout_of_an_earlier_message_is_not_decoded(
         assert taker.stamp_ns == nanoseconds(stamp)
 
 
+@pytest.mark.parametrize(
+    "kind", [f"{sign}nt{bits}" for sign in ("I", "UI") for bits in (8, 16, 32, 64)]
+)
+def test_numbers_of_every_type_are_copied_natively(types, kind) -> None:
+    name, dtype = f"std_msgs/msg/{kind}MultiArray", np.dtype(kind.lower())
+    limits = [np.iinfo(dtype).min, np.iinfo(dtype).max, 7]
+    message, to = types.new(name), np.zeros(2)
+    message.data = np.zeros(3, dtype)
+    about = Subscribe(topic="t", type=name, link="l", fields=["data[0:2]"])
+    record = reading(types, about, "here")
+    taker = record.taker(types, name, types.encode(name, message), to)
+    message.data = np.array(limits, dtype)
+    assert taker.take(types.encode(name, message))
+    assert to.tolist() == [float(one) for one in limits[:2]]
+
+
 def test_no_number_is_copied_from_or_to_another_place() -> None:
     here, kind = np.zeros(2), np.dtype("f8")
     with pytest.raises(ValueError, match="numbers do not fit the message"):
