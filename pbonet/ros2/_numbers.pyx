@@ -84,8 +84,8 @@ cdef class Taker:
         self.mask, self.rest, self.kept, self.stamp = mask, rest, [parts, to], stamp
         self.n = len(parts)
         self.parts = <ros_part *>room(self.kept, self.n * sizeof(ros_part))
-        must_fit(len(rest) == len(mask) and stamp + <Py_ssize_t>TIME <= <Py_ssize_t>size,
-                 "mask and stamp")
+        must_fit(len(rest) == len(mask), "the bytes that stay")
+        must_fit(stamp < 0 or stamp + TIME <= size, "stamps")
         for i, (first, end, at, count, dtype, order) in enumerate(parts):
             must_fit(at + count * dtype.itemsize <= size and 0 <= first <= end <= to.size
                      and to.dtype == float and to.flags.c_contiguous, "numbers")

@@ -31,10 +31,15 @@ ROS_COPY(ros_copy_f4, float)
 ROS_COPY(ros_copy_f8, double)
 #undef ROS_COPY
 
+/* Any byte but 0 is true, as it is when the message is decoded. */
+static void ros_copy_b(double *to, const char *at, const uint32_t *order, size_t n) {
+    for (size_t i = 0; i < n; i++) to[i] = at[order ? order[i] : i] != 0;
+}
+
 /* How to copy numbers of a kind (of numpy: b, i, u, f) and size in bytes; NULL: unknown. */
 static inline ros_copy *ros_copy_of(char kind, size_t bytes) {
     static const struct { char kind; size_t bytes; ros_copy *copy; } known[] = {
-        {'b', 1, ros_copy_u1}, {'i', 1, ros_copy_i1}, {'i', 2, ros_copy_i2},
+        {'b', 1, ros_copy_b}, {'i', 1, ros_copy_i1}, {'i', 2, ros_copy_i2},
         {'i', 4, ros_copy_i4}, {'i', 8, ros_copy_i8}, {'u', 1, ros_copy_u1},
         {'u', 2, ros_copy_u2}, {'u', 4, ros_copy_u4}, {'u', 8, ros_copy_u8},
         {'f', 4, ros_copy_f4}, {'f', 8, ros_copy_f8},

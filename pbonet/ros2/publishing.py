@@ -101,6 +101,7 @@ class Filling:
         stamps = list(_headers(types, about.type, self._message))
         for header in stamps:
             header.frame_id = about.frame or header.frame_id
+            header.stamp.sec = 0  # its place is found by what stands there
         for leaf, share in plan:
             field_paths.clear(self._message, leaf, share.end - share.first)
         template = Template(types, about.type, self._message)

@@ -204,6 +204,13 @@ def test_a_number_that_does_not_fit_is_not_sent(
         np.testing.assert_allclose(got, bool(number) if name == "Bool" else number, 0.2)
 
 
+def test_a_constant_does_not_move_the_stamp(types) -> None:
+    """Places are found by bytes that differ from these, of which 17 is one."""
+    name, about = "geometry_msgs/msg/Vector3Stamped", {"header.stamp.sec": 17}
+    got = filled(types, name, {"vector": "Q_MEZ"}, constants=about, frame="base")
+    assert (got.header.frame_id, got.header.stamp.sec) == ("base", STAMP // 10**9)
+
+
 @pytest.mark.parametrize("constants", [{"name": 3}, {"nothing": 1}, {"name": [1]}])
 def test_constants_must_fit(types, constants) -> None:
     with pytest.raises(ConfigError, match="the constant"):
@@ -337,20 +344,57 @@ def test_numbers_of_every_type_are_copied_natively(types, kind) -> None:
     assert to.tolist() == [float(one) for one in limits[:2]]
 
 
-def test_no_number_is_copied_from_or_to_another_place() -> None:
-    here, kind = np.zeros(2), np.dtype("f8")
+@pytest.mark.parametrize(
+    ("number", "raw", "expected"),
+    [
+        ("Bool", b"\1", 1.0),
+        ("Bool", b"\2", 1.0),
+        ("Int8", b"\xff", -1.0),
+        ("Int16", b"\xfe\xff", -2.0),
+        ("Float32", b"\0\0\xc0\x3f", 1.5),
+    ],
+)
+def test_the_layout_of_a_short_message_is_learnt(types, number, raw, expected) -> None:
+    """Shorter ones than a stamp have none; any byte but 0 is true."""
+    name = f"std_msgs/msg/{number}"
+    link = Link(types, name, fields=["data"])
+    with contextlib.closing(link.end):
+        link.take(types.new(name))
+        assert link.end._taker
+        link.end._types = None  # nothing more is decoded
+        link.take(None, raw=b"\0\1\0\0" + raw)
+        assert link.end._writer.value.tolist() == [expected]
+
+
+@pytest.mark.parametrize(
+    ("first", "end", "place", "order"),
+    [(0, 2, 5, None), (1, 3, 4, None), (0, 1, 4, None), (0, 2, 4, [0, 2])],
+)
+def test_no_number_is_copied_from_or_to_another_place(first, end, place, order) -> None:
+    kind, places = np.dtype("f8"), order and np.array(order, np.uint32)
+    part = Slice(first, end, place, 2, kind, places)
+    with pytest.raises(ValueError, match="do not fit the message"):
+        Taker(bytes(20), bytes(20), [part], np.zeros(2), -1)
+
+
+def test_no_place_is_outside_of_the_message() -> None:
+    here = np.zeros(2)
+    Filler(bytearray(24), [(8, here)], [16])
+    Taker(bytes(20), bytes(20), [], here, 12)
     with pytest.raises(ValueError, match="numbers do not fit the message"):
-        Filler(bytearray(20), [(8, here)], [])
+        Filler(bytearray(23), [(8, here)], [])
+    with pytest.raises(ValueError, match="numbers do not fit the message"):
+        Filler(bytearray(24), [(8, np.zeros(4)[::2])], [])
     with pytest.raises(ValueError, match="stamps do not fit the message"):
-        Filler(bytearray(10), [], [4])
-    for first, end, place, order in (
-        (0, 2, 8, None),
-        (1, 3, 4, None),
-        (0, 2, 4, np.array([0, 2], np.uint32)),
-    ):
-        part = Slice(first, end, place, 2, kind, order)
-        with pytest.raises(ValueError, match="do not fit the message"):
-            Taker(bytes(20), bytes(20), [part], here, -1)
+        Filler(bytearray(11), [], [4])
+    with pytest.raises(ValueError, match="stamps do not fit the message"):
+        Taker(bytes(20), bytes(20), [], here, 13)
+    with pytest.raises(ValueError, match="bytes that stay do not fit the message"):
+        Taker(bytes(20), bytes(19), [], here, -1)
+    part = Slice(0, 2, 4, 2, np.dtype("f8"), None)
+    for to in (np.zeros(2, "f4"), np.zeros(4)[::2]):
+        with pytest.raises(ValueError, match="numbers do not fit the message"):
+            Taker(bytes(20), bytes(20), [part], to, -1)
 
 
 def test_a_sender_that_encodes_otherwise_is_decoded(types) -> None:
@@ -359,6 +403,12 @@ def test_a_sender_that_encodes_otherwise_is_decoded(types) -> None:
     other_order = b"\0\0\0\0" + np.array([1.5], ">f8").tobytes()
     record = reading(types, about, "here")
     assert record.taker(types, name, other_order, np.empty(1)) is None
+    link = Link(types, name, fields=["data"])
+    with contextlib.closing(link.end):
+        link.take(types.new(name))
+        assert link.end._taker, "the layout of another sender"
+        link.take(None, raw=other_order)
+        assert link.end._writer.value.tolist() == [1.5]
 
 
 def test_a_field_named_header_may_be_something_else() -> None:
