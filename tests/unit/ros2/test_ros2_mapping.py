@@ -554,6 +554,19 @@ def test_what_is_not_finite_is_refused(types, link, bad) -> None:
         assert not reader.read(), "nor one whose layout is known"
 
 
+@pytest.mark.parametrize("field", ["x", "y", "z"])
+def test_no_field_of_a_known_layout_may_be_not_finite(types, field) -> None:
+    name = "geometry_msgs/msg/Vector3"
+    link = Link(types, name, fields=["x", "y", "z"])
+    with contextlib.closing(link.end):
+        message = types.new(name)
+        link.take(message)
+        assert link.end._taker
+        setattr(message, field, np.inf)
+        with pytest.raises(ProtocolError, match=f"{field} is not finite"):
+            link.take(message)
+
+
 @pytest.mark.parametrize("stamp", ["arrival", "header"])
 def test_the_age_of_a_message_that_has_waited_begins_at_its_arrival(
     types, stamp
