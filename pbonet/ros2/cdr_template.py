@@ -33,16 +33,17 @@ class Template:
 
     def __init__(self, types: MessageTypes, name: str, message: object) -> None:
         self._types, self._name, self._message = types, name, message
-        self._bytes = bytearray(types.encode(name, message))
+        self.bytes = bytearray(types.encode(name, message))
+        """The message as it stands."""
 
-    def numbers(
+    def place(
         self,
         owner: Any,  # noqa: ANN401 - a message, by its type
         field: str,
         dtype: str,
         size: int | None,
-    ) -> NDArray[Any]:
-        """Return the numbers of a field, as they stand in the encoded message.
+    ) -> int:
+        """Return where the numbers of a field begin in the encoded message.
 
         Args:
             owner: The message that has the field: the whole one, or one in it.
@@ -50,22 +51,11 @@ class Template:
             dtype: The type of its numbers.
             size: How many it has; None if it is no array.
         """
-        kind = np.dtype(dtype)
         before = getattr(owner, field)
-        setattr(owner, field, _marked(kind, size, _MARK))
+        setattr(owner, field, _marked(np.dtype(dtype), size, _MARK))
         marked = self._types.encode(self._name, self._message)
         setattr(owner, field, before)
-        differs = _bytes_of(marked) != _bytes_of(self._bytes)
-        count = 1 if size is None else size
-        return np.ndarray(count, kind, self._bytes, int(differs.argmax()))
-
-    def offset_of(self, numbers: NDArray[Any]) -> int:
-        """Return where numbers of the message begin in it."""
-        return numbers.ctypes.data - _bytes_of(self._bytes).ctypes.data
-
-    def copy(self) -> bytes:
-        """Return the message as it stands."""
-        return bytes(self._bytes)
+        return int((_bytes_of(marked) != _bytes_of(self.bytes)).argmax())
 
 
 class Layout:
@@ -96,22 +86,15 @@ class Layout:
         marked = _bytes_of(types.encode(name, message))
         _fill(types, name, message, _OTHER)
         self._template = Template(types, name, message)
-        same = marked == _bytes_of(self._template.copy())
-        self._mask = int.from_bytes((same * np.uint8(0xFF)).tobytes(), "little")
-        self._rest = int.from_bytes(data, "little") & self._mask
-
-    def place(self, owner: Any, field: str, dtype: str, size: int | None) -> int:  # noqa: ANN401
-        """Return where the numbers of a field begin; see `Template.numbers`."""
-        found = self._template.numbers(owner, field, dtype, size)
-        return self._template.offset_of(found)
-
-    def fits(self, data: bytes) -> bool:
-        """Return whether a message has this layout."""
-        return (
-            self.is_known
-            and len(data) == self._size
-            and int.from_bytes(data, "little") & self._mask == self._rest
-        )
+        same = marked == _bytes_of(self._template.bytes)
+        mask = np.zeros(len(data), np.uint8)
+        mask[: len(same)] = same[: len(data)] * np.uint8(0xFF)
+        self.mask = mask.tobytes()
+        """255 for each byte that is the same in all messages, and 0 for others."""
+        self.rest = (mask & _bytes_of(data)).tobytes()
+        """Bytes of the message that are the same in all, and 0 for others."""
+        self.place = self._template.place
+        """Returns where the numbers of a field begin; see `Template.place`."""
 
 
 def _fill(types: MessageTypes, name: str, message: Any, mark: bytes) -> None:  # noqa: ANN401

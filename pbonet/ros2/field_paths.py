@@ -241,12 +241,17 @@ def clear(message: Any, leaf: Leaf, size: int) -> None:  # noqa: ANN401
     setattr(owner, last, zeros[0].item() if leaf.field.size is None else zeros)
 
 
-def place(template: Template, message: Any, leaf: Leaf, share: Share) -> NDArray[Any]:  # noqa: ANN401
-    """Return the numbers of a leaf as they stand in its message's template."""
+def place(
+    template: Template,
+    message: Any,  # noqa: ANN401
+    leaf: Leaf,
+    share: Share,
+) -> tuple[int, np.dtype[Any]]:
+    """Return where the numbers of a leaf stand in its message, and their type."""
     owner, last = _owner(message, leaf)
-    single = leaf.field.size is None
-    size = None if single else share.end - share.first
-    return template.numbers(owner, last, dtype_of(leaf.field.type), size)
+    kind = dtype_of(leaf.field.type)
+    size = None if leaf.field.size is None else share.end - share.first
+    return template.place(owner, last, kind, size), np.dtype(kind)
 
 
 def _owner(message: Any, leaf: Leaf) -> tuple[Any, str]:  # noqa: ANN401
@@ -399,7 +404,7 @@ class Slice(NamedTuple):
     size: int
     """Elements there."""
     dtype: np.dtype[Any]
-    order: NDArray[np.intp] | None
+    order: NDArray[np.uint32] | None
     """Which of them; None: all."""
 
 
@@ -426,7 +431,8 @@ def slices(
         place = layout.place(owner, last, dtype.name, size)
         end = first + one.size
         if one.by_joint and order is not None:
-            found.append(Slice(first, end, place, size or 1, dtype, order))
+            places = order.astype(np.uint32)
+            found.append(Slice(first, end, place, size or 1, dtype, places))
         else:
             place += one.leaf.span.first * dtype.itemsize if one.leaf.span else 0
             found.append(Slice(first, end, place, one.size, dtype, None))

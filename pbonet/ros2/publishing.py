@@ -6,12 +6,15 @@ import os
 import threading
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+import numpy as np
 
 from pbonet.errors import ConfigError, PbonetError, SvarError, SvarMissingError
 from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 
 from . import field_paths
+from ._numbers import Filler
 from .cdr_template import Template
 from .message_types import HEADER
 
@@ -57,7 +60,9 @@ _LONGEST_NS: Final = 200_000_000
 _AGAIN: Final = 0.2
 _PAUSED: Final = "it is paused: a variable is stale, or was never written"
 _NO_TABLE: Final = "the subsystem is not open on this machine; it is waited for"
-_BAD: Final = Flags.COPY_LOST | Flags.TABLE_OVERWRITTEN
+_STALE: Final = int(Flags.COPY_STALE)
+"""An integer, as to combine a flag with one takes longer than to encode a message."""
+_BAD: Final = int(Flags.COPY_LOST | Flags.TABLE_OVERWRITTEN)
 
 
 class Filling:
@@ -96,19 +101,17 @@ class Filling:
         stamps = list(_headers(types, about.type, self._message))
         for header in stamps:
             header.frame_id = about.frame or header.frame_id
+            header.stamp.sec = 0  # its place is found by what stands there
         for leaf, share in plan:
             field_paths.clear(self._message, leaf, share.end - share.first)
-        self._template = Template(types, about.type, self._message)
+        template = Template(types, about.type, self._message)
+        self._message_bytes = template.bytes
         self._numbers = [
-            (field_paths.place(self._template, self._message, leaf, share), share, leaf)
+            (*field_paths.place(template, self._message, leaf, share), share, leaf)
             for leaf, share in plan
         ]
         self._stamps = [
-            (
-                self._template.numbers(header.stamp, "sec", "int32", None),
-                self._template.numbers(header.stamp, "nanosec", "uint32", None),
-            )
-            for header in stamps
+            template.place(header.stamp, "sec", "int32", None) for header in stamps
         ]
 
     def _set(self, path: str, value: Plain | list[Plain], where: str) -> None:
@@ -130,26 +133,43 @@ class Filling:
                 got=repr(value),
             ) from None
 
-    def encode(self, values: dict[str, NDArray[Any]], stamp_ns: int) -> bytes:
-        """Return the message with these values, in CDR.
+    def of(self, values: dict[str, NDArray[Any]]) -> Message:
+        """Return the message of these values, whatever they are when it is encoded.
 
         Args:
             values: The values of `variables`.
+        """
+        casts: list[tuple[NDArray[Any], NDArray[Any], Leaf]] = []
+        parts: list[tuple[int, NDArray[Any]]] = []
+        for place, dtype, share, leaf in self._numbers:
+            given = values[share.variable][share.first : share.end]
+            numbers = given
+            if given.dtype is not dtype:
+                numbers = np.empty(given.shape, dtype)
+                casts.append((given, numbers, leaf))
+            parts.append((place, numbers))
+        return Message(Filler(self._message_bytes, parts, self._stamps), casts)
+
+
+class Message(NamedTuple):
+    """A message of values that change."""
+
+    filler: Filler
+    casts: list[tuple[NDArray[Any], NDArray[Any], Leaf]]
+    """Values of another type than their fields, and the numbers that they become."""
+
+    def encode(self, stamp_ns: int) -> bytes:
+        """Return it with the values as they are now, in CDR.
+
+        Args:
             stamp_ns: When they were made, nanoseconds since 1970.
 
         Raises:
             ProtocolError: A number does not fit its field.
         """
-        for numbers, share, leaf in self._numbers:
-            given = values[share.variable][share.first : share.end]
-            numbers[:] = (
-                given
-                if given.dtype is numbers.dtype
-                else field_paths.cast(given, numbers.dtype, leaf)
-            )
-        for seconds, nanoseconds in self._stamps:
-            seconds[0], nanoseconds[0] = divmod(stamp_ns, 1_000_000_000)
-        return self._template.copy()
+        for given, numbers, leaf in self.casts:
+            numbers[:] = field_paths.cast(given, numbers.dtype, leaf)
+        return self.filler.fill(stamp_ns)
 
 
 def _shared(
@@ -186,8 +206,6 @@ def _shared(
 
 def _as(before: object, value: Plain | list[Plain]) -> object:
     """Return a constant as its field has it."""
-    import numpy as np
-
     if isinstance(before, np.ndarray):
         array = cast("NDArray[Any]", before)
         return np.array(value, array.dtype)
@@ -229,7 +247,7 @@ class Outgoing:
         self.filling, self.publisher, self._warnings = filling, publisher, warnings
         self._pause_ns = int(1e9 / max_hz * _SOON)
         self._local: LocalTable | None = None
-        self._values: dict[str, NDArray[Any]] = {}
+        self._message: Message | None = None
         self._places: list[int] = []
         self._sent: list[tuple[int, int]] = []
         self._paused = False
@@ -244,7 +262,7 @@ class Outgoing:
         self._local = local = table.local("ros2", os.getpid(), invar=names)
         self._places = [table.index(name) for name in names]
         local.keep_fresh({place: Freshness() for place in self._places})
-        self._values = {name: local.array(name) for name in names}
+        self._message = self.filling.of({name: local.array(name) for name in names})
         self._sent = self.copied = []
 
     @property
@@ -254,21 +272,21 @@ class Outgoing:
 
     def prepare(self) -> None:
         """Encode for nothing: code that has not run for long takes twice the time."""
-        if self._sent:
+        if self._sent and self._message is not None:
             with suppress(PbonetError):  # `turn` warns of it
-                self.filling.encode(self._values, 0)
+                self._message.encode(0)
 
     def turn(self, now: int) -> None:
         """Publish the variables if one has changed, none is too old, and it is time."""
-        local = self._local
-        if local is None or local.copy_in() & _BAD:
+        local, message = self._local, self._message
+        if local is None or message is None or local.copy_in() & _BAD:
             return
         self.copied = local.pairs
         if not self.behind or now < self.due_ns:
             return
         self._sent = self.copied
         ages_ns = [local.age_ns(place) for place in self._places]
-        if local.flags & Flags.COPY_STALE or min(ages_ns) < 0:
+        if local.flags & _STALE or min(ages_ns) < 0:
             self._warnings.warn(self.publisher.end.name, _PAUSED)
             self._paused = True
             return
@@ -277,7 +295,7 @@ class Outgoing:
             self._paused = False
         self.due_ns = now + self._pause_ns
         stamp_ns = time.time_ns() - max(ages_ns)
-        self.publisher.put(self.filling.encode(self._values, stamp_ns), stamp_ns)
+        self.publisher.put(message.encode(stamp_ns), stamp_ns)
 
 
 class TablePublisher:
@@ -379,15 +397,14 @@ class TablePublisher:
 
     def _publish(self, one: Outgoing, now: int) -> None:
         """Publish a topic if it is time; the others go on whatever it does."""
-        name = one.publisher.end.name
         try:
             one.turn(now)
         except SvarError:
             raise
         except PbonetError as error:
-            self._warnings.warn_of(name, error)
+            self._warnings.warn_of(one.publisher.end.name, error)
         except Exception as error:  # noqa: BLE001 - see above
-            self._warnings.failed(name, error)
+            self._warnings.failed(one.publisher.end.name, error)
 
     def _numbers(self) -> dict[int, int]:
         """Return the number of the newest commit that was copied, by register."""
@@ -412,9 +429,6 @@ class TablePublisher:
             (self._heads[uid], n) for uid, n in known.items() if uid in self._heads
         ]
         self._watch.add(arena, self._generation, arena.changes, heads)
-        if self._period_ns:
-            for one in self._outgoing:
-                one.prepare()
         now = now_ns()
         due = [one.due_ns for one in self._outgoing if one.behind]
         until = min([now + _LONGEST_NS, *due])
@@ -429,9 +443,18 @@ class TablePublisher:
             (expected + _LATE * self._period_ns, _NEAR_NS),
             (until, _GLANCE_NS),
         )
-        return any(
-            self._watch.sleep(round(min(end, until)), pause) for end, pause in phases
-        )
+        for end, pause_ns in phases:
+            if not pause_ns:
+                self._prepare()
+            if self._watch.sleep(round(min(end, until)), pause_ns):
+                return True
+        return False
+
+    def _prepare(self) -> None:
+        """Do for nothing what a commit that comes at any moment needs."""
+        if self._period_ns:
+            for one in self._outgoing:
+                one.prepare()
 
     def _measure(self, now: int, steps: int) -> None:
         """Take note of some commits, to expect the next one.

@@ -26,6 +26,7 @@ from .wire_format import (
     Node,
     Qos,
     must_be_short,
+    packed,
     parse_token,
     tokens_of,
 )
@@ -52,6 +53,9 @@ _OTHERS: Final = {
     Kind.SERVICE: Kind.CLIENT,
     Kind.CLIENT: Kind.SERVICE,
 }
+_KEPT: Final = 10_000
+"""Publishers, subscribers, services and clients of others that are kept at most; those
+beyond that are compared with what this node has when they come, and not later."""
 _END_TIME: Final = 2.0
 
 
@@ -89,8 +93,7 @@ class Publisher:
             data: The message in CDR.
             stamp_ns: When its content was made, nanoseconds since 1970.
         """
-        attachment = Attachment(next(self._numbers), stamp_ns, self._gid).pack()
-        self._put(data, attachment=attachment)
+        self._put(data, attachment=packed(next(self._numbers), stamp_ns, self._gid))
 
 
 class _Newest:
@@ -232,6 +235,8 @@ class RosNode:
         self.session, self.types, self.warnings = session, types, warnings
         self.node = node._replace(session=str(session.info.zid()))
         self.ends: list[End] = []
+        self._others: dict[str, End] = {}
+        """By token; some were there before what this node has."""
         self._declared: list[Any] = []
         self._threads: list[threading.Thread] = []
         self._ends: list[Callable[[], None]] = []
@@ -299,11 +304,7 @@ class RosNode:
             max_hz: The highest rate, Hz.
         """
         end = self._end(Kind.SUBSCRIBER, topic, kind, qos)
-
-        def safely(sample: zenoh.Sample, arrived: int) -> None:
-            self._safely(end.name, partial(take, sample, arrived))
-
-        newest = _Newest(safely, max_hz)
+        newest = _Newest(partial(self._safely, end.name, take), max_hz)
         self._ends.append(newest.end)
         self._start(newest.run, f"ros {topic}")
         handler = direct(newest.put)
@@ -360,6 +361,8 @@ class RosNode:
             qos.text,
         )
         self.ends.append(made)
+        for other in list(self._others.values()):
+            self._compare(made, other)
         return made
 
     def _declare(self, end: End) -> None:
@@ -373,21 +376,31 @@ class RosNode:
     # -- other nodes ------------------------------------------------------------------
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        """Tell of others that mean another type; their messages never come here."""
-        other = parse_token(str(sample.key_expr))
-        if sample.kind != zenoh.SampleKind.PUT or not isinstance(other, End):
+        """Compare an end of another node that has come with those of this one."""
+        token = str(sample.key_expr)
+        if sample.kind != zenoh.SampleKind.PUT:
+            self._others.pop(token, None)
             return
-        for own in self.ends:
-            if other.name != own.name or other.kind != _OTHERS[own.kind]:
-                continue
-            if (other.type, other.hash) != (own.type, own.hash):
-                what = "another definition" if other.type == own.type else other.type
-                self.warnings.warn(
-                    own.name,
-                    f"node {other.node.full_name} means {what}",
-                    f" (expected {own.type} {own.hash}, got {other.type} {other.hash})"
-                    "; no message passes",
-                )
+        other = parse_token(token)
+        if not isinstance(other, End):
+            return
+        if len(self._others) < _KEPT:
+            self._others[token] = other
+        for own in list(self.ends):
+            self._compare(own, other)
+
+    def _compare(self, own: End, other: End) -> None:
+        """Tell of an end that means another type; its messages never come here."""
+        if other.name != own.name or other.kind != _OTHERS[own.kind]:
+            return
+        if (other.type, other.hash) != (own.type, own.hash):
+            what = "another definition" if other.type == own.type else other.type
+            self.warnings.warn(
+                own.name,
+                f"node {other.node.full_name} means {what}",
+                f" (expected {own.type} {own.hash}, got {other.type} {other.hash})"
+                "; no message passes",
+            )
 
     # -- services ---------------------------------------------------------------------
 
@@ -397,7 +410,7 @@ class RosNode:
         def run() -> None:
             while (item := requests.get()) is not None:
                 answer, end, query = item
-                self._safely(end.name, partial(self._reply, answer, end, query))
+                self._safely(end.name, self._reply, answer, end, query)
 
         self._ends.append(requests.end)
         self._start(run, name)
@@ -433,7 +446,7 @@ class RosNode:
             self._later.add(end.name, asked.gid, later)
             later.add_done_callback(
                 lambda done: self._safely(
-                    end.name, partial(self._respond, end, query, asked, done.result())
+                    end.name, self._respond, end, query, asked, done.result()
                 )
             )
         else:
@@ -456,10 +469,10 @@ class RosNode:
             back = asked._replace(stamp_ns=time.time_ns())
             query.reply(end.key, data, encoding=_CDR, attachment=back.pack())
 
-    def _safely(self, name: str, what: Callable[[], None]) -> None:
+    def _safely(self, name: str, what: Callable[..., object], *given: object) -> None:
         """Call a function; the node outlives whatever a message does."""
         try:
-            what()
+            what(*given)
         except PbonetError as error:
             self.warnings.warn_of(name, error)
         except zenoh.ZError as error:

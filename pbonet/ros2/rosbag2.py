@@ -125,10 +125,20 @@ def _messages(
     places = np.concatenate([np.arange(len(one)) for one in times])
     tasks = np.repeat(np.arange(len(times)), [len(one) for one in times])
     at = np.concatenate(times)
-    values: dict[str, NDArray[Any]] = {}
+    values = {
+        name: np.empty(rows.shape[1:], rows.dtype)
+        for own in columns
+        for name, rows in own.items()
+    }
+    missing = names.difference(values)
+    if missing:
+        return
+    message, missing = filling.of(values), names
     for k in np.argsort(at, kind="stable").tolist():
-        row = int(places[k])
-        values |= {name: rows[row] for name, rows in columns[int(tasks[k])].items()}
-        if len(values) == len(names):
+        row, written = int(places[k]), columns[int(tasks[k])]
+        for name, rows in written.items():
+            values[name][:] = rows[row]
+        missing = missing.difference(written)
+        if not missing:
             time_ns = int(at[k])
-            yield time_ns, which, filling.encode(values, time_ns)
+            yield time_ns, which, message.encode(time_ns)

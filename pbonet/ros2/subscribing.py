@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -14,6 +13,7 @@ from pbonet.errors import ConfigError, ProtocolError
 from pbonet.svar import now_ns
 
 from . import field_paths
+from ._numbers import Taker
 from .cdr_template import Layout
 from .message_types import HEADER, TRAJECTORY, nanoseconds, seconds
 from .wire_format import Attachment, must_be_short
@@ -36,7 +36,6 @@ _SHOWN: Final = 10
 """Numbers that a warning shows."""
 _SENDERS: Final = 100
 """Senders of a topic whose numbers are kept."""
-_STAMP: Final = struct.Struct("=iI")
 _LEARN_NS: Final = 100_000_000
 """Nanoseconds after which another layout of messages is learnt."""
 _LEARNT: Final = 4096
@@ -91,8 +90,10 @@ class Selection:
             to[at : at + one.size] = field_paths.numbers(message, one, order)
             at += one.size
 
-    def known(self, types: MessageTypes, name: str, data: bytes) -> _KnownLayout | None:
-        """Return how to read messages like this one without decoding them.
+    def taker(
+        self, types: MessageTypes, name: str, data: bytes, to: NDArray[np.float64]
+    ) -> Taker | None:
+        """Return what copies numbers of messages like this one without decoding them.
 
         None: its sender encodes otherwise than rosbags.
         """
@@ -105,7 +106,7 @@ class Selection:
         stamp = -1
         if _has_header(types, name):
             stamp = layout.place(message.header.stamp, "sec", "int32", None)
-        return _KnownLayout(layout, places, stamp)
+        return Taker(layout.mask, layout.rest, places, to, stamp)
 
     def must_be_finite(self, values: NDArray[np.float64]) -> None:
         """Refuse numbers that are not finite.
@@ -125,33 +126,6 @@ class Selection:
                     remedy="its sender must send finite numbers, or nothing",
                 )
             at += one.size
-
-
-class _KnownLayout:
-    """Copies numbers out of messages in CDR whose layout is known.
-
-    Args:
-        layout: The layout.
-        places: Where the numbers stand.
-        stamp: Where the header's stamp stands; -1: there is none.
-    """
-
-    def __init__(
-        self, layout: Layout, places: list[field_paths.Slice], stamp: int
-    ) -> None:
-        self.fits = layout.fits
-        self._places, self._stamp = places, stamp
-
-    def read(self, data: bytes, to: NDArray[np.float64]) -> None:
-        """Copy the numbers of a message that fits."""
-        for first, end, place, size, dtype, order in self._places:
-            found = np.frombuffer(data, dtype, size, place)
-            to[first:end] = found if order is None else found[order]
-
-    def stamp_ns(self, data: bytes) -> int:
-        """Return the stamp in the header, in nanoseconds since 1970."""
-        sec, nanosec = _STAMP.unpack_from(data, self._stamp)
-        return int(sec) * 1_000_000_000 + int(nanosec)
 
 
 class Trajectory:
@@ -315,7 +289,7 @@ class Incoming:
         self._warnings = warnings
         self._last: dict[bytes, int] = {}
         self._by_header = about.stamp == "header"
-        self._known: _KnownLayout | None = None
+        self._taker: Taker | None = None
         self._learn_ns = 0
         self.lost = 0
         """Messages that came faster than they were read, or were lost on the way."""
@@ -335,38 +309,42 @@ class Incoming:
         Raises:
             ProtocolError: It is too long, or no such message.
         """
-        must_be_short(len(sample.payload))
-        if sample.attachment is not None:
-            self._count(Attachment.unpack(sample.attachment.to_bytes()))
-        stamp_ns = self._read(sample.payload.to_bytes())
-        self._writer.write(arrived - self._age(stamp_ns, arrived))
+        payload, attachment = sample.payload, sample.attachment  # each a new object
+        must_be_short(len(payload))
+        sent = None
+        if attachment is not None:
+            sent = Attachment.unpack(attachment.to_bytes())
+        try:
+            stamp_ns = self._read(payload.to_bytes())
+            self._writer.write(arrived - self._age(stamp_ns, arrived))
+        finally:  # after the reader was woken
+            if sent is not None:
+                self._count(sent)
 
     def _read(self, data: bytes) -> int:
-        """Copy the numbers of a message; return its header's stamp, if that counts.
+        """Copy the numbers of a message; return its header's stamp.
 
         A message with the layout of an earlier one need not be decoded.
         """
-        record, values, stamp_ns = self._record, self._writer.value, 0
-        known = self._known
-        if known is not None and known.fits(data):
-            known.read(data, values)
-            stamp_ns = known.stamp_ns(data) if self._by_header else 0
-        else:
-            message = self._types.decode(self.about.type, data)
-            record.read(message, values)
-            stamp_ns = nanoseconds(message.header.stamp) if self._by_header else 0
-            self._learn(data)
+        taker = self._taker
+        if taker is not None and taker.take(data):
+            return taker.stamp_ns
+        record, values = self._record, self._writer.value
+        message = self._types.decode(self.about.type, data)
+        record.read(message, values)
         if isinstance(record, Selection):
             record.must_be_finite(values)
-        return stamp_ns
+            self._learn(record, data)
+        return nanoseconds(message.header.stamp) if self._by_header else 0
 
-    def _learn(self, data: bytes) -> None:
+    def _learn(self, record: Selection, data: bytes) -> None:
         """Learn the layout of a message, but not too often, as layouts may change."""
         now = now_ns()
-        short = len(data) <= _LEARNT
-        if isinstance(self._record, Selection) and short and now > self._learn_ns:
+        if len(data) <= _LEARNT and now > self._learn_ns:
             self._learn_ns = now + _LEARN_NS
-            self._known = self._record.known(self._types, self.about.type, data)
+            self._taker = record.taker(
+                self._types, self.about.type, data, self._writer.value
+            )
 
     def _age(self, stamp_ns: int, arrived: int) -> int:
         """Return how old a message's content was at its arrival, in nanoseconds."""

@@ -72,6 +72,11 @@ def must_be_short(size: int) -> None:
         )
 
 
+def packed(number: int, stamp_ns: int, gid: bytes) -> bytes:
+    """Return an attachment as it is sent; see `Attachment`."""
+    return _ATTACHMENT.pack(number, stamp_ns, _GID, gid)
+
+
 class Attachment(NamedTuple):
     """Number, time and sender, which go with each message, request and answer."""
 
@@ -83,7 +88,7 @@ class Attachment(NamedTuple):
 
     def pack(self) -> bytes:
         """Return it as it is sent."""
-        return _ATTACHMENT.pack(self.number, self.stamp_ns, _GID, self.gid)
+        return packed(*self)
 
     @classmethod
     def unpack(cls, data: bytes) -> Attachment:

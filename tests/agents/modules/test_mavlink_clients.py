@@ -10,14 +10,15 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import mavsdk_grpc as mavsdk
 import numpy as np
 import pytest
 from mavsdk_grpc import telemetry_server
+from mavsdk_grpc.action_server import AllowableFlightModes
 from mavsdk_grpc.async_plugin_manager import AsyncPluginManager
 from mavsdk_grpc.mavlink_direct_server import MavlinkDirectServer, MavlinkMessage
 from mavsdk_grpc.mission_raw import MissionItem
@@ -36,6 +37,12 @@ MODULES = Path(pbonet.modules.__file__).parent
 CRAFT = MODULES / "robot_interfaces" / "mav_craft.rmod"
 PILOTED = MODULES / "subsystem_interfaces" / "mav_piloted.rmod"
 PARTS = ("vehicle", "params", "mission", "gimbal", "actuator")
+SPOT = [84.0, 3576.0, 1.0, 2.0, -3.0] + 8 * [0.0]
+"""A set-point: a position."""
+INTERVAL = 511
+"""The command that asks for messages of a kind."""
+OTHER = 200
+"""Another system, which sends heartbeats to the same port in each cycle."""
 OFFBOARD, LAND, HOLD = 6 << 16, 4 << 16 | 6 << 24, 4 << 16 | 3 << 24
 LIMIT = 60.0
 
@@ -221,6 +228,41 @@ def test_mavsdk_steers_a_subsystem(tmp_path: Path) -> None:
         asyncio.run(fly(said))
 
 
+class Capture:
+    """Hears what pbonet sends to the port of a program that was killed."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", port))
+        self._socket.setblocking(False)
+        self._parser: Any = common.MAVLink(None)
+        self._names: list[str] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def names(self) -> list[str]:
+        """Return the names of all messages since the beginning, or since `forget`.
+
+        With a command, its number.
+        """
+        with suppress(BlockingIOError):
+            while data := self._socket.recv(2048):
+                messages = self._parser.parse_buffer(data) or []
+                ours = [one for one in messages if one.get_srcSystem() != OTHER]
+                self._names += [
+                    f"{one.get_type()} {getattr(one, 'command', '')}".rstrip()
+                    for one in ours
+                ]
+        return self._names
+
+    def forget(self) -> None:
+        self.names().clear()
+
+
 async def point_and_grip(craft: Any, base: Any) -> None:
     """MAVSDK's own codec reads our messages, and writes those of a gimbal."""
     at = await AsyncPluginManager.create(host="127.0.0.1", port=craft._port)
@@ -246,12 +288,42 @@ async def point_and_grip(craft: Any, base: Any) -> None:
     )  # fmt: skip
     point = await gets("GIMBAL_MANAGER_SET_ATTITUDE", lambda _: True)
     assert (point["q"], point["flags"]) == ([1, 0, 0, 0], 4 | 8 | 32)
+    base["SETPOINT"] = SPOT
+    spot = await gets("SET_POSITION_TARGET_LOCAL_NED", lambda _: True)
+    assert (spot["x"], spot["y"], spot["z"], spot["type_mask"]) == (1, 2, -3, 3576)
     base["ACT_DES"] = [0.25, 0.0]
     grip = await gets("COMMAND_LONG", lambda m: m["command"] == 187)
     assert (grip["param1"], grip["param2"]) == (0.25, 0)
     raw = {f"servo{k}_raw": 1000 + k for k in range(1, 17)}
     await sends("SERVO_OUTPUT_RAW", time_usec=0, port=0, **raw)
     await until(lambda: base["PULSE_MEZ"][3] == pytest.approx(1004e-6))
+
+
+async def arm_and_change_mode(craft: Any, base: Any) -> None:
+    vehicle = base.module.parts[0]
+    asked = vehicle._commands._asked
+    base["ARM_CMD"] = 1
+    await until(lambda: vehicle._was_armed and 400 not in asked)
+    await craft.action_server.set_allowable_flight_modes(
+        AllowableFlightModes(*[True] * 7)
+    )
+    changes = craft.action_server.flight_mode_change()
+    changed = asyncio.create_task(first(changes, lambda one: one.name == "OFFBOARD"))
+    base["MODE_CMD"] = OFFBOARD >> 16  # it does not say that it is of PX4
+    await changed
+    await until(lambda: 176 not in asked)
+
+
+async def hears_nothing_that_moves(base: Any, port: int) -> None:
+    """Once a vehicle that was killed is missed, no set-point leaves."""
+    with Capture(port) as capture:
+        await until(lambda: "SET_POSITION_TARGET_LOCAL_NED" in capture.names())
+        await until(lambda: base.illegal)
+        assert base["LINK_AGE"] >= 2.5
+        capture.forget()
+        await until(lambda: capture.names().count("HEARTBEAT") == 3)
+        allowed = {"HEARTBEAT", "TIMESYNC", f"COMMAND_LONG {INTERVAL}"}
+        assert set(capture.names()) <= allowed
 
 
 def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
@@ -274,7 +346,7 @@ def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
     )
     sizes = {"nparam": 2, "nact": 2, "npulse": 4}
     base = Bench.of(rmod, sizes, library=[tmp_path])
-    parser: Any = common.MAVLink(None, 200, 1)
+    parser: Any = common.MAVLink(None, OTHER, 1)
     other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def awake(_: Any) -> None:
@@ -285,8 +357,7 @@ def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
         ids = "--sysid", "1", "--compid", "1"
         async with client(f"udpin://127.0.0.1:{port}", *ids) as craft:
             await serve(craft)
-        await until(lambda: base.illegal)
-        assert base["LINK_AGE"] >= 2.5
+        await hears_nothing_that_moves(base, port)
 
     async def serve(craft: Any) -> None:
         given = asyncio.create_task(
@@ -310,17 +381,15 @@ def test_a_subsystem_steers_mavsdk(tmp_path: Path) -> None:
         await until(lambda: base["WP_COUNT"] == 20)  # read back, equal to the bit
         given.cancel()
         await point_and_grip(craft, base)
-        base["ARM_CMD"] = 1
-        vehicle = base.module.parts[0]
-        asked = vehicle._commands._asked
-        await until(lambda: vehicle._was_armed and 400 not in asked)
+        await arm_and_change_mode(craft, base)
 
     try:
         with running(base, awake) as said:
             asyncio.run(fly())
     finally:
         other.close()
-    assert not [one for one in said if "command 400" in one], "it was accepted"
+    refused = [one for one in said if "command 400" in one or "command 176" in one]
+    assert refused == [], "they were accepted"
 
 
 class Proxy:

@@ -5,6 +5,7 @@ import pytest
 
 from pbonet import Signal, State, tbuf, xm
 from pbonet.io import no_devices
+from pbonet.modules.trajectories.otg import Otg
 from pbonet.modules.trajectories.ros_trajectory import RosTrajectory
 from pbonet.modules.trajectories.traj_play import hermite
 from pbonet.svar import now_ns
@@ -71,6 +72,30 @@ def test_it_passes_the_points_with_their_velocities(bench, send):
     begin, goal = (np.array([[1.0, 2.0], [0.0, 0.0]]), np.array([[2.0, 2.5], [7, -1]]))
     np.testing.assert_allclose(found[4], hermite(0.5, 0.1, begin, goal), atol=1e-9)
     np.testing.assert_allclose(found[-1], [[4.0, 2.0], [0.0, 0.0]], atol=1e-9)
+
+
+def test_a_stream_is_followed_by_otg_within_its_limits(bench, send):
+    pytest.importorskip("ruckig")
+    limits = {"velocity": (0.8,), "acceleration": (8.0,), "jerk": (80.0,)}
+    follower = Bench(Otg, params=limits, ndof=2, freq=100.0)
+    follower.outputs.q = bench.outputs.y
+    follower.on()
+    way, fastest = np.linspace(0.0, 1.0, 12), 0.0
+    for k in range(len(way) - 2):  # as a sender of servo commands does
+        send(*((0.1 * (i + 1), 1.0 + way[k + i], 2.0 - way[k + i]) for i in (1, 2)))
+        for _ in range(10):
+            bench.step()
+            follower.inputs.q_des = bench.outputs.y
+            follower.step()
+            fastest = max(fastest, abs(follower.outputs.q_dot).max())
+            assert abs(follower.outputs.q - bench.outputs.y).max() < 0.4
+    assert fastest == pytest.approx(0.8), "the stream is faster"
+    for _ in range(200):
+        bench.step()
+        follower.inputs.q_des = bench.outputs.y
+        follower.step()
+    np.testing.assert_allclose(follower.outputs.q, [2.0, 1.0], atol=1e-9)
+    follower.kill()
 
 
 def test_velocities_that_are_not_given_are_differences(bench, send):

@@ -12,6 +12,8 @@ import pytest
 from pbonet import tbuf, xm
 from pbonet.config.model import Variable
 from pbonet.errors import ConfigError, ProtocolError, XmTakenError
+from pbonet.ros2._numbers import Filler, Taker
+from pbonet.ros2.field_paths import Slice
 from pbonet.ros2.message_types import MessageTypes, dtype_of, nanoseconds, set_stamp
 from pbonet.ros2.publishing import Filling
 from pbonet.ros2.repeated_warnings import Warnings
@@ -65,7 +67,7 @@ def filled(types, name, fields, **more):
         one: (np.arange(VARIABLES[one].nelem) + 1).astype(VARIABLES[one].dtype)
         for one in filling.variables
     }
-    return decoded(types, name, filling.encode(values, STAMP))
+    return decoded(types, name, filling.of(values).encode(STAMP))
 
 
 def plain(*vectors):
@@ -195,11 +197,18 @@ def test_a_number_that_does_not_fit_is_not_sent(
         values = {one.name: np.full(one.nelem, number, one.dtype)}
         if number in not_fitting:
             with pytest.raises(ProtocolError, match=r"does not fit data.*expected"):
-                filling.encode(values, STAMP)
+                filling.of(values).encode(STAMP)
             continue
-        data = decoded(types, about.type, filling.encode(values, STAMP)).data
+        data = decoded(types, about.type, filling.of(values).encode(STAMP)).data
         got = data if np.isscalar(data) and not isinstance(data, bytes) else data[0]
         np.testing.assert_allclose(got, bool(number) if name == "Bool" else number, 0.2)
+
+
+def test_a_constant_does_not_move_the_stamp(types) -> None:
+    """Places are found by bytes that differ from these, of which 17 is one."""
+    name, about = "geometry_msgs/msg/Vector3Stamped", {"header.stamp.sec": 17}
+    got = filled(types, name, {"vector": "Q_MEZ"}, constants=about, frame="base")
+    assert (got.header.frame_id, got.header.stamp.sec) == ("base", STAMP // 10**9)
 
 
 @pytest.mark.parametrize("constants", [{"name": 3}, {"nothing": 1}, {"name": [1]}])
@@ -299,23 +308,93 @@ def test_what_has_the_layout_of_an_earlier_message_is_not_decoded(
         numbered(types, name, message, first)
         return types.encode(name, message)
 
-    known = record.known(types, name, made(1))
-    padded = record.known(types, name, made(1) + bytes(3))
+    got = np.empty((), record.form)
+    taker = record.taker(types, name, made(1), got)
+    padded = record.taker(types, name, made(1) + bytes(3), got)
     for first in (1, 50):
         data = made(first)
-        wanted, got = np.empty((), record.form), np.empty((), record.form)
+        wanted = np.empty((), record.form)
         record.read(types.decode(name, data), wanted)
-        assert known.fits(data)
-        assert not known.fits(data + bytes(3))
-        assert padded.fits(data + bytes(3))
-        known.read(data, got)
-        assert got.tolist() == wanted.tolist()
-    assert not known.fits(made(1)[:-8])
+        for one, message in ((taker, data), (padded, data + bytes(3))):
+            got[:] = 0
+            assert one.take(message)
+            assert got.tolist() == wanted.tolist()
+        assert not taker.take(data + bytes(3))
+    assert not taker.take(made(1)[:-8])
     if name == JOINTS:
-        assert not known.fits(made(1, ("b", "a", "c"))), "the joints have moved"
-        assert not known.fits(made(1, ("a", "b", "long")))
+        assert not taker.take(made(1, ("b", "a", "c"))), "the joints have moved"
+        assert not taker.take(made(1, ("a", "b", "long")))
         stamp = types.decode(name, data).header.stamp
-        assert known.stamp_ns(data) == nanoseconds(stamp)
+        assert taker.stamp_ns == nanoseconds(stamp)
+
+
+@pytest.mark.parametrize(
+    "kind", [f"{sign}nt{bits}" for sign in ("I", "UI") for bits in (8, 16, 32, 64)]
+)
+def test_numbers_of_every_type_are_copied_natively(types, kind) -> None:
+    name, dtype = f"std_msgs/msg/{kind}MultiArray", np.dtype(kind.lower())
+    limits = [np.iinfo(dtype).min, np.iinfo(dtype).max, 7]
+    message, to = types.new(name), np.zeros(2)
+    message.data = np.zeros(3, dtype)
+    about = Subscribe(topic="t", type=name, link="l", fields=["data[0:2]"])
+    record = reading(types, about, "here")
+    taker = record.taker(types, name, types.encode(name, message), to)
+    message.data = np.array(limits, dtype)
+    assert taker.take(types.encode(name, message))
+    assert to.tolist() == [float(one) for one in limits[:2]]
+
+
+@pytest.mark.parametrize(
+    ("number", "raw", "expected"),
+    [
+        ("Bool", b"\1", 1.0),
+        ("Bool", b"\2", 1.0),
+        ("Int8", b"\xff", -1.0),
+        ("Int16", b"\xfe\xff", -2.0),
+        ("Float32", b"\0\0\xc0\x3f", 1.5),
+    ],
+)
+def test_the_layout_of_a_short_message_is_learnt(types, number, raw, expected) -> None:
+    """Shorter ones than a stamp have none; any byte but 0 is true."""
+    name = f"std_msgs/msg/{number}"
+    link = Link(types, name, fields=["data"])
+    with contextlib.closing(link.end):
+        link.take(types.new(name))
+        assert link.end._taker
+        link.end._types = None  # nothing more is decoded
+        link.take(None, raw=b"\0\1\0\0" + raw)
+        assert link.end._writer.value.tolist() == [expected]
+
+
+@pytest.mark.parametrize(
+    ("first", "end", "place", "order"),
+    [(0, 2, 5, None), (1, 3, 4, None), (0, 1, 4, None), (0, 2, 4, [0, 2])],
+)
+def test_no_number_is_copied_from_or_to_another_place(first, end, place, order) -> None:
+    kind, places = np.dtype("f8"), order and np.array(order, np.uint32)
+    part = Slice(first, end, place, 2, kind, places)
+    with pytest.raises(ValueError, match="do not fit the message"):
+        Taker(bytes(20), bytes(20), [part], np.zeros(2), -1)
+
+
+def test_no_place_is_outside_of_the_message() -> None:
+    here = np.zeros(2)
+    Filler(bytearray(24), [(8, here)], [16])
+    Taker(bytes(20), bytes(20), [], here, 12)
+    with pytest.raises(ValueError, match="numbers do not fit the message"):
+        Filler(bytearray(23), [(8, here)], [])
+    with pytest.raises(ValueError, match="numbers do not fit the message"):
+        Filler(bytearray(24), [(8, np.zeros(4)[::2])], [])
+    with pytest.raises(ValueError, match="stamps do not fit the message"):
+        Filler(bytearray(11), [], [4])
+    with pytest.raises(ValueError, match="stamps do not fit the message"):
+        Taker(bytes(20), bytes(20), [], here, 13)
+    with pytest.raises(ValueError, match="bytes that stay do not fit the message"):
+        Taker(bytes(20), bytes(19), [], here, -1)
+    part = Slice(0, 2, 4, 2, np.dtype("f8"), None)
+    for to in (np.zeros(2, "f4"), np.zeros(4)[::2]):
+        with pytest.raises(ValueError, match="numbers do not fit the message"):
+            Taker(bytes(20), bytes(20), [part], to, -1)
 
 
 def test_a_sender_that_encodes_otherwise_is_decoded(types) -> None:
@@ -323,7 +402,13 @@ def test_a_sender_that_encodes_otherwise_is_decoded(types) -> None:
     about = Subscribe(topic="t", type=name, link="l", fields=["data"])
     other_order = b"\0\0\0\0" + np.array([1.5], ">f8").tobytes()
     record = reading(types, about, "here")
-    assert record.known(types, name, other_order) is None
+    assert record.taker(types, name, other_order, np.empty(1)) is None
+    link = Link(types, name, fields=["data"])
+    with contextlib.closing(link.end):
+        link.take(types.new(name))
+        assert link.end._taker, "the layout of another sender"
+        link.take(None, raw=other_order)
+        assert link.end._writer.value.tolist() == [1.5]
 
 
 def test_a_field_named_header_may_be_something_else() -> None:
@@ -335,7 +420,7 @@ def test_a_field_named_header_may_be_something_else() -> None:
         for message.data in (1.5, 2.5):
             Link.take(link, message)
             assert end._writer.value.tolist() == [message.data]
-        assert end._known
+        assert end._taker
     about = Subscribe(topic="t", type=name, link="l", fields=["data"], stamp="header")
     with pytest.raises(ConfigError, match="no header with a stamp"):
         reading(types, about, "here")
@@ -346,9 +431,9 @@ def test_the_layout_of_a_long_message_is_not_learnt(types) -> None:
     link = Link(types, JOINTS, fields=["position[0:2]"])
     with contextlib.closing(link.end):
         link.take(joint_state(types, [], position=np.zeros(1000)))
-        assert link.end._known is None
+        assert link.end._taker is None
         link.take(joint_state(types, [], position=np.zeros(2)))
-        assert link.end._known
+        assert link.end._taker
 
 
 def test_a_trajectory_is_rows_of_points(types) -> None:
@@ -463,6 +548,24 @@ def test_what_is_not_finite_is_refused(types, link, bad) -> None:
         message.position = np.array([1.0, 2.0, bad])
         link.take(message)
         assert reader.read(), "that one is not wanted"
+        message.position = np.array([1.0, bad, 2.0])
+        with pytest.raises(ProtocolError, match=r"is not finite.*got 1 "):
+            link.take(message)
+        assert not reader.read(), "nor one whose layout is known"
+
+
+@pytest.mark.parametrize(
+    ("field", "place"), [("position", 0), ("position", 1), ("effort", 0)]
+)
+def test_no_number_of_a_known_layout_may_be_not_finite(types, field, place) -> None:
+    link = Link(types, JOINTS, fields=["position[0:2]", "effort[0:1]"])
+    with contextlib.closing(link.end):
+        message = joint_state(types, [], position=[1, 2], effort=[3])
+        link.take(message)
+        assert link.end._taker
+        getattr(message, field)[place] = np.inf
+        with pytest.raises(ProtocolError, match=f"{field}.* is not finite"):
+            link.take(message)
 
 
 @pytest.mark.parametrize("stamp", ["arrival", "header"])

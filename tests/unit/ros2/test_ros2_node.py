@@ -9,6 +9,7 @@ from queue import Queue
 from types import SimpleNamespace
 
 import pytest
+import zenoh
 from watching import wait_for
 
 from pbonet.config.model import Variable
@@ -20,7 +21,7 @@ from pbonet.ros2.repeated_warnings import Warnings
 from pbonet.ros2.ros_node import _SHORT, RosNode
 from pbonet.ros2.services import Services
 from pbonet.ros2.topics_file import Publish
-from pbonet.ros2.wire_format import LONGEST, Attachment, Node, Qos
+from pbonet.ros2.wire_format import LONGEST, Attachment, End, Kind, Node, Qos
 from pbonet.svar import Table, now_ns
 
 pytest.importorskip("rosbags")
@@ -112,6 +113,50 @@ def test_a_message_has_the_time_at_which_it_came_not_at_which_it_is_taken(node) 
     assert sample is third, "the newest"
     assert arrived <= until, "it came before the first one was done"
     assert taken.empty()
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"hash": "RIHS01_" + 64 * "0"}, "node /lab/other means another definition"),
+        ({"type": "std_msgs/msg/Int8"}, "node /lab/other means std_msgs/msg/Int8"),
+    ],
+)
+def test_another_definition_is_named_whoever_came_first(
+    node, told, is_first, change, words
+) -> None:
+    comes = node.session.called["7"]
+    token = foreign("other")._replace(**change).token
+    gone = foreign("gone")._replace(**change).token
+    comes(token_sample(gone, zenoh.SampleKind.PUT))
+    comes(token_sample(gone, zenoh.SampleKind.DELETE))
+    if is_first:
+        comes(token_sample(token, zenoh.SampleKind.PUT))
+    node.subscribe("/speed", NUMBER, Qos(), lambda *_: None, 50.0)
+    if not is_first:
+        assert told == []
+        comes(token_sample(token, zenoh.SampleKind.PUT))
+    (text,) = told
+    assert words in text
+
+
+def test_others_with_ever_new_names_cannot_fill_the_memory(node, monkeypatch) -> None:
+    monkeypatch.setattr(ros_node, "_KEPT", 3)
+    for number in range(9):
+        token = foreign(f"other{number}").token
+        node.session.called["7"](token_sample(token, zenoh.SampleKind.PUT))
+    assert len(node._others) == 3
+
+
+def foreign(name):
+    """Return a publisher of another node."""
+    whose = Node(7, "xyz", name, "/lab")
+    return End(whose, 3, Kind.PUBLISHER, "/speed", NUMBER, MessageTypes().hash(NUMBER))
+
+
+def token_sample(token, kind):
+    return SimpleNamespace(key_expr=token, kind=kind)
 
 
 def sample_of(size):
