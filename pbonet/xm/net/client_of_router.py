@@ -39,6 +39,9 @@ for all."""
 HERE = 4
 """Agents of one machine without routers that are linked each with each. Further ones
 are their clients."""
+PLACES = 8
+"""Where the agents of a machine that are routers are found by the others: the first
+few, and those that other machines reach."""
 
 
 def position_of(
@@ -79,7 +82,7 @@ def position_of(
     routers = sum(not its.rank for its in others.values())
     if routers >= HERE and not reached:
         return Position(rank, 0)
-    free = (place for place in range(1, HERE + 1) if place not in taken)
+    free = (place for place in range(1, PLACES + 1) if place not in taken)
     return Position(0, next(free, 0))
 
 
@@ -154,8 +157,9 @@ def open_session(
 
 
 def _of_machine(places: run_folder.Places, rank: int) -> list[str]:
-    """Return the sockets of the machine's routers; each is the first for some ranks."""
+    """Return the sockets of the machine's routers; the first few share the ranks."""
     order = [(rank + number) % HERE + 1 for number in range(HERE)]
+    order += range(HERE + 1, PLACES + 1)
     return [places.router_endpoint(place) for place in order]
 
 

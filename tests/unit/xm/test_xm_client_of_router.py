@@ -133,9 +133,11 @@ def test_the_router_of_a_machine_ends_and_another_agent_takes_its_place(star):
 
 
 def test_an_agent_that_others_reach_is_a_router_though_there_is_one(star):
-    assert [star("a"), star("b", reached=True)] == [(0, 1), (0, 0)]
+    assert [star("a"), star("b", reached=True)] == [(0, 1), (0, 2)]
     assert star("c") == (1, 0)
     all_see(star, *"abc")
+    star.end("a")
+    all_see(star, *"bc")
 
 
 def test_clients_of_a_machine_without_routers_are_no_clients_of_others(star):
