@@ -154,6 +154,7 @@ class Agent:
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
         self._position = run_folder.Position()
+        self._neighbour: client_of_router.Neighbour | None = None
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
         self._heartbeat: Heartbeat | None = None
@@ -235,6 +236,7 @@ class Agent:
                 listen=config.listen,
                 key_folder=self._key_folder,
             )
+            self._neighbour = client_of_router.Neighbour(self._session, config.domain)
             return self._session
         dialled = dialling.Dialled(
             self.places,
@@ -403,8 +405,10 @@ class Agent:
             )
 
     def _processes(self) -> dict[int, str]:
-        """Return the processes that this agent keeps running, with what each one is."""
+        """Return the processes to keep running, with what each one is."""
         found = self._recorders.processes() | self._executives.processes()
+        if (neighbour := self._neighbour) is not None:
+            found |= neighbour.processes()
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found

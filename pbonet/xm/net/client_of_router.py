@@ -19,8 +19,12 @@ reached from other machines, or reaches them, is always a router.
 
 from __future__ import annotations
 
+import contextlib
 import re
+import time
 from typing import TYPE_CHECKING
+
+import zenoh
 
 from pbonet.errors import NodeError
 
@@ -31,8 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    import zenoh
-
 MESH = 8
 """Machines that agents may link with each other without a router: each of them works
 for all."""
@@ -42,6 +44,11 @@ are their clients."""
 PLACES = 8
 """Where the agents of a machine that are routers are found by the others: the first
 few, and those that other machines reach."""
+NEIGHBOUR_TIME = 1.0
+"""Seconds for which a client counts on having the same link."""
+_NEIGHBOUR = re.compile(
+    r"unixsock-stream/.+/(\.router(?P<place>\d+)|(?P<name>[^/]+)\.hub[1-9]\d*)"
+)
 
 
 def position_of(
@@ -165,8 +172,63 @@ def _of_machine(places: run_folder.Places, rank: int) -> list[str]:
 
 def goes_by_neighbour(link: zenoh.Session) -> bool:
     """Return whether an agent is now a client of another agent of its machine."""
-    hub = re.compile(r"unixsock-stream/.+\.hub[1-9]\d*")
-    return any(hub.fullmatch(str(one.dst)) for one in link.info.links())
+    return any(_NEIGHBOUR.fullmatch(str(one.dst)) for one in link.info.links())
 
 
-__all__ = ["MESH", "goes_by_neighbour", "open_session", "position_of", "take_place"]
+class Neighbour:
+    """Finds the agent of the machine of which another one is now a client.
+
+    While that one is stopped, nothing passes: its clients would be lost to all others.
+
+    Args:
+        link: The session of the client.
+        domain: Its domain.
+    """
+
+    def __init__(self, link: zenoh.Session, domain: str) -> None:
+        self._link, self._domain = link, domain
+        self._links: set[tuple[str, str]] = set()
+        """Where each one leads, and the identity of what is there."""
+        self._found: dict[int, str] = {}
+        self._next = 0.0
+
+    def processes(self) -> dict[int, str]:
+        """Return its process with what it is, as found within `NEIGHBOUR_TIME`."""
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + NEIGHBOUR_TIME
+            with contextlib.suppress(zenoh.ZError, OSError):
+                self._follow_links()
+        return self._found
+
+    def _follow_links(self) -> None:
+        links = {(str(one.dst), str(one.zid)) for one in self._link.info.links()}
+        if links != self._links or not self._found:  # to read all locks takes longer
+            self._links, self._found = links, self._find(links)
+
+    def _find(self, links: set[tuple[str, str]]) -> dict[int, str]:
+        ends = [_NEIGHBOUR.fullmatch(where) for where, _ in links]
+        names = {self._name_of(end) for end in ends if end is not None}
+        processes = run_folder.agent_processes(self._domain) if names else {}
+        return {
+            pid: f"agent {name}, by which this one is linked with others,"
+            for name, pid in processes.items()
+            if name in names and pid
+        }
+
+    def _name_of(self, end: re.Match[str]) -> str:
+        if end["name"]:
+            return end["name"]
+        found = Position(0, int(end["place"]))
+        all_here = run_folder.positions(self._domain).items()
+        return next((name for name, its in all_here if its == found), "")
+
+
+__all__ = [
+    "MESH",
+    "Neighbour",
+    "goes_by_neighbour",
+    "open_session",
+    "position_of",
+    "take_place",
+]

@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
 """Maximum length of a Unix socket's path on Linux, in bytes."""
+TURN_TIME = 20.0
+"""Seconds for which an agent that starts waits for those that start before it."""
+SWEEP_TIME = 0.5
+"""The same for one that ends, and removes what others may have left."""
 _LOOK = 0.01
 _HOLDER = re.compile(r"process (\d+)")
 _RANK = re.compile(r"rank (\d+)")
@@ -250,19 +254,50 @@ class NameLock:
 
 
 @contextlib.contextmanager
-def turn(domain: str) -> Generator[None]:
-    """Wait until no other agent of `domain` is taking its place on this machine."""
-    fd = os.open(folder() / check_name("a domain", domain), os.O_RDONLY | os.O_CLOEXEC)
+def turn(domain: str, *, patience: float = TURN_TIME) -> Generator[None]:
+    """Wait until no other agent of `domain` is taking its place on this machine.
+
+    Args:
+        domain: The domain.
+        patience: Seconds to wait.
+
+    Raises:
+        NodeError: Another agent has its turn for longer.
+    """
+    path = folder() / check_name("a domain", domain)
+    deadline = time.monotonic() + patience
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX)
+        while not _has_turn(fd):
+            if time.monotonic() >= deadline:
+                raise NodeError(
+                    "another agent of this machine starts or ends, and does not get on",
+                    where=str(path),
+                    expected=f"that done within {patience:g} s",
+                    remedy="is it stopped? `ps -C pbonet -o pid,stat,args` shows T "
+                    "then; continue it with `kill -CONT PID`, or end it",
+                )
+            time.sleep(_LOOK)
         yield
     finally:
         os.close(fd)
 
 
+def _has_turn(fd: int) -> bool:
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
 def sweep_routers(domain: str) -> None:
-    """Remove the sockets of routers of this machine that have ended."""
-    with turn(domain):
+    """Remove the sockets of routers of this machine that have ended.
+
+    An end does not wait for an agent that starts and is stopped; then they remain until
+    the next agent ends, or takes their place.
+    """
+    with contextlib.suppress(NodeError, OSError), turn(domain, patience=SWEEP_TIME):
         held = {its.place for its in positions(domain).values()}
         for path in list((folder() / domain).iterdir()):
             found = _ROUTER.fullmatch(path.name)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 from pathlib import Path
 
 from watching import wait_for
@@ -44,6 +46,14 @@ def test_clients_are_steered_while_the_agents_to_which_they_have_links_are_away(
     all_see(nodes, *NAMES)
     held = {name: sockets(nodes.processes[name].pid) for name in NAMES}
     assert max(held[name] for name in FURTHER) < min(held[name] for name in FIRST)
+
+    pids = [nodes.processes[name].pid for name in FIRST]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    left = len(FIRST) - len(FURTHER)  # each has a router of its own, and continues that
+    wait_for(lambda: sum(map(run_folder.is_stopped, pids)) == left, "their routers")
+    for pid in pids:
+        os.kill(pid, signal.SIGCONT)
 
     nodes.forget_session()
     where = [run_folder.Places(nodes.domain, FURTHER[0]).endpoint]

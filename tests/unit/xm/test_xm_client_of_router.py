@@ -33,7 +33,7 @@ def opened(_folder):
     def start(name, *, routed=True, reached=False):
         places = run_folder.Places("d", name)
         lock, position = client_of_router.take_place(
-            places, "agent", routed=routed, reached=reached
+            places, f"agent, process {ord(name)}", routed=routed, reached=reached
         )
         if position.rank:
             routers = [ROUTER] if position.place is None else []
@@ -54,6 +54,7 @@ def opened(_folder):
 
     start.end = end
     start.sees = lambda name: session.rtpus(kept[name][0], "d")
+    start.link = lambda name: kept[name][0]
     yield start
     for name in list(kept):
         end(name)
@@ -111,7 +112,7 @@ def star(opened, monkeypatch):
     def start(name, *, reached=False):
         return opened(name, routed=False, reached=reached)
 
-    start.sees, start.end = opened.sees, opened.end
+    start.sees, start.end, start.link = opened.sees, opened.end, opened.link
     return start
 
 
@@ -130,6 +131,23 @@ def test_the_router_of_a_machine_ends_and_another_agent_takes_its_place(star):
     all_see(star, *"bcd")
     assert star("a") == (3, 0)
     all_see(star, *"abcd")
+
+
+def test_a_client_knows_the_process_by_which_it_is_linked(star, monkeypatch):
+    """At a place, and after its end an agent of lesser rank; a router has none."""
+    monkeypatch.setattr(client_of_router, "NEIGHBOUR_TIME", 0.0)
+    for name in "abc":
+        star(name)
+    above = {name: client_of_router.Neighbour(star.link(name), "d") for name in "abc"}
+
+    def found(name):
+        return list(above[name].processes())
+
+    assert [found(name) for name in "abc"] == [[], [ord("a")], [ord("a")]]
+    star.end("a")
+    wait_for(lambda: found("c") == [ord("b")] and not found("b"), "another link")
+    star("d")
+    wait_for(lambda: found("b") == [ord("d")], "the link with the next router")
 
 
 def test_an_agent_that_others_reach_is_a_router_though_there_is_one(star):
