@@ -197,7 +197,8 @@ class Neighbour:
         now = time.monotonic()
         if now >= self._next:
             self._next = now + NEIGHBOUR_TIME
-            with contextlib.suppress(zenoh.ZError, OSError):
+            # The runtime folder may be removed, or not be the user's own any more.
+            with contextlib.suppress(zenoh.ZError, OSError, NodeError):
                 self._follow_links()
         return self._found
 

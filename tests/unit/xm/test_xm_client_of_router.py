@@ -143,6 +143,10 @@ def test_a_client_knows_the_process_by_which_it_is_linked(star, monkeypatch):
     def found(name):
         return list(above[name].processes())
 
+    folder = run_folder.folder()
+    folder.chmod(0o755)
+    assert found("b") == []
+    folder.chmod(0o700)
     assert [found(name) for name in "abc"] == [[], [ord("a")], [ord("a")]]
     star.end("a")
     wait_for(lambda: found("c") == [ord("b")] and not found("b"), "another link")
