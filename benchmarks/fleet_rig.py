@@ -84,6 +84,15 @@ def memory(pid: int) -> float:
     return int(line.split()[1]) / 1024
 
 
+def sockets(pid: int) -> int:
+    """Return how many sockets a process has."""
+    found = 0
+    for one in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            found += str(one.readlink()).startswith("socket:")
+    return found
+
+
 def packets() -> int:
     """Return the packets that went over the loopback device."""
     for line in Path("/proc/net/dev").read_text(encoding="ascii").splitlines():
@@ -142,14 +151,24 @@ class Routers:
 
 
 class Machine:
-    """An agent with folders of its own, as on a machine of its own."""
+    """An agent with folders of its own, as on a machine of its own.
 
-    def __init__(self, name: str, folder: Path, routers: Sequence[str]) -> None:
+    Args:
+        name: The agent's.
+        folder: Where these folders are.
+        routers: Endpoints of its routers.
+        machine: The name of the machine, for several agents of one.
+    """
+
+    def __init__(
+        self, name: str, folder: Path, routers: Sequence[str] = (), *, machine: str = ""
+    ) -> None:
         self.name, self.routers = name, list(routers)
-        self.run_dir, self.shm = folder / f"{name}.run", folder / f"{name}.shm"
+        machine = machine or name
+        self.run_dir, self.shm = folder / f"{machine}.run", folder / f"{machine}.shm"
         self.output = folder / f"{name}.out"
         for one in (self.run_dir, self.shm):
-            one.mkdir(mode=0o700)
+            one.mkdir(mode=0o700, exist_ok=True)
         self.agent: subprocess.Popen[bytes] | None = None
 
     @property

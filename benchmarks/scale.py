@@ -13,7 +13,8 @@ Then a subsystem has ever more RTPUs, which all give each other signs of life. W
 greatest number of agents half of them are killed at once, and started at once; a second
 router is there, and one of the two is killed, and comes again. At last 1,000 sessions,
 50 in a process, with one and three routers: idle, and with a tenth of them in
-subsystems of four that exchange signs of life.
+subsystems of four that exchange signs of life. Last, agents of one machine without
+a router: their CPU time and sockets.
 
 Goals: an agent takes at most 0.3 % of a core, with a table 1 %, and at 100 at most a
 quarter more than at 20; the router at most 10 %; a status takes at most twice as long
@@ -35,6 +36,7 @@ import json
 import os
 import shutil
 import sys
+import tempfile
 import time
 from pathlib import Path
 from statistics import median
@@ -71,6 +73,12 @@ HEAD = (
     "| agents | agent % | router % | packets/s | agent MB | router MB | with a table % "
     "| its MB | found s | status ms | of both ms | loss s |",
     "|" + "---|" * 12,
+)
+MOST_HERE = 20
+"""Most agents of one machine that are measured."""
+ONE_MACHINE = (
+    "| agents of one machine | all, % of a core | each | sockets of all | most of one "
+    "| MB each |"
 )
 MANY = "with signs of life | a router % | MB | packets/s | session % | opened in s |"
 SVAR = """
@@ -323,6 +331,39 @@ def held_by(routers_of: int, groups: int, count: int, seconds: float) -> dict[st
     return row | {"routers": routers_of, "groups": groups, "opened": opened}
 
 
+def one_machine(count: int, seconds: float) -> dict[str, Any]:
+    """Return the figures of agents of one machine without a router, and print them."""
+    folder = Path(tempfile.mkdtemp(prefix="pbonet-scale-"))
+    found = [rig.Machine(f"h{n}", folder, machine="here") for n in range(count)]
+    try:
+        for one in found:
+            one.start()
+        for one in found:
+            rig.wait(one.is_ready, one.name)
+        time.sleep(SETTLED)
+        pids = [one.pid for one in found]
+        spent, begin = rig.cpu(pids), time.monotonic()
+        time.sleep(seconds)
+        cpu = 100 * (rig.cpu(pids) - spent) / (time.monotonic() - begin)
+        held = [*map(rig.sockets, pids)]
+        row = {"agents": count, "cpu": cpu, "sockets": sum(held), "most": max(held)}
+        row["memory"] = median(map(rig.memory, pids))
+    finally:
+        for one in found:
+            if one.agent is not None:
+                one.agent.terminate()
+        for one in found:
+            if one.agent is not None:
+                one.agent.wait()
+        shutil.rmtree(folder, ignore_errors=True)
+    print(
+        f"| {count} | {cpu:.1f} | {cpu / count:.2f} | {row['sockets']} "
+        f"| {row['most']} | {row['memory']:.1f} |",
+        flush=True,
+    )
+    return row
+
+
 def judge(rows: list[dict[str, Any]], broken: list[dict[str, Any]]) -> bool:
     """Print each goal; return whether all are met."""
     last = rows[-1]
@@ -380,6 +421,8 @@ def measure(given: argparse.Namespace) -> dict[str, Any]:
     found["bare"] = [bare(count, given.seconds) for count in given.agents]
     print(f"\n| sessions | routers | groups {MANY}", "|" + "---|" * 8, sep="\n")
     found["many"] = many(given.sessions, given.seconds)
+    print(f"\n{ONE_MACHINE}", "|" + "---|" * 6, sep="\n")
+    found["one machine"] = one_machine(min(max(given.agents), MOST_HERE), given.seconds)
     found["load_after"] = load()
     print(f"load {found['load_after']}")
     return found

@@ -38,6 +38,8 @@ def command(
     dead = [at for at, state in states.items() if state and not state.alive]
     if clean:
         done = [text for places in dead for text in cleanup.clean_after(places)]
+        for domain in {places.domain for places in dead}:
+            run_folder.sweep_routers(domain)
         removed = [*done, *(f"{name} was removed" for name in doctor.clean())]
         text = "\n".join(removed) or "nothing to remove"
         options.show(text, removed, as_data=json_)

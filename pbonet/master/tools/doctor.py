@@ -355,8 +355,8 @@ def meshed(name: str, report: m.LinkReport) -> Iterator[Finding]:
 def crowded(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
     """Warn of machines on which many agents are linked with each other.
 
-    Each agent dials those that were there before it, so the last one dials all; some
-    may have ended since.
+    These are the first few, and those with endpoints of their own. Each dials those
+    that were there before it, so the last one dials all; some may have ended since.
     """
     agents = Counter(info.machine for info in infos)
     dialled: Counter[str] = Counter()
@@ -370,9 +370,8 @@ def crowded(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
             yield Finding(
                 Level.WARN,
                 f"{count} agents of {hosts[machine]} are linked each with each",
-                f"beyond {client_of_router.MESH} start a router there (`pbonet router "
-                "--listen tcp/127.0.0.1:7447`) and name it as routers in each "
-                "agent.toml, or have fewer RTPUs",
+                "remove listen, connect and multicast from agent.toml of all but one "
+                "or two of them: the others reach other machines through these",
             )
 
 

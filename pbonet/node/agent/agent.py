@@ -152,8 +152,8 @@ class Agent:
         self._lock: run_folder.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
-        self._rank = 0
-        """See `client_of_router`; 0: it is a router itself."""
+        self._position = run_folder.Position()
+        self._neighbour: client_of_router.Neighbour | None = None
         self._server: Server | None = None
         self._duplicates: DuplicateAgents | None = None
         self._heartbeat: Heartbeat | None = None
@@ -204,8 +204,12 @@ class Agent:
         survive_cuts()  # it carries tables between machines
         self._refuse_used_rtpu()
         text = f"agent {self.name}, process {os.getpid()}"
-        self._lock, self._rank = client_of_router.take_place(
-            self.places, text, routed=bool(self.config.routers), patience=LOCK_TIME
+        config = self.config
+        self._lock, self._position = client_of_router.take_place(
+            *(self.places, text),
+            routed=bool(config.routers),
+            reached=bool(config.listen or config.connect or config.multicast),
+            patience=LOCK_TIME,
         )
         try:
             self._open()
@@ -222,18 +226,20 @@ class Agent:
 
     def _open_session(self) -> zenoh.Session:
         config = self.config
-        if self._rank:
+        if self._position.rank:
             self._dials = list(config.routers or config.connect)
             self._session = client_of_router.open_session(
                 self.places,
                 self._dials,
-                rank=self._rank,
+                position=self._position,
                 listen=config.listen,
                 key_folder=self._key_folder,
             )
+            self._neighbour = client_of_router.Neighbour(self._session, config.domain)
             return self._session
         dialled = dialling.Dialled(
             self.places,
+            place=self._position.place,
             listen=config.listen,
             connect=config.connect,
             multicast=config.multicast,
@@ -249,7 +255,7 @@ class Agent:
         if self._ways is None or self._session is None:
             return []
         found = self._ways.unlinked(self._dials)
-        if not found or not self._rank:
+        if not found or not self._position.rank:
             return found
         one_is_linked = len(found) < len(self._dials)
         with contextlib.suppress(zenoh.ZError):
@@ -325,7 +331,7 @@ class Agent:
         self._term.start()
         self._nearest = NearestRouter(
             self._session,
-            self._dials if self._rank else [],
+            self._dials if self._position.rank else [],
             beats.is_needed,
             self.name,
         )
@@ -375,7 +381,7 @@ class Agent:
             partners=self._partners,
             knows_all=self._key_folder is not None
             and credentials.role(self._key_folder) is credentials.Role.GATEWAY,
-            by_router=self._rank > 0,
+            by_router=self._position.rank > 0,
         )
         ways.start()
         taken_over = self._link is not None and self._link.taken_over
@@ -398,8 +404,10 @@ class Agent:
             )
 
     def _processes(self) -> dict[int, str]:
-        """Return the processes that this agent keeps running, with what each one is."""
+        """Return the processes to keep running, with what each one is."""
         found = self._recorders.processes() | self._executives.processes()
+        if (neighbour := self._neighbour) is not None:
+            found |= neighbour.processes()
         if (link := self._link) is not None and link.info is not None:
             found[link.info.pid] = "the RTPU process"
         return found
@@ -600,6 +608,7 @@ class Agent:
         if self._lock is not None:
             self.places.remove(*self.places.agents_files)
             self._lock.release()
+            run_folder.sweep_routers(self.config.domain)
             self._lock = None
         self._over.set()
 

@@ -1,7 +1,8 @@
 """Processes of an agent that a signal has stopped (SIGSTOP) are continued.
 
 A stopped RTPU process ranks no task and answers no command, and a stopped recorder
-loses data when its rings are full. A debugger holds a process in another way, and is
+loses data when its rings are full; and while another agent of the machine is stopped,
+its clients cannot be reached. A debugger holds a process in another way, and is
 left alone. The RTPU process gets signs of life of the agent.
 """
 

@@ -323,6 +323,7 @@ def _remove_dead_agent(places: run_folder.Places) -> None:
         places.remove(*places.agents_files)
         orphaned_rings.sweep(places.domain, places.name)
         lock.release()
+        run_folder.sweep_routers(places.domain)
 
 
 def main(config: rtpu_messages.RtpuConfig, pid: int, control: socket.socket) -> int:

@@ -69,6 +69,7 @@ class Dialled:
         connect: Endpoints to which it needs a link, whichever side dials.
         multicast: See `session.agent`.
         key_folder: The agent's keys, if any.
+        place: At which it is a router for the others of the machine, if at any.
 
     Raises:
         NodeError: An endpoint cannot be listened on.
@@ -82,10 +83,13 @@ class Dialled:
         connect: Sequence[str] = (),
         multicast: bool = False,
         key_folder: Path | None = None,
+        place: int | None = None,
     ) -> None:
-        self._places, self._listen, self._multicast = places, listen, multicast
+        self._places, self._multicast = places, multicast
+        self._router = places.router(place) if place else None
+        self._listen = [*listen, places.router_endpoint(place)] if place else listen
         self._key_folder = key_folder
-        self._mine = [places.endpoint, *listen]
+        self._mine = [places.endpoint, *self._listen]
         self._settled = False
         named = [session.check_dialled(e, key_folder=key_folder) for e in connect]
         wanted = list(dict.fromkeys([*named, *neighbours(places)]))
@@ -158,6 +162,8 @@ class Dialled:
     def _open(self) -> zenoh.Session:
         """Open the session, and publish at once what is dialled."""
         self._places.remove(self._places.sock)  # of a killed agent; we hold the lock
+        if self._router is not None:
+            self._places.remove(self._router)  # likewise
         link = session.agent(
             self._places,
             listen=self._listen,
@@ -246,11 +252,13 @@ def _doubled(found: Mapping[str, DialledAgent]) -> set[str]:
 
 
 def neighbours(places: run_folder.Places) -> list[str]:
-    """Return the sockets of the other agents of the domain on this machine."""
+    """Return the sockets of the other routers among the machine's agents."""
+    with run_folder.turn(places.domain):  # so that each has said what it is
+        found = sorted(run_folder.positions(places.domain).items())
     return [
-        run_folder.Places(places.domain, name).endpoint
-        for name in run_folder.live_agents(places.domain)
-        if name != places.name
+        run_folder.Places(places.domain, name).router_endpoint(its.place)
+        for name, its in found
+        if name != places.name and not its.rank
     ]
 
 

@@ -7,7 +7,8 @@ RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use
 resources of other machines), ``NAME.agent`` and ``NAME.rtpu`` (locked while these
 processes live), ``NAME.state`` (what to clean up if the RTPU process is killed) and
 ``NAME.log`` (the RTPU process's standard error), ``NAME.hubN`` (the socket on which an
-agent that is a client of a router accepts agents of the machine). ``devices`` has a
+agent that is a client of a router accepts agents of the machine). ``.routerN`` are the
+sockets of the agents that are routers for the others of the machine. ``devices`` has a
 file for each I/O device that is open.
 
 Nothing here imports zenoh, because the RTPU process uses it too.
@@ -23,7 +24,7 @@ import stat
 import struct
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pbonet import shm
 from pbonet.errors import DuplicateNameError, NodeError
@@ -34,9 +35,15 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
 """Maximum length of a Unix socket's path on Linux, in bytes."""
+TURN_TIME = 20.0
+"""Seconds for which an agent that starts waits for those that start before it."""
+SWEEP_TIME = 0.5
+"""The same for one that ends, and removes what others may have left."""
 _LOOK = 0.01
 _HOLDER = re.compile(r"process (\d+)")
 _RANK = re.compile(r"rank (\d+)")
+_PLACE = re.compile(r"place (\d+)")
+_ROUTER = re.compile(r"\.router(\d+)(\.lock)?")
 _FLOCK = struct.Struct("hhqqi4x")
 
 
@@ -145,6 +152,19 @@ class Places:
         _check_length(path)
         return path
 
+    def router(self, place: int) -> Path:
+        """Return the socket of the machine's router at a place, from 1 on."""
+        path = self.folder / f".router{place}"
+        _check_length(path)
+        return path
+
+    def router_endpoint(self, place: int | None) -> str:
+        """Return where others of the machine link with the agent, which is a router.
+
+        At a place it is found by those that were there before it.
+        """
+        return f"unixsock-stream/{self.router(place)}" if place else self.endpoint
+
     @property
     def agents_files(self) -> tuple[Path, ...]:
         """The agent's sockets, and the lock files that zenoh makes for them."""
@@ -234,14 +254,55 @@ class NameLock:
 
 
 @contextlib.contextmanager
-def turn(domain: str) -> Generator[None]:
-    """Wait until no other agent of `domain` is taking its place on this machine."""
-    fd = os.open(folder() / check_name("a domain", domain), os.O_RDONLY | os.O_CLOEXEC)
+def turn(domain: str, *, patience: float = TURN_TIME) -> Generator[None]:
+    """Wait until no other agent of `domain` is taking its place on this machine.
+
+    Args:
+        domain: The domain.
+        patience: Seconds to wait.
+
+    Raises:
+        NodeError: Another agent has its turn for longer.
+    """
+    path = folder() / check_name("a domain", domain)
+    deadline = time.monotonic() + patience
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX)
+        while not _has_turn(fd):
+            if time.monotonic() >= deadline:
+                raise NodeError(
+                    "another agent of this machine starts or ends, and does not get on",
+                    where=str(path),
+                    expected=f"that done within {patience:g} s",
+                    remedy="is it stopped? `ps -C pbonet -o pid,stat,args` shows T "
+                    "then; continue it with `kill -CONT PID`, or end it",
+                )
+            time.sleep(_LOOK)
         yield
     finally:
         os.close(fd)
+
+
+def _has_turn(fd: int) -> bool:
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def sweep_routers(domain: str) -> None:
+    """Remove the sockets of routers of this machine that have ended.
+
+    An end does not wait for an agent that starts and is stopped; then they remain until
+    the next agent ends, or takes their place.
+    """
+    with contextlib.suppress(NodeError, OSError), turn(domain, patience=SWEEP_TIME):
+        held = {its.place for its in positions(domain).values()}
+        for path in list((folder() / domain).iterdir()):
+            found = _ROUTER.fullmatch(path.name)
+            if found is not None and int(found[1]) not in held:
+                path.unlink(missing_ok=True)
 
 
 def is_held(path: Path) -> bool:
@@ -284,14 +345,25 @@ def agent_processes(domain: str) -> dict[str, int]:
     return {path.stem: _number(_HOLDER, path) for path in held}
 
 
-def ranks(domain: str) -> dict[str, int]:
-    """Return the ranks of the agents of `domain` that live on this machine.
+class Position(NamedTuple):
+    """An agent's part among those of its machine; see `client_of_router`."""
 
-    It is 0 for an agent that is not a client of a router; see `client_of_router`.
-    """
+    rank: int = 0
+    """Of a client of a router; 0: it is a router itself."""
+    place: int | None = None
+    """Without routers of its own: at which place it is a router for the others of the
+    machine; 0: at none. None: it has routers."""
+
+    def __str__(self) -> str:
+        rank = f", rank {self.rank}" if self.rank else ""
+        return rank if self.place is None else f"{rank}, place {self.place}"
+
+
+def positions(domain: str) -> dict[str, Position]:
+    """Return what each agent of `domain` that lives on this machine is there."""
     here = folder() / check_name("a domain", domain)
     held = (path for path in here.glob("*.agent") if is_held(path))
-    return {path.stem: _number(_RANK, path) for path in held}
+    return {path.stem: _position(path) for path in held}
 
 
 def is_stopped(pid: int) -> bool:
@@ -303,13 +375,18 @@ def is_stopped(pid: int) -> bool:
     return stat.rpartition(")")[2].split()[0] in {"T", "t"}
 
 
-def _number(what: re.Pattern[str], path: Path) -> int:
-    """Return a number that a lock's holder has written, or 0."""
+def _position(path: Path) -> Position:
+    place = _number(_PLACE, path, -1)
+    return Position(_number(_RANK, path), None if place < 0 else place)
+
+
+def _number(what: re.Pattern[str], path: Path, default: int = 0) -> int:
+    """Return a number that a lock's holder has written, or the default."""
     try:
         found = what.search(path.read_text(encoding="utf-8", errors="replace"))
     except OSError:
-        return 0
-    return int(found[1]) if found else 0
+        return default
+    return int(found[1]) if found else default
 
 
 def machine() -> str:

@@ -3,7 +3,8 @@
 Agents run as routers and everything else is a client of some agent, so one agent within
 reach is enough to reach all. Agents of one machine find each other in the runtime
 folder; others are named, or found by multicast if that is requested. Where machines are
-many, agents are clients of routers of their own kind (`client_of_router`). There is no
+many, agents are clients of routers (`client_of_router`), and where agents of one
+machine are many, of the first few of them. There is no
 gossip, and the shared-memory transport is off. A client that is lost is noticed within
 400 ms by its silence, an agent by its signs of life (`pbonet.node.agent.heartbeat`).
 

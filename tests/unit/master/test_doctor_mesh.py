@@ -39,7 +39,7 @@ def test_agents_of_one_machine_that_are_linked_each_with_each():
     assert not warned(most)
     (text,) = warned(most + 1)
     assert text.startswith(f"WARN {most + 1} agents of one-pc are linked each with")
-    assert "pbonet router --listen tcp/127.0.0.1:7447" in text
+    assert "remove listen, connect and multicast from agent.toml of all but" in text
     assert not warned(most + 1, ["tcp/127.0.0.1:7447"])
     assert not warned(most + 1, ended=1)
 

@@ -158,7 +158,9 @@ class Routed:
         for number in range(2):
             self.start(number)
         places = run_folder.Places("d", "arm0")
-        self.session = client_of_router.open_session(places, self.ends, rank=1)
+        self.session = client_of_router.open_session(
+            places, self.ends, position=run_folder.Position(rank=1)
+        )
 
     def start(self, number):
         settings = session.router_settings(listen=[self.ends[number]])

@@ -185,3 +185,36 @@ def test_nothing_is_cleaned_while_the_process_lives(run_dir):
     assert cleanup.clean(places) == []
     assert places.state.exists()
     assert run_dir.is_dir()
+
+
+@pytest.mark.usefixtures("run_dir")
+def test_an_agent_that_is_stopped_as_it_starts_holds_up_no_end(monkeypatch):
+    """One that ends leaves the sockets; one that starts tells why it cannot."""
+    places = run_folder.Places("d", "a")
+    places.router(1).touch()
+    monkeypatch.setattr(run_folder, "SWEEP_TIME", 0.0)
+    with run_folder.turn("d"):
+        run_folder.sweep_routers("d")
+        assert places.router(1).exists()
+        with (
+            pytest.raises(NodeError, match="starts or ends, and does not get on"),
+            run_folder.turn("d", patience=0.0),
+        ):
+            pass
+    run_folder.sweep_routers("d")
+    assert not places.router(1).exists()
+
+
+@pytest.mark.usefixtures("run_dir")
+def test_a_sweep_spares_the_sockets_of_routers_that_live():
+    places = run_folder.Places("d", "a")
+    lock = run_folder.NameLock(places.lock, f"agent a{run_folder.Position(0, 2)}")
+    locks = [places.folder / f".router{place}.lock" for place in (1, 2)]
+    for path in (places.router(1), places.router(2), *locks):
+        path.touch()
+    run_folder.sweep_routers("d")
+    left = {path.name for path in places.folder.glob(".router*")}
+    assert left == {".router2", ".router2.lock"}
+    lock.release()
+    run_folder.sweep_routers("d")
+    assert not list(places.folder.glob(".router*"))
