@@ -83,7 +83,7 @@ def test_by_default_the_task_is_in_error_with_its_line(arm):
     arm.on("a")
     event = arm.wait_event("METHOD", "a")
     assert event.severity == Severity.ERROR
-    assert event.text == "a.cycle: no encoder: ERROR"
+    assert event.text == "a.cycle: no encoder; it is ERROR"
     assert place(event) == ("handles.py", "cycle")
     assert arm.status("a").error == f"no encoder ({event.place})"
     assert (event.cycle, event.errnum) == (0, 1), "none completed, none given"

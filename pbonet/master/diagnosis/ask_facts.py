@@ -109,6 +109,7 @@ def ask(
     if Extent.START in extent:
         _read_start(subsystem, facts, job)
     if subsystem.simulation is None:
+        facts.on_since = _on_since(facts)
         time.sleep(max(pause - (time.monotonic() - begin), 0.0))
         facts.watched = time.monotonic() - begin
         again, _ = clients.each(lambda _: m.Status(), m.RtpuStatus, rtpus=there)
@@ -116,6 +117,17 @@ def ask(
             task.task: task.cycle for rtpu in again.values() for task in rtpu.tasks
         }
     return facts
+
+
+def _on_since(facts: Facts) -> dict[str, float]:
+    """Return when each task was turned on, from how long ago that is now."""
+    now = time.time()
+    return {
+        one.task: now - (one.now - one.on_ns) * 1e-9
+        for rtpu in facts.rtpus.values()
+        for one in rtpu.tasks
+        if one.on_ns and one.now
+    }
 
 
 def _trace(subsystem: Subsystem, task: str, seconds: float) -> m.CoreTrace:

@@ -10,7 +10,14 @@ import numpy as np
 from pbonet.errors import PbonetError
 from pbonet.log import Log, timelines
 from pbonet.master.configuration import Graph, recorded_graph
-from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue, convert
+from pbonet.xm.net import (
+    Event,
+    RtpuStatus,
+    TaskStatus,
+    VarValue,
+    convert,
+    event_codes,
+)
 
 from .facts import Facts, Gap
 
@@ -71,6 +78,7 @@ def read_log(path: str | Path) -> Facts:
         unknown=unknown,
     )
     facts.rtpus = _rtpus(log, facts, end)
+    facts.on_since = _on_since(log, end)
     facts.withdrawn = _withdrawn(facts.events)
     facts.gaps = {task: _gaps(log, task) for task in log.tasks}
     facts.values = _values(log, end)
@@ -107,6 +115,16 @@ def _last(line: list[Any], end: float) -> str:
     states = [one.state for one in line if one.begin_ns * 1e-9 < end - _SAME]
     before = states[:-1] if len(states) > 1 and states[-1] == _GONE else states
     return before[-1] if before else _GONE
+
+
+def _on_since(log: Log, end: float) -> dict[str, float]:
+    """Return when each task was turned on for the last time before the end."""
+    begun = {
+        name: [one.begin_ns * 1e-9 for one in line if one.state == "ON"]
+        for name, line in timelines(log).items()
+    }
+    before = {name: [at for at in ats if at < end] for name, ats in begun.items()}
+    return {name: ats[-1] for name, ats in before.items() if ats}
 
 
 def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:
@@ -180,7 +198,7 @@ def _end_of(events: list[Event]) -> float:
         if event.code == "STOPPED":
             begun = event.wall
         elif event.code == "STATE":
-            if event.text.partition(":")[0] not in {"off", "kill", "stop"}:
+            if event.text not in {event_codes.TURNED_OFF, event_codes.KILLED}:
                 break
             if begun < float("inf"):
                 begun = event.wall
