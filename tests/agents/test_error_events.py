@@ -100,7 +100,7 @@ def test_the_number_and_the_cycle_of_an_error(arm, nodes):
     assert (warning.cycle, warning.errnum, warning.text) == (3, 13, "in 3")
     failed = arm.wait_event("METHOD", "a")
     assert (failed.cycle, failed.errnum) == (4, 42)
-    assert failed.text == "a.cycle: too hot in 4: ERROR"
+    assert failed.text == "a.cycle: too hot in 4; it is ERROR"
     assert arm.status("a").cycle == 4
     arm.control("a", "clear")
     error = arm.refused(MethodError, arm.on, "a")
