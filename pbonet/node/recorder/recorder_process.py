@@ -149,8 +149,8 @@ class Recorder:
         """Yield the rings that may be ours: (path, inode), and name."""
         first = shm.own("")
         ours = f"{first}{self._wanted.domain}.{self._wanted.subsystem}."
-        with os.scandir(self._folder) as entries:
-            for entry in entries:
+        with contextlib.suppress(FileNotFoundError):  # the folder was removed
+            for entry in os.scandir(self._folder):
                 name = entry.name
                 if name.startswith(ours) and name.endswith(".ring"):
                     plain = name[len(first) : -len(".ring")]
