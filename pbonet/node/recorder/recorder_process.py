@@ -291,8 +291,21 @@ class Recorder:
             self._told = (path, lost)
             subsystem = self._wanted.subsystem
             self._send(
-                rtpu_messages.Recorder(subsystem=subsystem, path=path, lost=lost)
+                rtpu_messages.Recorder(
+                    subsystem=subsystem,
+                    path=path,
+                    lost=lost,
+                    handed_on=self._handed_on(),
+                )
             )
+
+    def _handed_on(self) -> dict[str, int]:
+        """Return what was lost of each task, but for what rings that stand say."""
+        found = self._files.lost.copy()
+        if not self._wanted.last:
+            for followed in self._rings.values():
+                found[followed.about.task] -= followed.lost
+        return dict(+found)
 
     def _say(self, severity: Severity, code: str, text: str) -> None:
         self._send(rtpu_messages.Note(int(severity), code, text))
