@@ -15,12 +15,12 @@ from starlette.responses import FileResponse, PlainTextResponse
 from starlette.routing import Route, WebSocketRoute
 
 from pbonet.errors import PbonetError
-from pbonet.master.console import COMMANDS, described
+from pbonet.master.console import described
 from pbonet.master.subsystem import status_fields
 
 from .access import COOKIE_TIME, Access, Rate, Role
 from .browsers import MOST, MOST_WATCHED, Browser, Browsers
-from .orders import Play, Seek, Stop, Watch, decode, is_fit, refusal
+from .orders import Play, Seek, Stop, Watch, decode, refusal
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
     from .orders import Orders, Wish
+    from .recorded_questions import RecordedQuestions
     from .source import Source
 
     Data = dict[str, Any]
@@ -81,7 +82,7 @@ class Page:
     def __init__(
         self,
         source: Source,
-        orders: Callable[[Callable[[Data], None]], Orders] | None,
+        orders: Callable[[Callable[[Data], None]], Orders | RecordedQuestions] | None,
         access: Access,
         *,
         linked: Callable[[Role, str], None],
@@ -232,7 +233,7 @@ class Page:
     def _command(self, request: Wish, browser: Browser) -> None:
         orders = self._orders
         if orders is None:
-            browser.put(_encoded(kind="refused", text="a recorded run has no commands"))
+            browser.put(_encoded(kind="refused", text="this page has no commands"))
             return
 
         async def carry_out() -> None:
@@ -295,12 +296,12 @@ class Page:
                 return
 
     def _hello(self, role: Role) -> Data:
-        steered = self._orders is not None
+        commands = self._orders.commands if self._orders is not None else ()
         return {
             "kind": "hello",
-            "role": str(role if steered else Role.OBSERVER),
+            "role": str(role if self._orders is not None else Role.OBSERVER),
             "now": time.time(),
-            "commands": described(filter(is_fit, COMMANDS)) if steered else [],
+            "commands": described(commands),
             "fields": [
                 {"name": one.name, "unit": one.unit, "doc": one.doc}
                 for one in status_fields.FIELDS
