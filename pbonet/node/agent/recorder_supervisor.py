@@ -68,7 +68,7 @@ class _Child:
         self._ending = threading.Event()
         self._lost: list[float] = []
         self._handed_on: dict[str, int] = {}
-        """What its recorders have lost of each task, for the next one."""
+        """Records that its recorders have lost of each task, for the next one."""
         self._said = -1
         self._feed = RecorderPipe(self._unfit, self._kill)
         self._process = self._start(before)

@@ -146,8 +146,8 @@ class Recorder(Struct, tag="recorder", kw_only=True):
     lost: int = 0
     """Records that could not be written."""
     handed_on: dict[str, int] = {}
-    """Those of each task that a recorder after it cannot count: its ring, if it stands,
-    says what did not fit it."""
+    """Records of each task that a recorder after it cannot count: its ring, if it
+    stands, says what did not fit it."""
 
 
 class Alive(Struct, tag="alive"):
