@@ -82,11 +82,13 @@ def ask(
         statuses = {one.rtpu: one for one in task_set.refresh(strict=False)}
     except NodeError as error:  # none answers
         return unreached(subsystem, error)
+    on_since = {} if subsystem.simulation is not None else _on_since(statuses)
     failed, there = task_set.silent, list(statuses)
     facts = Facts(
         subsystem=subsystem.name,
         graph=configuration.graph_of(subsystem.files, ()),
         rtpus=statuses,
+        on_since=on_since,
         silent={name: error.to_wire() for name, error in failed.items()},
         keeper=subsystem.sbs.keeper,
         unknown=unknown,
@@ -109,7 +111,6 @@ def ask(
     if Extent.START in extent:
         _read_start(subsystem, facts, job)
     if subsystem.simulation is None:
-        facts.on_since = _on_since(facts)
         time.sleep(max(pause - (time.monotonic() - begin), 0.0))
         facts.watched = time.monotonic() - begin
         again, _ = clients.each(lambda _: m.Status(), m.RtpuStatus, rtpus=there)
@@ -119,12 +120,16 @@ def ask(
     return facts
 
 
-def _on_since(facts: Facts) -> dict[str, float]:
-    """Return when each task was turned on, from how long ago that is now."""
+def _on_since(statuses: Mapping[str, m.RtpuStatus]) -> dict[str, float]:
+    """Return when each task was turned on, from how long ago that is now.
+
+    Args:
+        statuses: They have just been read.
+    """
     now = time.time()
     return {
         one.task: now - (one.now - one.on_ns) * 1e-9
-        for rtpu in facts.rtpus.values()
+        for rtpu in statuses.values()
         for one in rtpu.tasks
         if one.on_ns and one.now
     }

@@ -24,7 +24,7 @@ def healthy(facts: Facts, asked: Question) -> tuple[str, ...]:
         facts: Those in which no cause was found.
         asked: The question, with its kind.
     """
-    parts: dict[str, Callable[[Facts, str], list[str]]] = {
+    parts: dict[str, Callable[[Facts, Question], list[str]]] = {
         "flag": _flag,
         "start": _start,
         "task": _task,
@@ -32,14 +32,14 @@ def healthy(facts: Facts, asked: Question) -> tuple[str, ...]:
         "variable": _variable,
         "rtpu": _rtpu,
     }
-    figures = parts[asked.kind](facts, asked.name)
+    figures = parts[asked.kind](facts, asked)
     if not figures:
         return ()
     read = "nothing that was read is wrong" if facts.unknown else "nothing is wrong"
     return (f"{read}: {figures[0]}", *figures[1:])
 
 
-def _flag(facts: Facts, _: str) -> list[str]:
+def _flag(facts: Facts, _: Question) -> list[str]:
     if facts.from_log:
         return ["no task or RTPU raised it"]
     if not facts.rtpus or facts.silent:
@@ -52,17 +52,19 @@ def _flag(facts: Facts, _: str) -> list[str]:
     ]
 
 
-def _start(facts: Facts, _: str) -> list[str]:
+def _start(facts: Facts, asked: Question) -> list[str]:
     if facts.from_log:
-        return ["no step of it failed"]
+        planned = facts.planned.job if facts.planned is not None else ""
+        known = asked.name in {"", planned, facts.subsystem}
+        return ["no step of it failed"] if known else []
     return [
         "the files are right, the configuration is legal, and the RTPUs are there",
         "read on: `pbonet check` has the schedule of each RTPU",
     ]
 
 
-def _task(facts: Facts, name: str) -> list[str]:
-    status = facts.task(name)
+def _task(facts: Facts, asked: Question) -> list[str]:
+    status = facts.task(asked.name)
     if status is None or status.state != State.ON:
         return []
     on = "was" if facts.from_log else "is"
@@ -72,9 +74,11 @@ def _task(facts: Facts, name: str) -> list[str]:
     return [f"it {on} ON{_since(facts, status)}", *_figures(status), read_on]
 
 
-def _missed(facts: Facts, name: str) -> list[str]:
-    status = facts.task(name)
+def _missed(facts: Facts, asked: Question) -> list[str]:
+    status = facts.task(asked.name)
     if status is None or status.miss or any(status.failures.values()):
+        return []
+    if asked.cycle > status.cycle:  # it has not come, or is not in the log
         return []
     return _figures(status)
 
@@ -95,7 +99,7 @@ def _figures(status: TaskStatus) -> list[str]:
         rate = f" at {status.ref_f:g} Hz"
         rate += f" (measured: {status.mez_f:.4g} Hz)" if status.mez_f else ""
     done = f"{status.cycle} cycles{rate}, none missed"
-    if not status.cycle:
+    if not (status.cycle and status.max_c):  # virtual time has no CPU times
         return [done]
     mean = status.tot_c / status.cycle
     return [
@@ -105,22 +109,28 @@ def _figures(status: TaskStatus) -> list[str]:
     ]
 
 
-def _variable(facts: Facts, name: str) -> list[str]:
+def _variable(facts: Facts, asked: Question) -> list[str]:
+    name = asked.name
     value = facts.values.get(name)
     if value is None or value.age is None or facts.is_old(name):
         return []
     writer = (value.writer or "").rpartition("/")[2]
+    if any(one.name == name and one.constant for one in facts.graph.variables):
+        given = f", which {writer} gave" if writer else ""
+        return [f"it is a constant, and has its value{given}"]
     status = facts.task(writer)
     if status is None:
         return ["it has its value" + (f" of {writer}" if writer else "")]
     rate = f" at {status.ref_f:g} Hz" if status.ref_f else ""
-    lines = [f"{writer} on {status.rtpu} writes it{rate}"]
+    writes = "wrote" if facts.from_log else "writes"
+    lines = [f"{writer} on {status.rtpu} {writes} it{rate}"]
     if not facts.from_log:
         lines.append("read on: `pbonet display` has its values")
     return lines
 
 
-def _rtpu(facts: Facts, name: str) -> list[str]:
+def _rtpu(facts: Facts, asked: Question) -> list[str]:
+    name = asked.name
     there = facts.on_rtpu(name)
     if name not in facts.rtpus:
         return []

@@ -25,7 +25,11 @@ class InThread(Generic[T]):
         self._errors: list[BaseException] = []
         self._over = threading.Event()  # a `join` that Ctrl-C ends takes it for ended
         run = contextvars.copy_context().run
-        threading.Thread(target=run, args=(self._run,)).start()
+        self._thread = threading.Thread(target=run, args=(self._run,))
+
+    def begin(self) -> None:
+        """Begin it; it may be under way or not if Ctrl-C ends this."""
+        self._thread.start()
 
     def _run(self) -> None:
         try:
@@ -36,8 +40,11 @@ class InThread(Generic[T]):
             self._over.set()
 
     def done(self, seconds: float) -> bool:
-        """Wait for its end for some time; return whether it has come."""
-        return self._over.wait(seconds)
+        """Wait for its end for some time; return whether it has come.
+
+        One that has not begun by then never does.
+        """
+        return self._over.wait(seconds) or self._thread.ident is None
 
     def result(self) -> T:
         """Wait for its end; return its result, or raise its error."""

@@ -640,6 +640,7 @@ class SubsystemTasks:
             return ask()
         under_way = InThread(ask)  # so that Ctrl-C ends the wait, not the requests
         try:
+            under_way.begin()
             return under_way.result()
         except BaseException as error:
             if not isinstance(error, Exception):

@@ -82,13 +82,13 @@ class Page:
     def __init__(
         self,
         source: Source,
-        orders: Callable[[Callable[[Data], None]], Orders | RecordedQuestions] | None,
+        orders: Callable[[Callable[[Data], None]], Orders | RecordedQuestions],
         access: Access,
         *,
         linked: Callable[[Role, str], None],
     ) -> None:
         self._source = source
-        self._orders = orders(self.send_to_all) if orders is not None else None
+        self._orders = orders(self.send_to_all)
         self._access = access
         self._linked = linked
         self._browsers = Browsers(source.want)
@@ -113,14 +113,13 @@ class Page:
         try:
             yield
         finally:
-            if self._orders is not None:
-                await asyncio.to_thread(self._orders.close)
+            await asyncio.to_thread(self._orders.close)
             await asyncio.to_thread(self._source.close)
 
     @property
     def left(self) -> list[str]:
         """Sentences about what is still being carried out after the end."""
-        return self._orders.left if self._orders is not None else []
+        return self._orders.left
 
     def send_to_all(self, message: Data) -> None:
         """Send a message to all browsers; any thread may call it."""
@@ -184,7 +183,7 @@ class Page:
         sending = None
         try:
             await socket_.accept()
-            running = self._orders.first() if self._orders is not None else []
+            running = self._orders.first()
             for message in (self._hello(role), *self._source.first(), *running):
                 browser.put(msgspec.json.encode(message))
             sending = asyncio.create_task(_send(socket_, browser))
@@ -232,9 +231,6 @@ class Page:
 
     def _command(self, request: Wish, browser: Browser) -> None:
         orders = self._orders
-        if orders is None:
-            browser.put(_encoded(kind="refused", text="this page has no commands"))
-            return
 
         async def carry_out() -> None:
             answer = await orders.answer(
@@ -296,12 +292,11 @@ class Page:
                 return
 
     def _hello(self, role: Role) -> Data:
-        commands = self._orders.commands if self._orders is not None else ()
         return {
             "kind": "hello",
-            "role": str(role if self._orders is not None else Role.OBSERVER),
+            "role": str(role),
             "now": time.time(),
-            "commands": described(commands),
+            "commands": described(self._orders.commands),
             "fields": [
                 {"name": one.name, "unit": one.unit, "doc": one.doc}
                 for one in status_fields.FIELDS

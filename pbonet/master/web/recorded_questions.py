@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -41,7 +41,8 @@ class RecordedQuestions:
     def __init__(self, path: str | Path) -> None:
         self._path = path
         self._reading = ThreadPoolExecutor(1, "explain")
-        self._waiting = 0
+        self._asked: set[Future[diagnosis.Explanation]] = set()
+        """Questions that are answered, or wait."""
 
     def close(self) -> None:
         """Answer nothing more."""
@@ -49,8 +50,9 @@ class RecordedQuestions:
 
     @property
     def left(self) -> list[str]:
-        """Sentences about what is still being carried out: none, it only reads."""
-        return []
+        """Sentences about what is still being carried out."""
+        goes_on = any(one.running() for one in list(self._asked))
+        return ["a question about the run was not answered"] if goes_on else []
 
     def first(self) -> list[Data]:
         """Return the messages for a new browser: none."""
@@ -82,18 +84,15 @@ class RecordedQuestions:
         return answered(number, Done(str(found), data=msgspec.to_builtins(found)))
 
     async def _explained(self, words: Sequence[str]) -> diagnosis.Explanation:
-        if self._waiting >= MOST_WAITING:
+        if len(self._asked) >= MOST_WAITING:
             raise StateError(
                 f"{MOST_WAITING} questions wait already",
                 remedy="wait for their answers",
             )
-        self._waiting += 1
-        try:
-            return await asyncio.get_running_loop().run_in_executor(
-                self._reading, diagnosis.answer, self._path, words, Place()
-            )
-        finally:
-            self._waiting -= 1
+        asked = self._reading.submit(diagnosis.answer, self._path, words, Place())
+        self._asked.add(asked)
+        asked.add_done_callback(self._asked.discard)
+        return await asyncio.wrap_future(asked)
 
 
 def _words(request: Wish) -> list[str]:

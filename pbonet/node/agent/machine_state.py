@@ -77,7 +77,11 @@ class NeededFolders:
         for (path, what, variable), known in zip(
             self._folders, self._there, strict=True
         ):
-            if _identity(path) != known:
+            try:
+                found = _identity(path)
+            except OSError:  # as for lack of memory: that says nothing about it
+                continue
+            if found != known:
                 return (
                     f"{what} {path} was removed, so that nothing can reach the RTPU: "
                     "its tasks are turned off, and it ends; set "
@@ -89,6 +93,6 @@ class NeededFolders:
 def _identity(path: Path) -> tuple[int, int] | None:
     try:
         found = path.stat()
-    except OSError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     return found.st_dev, found.st_ino

@@ -521,6 +521,44 @@ def test_what_is_well_is_said_with_its_figures(words, figure):
     assert "no cause was found" not in text
 
 
+def test_an_rtpu_with_a_task_in_error_is_not_said_to_be_right():
+    text = told(facts(status("pid", state="ERROR", error="no encoder")), "arm0")
+    assert "nothing is wrong" not in text
+    assert "because task pid on arm0 is ERROR" in text
+
+
+def test_nobody_is_said_to_write_a_constant_again_and_again():
+    known = facts()
+    one = known.graph.variables[0]
+    known.graph.variables[0] = structs.replace(one, constant=True)
+    writer = (known.values[one.name].writer or "").rpartition("/")[2]
+    text = told(known, one.name)
+    assert f"nothing is wrong: it is a constant, and has its value, which {writer}" in (
+        text
+    )
+    assert "Hz" not in text
+
+
+def test_cpu_times_that_were_not_measured_are_not_told():
+    text = told(facts(status("pid", tot_c=0.0, max_c=0.0)), "pid")
+    assert "100 cycles at 100 Hz" in text
+    assert "CPU time" not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "answered"),
+    [
+        (("miss", "pid", "100"), True),
+        (("miss", "pid", "101"), False),
+        (("start", "arm"), True),
+        (("start", "other"), False),
+    ],
+)
+def test_what_a_recorded_run_does_not_have_is_not_said_to_be_right(words, answered):
+    known = facts(from_log=True)
+    assert diagnosis.explain(known, asked_by(words)).answered == answered
+
+
 def test_of_what_nothing_is_known_nothing_is_said_to_be_right():
     known = facts(rtpus={})
     for words in ((), ("arm1",), ("miss", "pid")):

@@ -138,7 +138,7 @@ def test_the_end_of_a_run_is_no_cause(tmp_path):
     ask = recorded(tmp_path, SOUND)
     assert ask("pid").what == "task pid on arm0 is ON"
     assert not ask("Y").found, "its task was ON until then"
-    assert "nothing is wrong: pid on arm0 writes it" in str(ask("Y"))
+    assert "nothing is wrong: pid on arm0 wrote it" in str(ask("Y"))
     since = log_facts.read_log(tmp_path / "run.mcap").on_since
     assert since == {"pid": pytest.approx(PERIOD * 1e-9)}
 

@@ -6,6 +6,7 @@ import asyncio
 import json
 import queue
 import shutil
+import threading
 from importlib import resources
 from pathlib import Path
 
@@ -233,6 +234,34 @@ def test_what_else_is_asked_of_it_is_refused(folder, request_, text):
     answer = ask(folder, request_)
     assert (answer["id"], answer["ok"]) == (7, False)
     assert text in answer["text"]
+
+
+def test_a_question_that_is_not_answered_at_the_end_is_named(monkeypatch):
+    """The program ends then, and does not wait until a large log is read."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def read(*_):
+        begun.set()
+        go_on.wait(60)
+        return diagnosis.Explanation(kind="flag", name="", what="down")
+
+    async def leave():
+        asked = asyncio.ensure_future(
+            questions.answer(Order(1, "explain", {}), Role.OBSERVER, lambda _: None)
+        )
+        await asyncio.to_thread(begun.wait, 60)
+        asked.cancel()
+        await asyncio.gather(asked, return_exceptions=True)
+        questions.close()
+        return questions.left
+
+    monkeypatch.setattr(diagnosis, "answer", read)
+    questions = RecordedQuestions("a log")
+    assert questions.left == []
+    try:
+        assert asyncio.run(leave()) == ["a question about the run was not answered"]
+    finally:
+        go_on.set()
 
 
 def test_its_page_has_the_button_and_the_answer(folder):
