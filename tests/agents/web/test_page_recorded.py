@@ -27,6 +27,7 @@ def test_why_explains_the_whole_run_as_the_command_line_does(
     with opened(browser, server.link("observer")) as page:
         assert page.locator(".badge", has_text="recorded run").count() == 1
         page.locator(".card .name:text-is('puma_pidg')").click()
+        page.locator("#tab-Task").click()
         why = page.get_by_label("explain puma_pidg")
         assert "Of the whole run, not of this time." in why.get_attribute("title")
         why.click()
