@@ -114,14 +114,37 @@ def main() -> int:
     names: list[str] = parser.parse_args().extras or list(extras)
     results = [check(name, extras[name], base) for name in names]
     given = [one for one in results if one is not None]
-    off = [
+    off = differences(given)
+    print("\n".join(off) or agreement(given))
+    return 1 if off else 0
+
+
+def differences(given: list[tuple[str, Found]]) -> list[str]:
+    """Return what modules give otherwise with a pinocchio than with the first one.
+
+    Args:
+        given: Its version, and what modules give with it.
+    """
+    return [
         f"{key} differs between pinocchio {given[0][0]} and {version}"
         for version, found in given[1:]
         for key, values in found.items()
         if max(map(distance, values, given[0][1][key])) > CLOSE
     ]
-    print("\n".join(off) or "all agree")
-    return 1 if off else 0
+
+
+def agreement(given: list[tuple[str, Found]]) -> str:
+    """Return what was compared, where nothing differs."""
+    versions = [version for version, _ in given]
+    if not versions:
+        return "nothing was compared: no extra that was installed brings pinocchio"
+    if len(versions) == 1:
+        return f"nothing was compared: pinocchio {versions[0]} alone was installed"
+    outputs = len(given[0][1])
+    return (
+        f"{outputs} outputs of modules agree with pinocchio {' and '.join(versions)}, "
+        f"to {CLOSE:g}"
+    )
 
 
 def distance(a: float, b: float) -> float:

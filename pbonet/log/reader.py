@@ -70,6 +70,8 @@ class TaskLife:
         self.moves = moves
         self.schema = ReadSchema(about)
         self._pieces = [(part, keys)]
+        self._counts: list[int] = []
+        """How many of `commits` each file has."""
         told = part.channels[keys[0]].metadata
         here = (part.about.machine, part.about.run) if part.about else ("", "")
         self.origin = Origin(told.get(MACHINE, here[0]), told.get(RUN, here[1]), moves)
@@ -87,17 +89,14 @@ class TaskLife:
     @cached_property
     def commits(self) -> Rows:
         """Messages of cycles, claims and other commits."""
-        return Rows.joined(self._cycles)
+        each = [self.schema.cycles(part.rows(keys[0])) for part, keys in self._pieces]
+        self._counts = [len(one) for one in each]
+        return Rows.joined(each)
 
     @cached_property
     def groups(self) -> list[bytes]:
         """The group of out-vars of each of `commits`, in the format of a table."""
         return self.schema.groups(self.commits)
-
-    @cached_property
-    def _cycles(self) -> list[Rows]:
-        """Messages of cycles and other commits, by file."""
-        return [self.schema.cycles(part.rows(keys[0])) for part, keys in self._pieces]
 
     @property
     def steps(self) -> list[bytes]:
@@ -125,10 +124,16 @@ class TaskLife:
         gaps: list[int] = []
         for part, keys in self._pieces:
             part.load(keys)
-        for (part, keys), cycles in zip(self._pieces, self._cycles, strict=True):
-            each = [cycles, *(part.rows(key) for key in keys[1:])]
-            places = np.concatenate([rows.places for rows in each])
-            messages = [one for rows in each for one in rows.all()]
+        commits, begin = self.commits, 0
+        texts = commits.all()
+        for (part, keys), count in zip(self._pieces, self._counts, strict=True):
+            own = slice(begin, begin := begin + count)
+            steps = [part.rows(key) for key in keys[1:]]
+            places = np.concatenate([
+                commits.places[own],
+                *(one.places for one in steps),
+            ])
+            messages = [*texts[own], *(text for one in steps for text in one.all())]
             order = np.argsort(places, kind="stable")
             lost = np.searchsorted(places[order], part.gaps(keys))
             gaps += (lost + len(found)).tolist()

@@ -83,7 +83,7 @@ def test_by_default_the_task_is_in_error_with_its_line(arm):
     arm.on("a")
     event = arm.wait_event("METHOD", "a")
     assert event.severity == Severity.ERROR
-    assert event.text == "a.cycle: no encoder: ERROR"
+    assert event.text == "a.cycle: no encoder; it is ERROR"
     assert place(event) == ("handles.py", "cycle")
     assert arm.status("a").error == f"no encoder ({event.place})"
     assert (event.cycle, event.errnum) == (0, 1), "none completed, none given"
@@ -100,7 +100,7 @@ def test_the_number_and_the_cycle_of_an_error(arm, nodes):
     assert (warning.cycle, warning.errnum, warning.text) == (3, 13, "in 3")
     failed = arm.wait_event("METHOD", "a")
     assert (failed.cycle, failed.errnum) == (4, 42)
-    assert failed.text == "a.cycle: too hot in 4: ERROR"
+    assert failed.text == "a.cycle: too hot in 4; it is ERROR"
     assert arm.status("a").cycle == 4
     arm.control("a", "clear")
     error = arm.refused(MethodError, arm.on, "a")

@@ -397,7 +397,7 @@ def test_an_error_in_the_very_first_cycle_is_told(run, nodes, puma):
     told = [line for line in said.splitlines() if " METHOD " in line]
     assert len(told) == 1, said
     assert "arm0/fails" in told[0]
-    assert "not even one cycle works: ERROR" in told[0]
+    assert "not even one cycle works; it is ERROR" in told[0]
 
 
 def test_a_task_that_never_ends_its_first_cycle_has_failed(

@@ -291,7 +291,7 @@ class TestFollow:
             found = []
             for line in shown.stdout:
                 found.append(json.loads(line))
-                if found[-1]["text"].startswith("off: OFF"):
+                if found[-1]["text"].startswith("turned off"):
                     break
         finally:
             shown.send_signal(signal.SIGINT)

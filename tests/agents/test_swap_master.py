@@ -86,7 +86,7 @@ def test_an_exchange_is_finished_without_the_master(killed, rtpu):
     assert arm.display(["Y0"])[0].writer == "new"
     wait_for(lambda: not causes(arm), "a legal configuration")
     said = {(e.task, e.code, e.text) for e in arm.events()}
-    assert ("old", "STATE", "off: OFF") in said
+    assert ("old", "STATE", "turned off") in said
     assert ("new", "ENGAGED", "in place of old") in said
     assert arm.swap("old", "new").items == [], "nothing is left to be done"
 

@@ -88,11 +88,12 @@ def test_all_are_away(running, agents):
 @pytest.mark.usefixtures("running")
 def test_the_verb_has_a_status_and_data(world, puma, call):
     status, out, _ = call("explain", puma, "--domain", world.domain)
-    assert (status, out.splitlines()[0]) == (1, "the flag of puma is down")
+    assert (status, out.splitlines()[0]) == (0, "the flag of puma is down")
     words = ("explain", puma, "start", "puma", "--json", "--domain", world.domain)
     status, out, _ = call(*words)
     data = json.loads(out)
-    assert (status, data["kind"], data["causes"]) == (1, "start", [])
+    assert (status, data["kind"], data["causes"]) == (0, "start", [])
+    assert data["healthy"][0].startswith("nothing is wrong: the files are right")
 
 
 def test_a_start_that_would_be_refused(running, puma):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
+import threading
 
 import pytest
 from watching import states, wait_for
@@ -24,7 +27,7 @@ from pbonet.errors import (
 )
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.master.subsystem.unwritten_inputs import UNFED
-from pbonet.xm.net import rpc
+from pbonet.xm.net import messages as m, rpc
 
 ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
 
@@ -383,6 +386,32 @@ def test_start_is_rolled_back_when_a_task_does_not_turn_on(arm, agents, world):
     assert states(arm) == {}
     offs = [text for _, text in world.log if text.startswith("off ")]
     assert offs == ["off grav_comp", "off qrdiff", "off jttrace"]
+
+
+def test_start_that_ctrl_c_ends_leaves_no_task_that_was_being_created(arm, agents):
+    """Its request is done after that; a kill of the task comes too early once."""
+    held = agents["arm1"].held["spawn"] = threading.Event()
+
+    def asked(kind):
+        return [one for one in agents["arm1"].requests if isinstance(one, kind)]
+
+    def interrupt():
+        wait_for(lambda: asked(m.Spawn), "a task is being created")
+        os.kill(os.getpid(), signal.SIGINT)
+        wait_for(lambda: asked(m.Control), "it is killed")
+        held.set()
+
+    pressing = threading.Thread(target=interrupt)
+    pressing.start()
+    with pytest.raises(KeyboardInterrupt):
+        arm.start("puma")
+    pressing.join()
+    assert asked(m.Spawn)
+    assert {name: list(one.tasks) for name, one in agents.items()} == {
+        "arm0": [],
+        "arm1": [],
+    }
+    arm.start("puma")
 
 
 def test_start_that_is_illegal_does_nothing(arm, puma, world):

@@ -168,14 +168,13 @@ export function SignalButtons({ task, place }: { task: string; place?: Ref<HTMLD
 export function Why({ what }: { what: string[] }) {
   useLive("link");
   const running = useCommand();
-  if (live.log) return null;
   const about = what.join(" ");
   return (
     <div className="why">
       <button
         type="button"
         className="link"
-        title={commandHelp("explain")}
+        title={commandHelp("explain") + (live.log ? " Of the whole run, not of this time." : "")}
         aria-label={`explain ${about}`}
         disabled={running.busy || live.link !== "live"}
         onClick={() => void running.run("explain", { what })}

@@ -34,8 +34,9 @@ def command(
     """Explain why something is as it is: the causes, and what to do.
 
     It is about a flag that is up, a task that is OFF, a variable that is stale, an
-    RTPU that does not answer, a start that is refused, or cycles that were missed. The
-    status is 1 if no cause was found.
+    RTPU that does not answer, a start that is refused, or cycles that were missed. Of
+    what is well it says since when, and its figures. The status is 1 if no cause was
+    found and it is not known to be well.
 
     Examples:
         Explain why the illegal-configuration flag is up:
@@ -53,4 +54,4 @@ def command(
 
     found = diagnosis.answer(file, what or (), place, trace=trace)
     options.show(str(found), found, as_data=json_)
-    return int(not found.found)
+    return int(not found.answered)

@@ -43,6 +43,8 @@ _REFUSALS: Final = (OSError, ValueError, TypeError, ImportError, NotImplementedE
 """Errors of interfaces for settings that they do not have, beside their own ones."""
 _NO_FRAME: Final = (ValueError, LookupError)
 """Errors of python-can at a line that is damaged, some as the cause of its own."""
+_LONGEST_LINE: Final = 256
+"""Bytes without the end of a line; the longest, of CAN FD with its time, has 143."""
 _AGAIN: Final = 0.001
 """Seconds after which a full interface is tried again."""
 _NONE: Final = ({"can_id": 0x20000000, "can_mask": 0},)
@@ -191,6 +193,9 @@ class CanBus:
                 if not _is_whole(one):
                     raise self._garbled()
                 return one
+            if len(self._bus._buffer) > _LONGEST_LINE:  # noqa: SLF001 - it has no limit
+                self._bus.flush()
+                raise self._garbled()
         return None
 
     def send(self, identity: int, data: bytes, **more: object) -> bool:

@@ -82,11 +82,13 @@ def ask(
         statuses = {one.rtpu: one for one in task_set.refresh(strict=False)}
     except NodeError as error:  # none answers
         return unreached(subsystem, error)
+    on_since = {} if subsystem.simulation is not None else _on_since(statuses)
     failed, there = task_set.silent, list(statuses)
     facts = Facts(
         subsystem=subsystem.name,
         graph=configuration.graph_of(subsystem.files, ()),
         rtpus=statuses,
+        on_since=on_since,
         silent={name: error.to_wire() for name, error in failed.items()},
         keeper=subsystem.sbs.keeper,
         unknown=unknown,
@@ -116,6 +118,21 @@ def ask(
             task.task: task.cycle for rtpu in again.values() for task in rtpu.tasks
         }
     return facts
+
+
+def _on_since(statuses: Mapping[str, m.RtpuStatus]) -> dict[str, float]:
+    """Return when each task was turned on, from how long ago that is now.
+
+    Args:
+        statuses: They have just been read.
+    """
+    now = time.time()
+    return {
+        one.task: now - (one.now - one.on_ns) * 1e-9
+        for rtpu in statuses.values()
+        for one in rtpu.tasks
+        if one.on_ns and one.now
+    }
 
 
 def _trace(subsystem: Subsystem, task: str, seconds: float) -> m.CoreTrace:

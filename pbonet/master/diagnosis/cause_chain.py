@@ -44,6 +44,8 @@ class Explanation(Struct, frozen=True, kw_only=True):
     what: str
     """How it is now."""
     causes: tuple[Cause, ...] = ()
+    healthy: tuple[str, ...] = ()
+    """Since when it is well, and its figures; empty: that is not known of it."""
     unknown: tuple[str, ...] = ()
     """Parts that could not be read, so that causes there are not seen."""
 
@@ -52,12 +54,18 @@ class Explanation(Struct, frozen=True, kw_only=True):
         """Whether a cause was found."""
         return bool(self.causes)
 
+    @property
+    def answered(self) -> bool:
+        """Whether a cause was found, or there is none because it is well."""
+        return self.found or bool(self.healthy)
+
     def __str__(self) -> str:
         """Return it as lines; a cause stands below what it explains."""
         lines = [self.what]
         for cause in self.causes:
             lines += _lines(cause, 1)
-        if not self.found:
+        lines += [f"  {line}" for line in self.healthy]
+        if not self.answered:
             lines.append("no cause was found")
         lines += [f"not read: {one}" for one in self.unknown]
         return "\n".join(lines)

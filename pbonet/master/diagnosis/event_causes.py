@@ -30,9 +30,9 @@ def sentence(event: Event) -> str:
     where = f", cycle {event.cycle}" if event.cycle else ""
     place = f" ({event.place})" if event.place else ""
     whose = "/".join(filter(None, (event.rtpu, event.task)))
-    return f"{event.code} of {whose} at {clock(event)}{where}: {event.text}{place}"
+    return f"{event.code} of {whose} at {clock(event.wall)}{where}: {event.text}{place}"
 
 
-def clock(event: Event) -> str:
-    """Return the time of day of an event."""
-    return time.strftime("%H:%M:%S", time.localtime(event.wall))
+def clock(wall: float) -> str:
+    """Return the time of day of seconds since 1970."""
+    return time.strftime("%H:%M:%S", time.localtime(wall))

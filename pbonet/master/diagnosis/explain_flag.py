@@ -73,7 +73,7 @@ def _past(text: str, rtpus: list[str], span: tuple[Event, Event]) -> Cause:
 
     What is known of the end does not explain it.
     """
-    first, last = map(clock, span)
+    first, last = (clock(one.wall) for one in span)
     return Cause(
         what=f"{text}, on {', '.join(rtpus)}, between {first} and {last}, not later",
         source=Source.LOG,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pbonet.errors import PbonetError
+from pbonet.pbo import State
 from pbonet.versions import REMEDY
 from pbonet.xm.net import messages as m, unreachable_reason
 
@@ -33,9 +34,18 @@ def rtpu(chain: Chain, name: str) -> tuple[str, list[Cause]]:
         return f"nothing is known of RTPU {name}", []
     if facts.from_log:
         had = f"RTPU {name} was used in this run, {_tasks(chain, name)}"
-        return had, [*_process(chain, name), *_core(chain, name)]
-    causes = [*_machine(chain, name), *_process(chain, name), *_core(chain, name)]
+        return had, [*_inside(chain, name)]
+    causes = [*_machine(chain, name), *_inside(chain, name)]
     return f"RTPU {name} answers, {_tasks(chain, name)}", causes
+
+
+def _inside(chain: Chain, name: str) -> Iterator[Cause]:
+    """Yield what is wrong with its process, its core and its tasks."""
+    yield from _process(chain, name)
+    yield from _core(chain, name)
+    for status in chain.facts.on_rtpu(name):
+        if status.state == State.ERROR:
+            yield chain.behind("task", status.task, Source.STATUS)
 
 
 def _tasks(chain: Chain, name: str) -> str:

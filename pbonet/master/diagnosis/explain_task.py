@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.master.configuration import next_steps
 from pbonet.pbo import State
+from pbonet.xm.net import event_codes
 
 from .cause_chain import Cause, Source
 from .event_causes import cause_of, sentence
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 _ENDS = ("TASK_DIED", "FORCED", "TABLE_DAMAGED")
 _FAILS = ("METHOD", "SIGNAL_FAILED")
 _MOVES = ("STATE", "SPAWNED", "ENGAGED", "RESTARTED", "SIGNAL_FAILED", "STOPPED")
+_PERIODS = 2.0
+"""A task whose cycles go on has counted one within so many periods."""
 _TOO_OLD = re.compile(r"the input (\S+) is too old")
 
 
@@ -147,8 +150,7 @@ def _moved(chain: Chain, status: TaskStatus, event: Event) -> Cause:
         return cause_of(event, facts, REMEDIES["never on"])
     if event.code == "SIGNAL_FAILED":
         return cause_of(event, facts, next_steps(State.OFF, status.task))
-    signal = event.text.partition(":")[0]
-    ordered = signal in {"off", "clear", "stop"}
+    ordered = event.text in {event_codes.TURNED_OFF, event_codes.CLEARED}
     key = "turned off" if ordered else "off by itself"
     told = facts.news(("SIGNAL", "TIMING_FAILURE", "METHOD"), task=status.task)
     near = [one for one in told if abs(one.wall - event.wall) <= 1.0]
@@ -169,11 +171,38 @@ def _on(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
         value = facts.values.get(name)
         if value is not None and facts.is_old(name):
             yield chain.behind("variable", name, Source.TABLE)
-    for event in facts.since_on(("HANGS",), status):
+    stands = [*still(chain, status)] if status.ref_f else []
+    yield from stands
+    for event in facts.since_on(("HANGS",), status) if not stands else ():
         yield cause_of(event, facts)
+    if status.failed:
+        told = facts.since_on(("METHOD", "HANDLED"), status)
+        yield Cause(
+            what=f"{status.failed} of its cycles failed",
+            source=Source.LOG if facts.from_log else Source.STATUS,
+            because=tuple(cause_of(one, facts) for one in told),
+            remedy=REMEDIES["cycles fail"],
+        )
     if status.waits:
         yield Cause(what=status.waits, source=Source.STATUS, remedy=REMEDIES["waits"])
     if status.miss:
         yield chain.behind("miss", status.task, Source.STATUS)
     if status.warning:
         yield Cause(what=f"it warns: {status.warning}", source=Source.STATUS)
+
+
+def still(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
+    """Yield that the writer's cycles do not go on."""
+    facts = chain.facts
+    later = facts.later.get(status.task)
+    if later is None or later != status.cycle:
+        return
+    if status.ref_f and facts.watched * status.ref_f < _PERIODS:
+        return
+    hangs = facts.news(("HANGS", "WAITS"), task=status.task)
+    yield Cause(
+        what=f"{status.task} is ON, and its cycle count stands still at {status.cycle}",
+        source=Source.STATUS,
+        because=tuple(cause_of(one, facts) for one in hangs),
+        remedy=REMEDIES["no cycle"],
+    )

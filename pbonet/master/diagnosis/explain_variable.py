@@ -8,6 +8,7 @@ from pbonet.pbo import State
 
 from .cause_chain import Cause, Source
 from .event_causes import cause_of
+from .explain_task import still
 from .key_and_link_verdicts import Level, link_verdict
 from .known_causes import REMEDIES
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
     from .follow_causes import Chain
 
-_PERIODS = 2.0
-"""A task whose cycles go on has counted one within so many periods."""
 _NOT_STARTED = "a start opens it, and no task exists"
 _SHARE = 0.5
 """An input whose age is passed on has at least this share of the output's age."""
@@ -108,7 +107,7 @@ def _written(chain: Chain, value: VarValue, writer: str) -> Iterator[Cause]:
         yield chain.behind("task", writer, Source.STATUS)
         return
     found = [*_upstream(chain, value, status), *_links(chain, value, writer)]
-    found += [] if found else _still(chain, status)
+    found += [] if found else still(chain, status)
     found += [] if found else _slow(chain, value, status)
     if found:
         yield from found
@@ -164,23 +163,6 @@ def _link(chain: Chain, name: str) -> str:
     down = chain.facts.news(("LINK_DOWN", "LINK_MISFIT"))
     told = [event.text for event in down if name in event.text]
     return f"the link {name} brings nothing" + (f": {told[0]}" if told else "")
-
-
-def _still(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
-    """Yield that the writer's cycles do not go on."""
-    facts = chain.facts
-    later = facts.later.get(status.task)
-    if later is None or later != status.cycle:
-        return
-    if status.ref_f and facts.watched * status.ref_f < _PERIODS:
-        return
-    hangs = facts.news(("HANGS", "WAITS"), task=status.task)
-    yield Cause(
-        what=f"{status.task} is ON, and its cycle count stands still at {status.cycle}",
-        source=Source.STATUS,
-        because=tuple(cause_of(one, facts) for one in hangs),
-        remedy=REMEDIES["no cycle"],
-    )
 
 
 def _slow(chain: Chain, value: VarValue, status: TaskStatus) -> Iterator[Cause]:

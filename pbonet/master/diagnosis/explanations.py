@@ -14,6 +14,7 @@ from . import (
 )
 from .cause_chain import Explanation
 from .follow_causes import Chain
+from .healthy_state import healthy
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -53,10 +54,12 @@ def explain(facts: Facts, asked: Question) -> Explanation:
             what, causes = explain_miss.missed(chain, name, asked.cycle)
         case _:
             what, causes = chain.explained(asked.kind, name)
+    well = () if causes else healthy(facts, asked)
     return Explanation(
         kind=asked.kind,
         name=name,
         what=what,
         causes=tuple(causes),
+        healthy=well,
         unknown=tuple(facts.unknown),
     )

@@ -64,6 +64,8 @@ class Facts(Struct, kw_only=True):
     later: dict[str, int] = {}
     """Cycles of each task at a second reading; `watched` seconds after the status."""
     watched: float = 0.0
+    on_since: dict[str, float] = {}
+    """When each task was turned on, seconds since 1970, where that is known."""
     values: dict[str, VarValue] = {}
     closed: str = ""
     """Why the table is not open on the RTPU that keeps it; empty: it is."""

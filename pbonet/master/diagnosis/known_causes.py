@@ -91,6 +91,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "not spawned": "start the job, or spawn the task",
     "no cycle": "`kill` ends a cycle that hangs; a task that waits in `sync` needs its "
     "event",
+    "cycles fail": "mend the module where its events say, or its inputs",
     "short maxage": "correct MAXAGE in the .svar file, or the writer's rate",
     "passed on": "find why the first of these variables is too old",
     "unwritten": "turn on a task that writes it, or set it with `write`",

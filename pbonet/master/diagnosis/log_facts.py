@@ -10,7 +10,14 @@ import numpy as np
 from pbonet.errors import PbonetError
 from pbonet.log import Log, timelines
 from pbonet.master.configuration import Graph, recorded_graph
-from pbonet.xm.net import Event, RtpuStatus, TaskStatus, VarValue, convert
+from pbonet.xm.net import (
+    Event,
+    RtpuStatus,
+    TaskStatus,
+    VarValue,
+    convert,
+    event_codes,
+)
 
 from .facts import Facts, Gap
 
@@ -77,6 +84,7 @@ def read_log(path: str | Path) -> Facts:
         unknown=unknown,
     )
     facts.rtpus = _rtpus(log, facts, end)
+    facts.on_since = _on_since(log, end)
     facts.withdrawn = _withdrawn(facts.events)
     facts.gaps = {task: _gaps(log, task) for task in log.tasks}
     facts.values = _values(log, end)
@@ -130,6 +138,16 @@ def _of_process(events: list[Event], task: str) -> str:
             if event.state not in {"", _GONE}:
                 return ""
     return ""
+
+
+def _on_since(log: Log, end: float) -> dict[str, float]:
+    """Return when each task was turned on for the last time before the end."""
+    begun = {
+        name: [one.begin_ns * 1e-9 for one in line if one.state == "ON"]
+        for name, line in timelines(log).items()
+    }
+    before = {name: [at for at in ats if at < end] for name, ats in begun.items()}
+    return {name: ats[-1] for name, ats in before.items() if ats}
 
 
 def _task(log: Log, name: str, state: str, facts: Facts) -> TaskStatus:
@@ -203,7 +221,7 @@ def _end_of(events: list[Event]) -> float:
         if event.code == "STOPPED":
             begun = event.wall
         elif event.code == "STATE":
-            if event.text.partition(":")[0] not in {"off", "kill", "stop"}:
+            if event.text not in {event_codes.TURNED_OFF, event_codes.KILLED}:
                 break
             if begun < float("inf"):
                 begun = event.wall

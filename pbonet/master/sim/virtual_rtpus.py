@@ -24,7 +24,7 @@ from pbonet.node.task import placed
 from pbonet.node.wire import EventLog
 from pbonet.pbo import Signal
 from pbonet.versions import LAYERS
-from pbonet.xm.net import Codec, failure, machine, messages as m, rpc
+from pbonet.xm.net import Codec, event_codes, failure, machine, messages as m, rpc
 
 from .rtpu_in_process import SharedState, VirtualRtpu
 from .sim_recording import Recording
@@ -212,7 +212,8 @@ class VirtualRtpus:
         if self.log is not None:
             self.log.event(event)
         if event.code in _REPORTED and not event.bits & Signal.ERROR:
-            text = placed(event.text.removesuffix(f": {event.state}"), event.place)
+            end = event_codes.failure_text("", event.state)
+            text = placed(event.text.removesuffix(end), event.place)
             at = (event.time - BEGIN_NS) * 1e-9
             self.events.append(f"{at:.3f} s {event.task}: {text}")
         for told in self.told:

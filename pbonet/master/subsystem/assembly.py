@@ -299,8 +299,8 @@ class Done:
 
     def turn_on(self, name: str) -> None:
         """Turn a task on."""
+        self._on.append(name)  # first: Ctrl-C may end the wait for the answer
         self._task_set.control(name, "on", "")
-        self._on.append(name)
 
     def undo(self) -> list[PbonetError]:
         """Turn off and kill, the last first; return what could not be done."""

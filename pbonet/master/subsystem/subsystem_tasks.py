@@ -28,6 +28,7 @@ from pbonet.pbo import State
 from pbonet.xm.net import convert, messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
+from .in_thread import InThread
 from .standbys import Standbys
 from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
@@ -50,6 +51,8 @@ CONTROL_TIME = 5.0
 """Seconds for a signal; `MOST_EXTRA` more if the task's core is busy."""
 SPAWN_TIME = 10.0
 """Seconds for `init`; `MOST_EXTRA` more if the task's core is busy."""
+KILL_AGAIN_TIME = 0.1
+"""Seconds between two kills of tasks that are being created."""
 _LONGEST_SPAWN = (1.0 + m.MOST_EXTRA) * SPAWN_TIME + 1.0
 STOP_TIME = 2.0
 """Seconds for a stop, however busy cores are."""
@@ -583,11 +586,10 @@ class SubsystemTasks:
         request = self._spawn_request(member, self.priorities([*self.model, member]))
         request.replaces = list(replaces)
         self._record_first()
-        status = self.clients.call(
-            member.rtpu, request, m.TaskStatus, timeout=_LONGEST_SPAWN
-        )
-        self._created(member, status)
-        return status
+        found, errors = self._spawned({member.rtpu: request})
+        rpc.raise_all(f"{member.name} could not be created", errors)
+        self._created(member, found[member.rtpu])
+        return found[member.rtpu]
 
     def create_all(
         self, members: Sequence[Member]
@@ -602,9 +604,7 @@ class SubsystemTasks:
         priorities = self.priorities([*self.model, *members])
         requests = {one.rtpu: self._spawn_request(one, priorities) for one in members}
         self._record_first()
-        found, errors = self.clients.each(
-            requests.__getitem__, m.TaskStatus, rtpus=requests, timeout=_LONGEST_SPAWN
-        )
+        found, errors = self._spawned(requests)
         created = [one for one in members if one.rtpu in found]
         for one in created:
             self._created(one, found[one.rtpu])
@@ -623,6 +623,47 @@ class SubsystemTasks:
             timeout=SPAWN_TIME,
             restart=member.restart,
         )
+
+    def _spawned(
+        self, requests: Mapping[str, m.Spawn]
+    ) -> tuple[dict[str, m.TaskStatus], list[PbonetError]]:
+        """Have tasks created; of one that an interrupt leaves behind nothing stays.
+
+        Returns:
+            The status of each that was created, by RTPU, and the errors of the others.
+        """
+        ask = partial(
+            self.clients.each,
+            requests.__getitem__,
+            m.TaskStatus,
+            rtpus=requests,
+            timeout=_LONGEST_SPAWN,
+        )
+        if self._virtual:
+            return ask()
+        under_way = InThread(ask)  # so that Ctrl-C ends the wait, not the requests
+        try:
+            under_way.begin()
+            return under_way.result()
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                self._end_begun(requests, under_way)
+            raise
+
+    def _end_begun(
+        self, requests: Mapping[str, m.Spawn], under_way: InThread[Any]
+    ) -> None:
+        """Kill tasks that are being created, until no request is under way."""
+        over = False
+        while not over:
+            over = under_way.done(KILL_AGAIN_TIME)  # what comes after it is in vain
+            kills = {
+                rtpu: m.Control(task=one.task, signal="kill", timeout=CONTROL_TIME)
+                for rtpu, one in requests.items()
+            }
+            self.clients.each(
+                kills.__getitem__, m.TaskStatus, rtpus=kills, timeout=CONTROL_TIME
+            )
 
     def _record_first(self) -> None:
         """Have the run recorded before its first task is created."""

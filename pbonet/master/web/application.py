@@ -15,12 +15,12 @@ from starlette.responses import FileResponse, PlainTextResponse
 from starlette.routing import Route, WebSocketRoute
 
 from pbonet.errors import PbonetError
-from pbonet.master.console import COMMANDS, described
+from pbonet.master.console import described
 from pbonet.master.subsystem import status_fields
 
 from .access import COOKIE_TIME, Access, Rate, Role
 from .browsers import MOST, MOST_WATCHED, Browser, Browsers
-from .orders import Play, Seek, Stop, Watch, decode, is_fit, refusal
+from .orders import Play, Seek, Stop, Watch, decode, refusal
 from .recorded_run import RecordedRun
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
     from .orders import Orders, Wish
+    from .recorded_questions import RecordedQuestions
     from .source import Source
 
     Data = dict[str, Any]
@@ -81,13 +82,13 @@ class Page:
     def __init__(
         self,
         source: Source,
-        orders: Callable[[Callable[[Data], None]], Orders] | None,
+        orders: Callable[[Callable[[Data], None]], Orders | RecordedQuestions],
         access: Access,
         *,
         linked: Callable[[Role, str], None],
     ) -> None:
         self._source = source
-        self._orders = orders(self.send_to_all) if orders is not None else None
+        self._orders = orders(self.send_to_all)
         self._access = access
         self._linked = linked
         self._browsers = Browsers(source.want)
@@ -112,14 +113,13 @@ class Page:
         try:
             yield
         finally:
-            if self._orders is not None:
-                await asyncio.to_thread(self._orders.close)
+            await asyncio.to_thread(self._orders.close)
             await asyncio.to_thread(self._source.close)
 
     @property
     def left(self) -> list[str]:
         """Sentences about what is still being carried out after the end."""
-        return self._orders.left if self._orders is not None else []
+        return self._orders.left
 
     def send_to_all(self, message: Data) -> None:
         """Send a message to all browsers; any thread may call it."""
@@ -183,7 +183,7 @@ class Page:
         sending = None
         try:
             await socket_.accept()
-            running = self._orders.first() if self._orders is not None else []
+            running = self._orders.first()
             for message in (self._hello(role), *self._source.first(), *running):
                 browser.put(msgspec.json.encode(message))
             sending = asyncio.create_task(_send(socket_, browser))
@@ -231,9 +231,6 @@ class Page:
 
     def _command(self, request: Wish, browser: Browser) -> None:
         orders = self._orders
-        if orders is None:
-            browser.put(_encoded(kind="refused", text="a recorded run has no commands"))
-            return
 
         async def carry_out() -> None:
             answer = await orders.answer(
@@ -295,12 +292,11 @@ class Page:
                 return
 
     def _hello(self, role: Role) -> Data:
-        steered = self._orders is not None
         return {
             "kind": "hello",
-            "role": str(role if steered else Role.OBSERVER),
+            "role": str(role),
             "now": time.time(),
-            "commands": described(filter(is_fit, COMMANDS)) if steered else [],
+            "commands": described(self._orders.commands),
             "fields": [
                 {"name": one.name, "unit": one.unit, "doc": one.doc}
                 for one in status_fields.FIELDS

@@ -29,6 +29,7 @@ from pbonet.errors import (
 )
 from pbonet.master import diagnosis
 from pbonet.master.console import (
+    COMMANDS,
     Call,
     Kind,
     Scope,
@@ -63,7 +64,7 @@ _END_TIME: Final = 30.0
 _OTHERS_END_TIME: Final = 3.0
 """Seconds that are waited for one that another master carries out."""
 _PAUSE: Final = 0.05
-_MOST_WAITING: Final = 16
+MOST_WAITING: Final = 16
 """Commands that may wait."""
 _UNFIT: Final = {"quit", "status set", "sigwait"}
 """Commands that concern one interface alone, or would keep others waiting."""
@@ -257,6 +258,11 @@ class Orders:
         self._programs.close()
 
     @property
+    def commands(self) -> Sequence[Command]:
+        """The commands that a page can give."""
+        return list(filter(is_fit, COMMANDS))
+
+    @property
     def left(self) -> list[str]:
         """Sentences about what is still being carried out."""
         names = list(self._doing.values())
@@ -283,8 +289,8 @@ class Orders:
         try:
             work = self._work(request, role)
             if work is None:
-                return _answer(number, Done())
-            return _answer(number, await self._carry_out(number, work, told))
+                return answered(number, Done())
+            return answered(number, await self._carry_out(number, work, told))
         except PbonetError as error:
             return refusal(number, str(error))
         except Exception as error:  # a browser must not wait for an answer in vain
@@ -347,9 +353,9 @@ class Orders:
     async def _carry_out(
         self, number: int, work: _Work, told: Callable[[Data], None]
     ) -> Done:
-        if self._waiting[work.pool] >= _MOST_WAITING:
+        if self._waiting[work.pool] >= MOST_WAITING:
             raise StateError(
-                f"{_MOST_WAITING} commands wait already",
+                f"{MOST_WAITING} commands wait already",
                 remedy="wait for their answers; Stop waits for none",
             )
         self._waiting[work.pool] += 1
@@ -357,7 +363,7 @@ class Orders:
             loop = asyncio.get_running_loop()
             do = partial(self._do, work, self._stopped)
             doing = loop.run_in_executor(work.pool, do)
-            async with _progress(number, work.name, told):
+            async with progress(number, work.name, told):
                 return await doing
         finally:
             self._waiting[work.pool] -= 1
@@ -467,7 +473,7 @@ def _only_operators(command: str) -> AccessError:
 
 
 @contextlib.asynccontextmanager
-async def _progress(
+async def progress(
     number: int, name: str, told: Callable[[Data], None]
 ) -> AsyncGenerator[None]:
     """Tell every half second that a command runs, while the block does."""
@@ -489,10 +495,11 @@ async def _progress(
 
 def refusal(number: int, text: str) -> Data:
     """Return the answer to a request that was not carried out."""
-    return _answer(number, Done(text), ok=False)
+    return answered(number, Done(text), ok=False)
 
 
-def _answer(number: int, done: Done, *, ok: bool = True) -> Data:
+def answered(number: int, done: Done, *, ok: bool = True) -> Data:
+    """Return the answer to a request."""
     return {
         "kind": "answer",
         "id": number,

@@ -10,7 +10,6 @@ import signal
 import socket
 import ssl
 import sys
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +22,7 @@ from pbonet.xm.net import credentials
 
 from .access import Access, KeyFile, Role
 from .orders import Orders, Steered
+from .recorded_questions import RecordedQuestions
 from .recorded_run import RecordedRun
 from .watcher import Watcher
 
@@ -80,10 +80,13 @@ def serve(
     access = Access(
         _hosts(served), port, key.read(), roles=roles, secure=context is not None
     )
-    orders = None
-    if isinstance(source, Watcher):
+
+    def orders(told: Callable[[dict[str, Any]], None]) -> Orders | RecordedQuestions:
+        if not isinstance(source, Watcher):
+            return RecordedQuestions(path)
         steered = Steered(path, name, place)
-        orders = partial(Orders, steered, source.knows, source.refresh_soon)
+        return Orders(steered, source.knows, source.refresh_soon, told)
+
     page = application.Page(source, orders, access, linked=_say_link(as_data=as_data))
     if not (application.DIST / "index.html").is_file():
         render.print_error(render.warning(application.NOT_BUILT.strip()))

@@ -57,8 +57,8 @@ class MavVehicle(PortBasedObject[Link], module_class="robot interface"):
     vehicle answers; what they are at `on` is not sent. A change while the vehicle is
     not there is not sent later either, and a warning says so. SETPOINT is sent RATE
     times a second while it is fresh. Without a heartbeat for LOST_AFTER the vehicle is
-    lost: the illegal-configuration flag is up, and no set-point and no ARM_CMD or MODE_CMD is sent
-    until the task is turned off and on again, also when the vehicle is back; its
+    lost: the illegal-configuration flag is up, and no set-point, ARM_CMD or MODE_CMD is
+    sent until the task is turned off and on again, also when the vehicle is back; its
     autopilot does what it is set to without set-points. Nothing here disarms by itself.
     In `stable`, telemetry goes on and no set-points are sent.
 

@@ -52,10 +52,10 @@ from .heartbeat import ALWAYS, Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
 from .link_watchdog import NearestRouter
-from .machine_state import copy_speed, machine_info
+from .machine_state import NeededFolders, copy_speed, machine_info
 from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
-from .rtpu_link import RtpuLink
+from .rtpu_link import RtpuLink, contained
 from .shared_memory_status import Age, SharedMemoryStatus, restarting
 from .shutdown_event import Ending
 from .start_rtpu import choose_core, used_cores
@@ -120,6 +120,7 @@ class Agent:
             )
         self.config = config
         self.places = run_folder.Places(config.domain, config.name)
+        self._folders = NeededFolders(self.places.folder)
         self._machine = run_folder.machine()
         self._key_folder = keys_in = Path(config.keys) if config.keys else None
         _check_addresses(config, keys_in)
@@ -169,7 +170,7 @@ class Agent:
         self._term: KeyTerm | None = None
         self._nearest: NearestRouter | None = None
         self._stopped = StoppedProcesses(
-            *(self.name, self._processes, self._note, self._send_alive),
+            *(self.name, self._processes, self._note, self._every_turn),
             busy=self._has_tables,
         )
         self._link: RtpuLink | None = None
@@ -425,6 +426,14 @@ class Agent:
         mail = self._mail
         return bool(self._claims) or (mail is not None and mail.is_used())
 
+    def _every_turn(self) -> None:
+        """Do what is due a few times a second."""
+        if lost := self._folders.lost():
+            if not self._over.is_set():
+                self._give_up(lost)
+            return
+        self._send_alive()
+
     def _send_alive(self) -> None:
         """Send the RTPU process a sign of life, if others depend on this agent."""
         link, beats = self._link, self._heartbeat
@@ -585,7 +594,8 @@ class Agent:
         others = self._duplicates, self._term, self._nearest, self._stopped
         for part in (*network, *others):
             if part is not None:
-                part.stop()
+                with contained():  # whatever fails, the process has to end
+                    part.stop()
         ways, beats = self._ways, self._heartbeat
         self._mail = self._links = self._subscriptions = None
         self._mirrors = self._ways = self._duplicates = self._term = None

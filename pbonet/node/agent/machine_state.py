@@ -1,4 +1,4 @@
-"""The clock of this machine, the disk of its runs, and how fast its memory copies."""
+"""The clock of this machine, its folders and disk, and how fast its memory copies."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from pbonet import shm
 from pbonet.xm.net import messages as m
 
 _BLOCK: Final = 8 << 20
@@ -52,3 +53,46 @@ def machine_info(runs: str) -> m.MachineInfo:
             wall=time.time(), runs=runs, disk_free=usage.free, disk_size=usage.total
         )
     return m.MachineInfo(wall=time.time(), runs=runs)
+
+
+class NeededFolders:
+    """The folders that an agent needs while it runs.
+
+    Args:
+        runtime: Its runtime folder.
+    """
+
+    def __init__(self, runtime: Path) -> None:
+        self._folders = (
+            (runtime, "the runtime folder", "PBONET_RUN_DIR"),
+            (shm.folder(), "the folder of the shared memory", "PBONET_SHM_DIR"),
+        )
+        self._there = [_identity(path) for path, _, _ in self._folders]
+
+    def lost(self) -> str:
+        """Return which one was removed and what to do; empty: they are all there.
+
+        One that was made again has none of the files that the agent needs.
+        """
+        for (path, what, variable), known in zip(
+            self._folders, self._there, strict=True
+        ):
+            try:
+                found = _identity(path)
+            except OSError:  # as for lack of memory: that says nothing about it
+                continue
+            if found != known:
+                return (
+                    f"{what} {path} was removed, so that nothing can reach the RTPU: "
+                    "its tasks are turned off, and it ends; set "
+                    f"{variable} to a folder that nothing cleans, and start it again"
+                )
+        return ""
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return found.st_dev, found.st_ino

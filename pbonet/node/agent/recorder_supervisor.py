@@ -67,6 +67,8 @@ class _Child:
         self._guard = threading.Lock()
         self._ending = threading.Event()
         self._lost: list[float] = []
+        self._handed_on: dict[str, int] = {}
+        """Records that its recorders have lost of each task, for the next one."""
         self._said = -1
         self._feed = RecorderPipe(self._unfit, self._kill)
         self._process = self._start(before)
@@ -83,7 +85,9 @@ class _Child:
         Raises:
             OSError: The system has no process or no descriptors for it.
         """
-        recording = msgspec.structs.replace(self.wanted, before=list(before))
+        recording = msgspec.structs.replace(
+            self.wanted, before=list(before), lost=self._handed_on
+        )
         with contextlib.ExitStack() as ours, contextlib.ExitStack() as its:
             wanted = os.memfd_create("recording")
             its.callback(os.close, wanted)
@@ -160,7 +164,10 @@ class _Child:
         while len(data := said.read(head)) == head:
             (size,) = rtpu_messages.LENGTH.unpack(data)
             with contextlib.suppress(msgspec.MsgspecError):
-                self._tell(decoder.decode(said.read(size)))
+                message = decoder.decode(said.read(size))
+                if isinstance(message, rtpu_messages.Recorder):
+                    self._handed_on = message.handed_on
+                self._tell(message)
 
     def _again(self, code: int) -> bool:
         """Restart a recorder that was lost; return whether it was restarted."""

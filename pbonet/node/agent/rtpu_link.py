@@ -224,7 +224,7 @@ class RtpuLink:
             self.send(rtpu_messages.Shutdown(timeout))
         by_itself = self._ended(timeout + 3.0, kill=True)
         self.close()
-        with _contained():
+        with contained():
             self._listener.let_go()
         self._clean_up()
         return by_itself
@@ -359,13 +359,13 @@ class RtpuLink:
             sock = again
         if self._closing:
             return
-        with _contained():
+        with contained():
             self._listener.let_go()
         if self._unreadable:
             how = f"the RTPU process cannot be understood: {self._misread}"
         else:
             how = f"the RTPU process ended: {self._end(reason, orderly=orderly)}"
-        with _contained():
+        with contained():
             stays = orderly or self._unreadable
             self._listener.lost(how, again=not stays, orderly=orderly)
 
@@ -381,7 +381,7 @@ class RtpuLink:
                 return str(error), False
             if isinstance(message, rtpu_messages.Ending):
                 return message.reason, True
-            with _contained():
+            with contained():
                 self._hand_over(message)
 
     def _decode(self, data: bytes) -> FromRtpu:
@@ -438,11 +438,11 @@ class RtpuLink:
             self._short = False
             level = logging.WARNING if len(self._unread) <= 1 else logging.DEBUG
             log.log(level, "%s: the link broke: %s", self._config.name, reason)
-            with _contained():
+            with contained():
                 self._listener.broke(reason)
             if not self._use(sock):
                 return None
-            with _contained():
+            with contained():
                 self._hand_over(info)
             return sock
         return None
@@ -552,9 +552,9 @@ def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
 
 
 @contextlib.contextmanager
-def _contained() -> Generator[None]:
-    """Call a listener in this block; its exceptions are logged."""
+def contained() -> Generator[None]:
+    """Log the exceptions of this block; what follows is done."""
     try:
         yield
     except Exception:
-        log.exception("a message of the RTPU process could not be processed")
+        log.exception("a step of the agent has failed; please report it")

@@ -105,8 +105,9 @@ class LogFiles:
         self.writer: LogWriter | None = None
         self._goes_on = False
         """Whether nothing is missing between the last file and the next."""
-        self.lost: Counter[str] = Counter()
-        """Records of each task that are in no file, for lack of room or time."""
+        self.lost: Counter[str] = Counter(wanted.lost)
+        """Records of each task that are in no file, for lack of room or time, also
+        those of recorders that were lost before this one."""
         self.told = False
         """Whether a failure to make a file was reported."""
         self._retry = self._sweep = 0.0

@@ -149,8 +149,8 @@ class Recorder:
         """Yield the rings that may be ours: (path, inode), and name."""
         first = shm.own("")
         ours = f"{first}{self._wanted.domain}.{self._wanted.subsystem}."
-        with os.scandir(self._folder) as entries:
-            for entry in entries:
+        with contextlib.suppress(FileNotFoundError):  # the folder was removed
+            for entry in os.scandir(self._folder):
                 name = entry.name
                 if name.startswith(ours) and name.endswith(".ring"):
                     plain = name[len(first) : -len(".ring")]
@@ -291,8 +291,21 @@ class Recorder:
             self._told = (path, lost)
             subsystem = self._wanted.subsystem
             self._send(
-                rtpu_messages.Recorder(subsystem=subsystem, path=path, lost=lost)
+                rtpu_messages.Recorder(
+                    subsystem=subsystem,
+                    path=path,
+                    lost=lost,
+                    handed_on=self._handed_on(),
+                )
             )
+
+    def _handed_on(self) -> dict[str, int]:
+        """Return what was lost of each task, but for what rings that stand say."""
+        found = self._files.lost.copy()
+        if not self._wanted.last:
+            for followed in self._rings.values():
+                found[followed.about.task] -= followed.lost
+        return dict(+found)
 
     def _say(self, severity: Severity, code: str, text: str) -> None:
         self._send(rtpu_messages.Note(int(severity), code, text))

@@ -20,7 +20,7 @@ from pbonet.errors import (
 )
 from pbonet.node.wire import being_stopped, lifecycle, rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net import Stopped
+from pbonet.xm.net import Stopped, event_codes
 
 from .task_handle import END_TIME
 
@@ -300,7 +300,7 @@ def note(
     rtpu.events.add(
         Severity.ERROR if error else Severity.INFO,
         "SIGNAL_FAILED" if error else "STATE",
-        f"{event}: {task.state}" + (f": {error}" if error else ""),
+        event_codes.signal_text(event, task.state, str(error or "")),
         subsystem=task.facts.subsystem,
         task=task.name,
         cycle=rtpu.cycle_of(task),

@@ -17,6 +17,7 @@ import selectors
 import signal
 import socket
 import sys
+import time
 import traceback
 from array import array
 
@@ -35,6 +36,9 @@ CRASHED = 70
 """Exit code of a child that ended with an uncaught exception."""
 SETTLE_TIME = 0.05
 """Seconds after a task's end until its remaining processes are searched for again."""
+RESUME_TIME = 2.0
+"""Seconds after the agent's end in which the RTPU process is continued if a signal has
+stopped it: one that comes with the end takes the kernel's SIGCONT back."""
 
 
 def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
@@ -100,8 +104,9 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
         gc.freeze()
     else:  # started by exec
         share_objects()
+    server = ForkServer(control, prepared)
     control.send(rtpu_messages.encode(rtpu_messages.Ready()))
-    return ForkServer(control, prepared).serve()
+    return server.serve()
 
 
 def share_objects() -> None:
@@ -128,25 +133,50 @@ class ForkServer:
         self._prepared = prepared
         self._children: dict[int, int] = {}
         """Process ids by the descriptor that is readable at the end."""
+        self._resume_until = 0.0
+        """Until when the RTPU process is continued if it is stopped."""
         self._rest = False
         """A task has ended, and more of its processes may become children here."""
         self._decoder = msgspec.msgpack.Decoder(rtpu_messages.Fork)
         self._selector = selectors.DefaultSelector()
         self._selector.register(control, selectors.EVENT_READ)
+        self._agent = self._watched_agent()
 
     def serve(self) -> int:
         """Serve until the RTPU process closes the socket."""
         while True:
-            ready = self._selector.select(SETTLE_TIME if self._rest else None)
-            if not ready:
+            resumes = time.monotonic() < self._resume_until
+            waits = self._rest or resumes
+            ready = self._selector.select(SETTLE_TIME if waits else None)
+            if resumes:
+                process_setup.resume(os.getppid())
+            if self._rest and not ready:
                 self._rest = self._end_rest()
             for key, _ in ready:
                 if key.fileobj is self._control:
                     if not self._take_request():
                         self._end_rest()
                         return 0
+                elif key.fd == self._agent:
+                    self._agent_ended()
                 else:
                     self._report_end(int(key.fd))
+
+    def _watched_agent(self) -> int:
+        """Return a descriptor that is readable when the agent ends; -1: it has."""
+        rtpu = process_setup.stat(os.getppid())
+        try:
+            agent = os.pidfd_open(rtpu.parent if rtpu is not None else 0)
+        except OSError:
+            return -1
+        self._selector.register(agent, selectors.EVENT_READ)
+        return agent
+
+    def _agent_ended(self) -> None:
+        self._selector.unregister(self._agent)
+        os.close(self._agent)
+        self._agent = -1
+        self._resume_until = time.monotonic() + RESUME_TIME
 
     def _take_request(self) -> bool:
         data, fds = receive_with_fds(self._control)

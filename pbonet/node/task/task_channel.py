@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from pbonet.errors import MethodError, PbonetError, Severity
 from pbonet.node.wire import UNTOLD, rtpu_messages, severity
 from pbonet.pbo import Notice, Signal, State, TaskContext, signal_names
+from pbonet.xm.net import event_codes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -181,7 +182,9 @@ class RtpuChannel:
             told = error
         else:
             told = MethodError(executor.task.errmsg or str(error))
-        text = f"{executor.task.errmsg or error}: {executor.state}"
+        text = event_codes.failure_text(
+            executor.task.errmsg or str(error), executor.state
+        )
         self.notice(
             Severity.ERROR,
             "METHOD",

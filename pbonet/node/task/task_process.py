@@ -30,6 +30,7 @@ from pbonet.outside import ModuleAnswers, Tape, use
 from pbonet.pbo import State, bind, decode_params, text_of
 from pbonet.svar import Action, Table, var_bytes
 from pbonet.xm import live_on
+from pbonet.xm.net import event_codes
 
 from . import journal, task_channel
 from .code_pages import code_pages
@@ -499,7 +500,7 @@ class Host:
             self.to_rtpu.notice(
                 Severity.WARNING,
                 "STATE",
-                f"after a timing failure: {self.executor.state}",
+                f"after a timing failure it is {self.executor.state}",
                 cycle=self.time.cyclecount,
                 state=self.executor.state,
             )
@@ -533,7 +534,7 @@ class Host:
         self.to_rtpu.notice(
             Severity.ERROR if failed else Severity.INFO,
             "METHOD" if failed else "STATE",
-            str(failed or f"{signal}: {self.executor.state}"),
+            str(failed or event_codes.signal_text(signal, self.executor.state)),
             cycle=self.time.cyclecount,
             state=self.executor.state,
             error=failed,

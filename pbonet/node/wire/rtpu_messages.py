@@ -145,6 +145,9 @@ class Recorder(Struct, tag="recorder", kw_only=True):
     """The log that it writes; empty if none."""
     lost: int = 0
     """Records that could not be written."""
+    handed_on: dict[str, int] = {}
+    """Records of each task that a recorder after it cannot count: its ring, if it
+    stands, says what did not fit it."""
 
 
 class Alive(Struct, tag="alive"):
@@ -201,6 +204,8 @@ class Recording(Struct, kw_only=True):
     last: float = 0.0
     """Seconds before an error that are recorded; 0: everything is recorded."""
     limits: LogLimits = LogLimits()
+    lost: dict[str, int] = {}
+    """Records of each task that a recorder before this one has lost."""
     before: list[Commanded] = []
     """Earlier commands, already answered; the pipe to a recorder is too small for all
     of them at once."""

@@ -31,7 +31,10 @@ class Changes:
 
     def changed(self) -> bool:
         """Return whether the folder must be listed now."""
-        stamp = os.stat(self._path).st_mtime_ns  # noqa: PTH116 - three times as fast
+        try:
+            stamp = os.stat(self._path).st_mtime_ns  # noqa: PTH116 - three times as fast
+        except FileNotFoundError:  # removed, with all files in it
+            stamp = 0
         if stamp == self._stamp and self._settled:
             return False
         now = time.monotonic_ns()

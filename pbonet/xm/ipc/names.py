@@ -176,9 +176,13 @@ def rtpus(domain: str) -> set[str]:
 def standing(kind: str, domain: str) -> list[str]:
     """Return the names of the resources of a kind that exist on this machine."""
     prefix, suffix = shm.own(f"{domain}:"), f".{kind}"
+    try:
+        found = os.listdir(shm.folder())  # noqa: PTH208 - three times as fast
+    except FileNotFoundError:  # it was removed, with all of them
+        return []
     return sorted(
         name.removeprefix(prefix).removesuffix(suffix)
-        for name in os.listdir(shm.folder())  # noqa: PTH208 - three times as fast
+        for name in found
         if name.startswith(prefix) and name.endswith(suffix)
     )
 

@@ -1,4 +1,7 @@
-"""The codes of a node's events; ``docs/protocol.md`` describes each."""
+"""The codes of a node's events, and texts that others read from them.
+
+``docs/protocol.md`` describes each code.
+"""
 
 from __future__ import annotations
 
@@ -25,3 +28,37 @@ TOLD: Final = frozenset(
 """Codes of events of a node, its tasks, tables, links and logs."""
 KNOWN: Final = TOLD | BY_CODE.keys()
 """All codes: `TOLD`, and the errors that are reported as events."""
+
+TURNED_OFF: Final = "turned off"
+KILLED: Final = "killed"
+CLEARED: Final = "cleared, so it is OFF"
+_DONE: Final = {
+    ("on", "ON"): "turned on",
+    ("off", "OFF"): TURNED_OFF,
+    ("kill", "NOT-CREATED"): KILLED,
+    ("clear", "OFF"): CLEARED,
+}
+
+
+def signal_text(signal: str, state: str, failed: str = "") -> str:
+    """Return what a signal has done to a task, as the event about it says.
+
+    Args:
+        signal: The signal.
+        state: The state of the task afterwards.
+        failed: Why a method failed; empty: none did.
+    """
+    if failed:
+        return f"'{signal}' failed, and it is {state}: {failed}"
+    after = f"after '{signal}' it is {state}"
+    return _DONE.get((signal, state), after)
+
+
+def failure_text(failed: str, state: str) -> str:
+    """Return what has failed in a cycle, as the event about it says.
+
+    Args:
+        failed: What has failed.
+        state: The state of the task afterwards.
+    """
+    return f"{failed}; it is {state}"

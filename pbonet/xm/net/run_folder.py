@@ -169,17 +169,23 @@ class Places:
     def agents_files(self) -> tuple[Path, ...]:
         """The agent's sockets, and the lock files that zenoh makes for them."""
         hub = re.compile(re.escape(self.name) + r"\.hub\d+(\.lock)?")
-        hubs = [path for path in self.folder.iterdir() if hub.fullmatch(path.name)]
+        hubs = [path for path in self._files() if hub.fullmatch(path.name)]
         return self.sock, self.sock.with_suffix(".sock.lock"), self.post, *hubs
 
     def neighbours(self) -> list[str]:
         """Return the RTPUs of the domain whose agent or process lives here, sorted."""
-        locks = [Path(one) for one in os.scandir(self.folder)]
         return sorted({
             path.stem
-            for path in locks
+            for path in self._files()
             if path.suffix in {".agent", ".rtpu"} and is_held(path)
         })
+
+    def _files(self) -> list[Path]:
+        """Return the files of all RTPUs of the domain; none if the folder is gone."""
+        try:
+            return [Path(one) for one in os.scandir(self.folder)]
+        except FileNotFoundError:
+            return []
 
     def remove(self, *paths: Path) -> None:
         """Remove some of the files; missing ones are ignored."""

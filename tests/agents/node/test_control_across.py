@@ -84,7 +84,7 @@ def test_it_is_obeyed_without_master_and_agents(nodes, arm, tmp_path):
         events = [one for one in master.events(100) if one.rtpu == "arm1"]
         codes = [(one.task, one.code, one.text) for one in events]
         back = next(i for i, one in enumerate(codes) if one[1] == "AGENT_BACK")
-        assert ("b", "STATE", "off: OFF") in codes[:back]
+        assert ("b", "STATE", "turned off") in codes[:back]
         wait_for(lambda: master.events(code="SIGNAL_FAILED"), "a refusal")
         (refusal,) = master.events(code="SIGNAL_FAILED")
         assert refusal.task == "a"

@@ -13,6 +13,7 @@ from watching import wait_for
 
 from pbonet.master.web.access import Access, Role
 from pbonet.master.web.application import Page
+from pbonet.master.web.recorded_questions import RecordedQuestions
 from pbonet.master.web.source import Source
 
 TASKS, VARIABLES, RTPUS = 200, 500, 8
@@ -187,7 +188,9 @@ def large():
         listening.listen()
         number = listening.getsockname()[1]
         access = Access(["127.0.0.1"], number, b"key")
-        page = Page(source, None, access, linked=lambda *_: None)
+        page = Page(
+            source, lambda _: RecordedQuestions(""), access, linked=lambda *_: None
+        )
         config = uvicorn.Config(page.app(), log_config=None, ws="websockets-sansio")
         server = uvicorn.Server(config)
         serving = threading.Thread(target=server.run, args=([listening],))

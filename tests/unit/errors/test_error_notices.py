@@ -66,7 +66,7 @@ def test_an_error_is_told_with_number_and_line(ends):
     error = MethodError("too hot", where="servo.cycle")
     error.number, error.place = 7, PLACE
     to_rtpu.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
-    to_rtpu.notice(Severity.INFO, "STATE", "off: OFF")
+    to_rtpu.notice(Severity.INFO, "STATE", "turned off")
     told, other = heard(far)
     assert (told.errnum, told.place) == (7, PLACE)
     assert (other.errnum, other.place) == (0, "")

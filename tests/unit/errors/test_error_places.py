@@ -66,7 +66,9 @@ def test_a_simulation_and_its_log_tell_the_line(job, shown):
     (log,) = runs.iterdir()
     events = shown("log", "events", str(log)).splitlines()
     (line,) = [one for one in events if " METHOD " in one]
-    assert line.endswith(f"errnum=1 raises.cycle: RuntimeError: oops: ERROR {place}")
+    assert line.endswith(
+        f"errnum=1 raises.cycle: RuntimeError: oops; it is ERROR {place}"
+    )
 
 
 def test_a_crash_in_a_library_is_told_with_the_module_s_own_line():

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,8 @@ import pytest
 
 from pbonet.errors import DeviceError
 from pbonet.master.subsystem.event_filter import EventFilter
+from pbonet.node.wire import lifecycle
+from pbonet.pbo import State
 from pbonet.xm.net import event_codes
 
 ROOT = Path(__file__).parents[3]
@@ -72,3 +75,17 @@ def test_a_code_that_no_event_can_have_is_doubted(code, remedy):
 def test_one_that_an_event_has_or_may_have_is_not(code):
     """Also one that a node of another version has told, and a number of a module."""
     assert EventFilter(code=code).doubt([SimpleNamespace(code="OTHER_NEWS")]) == ""
+
+
+@pytest.mark.parametrize("signal", lifecycle.FROM_OUTSIDE)
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("failed", ["", "no encoder"])
+def test_what_a_signal_has_done_is_a_sentence_without_doubled_words(
+    signal, state, failed
+):
+    text = event_codes.signal_text(signal, state, failed)
+    words = re.findall(r"[a-z-]+", text.lower())
+    assert not any(a == b for a, b in pairwise(words)), text
+    assert failed in text
+    done = {event_codes.TURNED_OFF, event_codes.KILLED, event_codes.CLEARED}
+    assert not (failed and text in done)

@@ -111,6 +111,24 @@ def test_a_damaged_line_is_told_and_the_next_one_is_read(adapter, line):
         assert one.data == b"\xab\xcd"
 
 
+def test_garbage_without_the_end_of_a_line_is_told_and_not_kept(adapter):
+    with opened() as bus:
+        for _ in range(3):
+            for _ in range(20):
+                os.write(adapter.fd, b"t" * 100)
+            with pytest.raises(DeviceError, match="CAN adapter sends is no frame"):
+                wait_for(lambda: bus.read(9), "an error")
+        kept = bus._bus._bus._buffer
+        assert len(kept) < 2000, "what one look finds on the line"
+        with suppress(DeviceError):
+            while kept or bus.read(9):
+                os.write(adapter.fd, b"\r")
+                bus.read(9)
+        os.write(adapter.fd, WHOLE)
+        (one,) = wait_for(lambda: bus.read(9), "the next frame")
+        assert one.data == b"\xab\xcd"
+
+
 def test_garbage_ends_in_frames_or_errors(adapter):
     """A hundred thousand bytes, many of them like parts of frames."""
     chance, many = random.Random(1), b""

@@ -20,7 +20,7 @@ from pbonet.config.model import AgentConfig, Variable
 from pbonet.log import Log, TaskAbout
 from pbonet.master.console.run_end import unrecorded
 from pbonet.node.agent.agent import Agent
-from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders
+from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders, _Child
 from pbonet.node.recorder import Time, log_rotation, recorder_process as recording
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rtpu import orphaned_rings
@@ -245,6 +245,67 @@ def test_what_a_full_disk_lost_is_counted_in_the_next_file(ring, tmp_path) -> No
     log = Log(tmp_path / "r")
     assert log.arrays("a")["cycle"].tolist() == [3]
     assert log.lost() == {"a": 2}
+
+
+def test_what_a_lost_recorder_had_lost_is_added_to_what_the_next_one_loses(
+    ring, tmp_path
+) -> None:
+    """What did not fit a ring that stands is counted once: the ring says it."""
+
+    def full(recorder, *cycles):
+        for cycle in cycles:
+            ring.put(b"", cycle=cycle, now_ns=cycle)
+            recorder.turn()
+
+    said = []
+    (tmp_path / "r").write_text("a file where a folder should be")
+    first = begin(tmp_path, said)
+    full(first, 1, 2)
+    cycle = 3
+    while not ring.lost:  # as it was stopped for a while
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+        cycle += 1
+    first.turn()
+    unwritten = cycle - 2  # all but the last one, which did not fit
+    assert said[-1].lost == unwritten + 1
+    assert said[-1].handed_on == {"a": unwritten}
+    for followed in first._rings.values():
+        followed.ring.close()  # as its end does
+    plan = msgspec.structs.replace(wanted(tmp_path), lost=said[-1].handed_on)
+    second = recording.Recorder(plan, said.append)
+    full(second, cycle)
+    (tmp_path / "r").unlink()
+    second._files._retry = 0.0
+    full(second, cycle + 1)
+    second.end()
+    assert Log(tmp_path / "r").lost() == {"a": unwritten + 1 + 1}
+
+
+def test_a_recorder_that_was_lost_hands_on_what_it_has_lost(
+    tmp_path, monkeypatch
+) -> None:
+    plans = []
+    start = _Child._start
+
+    def started(self, before):
+        plans.append(self._handed_on)
+        return start(self, before)
+
+    monkeypatch.setattr(_Child, "_start", started)
+    (tmp_path / "r").write_text("a file where a folder should be")
+    recorders = Recorders(lambda _: None, AgentConfig())
+    recorders.update({"arm": wanted(tmp_path)})
+    ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+    try:
+        ring.put(b"", cycle=1, now_ns=1)
+        child = recorders._children["arm"]
+        wait_for(lambda: child._handed_on, "that it says what it has lost")
+        child._process.kill()
+        wait_for(lambda: len(plans) > 1, "the next one")
+    finally:
+        ring.destroy()
+        recorders.stop()
+    assert plans == [{}, {"a": 1}]
 
 
 @pytest.mark.parametrize(

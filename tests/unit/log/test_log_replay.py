@@ -357,7 +357,9 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> Non
     assert [note.code for note in said if isinstance(note, rtpu_messages.Note)] == [
         "LOG_FULL"
     ]
-    assert said[-1] == rtpu_messages.Recorder(subsystem="arm", path="", lost=1)
+    assert said[-1] == rtpu_messages.Recorder(
+        subsystem="arm", path="", lost=1, handed_on={"a": 1}
+    )
     blocked.unlink()
     deadline = time.monotonic() + 10.0
     while not Path(blocked, "r", "run.mcap").exists() and time.monotonic() < deadline:

@@ -133,7 +133,7 @@ def test_events_of_a_task_that_never_was_are_refused(arm):
 
 def test_events_of_a_task_that_has_ended_are_still_there(arm):
     arm.kill("qrint")
-    assert arm.events(task="qrint", code="STATE")[-1].text == "kill: NOT-CREATED"
+    assert arm.events(task="qrint", code="STATE")[-1].text == "killed"
     assert arm.events(task="qrint", code="FORCED") == []
     follower = Follower(arm, EventFilter(task="qrint"))
     assert follower.take()
@@ -206,7 +206,7 @@ def test_calls_do_what_the_commands_do(arm):
     assert {one.name for one in arm.display(writer="target")} == {"X_DES", "X^_DES"}
     assert arm.write("Q^_CMD", [0.5] * 6).values == [0.5] * 6
     assert [one.name for one in arm.library("gain")] == ["gain"]
-    assert arm.events(1, task="target", code="STATE")[0].text == "on: ON"
+    assert arm.events(1, task="target", code="STATE")[0].text == "turned on"
     counts = arm.events_count("target")
     told = {"rtpu": "arm1", "task": "target"}
     assert counts == [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import time
 from pathlib import Path
 
 import pytest
@@ -371,10 +372,10 @@ def off(**more):
         (off(), [], "it was not turned on", "never on"),
         (off(), [event("SPAWNED", "process 7", "plan")], "SPAWNED of", "never on"),
         (off(on_ns=5), [], "before the events", "turned off"),
-        (off(), [event("STATE", "off: OFF", "plan")], "STATE of", "turned off"),
+        (off(), [event("STATE", "turned off", "plan")], "STATE of", "turned off"),
         (
             off(),
-            [event("STATE", "after a timing failure: OFF", "plan")],
+            [event("STATE", "after a timing failure it is OFF", "plan")],
             "after a timing failure",
             "off by itself",
         ),
@@ -391,14 +392,16 @@ def test_each_reason_for_which_a_task_is_off(task, events, what, key):
 
 def test_what_happened_when_a_task_was_turned_off_is_no_cause():
     late = event("TIMING_FAILURE", "2 deadline", "plan", "arm1")
-    ordered = event("STATE", "off: OFF", "plan", "arm1")
+    ordered = event("STATE", "turned off", "plan", "arm1")
     assert "TIMING" not in told(facts(off(on_ns=1), events=[late, ordered]), "plan")
-    itself = event("STATE", "error: OFF", "plan", "arm1")
+    itself = event("STATE", "after 'on' it is OFF", "plan", "arm1")
     assert "TIMING" in told(facts(off(on_ns=1), events=[late, itself]), "plan")
 
 
 def test_a_signal_that_failed_says_what_may_be_done():
-    known = facts(off(), events=[event("SIGNAL_FAILED", "on: OFF: no", "plan")])
+    known = facts(
+        off(), events=[event("SIGNAL_FAILED", "'on' failed, and it is OFF: no", "plan")]
+    )
     assert "do: 'on plan' turns it on, 'kill plan' removes it" in told(known, "plan")
 
 
@@ -466,8 +469,100 @@ def test_a_task_that_is_on_and_does_not_work():
     assert "plan has missed 4 of 104 cycles" in text
 
 
-def test_a_task_that_works_has_no_cause():
-    assert not diagnosis.explain(facts(), asked_by(["pid"])).found
+def test_a_task_that_works_is_said_to_since_when_and_with_its_figures():
+    works = status("pid", on_ns=2_000_000_000, now=63_500_000_000)
+    known = facts(status("sensor"), works, on_since={"pid": NOW})
+    found = diagnosis.explain(known, asked_by(["pid"]))
+    assert not found.found
+    assert found.answered
+    clock = time.strftime("%H:%M:%S", time.localtime(NOW))
+    assert str(found).splitlines() == [
+        "task pid on arm0 is ON",
+        f"  nothing is wrong: it is ON since {clock}, for 61.5 s",
+        "  100 cycles at 100 Hz (measured: 100 Hz), none missed",
+        "  a cycle takes 1 ms of CPU time, at most 1 ms",
+        "  read on: `pbonet status` has more figures, `pbonet display` the values",
+    ]
+
+
+def test_what_could_not_be_read_is_not_said_to_be_right():
+    text = told(facts(unknown=["the table: gone"]), "pid")
+    assert "nothing that was read is wrong: it is ON" in text
+    assert text.endswith("not read: the table: gone")
+
+
+def test_a_periodic_task_that_stands_still_or_whose_cycles_fail_is_not_healthy():
+    known = facts(later={"pid": 100}, watched=0.3)
+    text = told(known, "pid")
+    assert "because pid is ON, and its cycle count stands still at 100" in text
+    assert "nothing is wrong" not in text
+    known = facts(status("pid", failed=3), events=[event("METHOD", "no force", "pid")])
+    text = told(known, "pid")
+    assert "because 3 of its cycles failed" in text
+    assert "because METHOD of arm0/pid" in text
+    assert f"do: {REMEDIES['cycles fail']}" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "figure"),
+    [
+        ((), "arm0 and arm1 answer, and none has raised it, last withdrawn at"),
+        (("start",), "the files are right, the configuration is legal"),
+        (("miss", "pid"), "100 cycles at 100 Hz (measured: 100 Hz), none missed"),
+        (("REF",), "plan on arm1 writes it at 100 Hz"),
+        (("arm1",), "1 of its 1 tasks are ON under MUF, on core 1 of lab2"),
+    ],
+)
+def test_what_is_well_is_said_with_its_figures(words, figure):
+    known = facts(events=[event("LEGAL", "no longer: plan is in ERROR")])
+    known.agents = {"arm1": agent("arm1", "lab2")}
+    text = told(known, *words)
+    assert f"\n  nothing is wrong: {figure}" in text
+    assert "no cause was found" not in text
+
+
+def test_an_rtpu_with_a_task_in_error_is_not_said_to_be_right():
+    text = told(facts(status("pid", state="ERROR", error="no encoder")), "arm0")
+    assert "nothing is wrong" not in text
+    assert "because task pid on arm0 is ERROR" in text
+
+
+def test_nobody_is_said_to_write_a_constant_again_and_again():
+    known = facts()
+    one = known.graph.variables[0]
+    known.graph.variables[0] = structs.replace(one, constant=True)
+    writer = (known.values[one.name].writer or "").rpartition("/")[2]
+    text = told(known, one.name)
+    assert f"nothing is wrong: it is a constant, and has its value, which {writer}" in (
+        text
+    )
+    assert "Hz" not in text
+
+
+def test_cpu_times_that_were_not_measured_are_not_told():
+    text = told(facts(status("pid", tot_c=0.0, max_c=0.0)), "pid")
+    assert "100 cycles at 100 Hz" in text
+    assert "CPU time" not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "answered"),
+    [
+        (("miss", "pid", "100"), True),
+        (("miss", "pid", "101"), False),
+        (("start", "arm"), True),
+        (("start", "other"), False),
+    ],
+)
+def test_what_a_recorded_run_does_not_have_is_not_said_to_be_right(words, answered):
+    known = facts(from_log=True)
+    assert diagnosis.explain(known, asked_by(words)).answered == answered
+
+
+def test_of_what_nothing_is_known_nothing_is_said_to_be_right():
+    known = facts(rtpus={})
+    for words in ((), ("arm1",), ("miss", "pid")):
+        assert "nothing is wrong" not in told(known, *words), words
 
 
 # -- variables -------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from pbonet.log import Attached, LogWriter
 from pbonet.log.part import Part
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
-from pbonet.master.diagnosis import REMEDIES
+from pbonet.master.diagnosis import REMEDIES, log_facts
 
 PERIOD = 10_000_000
 SBS = b"SUBSYSTEM arm\nSVARFILE a.svar\nRTPU arm0\nEOF\n"
@@ -58,18 +58,18 @@ def cycle(number, at, cpu=1_000_000, seed=1):
 
 
 FAILS = (
-    event("STATE", "on: ON", PERIOD, "pid", "ON"),
+    event("STATE", "turned on", PERIOD, "pid", "ON"),
     event("ILLEGAL", "the grip is open (arm0/pid)", 20 * PERIOD),
     event("METHOD", "pid.cycle: no grip", 34 * PERIOD, "pid", "ERROR"),
-    event("STATE", "off: OFF", 35 * PERIOD, "other", "OFF"),
+    event("STATE", "turned off", 35 * PERIOD, "other", "OFF"),
     event("ILLEGAL", "equation 2: no task writes Y for pid (master)", 36 * PERIOD),
     event("STOPPED", "all", 37 * PERIOD),
 )
 SOUND = (
-    event("STATE", "on: ON", PERIOD, "pid", "ON"),
+    event("STATE", "turned on", PERIOD, "pid", "ON"),
     event("ILLEGAL", "the grip is open (arm0/pid)", 20 * PERIOD),
     event("LEGAL", "no longer: the grip is open (arm0/pid)", 22 * PERIOD),
-    event("STATE", "off: OFF", 35 * PERIOD, "pid", "OFF"),
+    event("STATE", "turned off", 35 * PERIOD, "pid", "OFF"),
     event("STOPPED", "all", 36 * PERIOD),
 )
 
@@ -138,6 +138,9 @@ def test_the_end_of_a_run_is_no_cause(tmp_path):
     ask = recorded(tmp_path, SOUND)
     assert ask("pid").what == "task pid on arm0 is ON"
     assert not ask("Y").found, "its task was ON until then"
+    assert "nothing is wrong: pid on arm0 wrote it" in str(ask("Y"))
+    since = log_facts.read_log(tmp_path / "run.mcap").on_since
+    assert since == {"pid": pytest.approx(PERIOD * 1e-9)}
 
 
 def test_a_cause_that_was_withdrawn_is_not_explained_by_the_end(tmp_path):
@@ -148,7 +151,7 @@ def test_a_cause_that_was_withdrawn_is_not_explained_by_the_end(tmp_path):
 
 
 def test_what_was_turned_off_long_before_the_end_was_off(tmp_path):
-    late = [event("STATE", "off: OFF", 3000 * PERIOD, "other", "OFF")]
+    late = [event("STATE", "turned off", 3000 * PERIOD, "other", "OFF")]
     late += [event("STOPPED", "all", 3001 * PERIOD)]
     ask = recorded(tmp_path, [*SOUND[:4], *late])
     assert ask("pid").what == "task pid on arm0 is OFF"

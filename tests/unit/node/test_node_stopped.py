@@ -72,3 +72,34 @@ def test_a_stop_that_takes_the_end_of_the_parent_back_does_not_last() -> None:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+
+
+def test_the_fork_server_continues_an_rtpu_process_that_stops_with_its_agent() -> None:
+    """It alone can: the stop has taken back what the kernel had sent."""
+    rtpu = textwrap.dedent("""
+        import os, signal, socket, time
+        from pbonet.node.task import fork_server
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        agent, rtpu = os.getppid(), os.getpid()
+        if os.fork() == 0:
+            near.close()
+            os._exit(fork_server.serve(far, rtpu, 0))
+        far.close()
+        near.recv(100)
+        print(rtpu, flush=True)
+        while os.getppid() == agent:
+            time.sleep(0.001)
+        os.kill(rtpu, signal.SIGSTOP)
+        print("goes on", flush=True)
+    """)
+    code = f"import subprocess, sys; subprocess.call([sys.executable, '-c', {rtpu!r}])"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+    ) as agent:
+        pid = int(agent.stdout.readline())
+        agent.kill()
+        try:
+            assert agent.stdout.readline() == "goes on\n"
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)

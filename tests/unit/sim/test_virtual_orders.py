@@ -114,7 +114,7 @@ def test_signals_to_one_task_are_carried_out_one_after_the_other(subsystem):
     texts = [one.text for one in subsystem.events() if one.code == "SIGNAL_FAILED"]
     assert [text.partition(":")[0] for text in texts] == ["off to d was refused"]
     states = [e.text for e in subsystem.events() if (e.task, e.code) == ("b", "STATE")]
-    assert states[-2:] == ["off: OFF", "on: ON"]
+    assert states[-2:] == ["turned off", "turned on"]
 
 
 @pytest.mark.parametrize(("task", "signal"), [("b", "swap"), ("a", "off")])

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import queue
 import shutil
+import threading
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from starlette.testclient import TestClient
 
 from pbonet.cli import main
 from pbonet.errors import LogError
 from pbonet.log import Log, last_run
+from pbonet.master import diagnosis
+from pbonet.master.configuration import Place
+from pbonet.master.web import application
+from pbonet.master.web.access import Access, Role
+from pbonet.master.web.orders import Line, Order, Stop
+from pbonet.master.web.recorded_questions import RecordedQuestions
 from pbonet.master.web.recorded_run import RecordedRun
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma" / "puma.job"
@@ -188,3 +198,88 @@ def test_what_is_damaged_is_told(folder, tmp_path):
     run = RecordedRun(tmp_path / "damaged.mcap")
     complaints = next(one for one in run.first() if one["kind"] == "complaints")
     assert "damaged chunk" in complaints["texts"][0]
+
+
+def ask(folder, request):
+    questions = RecordedQuestions(folder)
+    try:
+        return asyncio.run(questions.answer(request, Role.OBSERVER, lambda _: None))
+    finally:
+        questions.close()
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [Order(7, "explain", {"what": ["puma_pidg"]}), Line(7, "explain puma_pidg")],
+)
+def test_it_is_explained_as_the_command_line_does(folder, request_):
+    answer = ask(folder, request_)
+    assert (answer["kind"], answer["id"], answer["ok"]) == ("answer", 7, True)
+    assert answer["text"] == str(diagnosis.answer(folder, ["puma_pidg"], Place()))
+    assert answer["text"].startswith("task puma_pidg on arm0 is ON")
+    assert answer["data"]["kind"] == "task"
+
+
+@pytest.mark.parametrize(
+    ("request_", "text"),
+    [
+        (Order(7, "off", {"task": ["puma_pidg"]}), "a recorded run is not steered"),
+        (Order(7, "explain", {"trace": 3.0}), "a recorded run is not steered"),
+        (Line(7, "on puma_pidg"), "a recorded run is not steered"),
+        (Line(7, "explain nobody"), "no task, variable or RTPU nobody"),
+        (Stop(7), "a recorded run is not steered"),
+    ],
+)
+def test_what_else_is_asked_of_it_is_refused(folder, request_, text):
+    answer = ask(folder, request_)
+    assert (answer["id"], answer["ok"]) == (7, False)
+    assert text in answer["text"]
+
+
+def test_a_question_that_is_not_answered_at_the_end_is_named(monkeypatch):
+    """The program ends then, and does not wait until a large log is read."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def read(*_):
+        begun.set()
+        go_on.wait(60)
+        return diagnosis.Explanation(kind="flag", name="", what="down")
+
+    async def leave():
+        asked = asyncio.ensure_future(
+            questions.answer(Order(1, "explain", {}), Role.OBSERVER, lambda _: None)
+        )
+        await asyncio.to_thread(begun.wait, 60)
+        asked.cancel()
+        await asyncio.gather(asked, return_exceptions=True)
+        questions.close()
+        return questions.left
+
+    monkeypatch.setattr(diagnosis, "answer", read)
+    questions = RecordedQuestions("a log")
+    assert questions.left == []
+    try:
+        assert asyncio.run(leave()) == ["a question about the run was not answered"]
+    finally:
+        go_on.set()
+
+
+def test_its_page_has_the_button_and_the_answer(folder):
+    """The page shows the button where the first message has the command."""
+    access = Access(["127.0.0.1"], 8080, b"key", roles=(Role.OBSERVER,))
+    run = RecordedRun(folder)
+    page = application.Page(
+        run, lambda _: RecordedQuestions(folder), access, linked=lambda *_: None
+    )
+    url = "http://127.0.0.1:8080"
+    with TestClient(page.app(), base_url=url) as client:
+        client.get(access.links[Role.OBSERVER].removeprefix(url))
+        origin = {"origin": url, "host": "127.0.0.1:8080"}
+        with client.websocket_connect("ws://127.0.0.1:8080/ws", headers=origin) as sock:
+            hello = json.loads(sock.receive_text())
+            assert [one["name"] for one in hello["commands"]] == ["explain"]
+            wish = {"do": "command", "id": 1, "command": "explain", "args": {}}
+            sock.send_text(json.dumps(wish))
+            messages = iter(lambda: json.loads(sock.receive_text()), None)
+            answer = next(one for one in messages if one["kind"] == "answer")
+            assert answer["text"].startswith("the flag of puma was not up in this run")
