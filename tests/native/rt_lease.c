@@ -57,9 +57,13 @@ static int64_t steps_left = -1;         /* until something happens; -1: nothing 
 static void (*happens)(void);
 static jmp_buf killed;
 
+static void die(void);
+
+/* Between two turns anything may come, but a turn is one step of the core, unless its leader
+ * is killed. */
 static void step(void)
 {
-    if (steps_left >= 0 && !steps_left--)
+    if (steps_left >= 0 && (!amid_turn || happens == die) && !steps_left--)
         happens();
 }
 
@@ -126,6 +130,15 @@ static void succeed(void)
     turn(1);
 }
 
+/* It is killed while it sleeps, or another one follows. */
+static void change_leader(void)
+{
+    if (leads)
+        leads = 0;
+    else
+        succeed();
+}
+
 static void die(void)
 {
     longjmp(killed, 1);
@@ -135,7 +148,7 @@ static void kill_amid_turn(void)
 {
     if (!setjmp(killed)) {
         happens = die;
-        steps_left = pick(400);
+        steps_left = pick(2) ? pick(12) : pick(400);
         turn(0);
         steps_left = -1;
         return;
@@ -174,13 +187,18 @@ static void check_timer(int i)
             "the check stands early enough");
 }
 
+/* Whether the task has released itself, and no turn has read that and lent again. */
+static int is_own(const struct rt_task *task)
+{
+    return task->seq != atomic_load(&task->slot->grant.seq);
+}
+
 static void wake(int i)
 {
     struct rt_task *task = &tasks[i];
     if (runs_now[i] || rt_wait(task, 1) != RT_RELEASED)
         return;
-    int self = rt_under_way(atomic_load(&table.lease)) == rt_cycle(i, task->seq) &&
-               task->seq != atomic_load(&task->slot->grant.seq);
+    int self = is_own(task);
     for (int k = 0; k < TASKS; k++)
         require(!self || k == i || !runs_now[k], "no cycle beside one that no turn has ranked");
     runs_now[i] = 1;            /* from here on others may come */
@@ -193,7 +211,7 @@ static void wake(int i)
     runs[i]++;
     taken += self;
     steps_left = -1;            /* what is checked stands still */
-    if (self)
+    if (is_own(task))           /* and no turn has come since */
         check_timer(i);
 }
 
@@ -225,7 +243,7 @@ static int top(int level)
 static int under;
 static void preempt(void)
 {
-    now += pick(400) * US;
+    now += pick(4) ? pick(400) * US : pick(4000) * US;
     expire();
     for (int n = 0, i; n < TASKS; n++) {
         i = top(table.slots[under].state.level);
@@ -309,8 +327,8 @@ static void play(void)
         rt_arm(&tasks[i]);
     }
     for (int k = 0; k < 300; k++) {
-        if (!leads && !pick(10))
-            succeed();
+        if (leads ? !pick(80) : !pick(10))
+            change_leader();
         go_on();
     }
     if (!leads)
@@ -375,6 +393,24 @@ static void overrun(void)
     finish(0);
     require(has_kicked, "a late end is known before it counts");
     require(s->missed == missed + 2 && s->failures[RT_DEADLINE] == failed + 2, "two misses");
+    rest();
+}
+
+/* A turn amid a cycle that the task has released itself knows it, and when it was released. */
+static void amid(void)
+{
+    const struct rt_state *s = &table.slots[0].state;
+    begin(2000 * US, 1000 * US);
+    finish(0);
+    now = atomic_load(&table.next_ns[0]);
+    wake(0);
+    int64_t release = now;
+    require(runs_now[0] && s->seq != tasks[0].seq, "taken");
+    now += 100 * US;
+    uint64_t releases = atomic_load(&table.releases);
+    kick();
+    require(s->seq == tasks[0].seq && s->begun && s->rel_ns == release, "the turn knows");
+    require(atomic_load(&table.releases) == releases + 1, "and has counted it");
     rest();
 }
 
@@ -479,6 +515,7 @@ int main(int argc, char **argv)
     for (int64_t round = atoll(argv[2]); round > 0; round--) {
         play();
         overrun();
+        amid();
         off();
         move_check();
         meet();
