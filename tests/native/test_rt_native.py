@@ -73,7 +73,9 @@ def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("maxc_ns", [0, 200_000])
-def test_tasks_that_release_themselves_and_turns_at_once(tmp_path, compiler, maxc_ns) -> None:
+def test_tasks_that_release_themselves_and_turns_at_once(
+    tmp_path, compiler, maxc_ns
+) -> None:
     """Each release is run once or counted as missed, and nothing races."""
     program = built(tmp_path, "rt_apart", compiler, "-fsanitize=thread")
     command = ["env", "TSAN_OPTIONS=report_mutex_bugs=0", program, "601", str(maxc_ns)]

@@ -131,7 +131,7 @@ static inline void rt_hold_release(struct rt_look *look, int64_t at)
 }
 
 /* Set the dispatcher's check for the cycles to come. The cycle of the caller, in slot i, is
- * still in the word, so nobody takes a release meanwhile. If the first to come is the
+ * still in the word, so no task takes a release meanwhile. If the first to come is the
  * caller's own, its sleep until then is not the core's next event yet. */
 static inline void rt_move_check(struct rt_table *t, int i, struct rt_look *look)
 {
