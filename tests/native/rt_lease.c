@@ -73,11 +73,16 @@ static int read_clock(clockid_t clock, struct timespec *to)
     return 0;
 }
 
+static int64_t nanoseconds(const struct timespec *at)
+{
+    return at->tv_sec * INT64_C(1000000000) + at->tv_nsec;
+}
+
 static int set_timer(int fd, int flags, const struct itimerspec *to, struct itimerspec *old)
 {
     (void)flags, (void)old;
     order[n_timers++ & 1] = fd;
-    timers[fd] = to->it_value.tv_sec * INT64_C(1000000000) + to->it_value.tv_nsec;
+    timers[fd] = nanoseconds(&to->it_value);
     return 0;
 }
 
@@ -108,13 +113,18 @@ static long call_kernel(long number, ...)
     void *at = va_arg(rest, void *);
     int op = va_arg(rest, int);
     uint32_t value = va_arg(rest, uint32_t);
+    const struct timespec *until = va_arg(rest, const struct timespec *);
     va_end(rest);
     if (at == &table.mailbox && op == FUTEX_WAKE) {
         has_kicked = 1;
         if (leads && !amid_turn)
             turn(0);
     }
-    errno = op == FUTEX_WAIT_BITSET && *(_Atomic uint32_t *)at != value ? EAGAIN : EINTR;
+    errno = EINTR;
+    if (op == FUTEX_WAIT_BITSET && *(_Atomic uint32_t *)at != value)
+        errno = EAGAIN;
+    else if (op == FUTEX_WAIT_BITSET && until && nanoseconds(until) <= now)
+        errno = ETIMEDOUT;
     return -1;
 }
 
@@ -497,6 +507,136 @@ static void meet(void)
     rest();
 }
 
+/* A turn lends before the task's release, and the task goes on when that has come. */
+static void lend_before(void)
+{
+    turn(0);
+    now = atomic_load(&table.next_ns[0]) + 10 * US;
+}
+
+/* A task that has seen no lease, or an older one, and finds its release due after that is not
+ * left asleep, wherever the new lease came between its steps. */
+static void lent_meanwhile(void)
+{
+    int before = 0;
+    for (int64_t steps = 0; steps < 20; steps++) {
+        begin(2000 * US, 0);
+        finish(0);
+        now += 500 * US;
+        if (steps & 1)
+            rt_recall(&table);
+        happens = lend_before;
+        steps_left = steps / 2;
+        wake(0);
+        require(runs_now[0] || steps_left >= 0, "it takes its release");
+        before += runs_now[0];
+        steps_left = -1;
+        rest();
+    }
+    require(before > 5, "between its steps");
+}
+
+static void end_now(void)
+{
+    finish(0);
+}
+
+/* A cycle that ends while the dispatcher lends does not stay in the word. */
+static void end_amid_lend(void)
+{
+    for (int64_t steps = 0; steps < 40; steps++) {
+        begin(2000 * US, 0);
+        int64_t due = rt_turn(&table, now, 0, 0, no_cpu);
+        rt_turn_end(&table);
+        happens = end_now;
+        steps_left = steps;
+        rt_lend(&table, due);
+        int has_ended = !runs_now[0];
+        steps_left = -1;
+        uint64_t lease = atomic_load(&table.lease);
+        require(!has_ended || !rt_is_open(lease) || !rt_under_way(lease), "taken out");
+        rest();
+    }
+}
+
+/* A release that comes while the dispatcher is about to lend is seen by the one or the other. */
+static void lend_late(void)
+{
+    begin(2000 * US, 0);
+    finish(0);
+    int64_t due = rt_turn(&table, now, 0, 0, no_cpu);
+    rt_turn_end(&table);
+    now = atomic_load(&table.next_ns[0]);
+    wake(0);
+    require(!runs_now[0], "it sees no lease, and sleeps");
+    due = rt_lend(&table, due);
+    require(rt_is_lent(&table) && due <= now, "the dispatcher takes another turn");
+    rest();
+}
+
+/* A task that ends its cycle before the dispatcher says when the next one is sleeps until it
+ * is woken. So there is no lease. */
+static void end_before_lend(void)
+{
+    begin(2000 * US, 0);
+    finish(0);
+    rt_recall(&table);
+    now = atomic_load(&table.next_ns[0]);
+    int64_t due = rt_turn(&table, now, 0, 0, no_cpu);
+    rt_turn_end(&table);
+    wake(0);
+    require(runs_now[0], "granted");
+    finish(0);
+    wake(0);
+    require(!runs_now[0], "it sleeps");
+    require(rt_lend(&table, due) == due && !rt_is_lent(&table), "its next release is a turn's");
+    rest();
+}
+
+/* No lease is much longer than 50 ms, however far away the next release is. */
+static void slow(void)
+{
+    begin(INT64_C(10000000) * US, 0);
+    require(table.sure_ns == atomic_load(&table.next_ns[0]) + RT_LEND_NS, "after a while");
+    rest();
+}
+
+/* With a new period the task comes back to the grid by a turn, not by its lease. */
+static void other_period(void)
+{
+    const struct rt_state *s = &table.slots[0].state;
+    begin(3000 * US, 0);
+    finish(0);
+    if (atomic_load(&table.next_ns[0]) % (2000 * US) == 0) {
+        now = atomic_load(&table.next_ns[0]);
+        wake(0);
+        finish(0);
+    }
+    configure(0, 2000 * US, 0, 0);
+    kick();
+    require(s->next_ns % s->period != 0 && !rt_is_lent(&table), "off the grid");
+    now = s->next_ns;
+    expire();
+    require(s->ready && s->next_ns % s->period == 0, "the dispatcher's; the next is on it");
+    rest();
+}
+
+/* Another task has the slot of one that has had very many grants: it has taken none. */
+static void other_life(void)
+{
+    begin(2000 * US, 0);
+    finish(0);
+    kick();
+    table.slots[0].state.seq = UINT32_C(1) << 31 | 5;
+    atomic_store(&tasks[0].slot->post.done, 0);
+    atomic_store(&tasks[0].slot->grant.seq, 0);
+    atomic_fetch_add(&tasks[0].slot->config.life, 2);
+    uint64_t releases = atomic_load(&table.releases);
+    kick();
+    require(atomic_load(&table.releases) == releases, "it has taken none");
+    rest();
+}
+
 int main(int argc, char **argv)
 {
     if (argc != 3)
@@ -519,6 +659,13 @@ int main(int argc, char **argv)
         off();
         move_check();
         meet();
+        lent_meanwhile();
+        end_amid_lend();
+        lend_late();
+        end_before_lend();
+        slow();
+        other_period();
+        other_life();
     }
     require(taken > 20 * atoll(argv[2]), "they took releases themselves");
     return 0;

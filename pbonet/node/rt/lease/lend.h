@@ -58,7 +58,8 @@ static inline uint32_t rt_news_taken(const struct rt_table *t, int i)
 {
     const struct rt_state *s = &t->slots[i].state;
     int32_t news = (int32_t)(rt_last_taken(t, i) - s->seq);
-    return s->kind == RT_PERIODIC && s->armed && news > 0 ? (uint32_t)news : 0;
+    int same = atomic_load(&t->slots[i].config.life) == s->life;   /* else it counts anew */
+    return same && s->kind == RT_PERIODIC && s->armed && news > 0 ? (uint32_t)news : 0;
 }
 
 /* Whether the word has a cycle of slot i that no turn has read. */
@@ -116,8 +117,10 @@ static inline int rt_is_lent(const struct rt_table *t)
 static inline int rt_is_plain(const struct rt_state *s)
 {
     int odd = s->dead || s->late || s->spent || s->owed || s->handling || s->overrun || s->skip;
+    /* A release off the grid, after a change of the period, leads back to it: rt_following. */
     return s->kind == RT_PERIODIC && (s->word & 3) == RT_ON && !odd && s->armed &&
-           s->rank == s->crit && s->level > 0 && s->seq < RT_LEND_SEQ_MAX;
+           s->rank == s->crit && s->level > 0 && s->seq < RT_LEND_SEQ_MAX &&
+           s->next_ns % s->period == 0;
 }
 
 /* Whether the task of slot i may release itself: it has run what was granted, or runs it,
@@ -170,7 +173,7 @@ static inline int64_t rt_lent_until(const struct rt_table *t, int64_t cycle, int
             horizon = at[next] + RT_LEND_NS;
         }
         if (at[next] - last < RT_APART_NS || at[next] >= horizon || n == RT_LENT_MAX)
-            return at[next];
+            return at[next] < horizon ? at[next] : horizon;
         last = at[next];
         at[next] += t->slots[next].state.period;
     }
@@ -201,6 +204,20 @@ static inline void rt_publish_next(struct rt_table *t)
     }
 }
 
+/* Open the word until `end`, with the cycle that is under way. */
+static inline void rt_open(struct rt_table *t, uint64_t cycle, int64_t end)
+{
+    t->leases += (t->leases + 1) & RT_LEASES ? 1 : 2;   /* 0 means none */
+    uint64_t number = (uint64_t)(t->leases & RT_LEASES) << 40, word = number | cycle;
+    atomic_store(&t->lent_end_ns, end);
+    atomic_store(&t->sure_ns, end);
+    /* SYNC POINT: rt_take loads the word before it reads the rest. A cycle is marked as ended
+     * before its task reads the word: the task sees the word, or this sees the end. */
+    atomic_store(&t->lease, word);
+    if (cycle && atomic_load(&t->slots[(cycle >> 32) - 1].post.done) == (uint32_t)cycle)
+        atomic_compare_exchange_strong(&t->lease, &word, number);
+}
+
 /* After a turn whose next event is at `due`: lend the tasks their next releases, if at most
  * one cycle is under way. Returns when a check is needed, or else until when to sleep. */
 static inline int64_t rt_lend(struct rt_table *t, int64_t due)
@@ -214,20 +231,13 @@ static inline int64_t rt_lend(struct rt_table *t, int64_t due)
     for (int i = 0; i < high; i++)
         if (t->slots[i].state.armed)
             rt_lend_to(&t->slots[i]);
-    t->leases += (t->leases + 1) & RT_LEASES ? 1 : 2;   /* 0 means none */
-    uint64_t number = (uint64_t)(t->leases & RT_LEASES) << 40;
-    uint64_t word = number | (uint64_t)cycle;
-    atomic_store(&t->lent_end_ns, end);
-    atomic_store(&t->sure_ns, end);
-    /* SYNC POINT: rt_take loads the word before it reads the rest. A cycle is marked as ended
-     * before its task reads the word: the task sees the word, or this sees the end. */
-    atomic_store(&t->lease, word);
-    if (cycle && atomic_load(&t->slots[(cycle >> 32) - 1].post.done) == (uint32_t)cycle)
-        atomic_compare_exchange_strong(&t->lease, &word, number);
-    if (!cycle) {
-        int k;
+    rt_open(t, (uint64_t)cycle, end);
+    /* SYNC POINT: a task whose release has come meanwhile may have seen no lease: rt_take. */
+    if (rt_now() >= first)
+        return first;
+    int k;
+    if (!cycle)
         due = rt_next_check(t, end, &k);
-    }
     return due && due < end ? due : end;
 }
 

@@ -83,11 +83,18 @@ static inline int rt_take(struct rt_table *t, struct rt_slot *slot, uint32_t *se
     int i = (int)(slot - t->slots);
     /* SYNC POINT: rt_lend writes the word last. */
     uint64_t lease = atomic_load(&t->lease);
-    int64_t release = atomic_load(&t->next_ns[i]), due = release;
+    int64_t release = atomic_load(&t->next_ns[i]);
     int64_t late = release ? rt_now() - release : 0;
     *until = late < 0 ? release : 0;
-    if (!release || late < 0 || !rt_may_take(t, i, lease, release))
+    if (!release || late < 0)
         return 0;
+    if (!rt_may_take(t, i, lease, release)) {
+        /* SYNC POINT: rt_lend reads the time after it writes the word. Either this sees that
+         * there is a lease now, or the dispatcher sees that the release has come. */
+        if (atomic_load(&t->lease) != lease)
+            *until = release;   /* which has passed: try again */
+        return 0;
+    }
     int64_t period = atomic_load_explicit(&g->lent_period_ns, memory_order_relaxed);
     if (late >= period) {
         rt_overslept(t, release);
@@ -98,14 +105,18 @@ static inline int rt_take(struct rt_table *t, struct rt_slot *slot, uint32_t *se
     if (atomic_load_explicit(&g->lent_metered, memory_order_relaxed))
         atomic_store_explicit(&slot->post.lease_cpu_ns[grant & 1],
                               rt_clock(CLOCK_PROCESS_CPUTIME_ID), memory_order_relaxed);
-    /* SYNC POINT: a turn in between has changed the word, and the release is not taken. */
-    if (!atomic_compare_exchange_strong(&t->lease, &lease, lease | rt_cycle(i, grant)))
+    /* SYNC POINT: a turn in between has changed the word, and the release is not taken. If
+     * the turn came before the release, it has not granted it either: try again. */
+    if (!atomic_compare_exchange_strong(&t->lease, &lease, lease | rt_cycle(i, grant))) {
+        *until = release;
         return 0;
+    }
     *seq = grant;
     atomic_store_explicit(&g->rel_ns, release, memory_order_relaxed);
     atomic_store_explicit(&g->dl_ns, release + length, memory_order_relaxed);
-    /* A turn since then has written the same, or a later one if that was used up, too. */
-    atomic_compare_exchange_strong(&t->next_ns[i], &due, release + period);
+    /* A turn since then has written the same. If it has written a later one, the cycle has
+     * overrun: there is no lease until it has ended, and rt_lend writes the release anew. */
+    atomic_store_explicit(&t->next_ns[i], release + period, memory_order_relaxed);
     return 1;
 }
 
