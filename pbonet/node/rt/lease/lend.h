@@ -58,7 +58,7 @@ static inline uint32_t rt_news_taken(const struct rt_table *t, int i)
 {
     const struct rt_state *s = &t->slots[i].state;
     int32_t news = (int32_t)(rt_last_taken(t, i) - s->seq);
-    int same = atomic_load(&t->slots[i].config.life) == s->life;   /* else it counts anew */
+    int same = atomic_load(&t->slots[i].config.life) == s->life;   /* else it counts from 0 */
     return same && s->kind == RT_PERIODIC && s->armed && news > 0 ? (uint32_t)news : 0;
 }
 

@@ -115,7 +115,7 @@ static inline int rt_take(struct rt_table *t, struct rt_slot *slot, uint32_t *se
     atomic_store_explicit(&g->rel_ns, release, memory_order_relaxed);
     atomic_store_explicit(&g->dl_ns, release + length, memory_order_relaxed);
     /* A turn since then has written the same. If it has written a later one, the cycle has
-     * overrun: there is no lease until it has ended, and rt_lend writes the release anew. */
+     * overrun: there is no lease until it has ended, and rt_lend writes the release again. */
     atomic_store_explicit(&t->next_ns[i], release + period, memory_order_relaxed);
     return 1;
 }
