@@ -29,9 +29,9 @@ class Event(IntEnum):
     """Input: the task's mode word arg (`Mode`, arming count, return count); a is 1 when
     it is OFF because it is in ERROR."""
     DONE = 6
-    """Input: the granted cycle has ended. With arg, the task was alone on its core and
-    has released itself arg times since; it runs the cycle of the release at a, before
-    which its CPU clock stood at b (0: not read)."""
+    """Input: the granted cycle has ended. With arg, the task has released itself arg
+    times since, the sole ready one of its core; it runs the cycle of the release at a,
+    before which its CPU clock stood at b (0: not read)."""
     BEGUN = 7
     """Input: the granted cycle has started and not ended; arg 1: it hangs."""
     LEAD = 8

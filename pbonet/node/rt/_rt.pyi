@@ -425,7 +425,8 @@ class Slot:
         """Take hold of the timer of the dispatcher's checks, before rights are dropped.
 
         A task that has it stops a check when its cycle has ended, and may release
-        itself while it is alone on its core. Otherwise the dispatcher does both.
+        itself while no other one of its core is ready. Otherwise the dispatcher does
+        both.
         """
     def signal(self, bits: int) -> int:
         """Count the signals that are not masked, and return them; never waits."""

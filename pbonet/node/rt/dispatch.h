@@ -186,11 +186,13 @@ static inline int rt_is_called(const struct rt_slot *slot)
 }
 
 /* Whether slot i has anything to read; most have not, most of the time. */
-static inline int rt_news(const struct rt_slot *slot)
+static inline int rt_news(const struct rt_table *t, int i)
 {
+    const struct rt_slot *slot = &t->slots[i];
     const struct rt_state *s = &slot->state;
     const struct rt_config *c = &slot->config;
-    return atomic_load_explicit(&c->life, memory_order_relaxed) != s->life ||
+    return rt_news_taken(t, i) ||
+           atomic_load_explicit(&c->life, memory_order_relaxed) != s->life ||
            atomic_load_explicit(&c->gen, memory_order_relaxed) != s->gen ||
            atomic_load_explicit(&slot->post.word, memory_order_relaxed) != s->word ||
            s->granted || (s->armed && s->kind != RT_PERIODIC) || rt_is_called(slot) ||
@@ -226,8 +228,8 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
          * taken meanwhile, its arming was not seen either. */
         uint8_t said = !(life & 1) && rt_fell_in(slot, life - 1);
         uint8_t fell = !(life & 1) && (s->armed || s->fell || said);
+        rt_forget_taken(t, i);
         memset(s, 0, sizeof *s);
-        atomic_store(&slot->grant.lease, 0);
         s->life = life;
         s->fell = fell;
         rt_emit(t, RT_LIFE, i, life, said, 0);
@@ -438,19 +440,18 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
     int64_t due = 0, sure = 0;
     uint64_t head = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
     t->trace_next = head;
+    rt_recall(t);
     rt_emit(t, RT_TURN, 0, (uint32_t)park, now, 0);
     if (lead)
         rt_emit(t, RT_LEAD, 0, 0, atomic_load(&t->leader_pid), 0);
     for (int i = 0; i < high; i++) {
-        if (!lead && !rt_news(&t->slots[i]))
+        if (!lead && !rt_news(t, i))
             continue;
         struct rt_state s = t->slots[i].state;
         if (lead)
             s.level = RT_UNSET;
-        do {
-            rt_latch(t, i, &s, now, cpu);
-            rt_commit(t, i, &s);
-        } while (!rt_recall(&t->slots[i]));
+        rt_latch(t, i, &s, now, cpu);
+        rt_commit(t, i, &s);
     }
     for (int i = 0; i < high; i++) {
         struct rt_state *s = &t->slots[i].state;
@@ -494,8 +495,8 @@ static inline void rt_recover(struct rt_table *t)
     atomic_store(&t->journal_valid, 0);
     for (i = 0; i < atomic_load(&t->high); i++) {
         struct rt_slot *slot = &t->slots[i];
-        /* Under a lease the task has written its release itself, and may not have read it. */
-        if ((slot->state.life & 1) && !atomic_load(&slot->grant.lease))
+        /* A task that has taken its release has written it, and may not have read it yet. */
+        if ((slot->state.life & 1) && !rt_runs_taken(t, (int)i))
             rt_publish(slot);
     }
 }

@@ -5,6 +5,7 @@
  *   post    the task
  *   grant   the leading dispatcher; any process may write `bell` and `ask`, atomically
  *   state   the leading dispatcher alone; a standby reads it when it takes over
+ *   next_ns the leading dispatcher; a task its own, once it has taken a release
  *   safe    the task and the leading dispatcher, in turns; see svar/safe.h
  *   stats   the task; `seq` lets readers detect a concurrent write
  *   signals the task increments counts, the RTPU process sets the mask; all atomic
@@ -31,7 +32,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 15,
+    RT_VERSION = 16,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -113,7 +114,8 @@ struct rt_post {
     _Atomic int64_t event_ns;           /* begin of the last event */
     _Atomic uint64_t cpu_ns;            /* the task's CPU clock, in virtual time only */
     _Atomic uint32_t meets;             /* the `look_life` whose timer the task can move */
-    _Atomic int64_t lease_cpu_ns[2];    /* CPU clock of its process at a release taken */
+    _Atomic int64_t lease_cpu_ns[2];    /* CPU clock of its process at a release taken: of
+                                         * an even and of an odd grant */
 };
 
 struct rt_grant {
@@ -138,10 +140,8 @@ struct rt_grant {
     _Atomic uint32_t fell;              /* a standby of this task is engaged at once */
     _Atomic uint32_t flooded;           /* events come without end, so `hung` is set, too */
     _Atomic uint32_t hung;              /* a cycle or `sync` does not return: others go first */
-    _Atomic uint64_t lease;             /* number << 32 | releases taken; 0: none; see lease/ */
-    _Atomic uint32_t lent_seq;          /* the grant before the first of them */
     _Atomic uint32_t lent_metered;      /* the CPU clock at a release is needed */
-    _Atomic int64_t lent_ns, lent_end_ns, lent_period_ns, lent_length_ns;
+    _Atomic int64_t lent_period_ns, lent_length_ns;     /* of releases that it takes: lease/ */
     _Atomic int64_t lent_check_ns;      /* from a release to the first check */
 };
 
@@ -181,7 +181,6 @@ struct rt_state {
     struct rt_piece pieces[RT_PIECES];
     int32_t after_kind;
     uint32_t ticket;                    /* of the calls that it waits for; 0: none */
-    uint32_t leases, taken;             /* number of leases; releases taken of the last */
     uint64_t after[RT_MASKS];
 };
 
@@ -262,6 +261,10 @@ struct rt_table {
     _Atomic int64_t looked_ns;          /* when it was due to expire, until a turn reads it */
     _Atomic uint64_t look;              /* number << 32 | cycles still under way */
     _Atomic uint64_t spared;            /* checks that were cancelled in time */
+    _Atomic uint64_t lease;             /* number << 40 | slot + 1 << 32 | grant; see lease/ */
+    _Atomic int64_t lent_end_ns;        /* the first release that is the dispatcher's again */
+    uint32_t leases;                    /* how many there were */
+    _Alignas(64) _Atomic int64_t next_ns[RT_SLOTS]; /* next releases of periodic tasks; 0: none */
 
     uint32_t journal_slot;              /* the slot whose state is being replaced ... */
     _Atomic uint32_t journal_valid;

@@ -25,7 +25,7 @@
 struct rt_look {
     uint32_t life;              /* the leader's timer that `fd` refers to; 0: none yet */
     int fd;
-    int release_fd;             /* a timer of the process's own; see rt_check_next. 0: none */
+    int release_fd;             /* a timer of the process's own; see rt_hold_release. 0: none */
 };
 
 /* The leader's timer as a descriptor of this process; -1: not available, and not tried

@@ -23,14 +23,16 @@ static inline int rt_busy(struct rt_slot *slot)
     return s->ready && !(s->granted && atomic_load(&slot->post.done) == s->seq);
 }
 
-/* Number the check, and count the cycles that must end to make it unnecessary. */
+/* Number the check, and count the cycles that must end to make it unnecessary. Under a
+ * lease none: every cycle that ends moves the timer. */
 static inline void rt_count_looked(struct rt_table *t)
 {
     uint32_t number = (uint32_t)(atomic_load(&t->look) >> 32) + 1;
     uint64_t count = 0;
     number += !number;          /* 0 means none */
+    int lent = rt_is_lent(t);
     for (uint32_t i = 0; i < atomic_load(&t->high); i++)
-        if (rt_busy(&t->slots[i])) {
+        if (!lent && rt_busy(&t->slots[i])) {
             atomic_store_explicit(&t->slots[i].grant.look, number, memory_order_relaxed);
             count++;
         }
@@ -56,8 +58,7 @@ static inline void rt_sleep(struct rt_looker *looker, uint32_t mail, int64_t due
         return;
     }
     rt_count_looked(t);
-    if (set != due)
-        rt_set_look(looker, due);
+    rt_set_look(looker, due);
     rt_futex_wait(&t->mailbox, mail, sure);
 }
 

@@ -234,7 +234,7 @@ static inline void rt_lead(struct rt_loop *loop)
         int64_t due = rt_once(loop, lead);
         lead = 0;
         if (loop->looker.running)
-            rt_lend(t);
+            due = rt_lend(t, due);
         if (!rt_top_done(t) && !atomic_load(&loop->stop))
             rt_sleep(&loop->looker, mail, due);
     }

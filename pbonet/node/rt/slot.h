@@ -311,7 +311,7 @@ static inline void rt_end(struct rt_task *task)
     if (atomic_load(&task->table->waiting))
         rt_kick(task->table);
     rt_spare(task->table, task->slot, &task->look);
-    rt_check_next(task->table, task->slot, &task->look);
+    rt_give_back(task->table, task->slot, task->seq, &task->look);
 }
 
 /* Take hold of the timer of the dispatcher's checks. Later the process may lack the right. */

@@ -410,7 +410,6 @@ static inline void rt_reset_watch(struct rt_slot *slot)
     atomic_store(&post->event_ns, 0);
     atomic_store(&post->cpu_ns, 0);
     atomic_store(&post->meets, 0);
-    atomic_store(&g->lease, 0);
     atomic_store(&g->overruns, 0);
     atomic_store(&g->held_off, 0);
 }
@@ -473,6 +472,7 @@ static inline int rt_alloc(struct rt_table *t, int member, const char *rtpu,
     if (found >= 0) {
         struct rt_slot *slot = &t->slots[found];
         rt_reset(slot, member, rtpu, task);
+        atomic_store(&t->next_ns[found], 0);
         atomic_fetch_add(&slot->config.life, 1);
         if (atomic_load(&t->high) <= (uint32_t)found)
             atomic_store(&t->high, (uint32_t)found + 1);

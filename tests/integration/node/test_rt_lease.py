@@ -1,4 +1,4 @@
-"""A task that is alone on its core releases itself; nothing else changes by that."""
+"""The sole ready task of a core releases itself; nothing else changes by that."""
 
 from __future__ import annotations
 
@@ -55,9 +55,7 @@ def test_its_cycles_cost_no_turns_and_every_release_has_one(host, trace) -> None
     status = task.status()
     releases = [record[1] for record in task.records()]
     assert all(at % (2 * MS) == 0 for at in releases)
-    steps = [b - a for a, b in itertools.pairwise(releases)]
-    assert all(step > 0 for step in steps)
-    assert sum(step // (2 * MS) - 1 for step in steps) <= status["missed"]
+    _assert_each_once(releases, 2 * MS, status["missed"])
     assert replay(trace.read())
 
 
@@ -109,39 +107,82 @@ def _reserves(records: list[Decision]) -> list[tuple[Decision, Decision]]:
     return found
 
 
-def test_a_second_task_ends_the_lease_and_both_have_their_releases(host, trace) -> None:
-    lone = host.spawn("idle", period_ns=2 * MS, crit=5)
-    lone.until("cycles", 50)
-    other = host.spawn("busy", {"ns": MS}, period_ns=5 * MS, crit=5)
-    other.until("cycles", 20)
-    before = trace.taken()
-    cycles = lone.status()["cycles"]
-    lone.until("cycles", cycles + 100)
-    assert trace.taken() == before
-    other.end()
-    until(lambda: trace.taken() > before + 20, "it is alone again")
-    lone.end()
-    releases = [record[1] for record in lone.records()]
-    assert len(set(releases)) == len(releases)
+def test_tasks_whose_releases_are_apart_release_themselves(host, trace) -> None:
+    """The dispatcher takes a turn where two releases meet, and when a lease ends."""
+    periods = [4 * MS, 5 * MS, 7 * MS]
+    tasks = [host.spawn("idle", period_ns=p, crit=5) for p in periods]
+    for task in tasks:
+        task.until("cycles", 20)
+    until(lambda: trace.taken() > 300, "they have released themselves")
+    for task in tasks:
+        task.end()
+    assert {r.slot for r in trace.read() if r.kind == Event.DONE and r.arg} == {
+        task.slot for task in tasks
+    }
+    for task, period in zip(tasks, periods, strict=True):
+        releases = [record[1] for record in task.records()]
+        assert all(at % period == 0 for at in releases)
+        _assert_each_once(releases, period, task.status()["missed"])
     assert replay(trace.read())
 
 
-def test_it_goes_on_while_its_leader_is_replaced(tmp_path) -> None:
+def test_a_more_urgent_task_interrupts_a_cycle_of_a_lease(host, trace) -> None:
+    """It is ranked by a turn at its release, not when the other cycle has ended."""
+    slow = host.spawn("busy", {"ns": 20 * MS}, period_ns=50 * MS, crit=3)
+    slow.until("cycles", 3)
+    quick = host.spawn("idle", period_ns=7 * MS, crit=5)
+    quick.until("cycles", 100)
+    until(lambda: trace.taken() > 50, "they have released themselves")
+    quick.end()
+    slow.end()
+    status = quick.status()
+    _assert_each_once([r[1] for r in quick.records()], 7 * MS, status["missed"])
+    ranked = [
+        r for r in trace.read() if r.kind == Event.RELEASE and r.slot == quick.slot
+    ]
+    assert len(ranked) > status["cycles"] // 5
+    assert replay(trace.read())
+
+
+def test_a_late_cycle_beside_others_is_a_failure(host, trace) -> None:
+    late = host.spawn(
+        "overrun", {"every": 5, "ns": 8 * MS},
+        period_ns=11 * MS, deadline_ns=3 * MS, crit=4,
+    )  # fmt: skip
+    others = [host.spawn("idle", period_ns=p, crit=5) for p in (4 * MS, 7 * MS)]
+    late.until("cycles", 60)
+    for task in (late, *others):
+        task.end()
+    status = late.status()
+    assert status["failures"][0] >= status["cycles"] // 5
+    assert trace.taken() > 60
+    assert replay(trace.read())
+
+
+def _assert_each_once(releases: list[int], period: int, missed: int) -> None:
+    steps = [(b - a) // period for a, b in itertools.pairwise(releases)]
+    assert all(step > 0 for step in steps)
+    assert sum(step - 1 for step in steps) <= missed
+
+
+@pytest.mark.parametrize("periods", [[2 * MS], [4 * MS, 5 * MS, 7 * MS]])
+def test_they_go_on_while_their_leader_is_replaced(tmp_path, periods) -> None:
     leader = Host(tmp_path)
     until(leader.leading, "the first host leads")
     standby = Host(tmp_path)
     try:
-        task = standby.spawn("idle", period_ns=2 * MS, crit=5)
-        task.until("cycles", 100)
+        tasks = [standby.spawn("idle", period_ns=p, crit=5) for p in periods]
+        for task in tasks:
+            task.until("cycles", 60)
         leader.kill()
         until(standby.leading, "the standby leads")
-        cycles = task.status()["cycles"]
-        task.until("cycles", cycles + 100)
-        task.end()
-        releases = [record[1] for record in task.records()]
-        assert len(set(releases)) == len(releases)
-        missing = (releases[-1] - releases[0]) // (2 * MS) + 1 - len(releases)
-        assert missing <= task.status()["missed"]
+        for task in tasks:
+            task.until("cycles", task.status()["cycles"] + 60)
+        for task in tasks:
+            task.end()
+        for task, period in zip(tasks, periods, strict=True):
+            releases = [record[1] for record in task.records()]
+            _assert_each_once(releases, period, task.status()["missed"])
     finally:
         leader.close()
         standby.close()

@@ -233,7 +233,7 @@ class Trace:
             elif period and record.kind == Event.RELEASE:
                 self.released += 1
             elif period and record.kind == Event.DONE:
-                self.released += record.arg  # of a lone task, by itself
+                self.released += record.arg  # by itself
             elif period and record.kind == Event.MISS:
                 begin = self._now - (record.arg + 1) * period
                 self.misses.append((begin, self._now))

@@ -274,7 +274,7 @@ def _order(state: SlotState) -> tuple[int, int, bool, int]:
 
 
 def _took(state: SlotState, record: Decision) -> None:
-    """Take over that a lone task has released itself since, the last time at `a`."""
+    """Take over that a task has released itself since, the last time at `a`."""
     over(state)
     state.seq += record.arg
     state.ready = state.granted = state.begun = True
