@@ -4,12 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import faults, rtbench
+from benchmarks import cmodules, faults, rtbench
 
-LIBRARY = "wall_clock"
-PROGRAMS = sorted(
-    one for one in Path(rtbench.__file__).parent.glob("*.c") if one.stem != LIBRARY
-)
+LIBRARIES = {"between_waits", "wall_clock"}
+SOURCES = Path(rtbench.__file__).parent.glob("*.c")
+PROGRAMS = sorted(one for one in SOURCES if one.stem not in LIBRARIES)
 
 
 @pytest.mark.parametrize("source", PROGRAMS, ids=[one.stem for one in PROGRAMS])
@@ -19,3 +18,7 @@ def test_a_program_of_the_benchmarks_compiles(source, tmp_path):
 
 def test_the_library_that_sets_wall_clocks_compiles(tmp_path):
     assert faults.build_wall_clock(tmp_path).exists()
+
+
+def test_the_library_that_reads_the_clock_between_waits_compiles(tmp_path):
+    assert Path(cmodules.waits_library(tmp_path)).exists()

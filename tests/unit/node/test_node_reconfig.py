@@ -388,6 +388,7 @@ def test_a_death_is_marked_before_it_is_judged_who_counts_on_the_task(rtpu):
         signals=SimpleNamespace(end=nothing),
         fallbacks=SimpleNamespace(update=nothing),
         warnings=SimpleNamespace(end=nothing),
+        _timing_failures=SimpleNamespace(report_end=nothing),
         tasks={},
         told={},
         spawned={},
