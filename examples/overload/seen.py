@@ -280,6 +280,9 @@ def history(
     crits: list[dict[str, int]] = []
     for head, inputs, decisions in turns(trace):
         twin.park = bool(head.arg)
+        own = _own_releases(found, twin, names, inputs)
+        found.turns += [turn for turn, _ in own]
+        crits += [crit for _, crit in own]
         if twin.turn(head.a, inputs) != (decisions, head.b):
             msg = f"turn at {head.a} ns: the rules do not decide so"
             raise ValueError(msg)
@@ -304,6 +307,36 @@ def history(
     return found
 
 
+def _own_releases(
+    found: History,
+    twin: Dispatcher,
+    names: Mapping[int, str],
+    inputs: Sequence[Decision],
+) -> list[tuple[Turn, dict[str, int]]]:
+    """Return what was ready at the releases that tasks took themselves since a turn.
+
+    Each was the sole ready one then: the cycle before it had ended.
+    """
+    alone: list[tuple[int, Ready, int]] = []
+    for record in inputs:
+        if record.kind == Event.DONE and record.arg:
+            state = twin.slots[record.slot]
+            name = names.get(record.slot, "")
+            for taken in range(1, record.arg + 1):
+                at = record.a - (record.arg - taken) * state.period
+                number = state.seq + taken
+                ready = Ready(name, number, at + state.period, spent=False)
+                alone.append((at, ready, state.rank))
+    before = found.turns[-1].ready if found.turns else ()
+    made: list[tuple[Turn, dict[str, int]]] = []
+    for at, ready, crit in sorted(alone, key=lambda one: one[0]):
+        ends = [found.cycle(one.task, one.number) for one in before]
+        begin = max([at, *(one.end_ns for one in ends if one is not None)])
+        made.append((Turn(begin, (ready,)), {ready.task: crit}))
+        before = (ready,)
+    return made
+
+
 def _note(
     found: History,
     twin: Dispatcher,
@@ -312,7 +345,7 @@ def _note(
 ) -> None:
     """Note releases and the deadlines that were not met by then.
 
-    A lone task takes releases itself; a turn learns of them by an input.
+    Tasks take releases themselves, too; a turn learns of them by an input.
     """
     release = 0
     for record in records:

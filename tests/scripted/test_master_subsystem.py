@@ -388,6 +388,15 @@ def test_start_is_rolled_back_when_a_task_does_not_turn_on(arm, agents, world):
     assert offs == ["off grav_comp", "off qrdiff", "off jttrace"]
 
 
+@pytest.fixture
+def ctrl_c_is_heeded():
+    """A shell's job in the background begins with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c_is_heeded")
 def test_start_that_ctrl_c_ends_leaves_no_task_that_was_being_created(arm, agents):
     """Its request is done after that; a kill of the task comes too early once."""
     held = agents["arm1"].held["spawn"] = threading.Event()

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
 from pbonet.config import Library
-from pbonet.errors import PbonetError, SeveralError, Severity, StateError
+from pbonet.errors import (
+    NoAnswerError,
+    PbonetError,
+    SeveralError,
+    Severity,
+    StateError,
+    UnreachableError,
+)
 from pbonet.master.configuration import Files
 from pbonet.master.subsystem import Embedded, RecordingControl, Subsystem, profiling
 from pbonet.xm.net import messages as m, open_files
@@ -128,7 +135,8 @@ class Run:
             f"the embedded agent of {rtpu} had to be killed" for rtpu in killed
         ]
         for error in self._unfinished:
-            if error.where in ours and error.where not in killed:
+            silent = isinstance(error, NoAnswerError | UnreachableError)
+            if silent and error.where in ours and error.where not in killed:
                 # Its agent has ended, which turns off its tasks and releases the RTPU.
                 self._view.say(render.warning(str(error)))
             else:
