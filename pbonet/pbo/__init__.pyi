@@ -19,7 +19,12 @@ from ._handling import (
     said as said,
     text_of as text_of,
 )
-from ._info import (
+from ._method_names import (
+    METHODS as METHODS,
+    MODULE_CLASSES as MODULE_CLASSES,
+    ModuleClass as ModuleClass,
+)
+from ._module_info import (
     ModuleInfo as ModuleInfo,
     ParamInfo as ParamInfo,
     PartInfo as PartInfo,
@@ -27,11 +32,6 @@ from ._info import (
     local_text as local_text,
     render as render,
     source_version as source_version,
-)
-from ._names import (
-    METHODS as METHODS,
-    MODULE_CLASSES as MODULE_CLASSES,
-    ModuleClass as ModuleClass,
 )
 from ._object import (
     Interface as Interface,

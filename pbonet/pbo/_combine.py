@@ -15,7 +15,7 @@ from msgspec import Struct, structs
 from pbonet.errors import DeclarationError
 from pbonet.ports import Kind, Port, Stale
 
-from ._names import METHODS
+from ._method_names import METHODS
 from ._signals import SIGNALS, Signal, SignalInfo
 
 if TYPE_CHECKING:

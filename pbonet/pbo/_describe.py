@@ -12,8 +12,8 @@ from msgspec import structs
 
 from pbonet.ports import Kind, is_safe
 
-from ._info import ModuleInfo, ParamInfo, local_text, source_version
-from ._names import ROBOT_INTERFACE
+from ._method_names import ROBOT_INTERFACE
+from ._module_info import ModuleInfo, ParamInfo, local_text, source_version
 from ._object import PortBasedObject
 
 OUTPUT_DEVICES = frozenset({"MavLink", "MujocoRobot", "SerialLine", "SimulatedArm"})

@@ -28,7 +28,7 @@ from pbonet.ports import (
     make_port,
 )
 
-from ._names import METHODS, MODULE_CLASSES, ModuleClass
+from ._method_names import METHODS, MODULE_CLASSES, ModuleClass
 from ._params import Params
 from ._signals import SignalInfo, UserSignal, refusal
 from ._task import Answer, TaskContext

@@ -28,7 +28,7 @@ from pbonet.pbo import State
 from pbonet.xm.net import convert, messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
-from .in_thread import InThread
+from .call_in_thread import InThread
 from .standbys import Standbys
 from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup

@@ -293,13 +293,8 @@ class Orders:
             return answered(number, await self._carry_out(number, work, told))
         except PbonetError as error:
             return refusal(number, str(error))
-        except Exception as error:  # a browser must not wait for an answer in vain
-            log.exception("a request of a browser failed inside pbonet")
-            failed = NodeError(
-                f"it failed inside pbonet: {type(error).__name__}: {error}",
-                remedy="see the output of 'pbonet web', and report it",
-            )
-            return refusal(number, str(failed))
+        except Exception as error:  # noqa: BLE001 - or the browser waits in vain
+            return failure(number, error)
 
     def _work(self, request: Wish, role: Role) -> _Work | None:
         """Return what a request asks for; None: nothing.
@@ -496,6 +491,16 @@ async def progress(
 def refusal(number: int, text: str) -> Data:
     """Return the answer to a request that was not carried out."""
     return answered(number, Done(text), ok=False)
+
+
+def failure(number: int, error: Exception) -> Data:
+    """Log an error that pbonet itself made; return the answer to that request."""
+    log.error("a request of a browser failed inside pbonet", exc_info=error)
+    failed = NodeError(
+        f"it failed inside pbonet: {type(error).__name__}: {error}",
+        remedy="see the output of 'pbonet web', and report it",
+    )
+    return refusal(number, str(failed))
 
 
 def answered(number: int, done: Done, *, ok: bool = True) -> Data:

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pbonet.errors import NodeError, PbonetError, StateError
+from pbonet.errors import PbonetError, StateError
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
 from pbonet.master.console import convert, find, read
 
-from .orders import MOST_WAITING, Done, Line, Order, answered, progress, refusal
+from .orders import (
+    MOST_WAITING,
+    Done,
+    Line,
+    Order,
+    answered,
+    failure,
+    progress,
+    refusal,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -24,8 +32,6 @@ if TYPE_CHECKING:
     from .orders import Wish
 
     Data = dict[str, Any]
-
-log = logging.getLogger("pbonet.master")
 
 
 class RecordedQuestions:
@@ -74,13 +80,8 @@ class RecordedQuestions:
                 found = await self._explained(words)
         except PbonetError as error:
             return refusal(number, str(error))
-        except Exception as error:  # a browser must not wait for an answer in vain
-            log.exception("a question of a browser failed inside pbonet")
-            failed = NodeError(
-                f"it failed inside pbonet: {type(error).__name__}: {error}",
-                remedy="see the output of 'pbonet web', and report it",
-            )
-            return refusal(number, str(failed))
+        except Exception as error:  # noqa: BLE001 - or the browser waits in vain
+            return failure(number, error)
         return answered(number, Done(str(found), data=msgspec.to_builtins(found)))
 
     async def _explained(self, words: Sequence[str]) -> diagnosis.Explanation:

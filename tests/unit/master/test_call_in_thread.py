@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from pbonet.master.subsystem.in_thread import InThread
+from pbonet.master.subsystem.call_in_thread import InThread
 
 
 def test_it_is_over_at_its_end_or_if_it_has_not_begun():

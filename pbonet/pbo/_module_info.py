@@ -9,7 +9,7 @@ from msgspec import Struct, structs
 from pbonet.ports import Kind, Port, is_safe, shape_text
 
 from ._combine import Part, combination, methods, signals
-from ._names import ROBOT_INTERFACE
+from ._method_names import ROBOT_INTERFACE
 from ._signals import SignalInfo
 
 if TYPE_CHECKING:
