@@ -1,6 +1,7 @@
 """The overload example's eyes and judgement, on traces of the rules in virtual time."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from plain_dispatcher.dispatch import Dispatcher
@@ -205,3 +206,34 @@ def test_a_decision_against_the_rules_is_found(example, history):
     machine.trace[place] = Decision(one.kind, one.slot, one.arg - 1, one.a, one.b)
     with pytest.raises(ValueError, match="the rules do not decide so"):
         seen.history(machine.trace, machine.names, machine.cycles)
+
+
+def test_releases_that_tasks_take_themselves_stand_between_two_turns(example):
+    """A turn learns of all at once; one of them had to wait for the cycle before it."""
+    seen, _ = example
+    cycles = {
+        "a": [seen.Cycle(100, 101, 135, 30), seen.Cycle(200, 201, 230, 30)],
+        "b": [seen.Cycle(130, 136, 150, 10)],
+    }
+    slots = {
+        0: SimpleNamespace(period=100, seq=0, rank=5),
+        1: SimpleNamespace(period=500, seq=0, rank=3),
+    }
+    inputs = [Decision(Event.DONE, 0, 2, 200, 0), Decision(Event.DONE, 1, 1, 130, 0)]
+    made = seen._own_releases(
+        seen.History([], cycles, [], []),
+        SimpleNamespace(slots=slots),
+        {0: "a", 1: "b"},
+        inputs,
+    )
+    found = [
+        (
+            turn.now_ns,
+            turn.ready[0].task,
+            turn.ready[0].number,
+            turn.ready[0].deadline_ns,
+        )
+        for turn, _ in made
+    ]
+    assert found == [(100, "a", 1, 200), (135, "b", 1, 630), (200, "a", 2, 300)]
+    assert [crits for _, crits in made] == [{"a": 5}, {"b": 3}, {"a": 5}]
