@@ -23,7 +23,7 @@ static void step(void);
 #define PBONET_STEP_WORDS 1
 #include "svar_rig.h"
 
-enum { WORDS = 2, TOGETHER = 6000 };
+enum { WORDS = 2, TOGETHER = 6000, ALONE = TOGETHER + 1 };
 #define SAFE_WORD UINT64_C(7000000000)
 
 static struct pb_table table;
@@ -253,6 +253,23 @@ static bool beside(struct pb_local *own) {
     return safe;
 }
 
+static void *wants(void *arg) {
+    (void)arg;
+    pb_safe_want(shared, ALONE, pb_now() - 1);
+    atomic_store_explicit(&met, ALONE, memory_order_relaxed);
+    return NULL;
+}
+
+/* A failure that only `wanted` itself tells the task of: nothing else orders the two. */
+static void unordered(void) {
+    pthread_t thread;
+    pb_safe_open(shared, ALONE, 0, 0);
+    if (pthread_create(&thread, NULL, wants, NULL)) die("pthread_create");
+    while (atomic_load_explicit(&met, memory_order_relaxed) != ALONE) sched_yield();
+    found.unsafe += pb_safe_close(shared, ALONE) != PB_COMMITS;
+    pthread_join(thread, NULL);
+}
+
 static void together(void) {
     static bool safe[TOGETHER + 1];
     struct pb_local *own = rig_local(&table, -1);
@@ -296,7 +313,10 @@ int main(int argc, char **argv) {
     task->safe_data = (const uint8_t *)safe_words;
     fail = *argv[1] == 'd' ? dispatcher : *argv[1] == 's' ? by_signal : killed;
     if (*argv[1] == 'o') odd();
-    if (*argv[1] == 't') together();
+    if (*argv[1] == 't') {
+        unordered();
+        together();
+    }
     for (long at = 1, more = !strchr("ot", *argv[1]); more; at++) {
         dies_at = 1;
         do {

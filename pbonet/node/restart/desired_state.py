@@ -160,6 +160,8 @@ class DesiredState:
         self._tombs: set[tuple[str, str]] = set()
         """Tasks that have died, or were lost and not spawned again."""
         self._claims: set[str] | None = None
+        self._machine = run_folder.machine()
+        """As it was at the start: the folder may be removed meanwhile."""
         self._codec = codec.Codec()
         self._writing = threading.Lock()
         self._failed = ""
@@ -182,7 +184,7 @@ class DesiredState:
         try:
             found = msgspec.json.decode(self._path.read_bytes(), type=_File)
             self.stops, self.orders = found.stops, found.orders
-            self.rebooted = found.machine != run_folder.machine()
+            self.rebooted = found.machine != self._machine
             self.subsystems = msgspec.json.decode(
                 found.subsystems, type=dict[str, Subsystem]
             )
@@ -450,7 +452,7 @@ class DesiredState:
                 return b""
             return msgspec.json.encode(
                 _File(
-                    machine=run_folder.machine(),
+                    machine=self._machine,
                     subsystems=msgspec.Raw(msgspec.json.encode(subsystems)),
                     stops=self.stops,
                     orders=self.orders,

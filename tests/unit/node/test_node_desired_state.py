@@ -103,6 +103,19 @@ def test_a_new_folder_is_on_the_disk(path, notes, monkeypatch):
     assert {path.parent.parent, path.parent} <= {*done}
 
 
+def test_it_is_written_after_the_shared_memory_was_removed(
+    path, notes, tmp_path, monkeypatch
+):
+    """The agent writes it once more as it ends for that reason."""
+    shared = tmp_path / "shm"
+    shared.mkdir(mode=0o700)
+    monkeypatch.setenv("PBONET_SHM_DIR", str(shared))
+    state = state_at(path, notes)
+    shared.rmdir()
+    state.write()
+    assert "t0" in path.read_text()
+
+
 @pytest.fixture
 def disk(monkeypatch):
     """A disk that is full from `full.set()` on, for what is written to it."""
