@@ -6,14 +6,19 @@ import contextlib
 import logging
 import signal
 import sys
+from typing import TYPE_CHECKING
 
 import zenoh
 
 from pbonet.errors import NodeError
 from pbonet.node.agent import systemd_notify
+from pbonet.node.agent.retransmission import Retransmission
 from pbonet.xm.net import open_files, session
 
 from . import router_config
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
 
 log = logging.getLogger("pbonet.router")
 
@@ -28,7 +33,7 @@ def main(config: zenoh.Config) -> int:
     """
     open_files.ensure("pbonet router")
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)  # before zenoh's threads exist
-    with _open(config):
+    with _open(config) as opened, tended(opened):
         _announce(router_config.endpoints(config, "listen"))
         systemd_notify.notify("READY=1")
         number = signal.sigwait(ENDS)
@@ -48,6 +53,18 @@ def _open(config: zenoh.Config) -> zenoh.Session:
             remedy="if the address is in use, stop the program there (`ss -tlnp` "
             "names it) or give another one with --listen",
         ) from None
+
+
+@contextlib.contextmanager
+def tended(opened: zenoh.Session) -> Generator[None]:
+    """Have no thread of a session wait for the other side of a link that is lost."""
+    connections = Retransmission()
+    listener = opened.info.declare_link_events_listener(lambda _: connections.find())
+    try:
+        connections.find()
+        yield
+    finally:
+        listener.undeclare()  # type: ignore[no-untyped-call]
 
 
 def _announce(listens: list[str]) -> None:

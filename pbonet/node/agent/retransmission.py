@@ -9,6 +9,10 @@ now: then the kernel retransmits at that moment, and the limit is moved on befor
 A connection that confirms nothing for twice as long as a silent link is kept is shut
 down. zenoh writes out what waits before it closes a TLS link, and would do so until
 the cable is plugged in again, with the lost agent in sight all the time.
+
+To close a connection waits for nothing. zenoh sets `SO_LINGER`, by which the thread
+that closes a lost link waits up to ten seconds for what the other side has not
+confirmed. It is often the only one that accepts new links, or that sends.
 """
 
 from __future__ import annotations
@@ -51,6 +55,7 @@ _INFO = struct.Struct("4B4xI24xI4xI8xI40xI")
 """Of `TCP_INFO`: state, congestion state, time-outs without an acknowledgement, probes,
 time-out in us, segments that are sent again, ms since the last sending and since the
 last confirmation, and how many segments were ever sent again."""
+_NO_LINGER = struct.pack("ii", 0, 0)
 _ESTABLISHED = 1
 _OPEN = 0
 
@@ -72,6 +77,7 @@ class Connection:
         self.is_busy = False
         """Whether it sends something again, or could not send."""
         with contextlib.suppress(OSError), _opened(fd) as one:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
             one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
 

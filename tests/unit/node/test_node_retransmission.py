@@ -1,14 +1,56 @@
-"""Connections whose retransmissions are looked after: which."""
+"""Connections whose retransmissions and whose end are looked after: which."""
 
 import contextlib
 import os
 import socket
+import struct
 
-from pbonet.node.agent import retransmission
+import zenoh
+from watching import free_port, wait_for
+
+from pbonet.node.agent import link_watchdog, retransmission
+from pbonet.router import router_config, router_process
+from pbonet.xm.net import session
 
 
 def limit(one):
     return one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT)
+
+
+def lingers(one):
+    """Return whether whoever closes a socket waits for the other side."""
+    data = one.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)
+    return bool(struct.unpack("ii", data)[0])
+
+
+def lingering():
+    """Return how many sockets of this process are of that kind."""
+    return sum(map(lingers, link_watchdog._sockets()))
+
+
+def test_a_lost_connection_is_closed_at_once():
+    """zenoh's threads would wait for the other side, and accept nobody meanwhile."""
+    with contextlib.ExitStack() as held:
+        listener = held.enter_context(socket.create_server(("127.0.0.1", 0)))
+        one = held.enter_context(socket.create_connection(listener.getsockname()))
+        held.enter_context(listener.accept()[0])
+        ten_seconds = struct.pack("ii", 1, 10)
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ten_seconds)
+        retransmission.Retransmission().find()
+        assert not lingers(one)
+
+
+def test_a_router_closes_lost_connections_at_once():
+    """Those that were there when it began, and those that come later."""
+    where = f"tcp/127.0.0.1:{free_port()}"
+    with contextlib.ExitStack() as held:
+        router = held.enter_context(zenoh.open(router_config.read(listen=[where])))
+        held.enter_context(session.client(connect=[where], local=False))
+        assert lingering(), "as zenoh has it"
+        held.enter_context(router_process.tended(router))
+        assert not lingering()
+        held.enter_context(session.client(connect=[where], local=False))
+        wait_for(lambda: not lingering(), "the second one")
 
 
 def test_a_new_connection_with_the_descriptor_of_the_last_one_is_found():
