@@ -28,10 +28,26 @@ def reasons(endpoints: Sequence[str]) -> tuple[str, str]:
     return "; ".join(told), "; ".join(dict.fromkeys(remedy for _, remedy in found))
 
 
+def _reason_here(path: str) -> tuple[str, str]:
+    """Return the same for a socket of this machine."""
+    with socket.socket(socket.AF_UNIX) as one:
+        one.settimeout(TRY_TIME)
+        try:
+            one.connect(path)
+        except (TimeoutError, BlockingIOError):  # too many wait for it already
+            pass
+        except OSError as error:
+            return error.strerror or "no answer", "is an agent running there?"
+    return (
+        "a process listens there, but does not answer",
+        "try again; if that does not help, restart the agent",
+    )
+
+
 def _reason(endpoint: str) -> tuple[str, str]:
     protocol, _, address = endpoint.partition("/")
     if protocol not in _BY_TCP | {"udp"}:
-        return "no answer", "is an agent running there?"
+        return _reason_here(address)
     plain = address.partition("?")[0].partition("#")[0]
     host, _, port = plain.rpartition(":")
     host = host.strip("[]")

@@ -384,12 +384,11 @@ def client(
     limit = max(timeout, BUSY_TIME) if timeout and running else timeout
     begin = time.monotonic()
     while True:
-        tried = time.monotonic()
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            now = time.monotonic()
-            if now - begin + (now - tried) < limit:  # the next try may take as long
+            # The next try takes as long for each agent that does not answer.
+            if time.monotonic() - begin + OPEN_MS * 1e-3 < limit:
                 time.sleep(_OPEN_PAUSE)
                 continue
             got, remedy = reason(error), ""

@@ -4,8 +4,10 @@ import contextlib
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
+import zenoh
 
 from pbonet.errors import UnreachableError
 from pbonet.xm.net import probe_endpoint, run_folder, session
@@ -57,7 +59,22 @@ def test_each_of_several_is_told_and_what_to_do_once() -> None:
     got, remedy = probe_endpoint.reasons(["udp/127.0.0.1:9", "udp/127.0.0.2:9"])
     assert got == "udp/127.0.0.1:9: no answer; udp/127.0.0.2:9: no answer"
     assert remedy == LISTENS
-    assert probe_endpoint.reasons(["unixsock-stream//run/x.sock"])[0] == "no answer"
+
+
+def test_reasons_of_a_socket_of_this_machine(tmp_path):
+    path = tmp_path / "x.sock"
+    endpoint = f"unixsock-stream/{path}"
+    missing, remedy = probe_endpoint.reasons([endpoint])
+    assert missing == "No such file or directory"
+    assert remedy == "is an agent running there?"
+    with socket.socket(socket.AF_UNIX) as silent:
+        silent.bind(str(path))
+        assert probe_endpoint.reasons([endpoint])[0] == "Connection refused"
+        silent.listen(0)
+        for _ in range(3):  # the last one finds that too many wait
+            got, remedy = probe_endpoint.reasons([endpoint])
+            assert got == "a process listens there, but does not answer"
+            assert remedy.startswith("try again")
 
 
 @contextlib.contextmanager
@@ -107,4 +124,26 @@ def test_an_agent_of_this_machine_that_stays_silent_is_given_up(monkeypatch) -> 
         with pytest.raises(UnreachableError, match="no agent of domain busy answers"):
             session.client("busy")
     assert time.monotonic() - before > session.OPEN_TIME
+    lock.release()
+
+
+@pytest.mark.usefixtures("run_dir")
+def test_one_long_try_is_not_the_only_one(monkeypatch) -> None:
+    """Each agent that does not answer takes half a second of a try."""
+    begins, now = [], 0.0
+
+    def silence(_config):
+        nonlocal now
+        begins.append(now)
+        now += 3.0
+        raise zenoh.ZError("silence")
+
+    clock = SimpleNamespace(monotonic=lambda: now, sleep=lambda _seconds: None)
+    monkeypatch.setattr(session, "time", clock)
+    monkeypatch.setattr(session.zenoh, "open", silence)
+    places = run_folder.Places("busy", "arm0")
+    lock = run_folder.NameLock(places.lock, "process 1")
+    with pytest.raises(UnreachableError):
+        session.client("busy")
+    assert begins == [0.0, 3.0]
     lock.release()
