@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from pbonet.errors import NodeError
-from pbonet.node.agent import systemd_notify
-from pbonet.node.agent.retransmission import Retransmission
+from pbonet.node.agent import Retransmission, systemd_notify
 from pbonet.xm.net import open_files, session
 
 from . import router_config

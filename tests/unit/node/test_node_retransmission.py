@@ -29,7 +29,7 @@ def lingering():
 
 
 def test_a_lost_connection_is_closed_at_once():
-    """zenoh's threads would wait for the other side, and accept nobody meanwhile."""
+    """zenoh's thread would wait for the other side, and accept no link meanwhile."""
     with contextlib.ExitStack() as held:
         listener = held.enter_context(socket.create_server(("127.0.0.1", 0)))
         one = held.enter_context(socket.create_connection(listener.getsockname()))
