@@ -6,6 +6,7 @@ import contextlib
 import logging
 import signal
 import sys
+import threading
 from typing import TYPE_CHECKING
 
 import zenoh
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.router")
 
 ENDS = {signal.SIGTERM, signal.SIGINT}
+FIND_PERIOD = 10.0
+"""Seconds until connections are found again, among them those that became no link."""
 
 
 def main(config: zenoh.Config) -> int:
@@ -57,13 +60,25 @@ def _open(config: zenoh.Config) -> zenoh.Session:
 @contextlib.contextmanager
 def tended(opened: zenoh.Session) -> Generator[None]:
     """Have no thread of a session wait for the other side of a link that is lost."""
-    connections = Retransmission()
-    listener = opened.info.declare_link_events_listener(lambda _: connections.find())
+    connections, changed, is_over = Retransmission(), threading.Event(), False
+
+    def tend() -> None:
+        while not is_over:
+            changed.clear()  # a thousand new links take a few passes, not one each
+            with contextlib.suppress(OSError):  # no file can be opened
+                connections.find()
+            changed.wait(FIND_PERIOD)
+
+    thread = threading.Thread(target=tend, name="pbonet links", daemon=True)
+    listener = opened.info.declare_link_events_listener(lambda _: changed.set())
+    thread.start()
     try:
-        connections.find()
         yield
     finally:
         listener.undeclare()  # type: ignore[no-untyped-call]
+        is_over = True
+        changed.set()
+        thread.join()
 
 
 def _announce(listens: list[str]) -> None:

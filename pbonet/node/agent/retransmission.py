@@ -12,7 +12,8 @@ the cable is plugged in again, with the lost agent in sight all the time.
 
 To close a connection waits for nothing. zenoh sets `SO_LINGER`, by which the thread
 that closes a lost link waits up to ten seconds for what the other side has not
-confirmed. It is often the only one that accepts new links, or that sends.
+confirmed. It is often the only one that accepts new links, or that sends. The option
+is taken off each time: zenoh sets it after the greeting of TLS, which may come later.
 """
 
 from __future__ import annotations
@@ -77,7 +78,6 @@ class Connection:
         self.is_busy = False
         """Whether it sends something again, or could not send."""
         with contextlib.suppress(OSError), _opened(fd) as one:
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
             one.setsockopt(socket.IPPROTO_TCP, _RTO_MIN_US, FIRST_US)
 
@@ -168,7 +168,7 @@ def _set_limit(one: socket.socket, milliseconds: int) -> None:
 
 
 def _connected() -> Iterator[tuple[int, int]]:
-    """Yield the established TCP connections of this process.
+    """Yield the established TCP connections of this process; closing one takes no time.
 
     Each is given by its file descriptor and its inode.
     """
@@ -180,5 +180,7 @@ def _connected() -> Iterator[tuple[int, int]]:
                 continue
             with _opened(fd) as one:
                 data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
-            if data[0] == _ESTABLISHED:
-                yield fd, found.st_ino
+                if data[0] != _ESTABLISHED:
+                    continue
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+            yield fd, found.st_ino
