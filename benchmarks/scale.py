@@ -372,14 +372,18 @@ def judge(rows: list[dict[str, Any]], broken: list[dict[str, Any]]) -> bool:
     ended = next(one["healed"] for one in broken if "ended" in one["fault"])
     checks = {
         f"an idle agent <= {AGENT_GOAL} %": last["cpu"] <= AGENT_GOAL,
-        f"one with a table <= {TABLE_GOAL:g} %": last.get("table", 0.0) <= TABLE_GOAL,
         "not growing": last["cpu"] <= GROWTH_GOAL * max(twenty["cpu"], 0.01),
         f"router <= {ROUTER_GOAL:g} %": last["router"] <= ROUTER_GOAL,
-        "status independent of their number": last["all"] <= STATUS_GOAL * few["all"],
         f"found within {FOUND_GOAL:g} s": max(r["found"] for r in rows) <= FOUND_GOAL,
-        "loss seen as with few": last["loss"] <= few["loss"] + LOSS_GOAL,
         "nothing ended": ended == 0,
     }
+    if "all" in last:  # one agent alone has no subsystem of two
+        checks |= {
+            f"one with a table <= {TABLE_GOAL:g} %": last["table"] <= TABLE_GOAL,
+            "status independent of their number": last["all"]
+            <= STATUS_GOAL * few["all"],
+            "loss seen as with few": last["loss"] <= few["loss"] + LOSS_GOAL,
+        }
     for what, good in checks.items():
         print(f"{what}: {'met' if good else 'MISSED'}")
     return all(checks.values())
