@@ -27,7 +27,7 @@ import struct
 import time
 from typing import TYPE_CHECKING
 
-from pbonet.xm.net import session
+from pbonet.xm.net import lingering, session
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -56,7 +56,6 @@ _INFO = struct.Struct("4B4xI24xI4xI8xI40xI")
 """Of `TCP_INFO`: state, congestion state, time-outs without an acknowledgement, probes,
 time-out in us, segments that are sent again, ms since the last sending and since the
 last confirmation, and how many segments were ever sent again."""
-_NO_LINGER = struct.pack("ii", 0, 0)
 _ESTABLISHED = 1
 _OPEN = 0
 
@@ -182,5 +181,5 @@ def _connected() -> Iterator[tuple[int, int]]:
                 data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
                 if data[0] != _ESTABLISHED:
                     continue
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, lingering.NEVER)
             yield fd, found.st_ino

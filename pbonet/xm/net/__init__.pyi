@@ -8,6 +8,7 @@ from . import (
     event_codes as event_codes,
     file_messages as file_messages,
     key_expressions as key_expressions,
+    lingering as lingering,
     messages as messages,
     open_files as open_files,
     pki as pki,

@@ -385,7 +385,7 @@ def client(
     begin = time.monotonic()
     while True:
         try:
-            return zenoh.open(config)
+            opened = zenoh.open(config)
         except zenoh.ZError as error:
             # The next try takes as long for each agent that does not answer.
             if time.monotonic() - begin + OPEN_MS * 1e-3 < limit:
@@ -402,6 +402,11 @@ def client(
                 got=got,
                 remedy=remedy + (_KEYS_REFUSED if key_folder else ""),
             ) from None
+        if connect:  # else it is a socket of this machine
+            from . import lingering
+
+            lingering.end(opened)
+        return opened
 
 
 def ros2(
