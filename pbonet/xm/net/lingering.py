@@ -1,6 +1,6 @@
 """Has no thread of a client wait for the other side of a link that is lost.
 
-zenoh sets `SO_LINGER` on its connections: whoever closes one waits up to ten seconds
+zenoh sets `SO_LINGER` on its connections: closing one waits for up to ten seconds
 until the other side has confirmed what was sent. After a cut it cannot, and a tool
 would end that much later, or a master's next link begin. Without the option the kernel
 sends what is left by itself. Agents and routers take it off in
