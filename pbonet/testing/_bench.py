@@ -238,11 +238,13 @@ class Bench(Generic[M]):
         """The state of the task."""
         return self.executor.state
 
-    def on(self, arg: str = "") -> State:
+    def on(self, arg: str = "", *, handover: bool = False) -> State:
         """Turn the task on: copy in, ``on``, copy out.
 
         Args:
             arg: Text for the module, as ``self.task.arg``.
+            handover: Whether it takes over the outputs from a predecessor, as in a swap
+                or by a fallback (``self.task.handover``).
 
         Returns:
             ON, or OFF if the module answered that it cannot start yet.
@@ -253,7 +255,7 @@ class Bench(Generic[M]):
             MethodError: ``on`` failed and the error was not corrected.
         """
         self._skips, self._passed = False, 0.0
-        return self.executor.signal("on", arg)
+        return self.executor.signal("on", arg, handover=handover)
 
     def off(self, *, handover: bool = False) -> State:
         """Turn the task off: ``off``, copy out.

@@ -16,6 +16,7 @@ from pbonet import (
 )
 from pbonet.io import difference, fault_of_pose
 from pbonet.modules._dh import scale, shorten
+from pbonet.modules._values import rest
 from pbonet.modules._warn_once import WarnOnce
 
 MOST_GAIN = 0.5
@@ -78,6 +79,7 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         self._take_scale()
 
     def on(self) -> None:
+        rest(self.task, self.qd)
         self._told.clear()
         if not self._has_goal():
             self.qd[:] = 0.0
@@ -97,8 +99,7 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         self.qd += change
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd[:] = 0.0
+        rest(self.task, self.qd)
 
     def _has_goal(self) -> bool:
         """Return whether the goal is a pose, and report once if it is none."""

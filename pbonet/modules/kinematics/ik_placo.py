@@ -14,7 +14,7 @@ from pbonet import (
 )
 from pbonet.io import FrameStep, RobotModel, all_finite, fault_of_pose
 from pbonet.modules._placo_motion import PlacoMotion
-from pbonet.modules._values import keep
+from pbonet.modules._values import keep, rest
 from pbonet.modules._warn_once import WarnOnce
 
 
@@ -65,6 +65,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         keep(name, {"urdf", "frame", "length", "damping"})
 
     def on(self) -> None:
+        rest(self.task, self.qd_ref)
         self._told.clear()
         self._motion.q[:] = self.q_ref
         self._motion.show()
@@ -88,8 +89,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             self._hold("limits", f"no joint motion keeps the limits: {why}")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd_ref[:] = 0.0
+        rest(self.task, self.qd_ref)
 
     def _fault(self) -> str:
         """Return why the goal is none."""

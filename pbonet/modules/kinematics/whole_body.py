@@ -23,7 +23,7 @@ from pbonet.io import (
 )
 from pbonet.modules._legs import must_have_feet
 from pbonet.modules._placo_motion import PlacoMotion
-from pbonet.modules._values import keep
+from pbonet.modules._values import keep, rest
 from pbonet.modules._warn_once import WarnOnce
 
 STILL = 1e-9
@@ -121,6 +121,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         keep(name, {"urdf", "body", "feet", "length", "grip", "damping"})
 
     def on(self) -> None:
+        rest(self.task, self.qd_ref)
         self._told.clear()
         self._motion.q[:] = self.q_ref
         self._begins, self._limit = True, 0.0
@@ -140,8 +141,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
             self._hold("limits", f"no joint motion keeps the limits: {why}")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd_ref[:] = 0.0
+        rest(self.task, self.qd_ref)
 
     def _begin(self, dt: float) -> None:
         """Put the joints where Q_REF is, and the body where the feet fit their goals.

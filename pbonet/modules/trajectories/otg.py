@@ -16,7 +16,7 @@ from pbonet import (
     param,
 )
 from pbonet.modules._online_trajectory import OnlineTrajectory
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import PerElement, rest, spread
 
 
 class Limits(Params):
@@ -54,6 +54,7 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
         self._take_limits()
 
     def on(self) -> None:
+        rest(self.task, self.q_dot, self.q_acc)
         self._motion.start(self.q, self.q_dot, self.q_acc)
         self._goal: list[float] = []
         self._rests = self._warned = False
@@ -78,8 +79,7 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
         self._step(dt, "brake")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.q_dot[:] = self.q_acc[:] = 0.0
+        rest(self.task, self.q_dot, self.q_acc)
 
     def _step(self, dt: float, towards: str) -> None:
         try:

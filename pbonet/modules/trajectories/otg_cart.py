@@ -17,6 +17,7 @@ from pbonet import (
 from pbonet.io import is_rotation
 from pbonet.modules._moving_orientation import Turning
 from pbonet.modules._online_trajectory import OnlineTrajectory
+from pbonet.modules._values import rest
 
 
 class Limits(Params):
@@ -57,6 +58,7 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
         self._take_limits()
 
     def on(self) -> None:
+        rest(self.task, self.v)
         if not (np.isfinite(self.x).all() and is_rotation(self.x[:, :3])):
             self.task.fail(
                 "X_REF is no pose [R p] to start from; give it one by INIT in the "
@@ -92,8 +94,7 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
         self._step(dt, "brake")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.v[:] = 0.0
+        rest(self.task, self.v)
 
     def _begin(self) -> None:
         """Count the turn from the present orientation, with its present motion."""

@@ -16,7 +16,7 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-from pbonet.modules._values import PerElement
+from pbonet.modules._values import PerElement, rest
 
 
 class Points(Params):
@@ -58,6 +58,7 @@ class Spline(PortBasedObject[Points], module_class="trajectory"):
         )
 
     def on(self) -> None:
+        rest(self.task, self.y_dot, self.y_acc)
         start = self.y, self.y_dot, self.y_acc
         self._pieces = spline_pieces(self._times, self._points, self._degree, start)
         self._time = 0.0
@@ -73,8 +74,7 @@ class Spline(PortBasedObject[Points], module_class="trajectory"):
             self.task.signal(Signal.FINISH)
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.y_dot[:] = self.y_acc[:] = 0.0
+        rest(self.task, self.y_dot, self.y_acc)
 
     def _project(self, time: float) -> None:
         k = int(np.searchsorted(self._times, time, side="right")) - 1

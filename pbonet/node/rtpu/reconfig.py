@@ -61,6 +61,8 @@ class _List:
         self._request = request
         self._result = Reconfigured(done=0)
         self._slow = _Slow(rtpu, request.subsystem)
+        self._handed: set[str] = set()
+        """Variables that tasks of the list have left for later ones."""
 
     async def run(self) -> Reconfigured:
         """Carry it out, as far as it goes."""
@@ -128,17 +130,21 @@ class _List:
                 return []
             if signal == "on" or task.state is State.ON:  # else no inputs change
                 self._slow.begin()
+            outputs = set(task.facts.outputs)
             goes = signal == "off" and (
                 name in request.handover or self._has_successor(task, rest)
             )
+            comes = signal == "on" and not outputs.isdisjoint(self._handed)
             await control(
                 self._rtpu,
                 task,
                 signal,
                 request.timeout,
-                handover=goes,
+                handover=goes or comes,
                 extra=MOST_EXTRA * request.timeout,
             )
+            if goes:
+                self._handed |= outputs
         except PbonetError as error:
             self._result.error = error.to_wire()
             return [item]

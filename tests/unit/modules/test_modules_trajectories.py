@@ -62,7 +62,7 @@ def piece(p: float, v: float, a: float, j: float, t: float) -> tuple[float, ...]
 
 def otg(n: int = 2, **more) -> Bench[Otg]:
     bench = Bench(Otg, params=LIMITS, ndof=n, freq=1 / STEP, **more)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 
@@ -216,7 +216,7 @@ def pose(x, turn) -> np.ndarray:
 
 def otg_cart(x=POSE, **more) -> Bench[OtgCart]:
     bench = Bench(OtgCart, params=CART, x=x, freq=1 / STEP, **more)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 
@@ -345,7 +345,7 @@ def spline(n: int, order: str, **more) -> tuple[Bench[Spline], np.ndarray]:
     points = rng.normal(size=(len(TIMES), n))
     params = {"time": TIMES, "points": points.ravel(), "order": order}
     bench = Bench(Spline, params=params, ndof=n, freq=100, **more)
-    bench.on()
+    bench.on(handover=True)
     return bench, points
 
 
@@ -431,7 +431,7 @@ def play(file, n: int, **more) -> Bench[TrajPlay]:
     start = {name: more.pop(name) for name in ("y", "y_dot") if name in more}
     params = {"file": str(file), **more}
     bench = Bench(TrajPlay, params=params, ndof=n, freq=100, **start)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 

@@ -41,7 +41,8 @@ class Standing(Host):
         self.meanwhile = meanwhile
         self._engage()
 
-    def _come_on(self, _signal):
+    def _come_on(self, _signal, *, handover):
+        self.handover = handover
         self.local.check_claim()
         self.meanwhile()
         try:
@@ -94,6 +95,7 @@ def test_an_heir_takes_over_from_who_has_ended(table, old, new):
     old.cede()
     new.engage()
     assert (new.executor.state, writer(table)) == (State.ON, "new")
+    assert new.handover, "its `on` goes on from what stands there"
 
 
 def test_an_heir_whose_on_is_slow_takes_nothing_from_who_came_back(table, old, new):
