@@ -496,7 +496,7 @@ def test_the_bench_takes_safe_from_an_rmod(tmp_path):
     (tmp_path / "overruns.py").write_text(OVERRUNS.read_text())
     text = rmod("overruns", freq=50.0).replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
     (tmp_path / "overruns.rmod").write_text(text)
-    with Bench.of(tmp_path / "overruns.rmod", library=[tmp_path]) as bench:
+    with Bench.of(tmp_path / "overruns.rmod") as bench:
         bench.on()
         bench.timing_failure(DEADLINE)
         assert bench["Y"].tolist() == [-7.0, -7.0]
