@@ -265,7 +265,8 @@ def _alias(line: Line) -> _Alias:
             line.place,
             expected="PORT=VARIABLE",
             got=quote(line.rest),
-            remedy="write the module's name of the port, =, and the variable",
+            remedy="write one on each line: the module's name of the port, =, and the "
+            "variable",
         )
     joined = Word(text, Place(line.place.file, line.place.line, line.rest_column))
     port, variable = text.split("=")

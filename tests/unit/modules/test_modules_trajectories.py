@@ -136,6 +136,24 @@ def test_otg_reduces_a_velocity_that_is_above_the_limit() -> None:
     assert bench.outputs.q_dot[0] == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("start", "goal", "limits"),
+    [
+        (0.48, 0.50, (0.25, 1.0, 10.0)),
+        (-0.76, -0.75, (2.0, 2.0, 40.0)),
+    ],
+)
+def test_otg_finds_a_way_on_which_a_phase_has_no_length(start, goal, limits) -> None:
+    """Of 2 a^3 / j^2: the largest acceleration is reached, and left at once."""
+    names = ("velocity", "acceleration", "jerk")
+    params = {name: (one,) for name, one in zip(names, limits, strict=True)}
+    bench = Bench(Otg, params=params, ndof=1, q=[start], q_des=[goal], freq=1 / STEP)
+    bench.on()
+    bench.step(n=round(0.6 / STEP))
+    assert bench.outputs.q[0] == pytest.approx(goal, abs=1e-9)
+    assert said(bench) == ["REACHED"]
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_otg_brakes_without_a_goal_and_goes_on_with_one(bad: float) -> None:
     bench = otg(2, q_des=[3.0, -3.0])
