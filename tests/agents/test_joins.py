@@ -35,7 +35,9 @@ def constant(folder, name, variable, value):
 
 def join(folder, module, local=""):
     aliases = "".join(f"SVARALIAS Z{n}=X{n}\n" for n in ("1", "2", ""))
-    text = RMOD.format(module, aliases, "NDOF", "Z1 Z2", "Z", local and f"LOCAL\n{local}\n")
+    text = RMOD.format(
+        module, aliases, "NDOF", "Z1 Z2", "Z", local and f"LOCAL\n{local}\n"
+    )
     (folder / "join.rmod").write_text(text)
 
 

@@ -43,8 +43,8 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
     and velocity that the URDF file gives each joint; x and J are those at Q_REF itself,
     so nothing is measured. Rows of positions are counted in LENGTH. Q_REF goes on from
     where it stands when the module is turned on, and a goal far away is approached at
-    LINEAR and ANGULAR. No joint's velocity changes faster than JOINT_ACCEL, from the
-    Q^_REF that was there on, and each brakes before its limit. Where GAIN times their
+    LINEAR and ANGULAR. No joint's velocity changes faster than JOINT_ACCEL, from a
+    predecessor's Q^_REF on, and each brakes before its limit. Where GAIN times their
     speeds is more than JOINT_ACCEL, the hand passes its goal and comes back. A goal
     that cannot be reached takes the hand as near as the joints allow, and DAMPING grows
     with what is missing, so that they come to rest there; a warning names those that

@@ -39,9 +39,9 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
     was given; the orientation is exp(r) R0. The limits hold for each axis of the base,
     for a turn as long as the goal stays. Velocity and acceleration of the turn follow
     exactly from r (left Jacobian of SO(3)), so that a new goal causes no jump in them.
-    The motion begins in the pose X_REF and with the velocity that are in the table
-    when the module is turned on. While X_DES is no pose, and in `stable`, it
-    brakes and rests.
+    The motion begins in the pose X_REF that is in the table when the module is turned
+    on, at rest, or with the velocity of a predecessor. While X_DES is no pose, and in
+    `stable`, it brakes and rests.
     """
 
     REACHED = UserSignal(0, "X_REF has arrived at X_DES")

@@ -36,8 +36,8 @@ class Points(Params):
 class Spline(PortBasedObject[Points], module_class="trajectory"):
     """y = a spline from where Y stands through the points, at rest in the last one.
 
-    It begins with the value, velocity and, if quintic, acceleration that Y and its
-    derivatives have when the module is turned on. A cubic spline has two continuous
+    It begins with the value that Y has when the module is turned on, at rest, or with
+    the velocity and, if quintic, acceleration of a predecessor. A cubic spline has two continuous
     derivatives, a quintic one four (de Boor 1978). In the last point y rests, and the
     signal FINISH is sent. Between the points a spline may go beyond them: `limits`
     clips it.

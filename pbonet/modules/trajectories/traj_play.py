@@ -35,8 +35,8 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
     The samples have times of their own, whatever the task's rate. Each piece has the
     values and derivatives of the file at both ends; where the file has no derivatives,
     those of second-order differences. First y goes in LEAD seconds from where it
-    stands, with the velocity that it has, to the first sample, by such a piece. At the
-    end it rests in the last sample and the signal FINISH is sent, or, if it repeats, it
+    stands, at rest or with the velocity of a predecessor, to the first sample, by such
+    a piece. At the end it rests in the last sample and the signal FINISH is sent, or, if it repeats, it
     goes in LEAD seconds to the first one again.
 
     A .csv file has a column of seconds and NDOF of values, perhaps NDOF more of
