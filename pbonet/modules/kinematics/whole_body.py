@@ -80,13 +80,14 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
     those at Q_REF itself, in the frame in which their goals are given: with the places
     of `gait`, the body's own when it is level. Feet weigh GRIP times as much as the
     body, and rows of positions are counted in LENGTH. When the module is turned on,
-    Q_REF goes on from where it is, as fast as a predecessor's Q^_REF; the body is where the feet then
-    fit their goals best, turned as its own goal where they leave that open. Goals far
-    away are approached at LINEAR and ANGULAR, which speeds reach by ACCEL; no joint's
-    velocity changes faster than JOINT_ACCEL. Goals that cannot be reached are taken as
-    near as the joints allow, and DAMPING grows with what is missing, so that they come
-    to rest there; a warning names the frame, and joints that stand at a limit. Goals
-    that are not finite, or a program without a solution, leave Q_REF where it is.
+    Q_REF goes on from where it is, as fast as a predecessor's Q^_REF; the body is where
+    the feet then fit their goals best, turned as its own goal where they leave that
+    open. Goals far away are approached at LINEAR and ANGULAR, which speeds reach by
+    ACCEL; no joint's velocity changes faster than JOINT_ACCEL. Goals that cannot be
+    reached are taken as near as the joints allow, and DAMPING grows with what is
+    missing, so that they come to rest there; a warning names the frame, and joints that
+    stand at a limit. Goals that are not finite, or a program without a solution, leave
+    Q_REF where it is.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]

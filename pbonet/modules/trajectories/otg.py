@@ -33,9 +33,9 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
     All joints arrive together (ruckig; Berscheid and Kroeger 2021). The goal may change
     at any time: the motion bends to the new one without a jump in acceleration. It
     begins where Q_REF stands when the module is turned on, at rest, or with the
-    derivatives that a predecessor has just written; a velocity above the limit is first reduced. When Q_DES is not finite,
-    and in `stable`, it brakes within the limits and rests, and goes on when there is a
-    goal again.
+    derivatives that a predecessor has just written; a velocity above the limit is first
+    reduced. When Q_DES is not finite, and in `stable`, it brakes within the limits and
+    rests, and goes on when there is a goal again.
     """
 
     REACHED = UserSignal(0, "Q_REF has arrived at Q_DES")

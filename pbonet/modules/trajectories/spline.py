@@ -37,10 +37,10 @@ class Spline(PortBasedObject[Points], module_class="trajectory"):
     """y = a spline from where Y stands through the points, at rest in the last one.
 
     It begins with the value that Y has when the module is turned on, at rest, or with
-    the velocity and, if quintic, acceleration of a predecessor. A cubic spline has two continuous
-    derivatives, a quintic one four (de Boor 1978). In the last point y rests, and the
-    signal FINISH is sent. Between the points a spline may go beyond them: `limits`
-    clips it.
+    the velocity and, if quintic, acceleration of a predecessor. A cubic spline has two
+    continuous derivatives, a quintic one four (de Boor 1978). In the last point y
+    rests, and the signal FINISH is sent. Between the points a spline may go beyond
+    them: `limits` clips it.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Y")]

@@ -36,8 +36,8 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
     values and derivatives of the file at both ends; where the file has no derivatives,
     those of second-order differences. First y goes in LEAD seconds from where it
     stands, at rest or with the velocity of a predecessor, to the first sample, by such
-    a piece. At the end it rests in the last sample and the signal FINISH is sent, or, if it repeats, it
-    goes in LEAD seconds to the first one again.
+    a piece. At the end it rests in the last sample and the signal FINISH is sent, or,
+    if it repeats, it goes in LEAD seconds to the first one again.
 
     A .csv file has a column of seconds and NDOF of values, perhaps NDOF more of
     derivatives; a .npz file has the arrays `time`, `values` and perhaps `rates`.
