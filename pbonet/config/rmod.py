@@ -247,7 +247,8 @@ def _aliases(block: Block, ports: dict[str, tuple[Word, ...]]) -> dict[str, str]
                 expected=f"a port of {', '.join(LISTS[:3])} or {LISTS[3]}",
                 got=quote(port),
                 remedy=did_you_mean(port, sorted(listed))
-                or "write PORT=VARIABLE with the module's own name first",
+                or "remove the line, or write PORT=VARIABLE with the module's own name "
+                "first",
             )
         aliases[port] = alias
     names = {port: alias.variable for port, alias in aliases.items()}

@@ -212,6 +212,21 @@ def test_who_comes_on_after_one_that_hands_over_goes_on_from_it(rtpu):
     assert rtpu.handed == [("a", "off"), ("heir", "on")]
 
 
+def test_who_comes_on_after_one_that_an_earlier_part_turned_off_goes_on_from_it(rtpu):
+    """The master cuts a list wherever the next item is for another RTPU."""
+    outputs = {"heir": ["Y0"], "other": ["Y1"]}
+    items = [("heir", "on"), ("other", "on")]
+    carry_out(rtpu, outputs, {}, items, handover={"a": ["Y0"]})
+    assert rtpu.handed == [("heir", "on")]
+
+
+def test_who_is_turned_on_first_does_not_go_on_from_what_it_leaves_itself(rtpu):
+    outputs = {"a": ["Y0"], "heir": ["Y0"], "b": ["Y1"]}
+    items = [("a", "on"), ("a", "off"), ("heir", "on"), ("b", "on")]
+    carry_out(rtpu, outputs, {}, items, handover={"a": ["Y0"]})
+    assert rtpu.handed == [("a", "off"), ("heir", "on")]
+
+
 def two_lists(rtpu, *lists):
     """Have b hand Y1 over, and the other task nothing: items and handover of each."""
 
