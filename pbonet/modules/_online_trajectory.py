@@ -21,7 +21,7 @@ LESS = 1.0 - 1e-9
 """The share of the jerk with which a motion is found that ruckig did not find.
 
 Where a phase of a motion has no length, as on a way of exactly 2 a^3 / j^2, rounding
-makes ruckig refuse it: about one of a thousand goals in whole centimetres.
+makes ruckig refuse it: a few of a thousand goals in whole centimetres.
 """
 
 
