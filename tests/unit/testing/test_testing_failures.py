@@ -33,6 +33,7 @@ class Search(PortBasedObject):
 
     def on(self):
         self.from_where = (self.x, self.y)
+        self.goes_on = self.task.handover
         return self.run("on")
 
     def cycle(self, dt):
@@ -110,10 +111,12 @@ def test_without_a_handler_the_failure_is_warned_of():
 def test_an_abort_leaves_the_cycle_and_runs_on_again():
     bench = make(answering(Recovery.ABORT))
     bench.step()
+    assert not bench.module.goes_on
     answers = interrupt(bench)
     bench.inputs.x = 5.0
     bench.forget()
     assert bench.step() is State.ON
+    assert bench.module.goes_on, "it was not interrupted"
     assert answers == [], "the cycle was left before it heard of it"
     assert bench.outputs.y == 11.0, "as the cycle before left it"
     assert bench.module.from_where == (5.0, 11.0)
