@@ -287,6 +287,7 @@ def bench(
     folder: Path,
     *,
     first: Mapping[str, Any] | None = None,
+    handover: bool = False,
     **more: Any,  # noqa: ANN401 - what a bench takes
 ) -> Bench[Any]:
     """Return a module on a bench, ON, as its `.rmod` or an example configures it.
@@ -295,6 +296,7 @@ def bench(
         module: It.
         folder: That of `surroundings`.
         first: First values of ports by attribute, in place of the usual ones.
+        handover: Whether it goes on from a predecessor, as in a swap.
         more: What the bench is made with in place of what the RMOD says.
 
     Raises:
@@ -317,7 +319,7 @@ def bench(
         made = Bench.of(rmod, values, **more)
     else:
         made = Bench(module.cls, values, params=params, **more)
-    made.on()
+    made.on(handover=handover)
     _leave_notes(made.module)
     return made
 

@@ -39,8 +39,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
-    if own_process:
-        gc.freeze()  # else the last collection walks over all that was loaded
+    if own_process and "ruckig" not in sys.modules:
+        # Else the last collection walks over all that was loaded. It frees what modules
+        # in virtual time have; ruckig writes 30 lines about each that is not.
+        gc.freeze()
     sys.exit(status)
 
 

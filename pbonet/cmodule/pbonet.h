@@ -40,7 +40,7 @@ struct pbo_task {
     uint64_t cyclecount;    /* cycles since the task was turned on */
     double period;          /* s; 0: not periodic */
     double freq;            /* Hz; 0: not periodic */
-    int32_t handover;       /* `off`: a successor takes over the outputs at once */
+    int32_t handover;       /* `off`: a successor takes over the outputs at once; `on`: this task does */
     int32_t errnum;         /* the last error's number, 0 for none */
     const char *errmsg;     /* its text; for `error` and `clear` */
     /* Timing failures of this cycle, as bits; set while `cycle` runs. For tasks with

@@ -247,7 +247,8 @@ def _aliases(block: Block, ports: dict[str, tuple[Word, ...]]) -> dict[str, str]
                 expected=f"a port of {', '.join(LISTS[:3])} or {LISTS[3]}",
                 got=quote(port),
                 remedy=did_you_mean(port, sorted(listed))
-                or "write PORT=VARIABLE with the module's own name first",
+                or "remove the line, or write PORT=VARIABLE with the module's own name "
+                "first",
             )
         aliases[port] = alias
     names = {port: alias.variable for port, alias in aliases.items()}
@@ -265,7 +266,8 @@ def _alias(line: Line) -> _Alias:
             line.place,
             expected="PORT=VARIABLE",
             got=quote(line.rest),
-            remedy="write the module's name of the port, =, and the variable",
+            remedy="write one on each line: the module's name of the port, =, and the "
+            "variable",
         )
     joined = Word(text, Place(line.place.file, line.place.line, line.rest_column))
     port, variable = text.split("=")

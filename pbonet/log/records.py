@@ -83,7 +83,7 @@ class Did(Struct, omit_defaults=True):
     """``spawn``, a signal, ``set``, ``freq``, ``abort``, ``fault`` or ``refused``."""
     arg: str = ""
     handover: bool = False
-    """Whether a successor took over the outputs."""
+    """Whether a successor took over the outputs; for ``on``, whether this task did."""
     cede: bool = False
     """Whether it did so in its own claim, without an interval without an owner."""
     name: str = ""

@@ -17,6 +17,13 @@ if TYPE_CHECKING:
 
     from pbonet import Vector
 
+LESS = 1.0 - 1e-9
+"""The share of the jerk with which a motion is found that ruckig did not find.
+
+Where a phase of a motion has no length, as on a way of exactly 2 a^3 / j^2, rounding
+makes ruckig refuse it: a few of a thousand goals in whole centimetres.
+"""
+
 
 class OnlineTrajectory:
     """A motion of `n` axes that is brought to a goal, which may change in each cycle.
@@ -80,7 +87,7 @@ class OnlineTrajectory:
         """
         self._solver.delta_time = dt
         try:
-            result = self._solver.update(self._state, self._next)
+            result = self._update()
         except self._ruckig.RuckigError as error:
             raise ValueError(
                 "ruckig finds no trajectory: " + str(error).strip().partition("\n")[0]
@@ -90,6 +97,14 @@ class OnlineTrajectory:
         self.velocity = self._next.new_velocity
         self.acceleration = self._next.new_acceleration
         return bool(result == self._ruckig.Result.Finished)
+
+    def _update(self) -> Any:  # noqa: ANN401 - ruckig's
+        state = self._state
+        try:
+            return self._solver.update(state, self._next)
+        except self._ruckig.RuckigError:
+            state.max_jerk = [LESS * jerk for jerk in state.max_jerk]
+            return self._solver.update(state, self._next)
 
 
 def _ruckig() -> ModuleType:

@@ -12,6 +12,8 @@ from pbonet.errors import ParameterError
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from pbonet.pbo import TaskContext
+
 
 PerElement = tuple[float, ...]
 """The type of a parameter with one value for each element, or one for all."""
@@ -111,3 +113,18 @@ def keep(name: str, fixed: Collection[str]) -> None:
             f"parameter {name} is read when the task is created",
             remedy="kill the task and spawn it again",
         )
+
+
+def rest(task: TaskContext, *rates: Vector) -> None:
+    """Set rates to zero, in `on` and `off`, unless they go on from one task to another.
+
+    Those of a task that failed or died stand as it left them, however long ago, and
+    nothing moves by them any more.
+
+    Args:
+        task: The module's own `task`.
+        rates: Its outputs that are velocities and accelerations.
+    """
+    if not task.handover:
+        for one in rates:
+            one[:] = 0.0

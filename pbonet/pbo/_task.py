@@ -174,7 +174,12 @@ class TaskContext:
         self.arg = ""
         """The text that came with the signal that is being carried out."""
         self.handover = False
-        """In `off`: True when a successor takes over the outputs at once."""
+        """Whether the outputs go on without an interval.
+
+        In `off`: a successor takes them over at once. In `on`: the task goes on from
+        what a predecessor, or itself before an aborted cycle, has just written. False:
+        their writer has been turned off, has failed or has died, however long ago.
+        """
         self.off_requested = False
         """True when the module has sent `Signal.OFF`; the runtime obeys."""
         self.source: Schedule = source or Counted()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections import deque
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -40,7 +41,6 @@ from ._table import BenchTable, PortValues, structures
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
 M = TypeVar("M", bound=PortBasedObject[Any])
 
@@ -177,9 +177,9 @@ class Bench(Generic[M]):
         """Put an RMOD on the bench, such as a combination (section 3.8.1).
 
         Args:
-            rmod: The ``.rmod`` file; parts of a combination are beside it or in the
-                library. Its LOCAL part, FREQ, CRITICAL, HANDLER, STALE and SAFE are
-                used.
+            rmod: The ``.rmod`` file; its module, or the parts of a combination, are
+                beside it or in the library. Its LOCAL part, FREQ, CRITICAL, HANDLER,
+                STALE and SAFE are used.
             values: As for the constructor, like the following arguments.
             library: Folders with modules beside those of pbonet.
             more: As for the constructor.
@@ -188,8 +188,8 @@ class Bench(Generic[M]):
             PbonetError: The file is wrong, its module does not load, or as for the
                 constructor.
         """
-        folders = tuple(library)
-        found = Library(folders)
+        found = Library(library)
+        found.beside = (Path(rmod).parent,)
         record = found.read_rmod(rmod)
         module = found.load_rmod(record).cls
         told: dict[str, Any] = {
@@ -201,7 +201,7 @@ class Bench(Generic[M]):
             "safe_at": record.safe_at,
             "settle": record.settle,
             "name": record.name,
-            "library": folders,
+            "library": found.folders,
         }
         return Bench(module, values, **{**told, **more})
 
@@ -238,11 +238,13 @@ class Bench(Generic[M]):
         """The state of the task."""
         return self.executor.state
 
-    def on(self, arg: str = "") -> State:
+    def on(self, arg: str = "", *, handover: bool = False) -> State:
         """Turn the task on: copy in, ``on``, copy out.
 
         Args:
             arg: Text for the module, as ``self.task.arg``.
+            handover: Whether it takes over the outputs from a predecessor, as in a swap
+                or by a fallback (``self.task.handover``).
 
         Returns:
             ON, or OFF if the module answered that it cannot start yet.
@@ -253,7 +255,7 @@ class Bench(Generic[M]):
             MethodError: ``on`` failed and the error was not corrected.
         """
         self._skips, self._passed = False, 0.0
-        return self.executor.signal("on", arg)
+        return self.executor.signal("on", arg, handover=handover)
 
     def off(self, *, handover: bool = False) -> State:
         """Turn the task off: ``off``, copy out.

@@ -27,7 +27,7 @@ class Glides(PortBasedObject):
     y: A[Vector, OutVar("Y", "n", "none", "sum")]
 
     def on(self) -> None:
-        self.y += self.task.now * 1e-9
+        self.y += self.task.now * 1e-9 + self.task.handover
 
     def cycle(self, dt: float) -> None:
         self.y += self.z * dt + self.task.now * 1e-12

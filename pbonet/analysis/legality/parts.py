@@ -150,6 +150,7 @@ def _surplus(
     other = elsewhere(task, port)
     declared = info.named(Kind[keyword])
     about = f"{task.rmod.name}.rmod" if info.parts else info.name
+    without = "take it out" if declared else f"write {keyword} none"
     return Problem(
         code=Code.PORTS,
         what=f"{keyword} lists {port}, which is not a port of that kind in module "
@@ -160,7 +161,7 @@ def _surplus(
         remedy=f"list it under {' and '.join(other)}"
         if other
         else did_you_mean(port, near)
-        or f"take it out; 'pbonet library {about}' shows the ports",
+        or f"{without}; 'pbonet library {about}' shows the ports",
         tasks=(task.name,),
         ports=(port,),
     )

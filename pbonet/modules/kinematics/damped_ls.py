@@ -16,6 +16,7 @@ from pbonet import (
 )
 from pbonet.io import difference, fault_of_pose
 from pbonet.modules._dh import scale, shorten
+from pbonet.modules._values import rest
 from pbonet.modules._warn_once import WarnOnce
 
 MOST_GAIN = 0.5
@@ -53,8 +54,8 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
     near one it gives up what would cost most, and nowhere do the joints' speeds exceed
     sqrt(1/(2 DAMPING)^2 + 1/SIGMA^2) times the size of v, positions counted in LENGTH.
     The joints' speeds change by JOINT_ACCEL at most, all by the same share. They begin
-    with the Q^_CMD that was there, or with X^_DES alone where that is zero, so that no
-    goal makes them jump. Where GAIN times their speeds is more than JOINT_ACCEL, the
+    with the Q^_CMD of a predecessor, else with X^_DES alone, so that no goal makes them
+    jump. Where GAIN times their speeds is more than JOINT_ACCEL, the
     hand passes its goal and comes back.
     While damping takes at least SHORT from the hand's velocity, as before a goal out of
     reach, a warning says so: once, until it takes less than half of that. A goal that
@@ -78,6 +79,7 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         self._take_scale()
 
     def on(self) -> None:
+        rest(self.task, self.qd)
         self._told.clear()
         if not self._has_goal():
             self.qd[:] = 0.0
@@ -97,8 +99,7 @@ class DampedLS(PortBasedObject[Damping], module_class="kinematics"):
         self.qd += change
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd[:] = 0.0
+        rest(self.task, self.qd)
 
     def _has_goal(self) -> bool:
         """Return whether the goal is a pose, and report once if it is none."""

@@ -14,7 +14,7 @@ from pbonet import (
 )
 from pbonet.io import FrameStep, RobotModel, all_finite, fault_of_pose
 from pbonet.modules._placo_motion import PlacoMotion
-from pbonet.modules._values import keep
+from pbonet.modules._values import keep, rest
 from pbonet.modules._warn_once import WarnOnce
 
 
@@ -43,8 +43,8 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
     and velocity that the URDF file gives each joint; x and J are those at Q_REF itself,
     so nothing is measured. Rows of positions are counted in LENGTH. Q_REF goes on from
     where it stands when the module is turned on, and a goal far away is approached at
-    LINEAR and ANGULAR. No joint's velocity changes faster than JOINT_ACCEL, from the
-    Q^_REF that was there on, and each brakes before its limit. Where GAIN times their
+    LINEAR and ANGULAR. No joint's velocity changes faster than JOINT_ACCEL, from a
+    predecessor's Q^_REF on, and each brakes before its limit. Where GAIN times their
     speeds is more than JOINT_ACCEL, the hand passes its goal and comes back. A goal
     that cannot be reached takes the hand as near as the joints allow, and DAMPING grows
     with what is missing, so that they come to rest there; a warning names those that
@@ -65,6 +65,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
         keep(name, {"urdf", "frame", "length", "damping"})
 
     def on(self) -> None:
+        rest(self.task, self.qd_ref)
         self._told.clear()
         self._motion.q[:] = self.q_ref
         self._motion.show()
@@ -88,8 +89,7 @@ class IkPlaco(PortBasedObject[Pursuit], module_class="kinematics"):
             self._hold("limits", f"no joint motion keeps the limits: {why}")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd_ref[:] = 0.0
+        rest(self.task, self.qd_ref)
 
     def _fault(self) -> str:
         """Return why the goal is none."""

@@ -23,7 +23,7 @@ from pbonet.io import (
 )
 from pbonet.modules._legs import must_have_feet
 from pbonet.modules._placo_motion import PlacoMotion
-from pbonet.modules._values import keep
+from pbonet.modules._values import keep, rest
 from pbonet.modules._warn_once import WarnOnce
 
 STILL = 1e-9
@@ -80,13 +80,14 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
     those at Q_REF itself, in the frame in which their goals are given: with the places
     of `gait`, the body's own when it is level. Feet weigh GRIP times as much as the
     body, and rows of positions are counted in LENGTH. When the module is turned on,
-    Q_REF goes on from where it is, as fast as Q^_REF; the body is where the feet then
-    fit their goals best, turned as its own goal where they leave that open. Goals far
-    away are approached at LINEAR and ANGULAR, which speeds reach by ACCEL; no joint's
-    velocity changes faster than JOINT_ACCEL. Goals that cannot be reached are taken as
-    near as the joints allow, and DAMPING grows with what is missing, so that they come
-    to rest there; a warning names the frame, and joints that stand at a limit. Goals
-    that are not finite, or a program without a solution, leave Q_REF where it is.
+    Q_REF goes on from where it is, as fast as a predecessor's Q^_REF; the body is where
+    the feet then fit their goals best, turned as its own goal where they leave that
+    open. Goals far away are approached at LINEAR and ANGULAR, which speeds reach by
+    ACCEL; no joint's velocity changes faster than JOINT_ACCEL. Goals that cannot be
+    reached are taken as near as the joints allow, and DAMPING grows with what is
+    missing, so that they come to rest there; a warning names the frame, and joints that
+    stand at a limit. Goals that are not finite, or a program without a solution, leave
+    Q_REF where it is.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
@@ -121,6 +122,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
         keep(name, {"urdf", "body", "feet", "length", "grip", "damping"})
 
     def on(self) -> None:
+        rest(self.task, self.qd_ref)
         self._told.clear()
         self._motion.q[:] = self.q_ref
         self._begins, self._limit = True, 0.0
@@ -140,8 +142,7 @@ class WholeBody(PortBasedObject[Pursuit], module_class="kinematics"):
             self._hold("limits", f"no joint motion keeps the limits: {why}")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd_ref[:] = 0.0
+        rest(self.task, self.qd_ref)
 
     def _begin(self, dt: float) -> None:
         """Put the joints where Q_REF is, and the body where the feet fit their goals.

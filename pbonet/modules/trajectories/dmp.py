@@ -17,7 +17,7 @@ from pbonet import (
     param,
 )
 from pbonet.io import Samples, read_samples
-from pbonet.modules._values import keep
+from pbonet.modules._values import keep, rest
 
 DECAY = 4.6
 """The phase goes from 1 to exp(-DECAY), a hundredth, in DURATION."""
@@ -67,6 +67,7 @@ class Dmp(PortBasedObject[Shown], module_class="trajectory"):
         keep(name, {"file", "stiffness", "count"})
 
     def on(self) -> None:
+        rest(self.task, self.y_dot, self.y_acc)
         self._duration = self.params.duration or self._lasts  # set() is for the next
         self._time = 0.0
         self._begun = self._ended = self._warned = False
@@ -91,8 +92,7 @@ class Dmp(PortBasedObject[Shown], module_class="trajectory"):
                 self.task.signal(Signal.FINISH)
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.y_dot[:] = self.y_acc[:] = 0.0
+        rest(self.task, self.y_dot, self.y_acc)
 
     def _drawn_to(self) -> Vector:
         """Return where the spring is drawn to in this cycle."""

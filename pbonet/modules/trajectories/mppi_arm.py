@@ -11,7 +11,7 @@ from pbonet.errors import ParameterError, SppError
 from pbonet.io import RobotModel
 from pbonet.io.mppi import sizes as at
 from pbonet.io.spp import Spp
-from pbonet.modules._values import PerElement, keep, spread
+from pbonet.modules._values import PerElement, keep, rest, spread
 from pbonet.modules._warn_once import WarnOnce
 
 Floats = NDArray[np.float32]
@@ -112,6 +112,7 @@ class MppiArm(PortBasedObject[Planning], module_class="trajectory"):
         self._take()
 
     def on(self) -> None:
+        rest(self.task, self.qd_ref, self.qdd_ref)
         self._since = self._next = self.task.now
 
     def cycle(self, dt: float) -> None:
@@ -131,8 +132,7 @@ class MppiArm(PortBasedObject[Planning], module_class="trajectory"):
         self._move(self.qd_ref / -dt, dt)
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.qd_ref[:] = self.qdd_ref[:] = 0.0
+        rest(self.task, self.qd_ref, self.qdd_ref)
 
     def kill(self) -> None:
         if spp := getattr(self, "_spp", None):

@@ -16,7 +16,7 @@ from pbonet import (
     param,
 )
 from pbonet.modules._online_trajectory import OnlineTrajectory
-from pbonet.modules._values import PerElement, spread
+from pbonet.modules._values import PerElement, rest, spread
 
 
 class Limits(Params):
@@ -32,10 +32,10 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
 
     All joints arrive together (ruckig; Berscheid and Kroeger 2021). The goal may change
     at any time: the motion bends to the new one without a jump in acceleration. It
-    begins in the state in which Q_REF and its derivatives stand when the module is
-    turned on; a velocity above the limit is first reduced. When Q_DES is not finite,
-    and in `stable`, it brakes within the limits and rests, and goes on when there is a
-    goal again.
+    begins where Q_REF stands when the module is turned on, at rest, or with the
+    derivatives that a predecessor has just written; a velocity above the limit is first
+    reduced. When Q_DES is not finite, and in `stable`, it brakes within the limits and
+    rests, and goes on when there is a goal again.
     """
 
     REACHED = UserSignal(0, "Q_REF has arrived at Q_DES")
@@ -54,6 +54,7 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
         self._take_limits()
 
     def on(self) -> None:
+        rest(self.task, self.q_dot, self.q_acc)
         self._motion.start(self.q, self.q_dot, self.q_acc)
         self._goal: list[float] = []
         self._rests = self._warned = False
@@ -78,8 +79,7 @@ class Otg(PortBasedObject[Limits], module_class="trajectory"):
         self._step(dt, "brake")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.q_dot[:] = self.q_acc[:] = 0.0
+        rest(self.task, self.q_dot, self.q_acc)
 
     def _step(self, dt: float, towards: str) -> None:
         try:

@@ -17,6 +17,7 @@ from pbonet import (
 from pbonet.io import is_rotation
 from pbonet.modules._moving_orientation import Turning
 from pbonet.modules._online_trajectory import OnlineTrajectory
+from pbonet.modules._values import rest
 
 
 class Limits(Params):
@@ -38,9 +39,9 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
     was given; the orientation is exp(r) R0. The limits hold for each axis of the base,
     for a turn as long as the goal stays. Velocity and acceleration of the turn follow
     exactly from r (left Jacobian of SO(3)), so that a new goal causes no jump in them.
-    The motion begins in the pose X_REF and with the velocity that are in the table
-    when the module is turned on. While X_DES is no pose, and in `stable`, it
-    brakes and rests.
+    The motion begins in the pose X_REF that is in the table when the module is turned
+    on, at rest, or with the velocity of a predecessor. While X_DES is no pose, and in
+    `stable`, it brakes and rests.
     """
 
     REACHED = UserSignal(0, "X_REF has arrived at X_DES")
@@ -57,6 +58,7 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
         self._take_limits()
 
     def on(self) -> None:
+        rest(self.task, self.v)
         if not (np.isfinite(self.x).all() and is_rotation(self.x[:, :3])):
             self.task.fail(
                 "X_REF is no pose [R p] to start from; give it one by INIT in the "
@@ -92,8 +94,7 @@ class OtgCart(PortBasedObject[Limits], module_class="trajectory"):
         self._step(dt, "brake")
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.v[:] = 0.0
+        rest(self.task, self.v)
 
     def _begin(self) -> None:
         """Count the turn from the present orientation, with its present motion."""

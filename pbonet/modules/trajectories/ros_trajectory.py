@@ -15,6 +15,7 @@ from pbonet import (
     tbuf,
 )
 from pbonet.io import devices_allowed
+from pbonet.modules._values import rest
 from pbonet.modules.trajectories.traj_play import hermite
 
 _NOT_FOLLOWED = -1.0
@@ -89,8 +90,7 @@ class RosTrajectory(PortBasedObject[Sent], module_class="trajectory"):
         self._rest()
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.y_dot[:] = 0.0
+        rest(self.task, self.y_dot)
 
     def kill(self) -> None:
         if link := getattr(self, "_link", None):

@@ -16,7 +16,7 @@ from pbonet import (
     param,
 )
 from pbonet.errors import ParameterError
-from pbonet.modules._values import PerElement
+from pbonet.modules._values import PerElement, rest
 
 
 class Points(Params):
@@ -36,11 +36,11 @@ class Points(Params):
 class Spline(PortBasedObject[Points], module_class="trajectory"):
     """y = a spline from where Y stands through the points, at rest in the last one.
 
-    It begins with the value, velocity and, if quintic, acceleration that Y and its
-    derivatives have when the module is turned on. A cubic spline has two continuous
-    derivatives, a quintic one four (de Boor 1978). In the last point y rests, and the
-    signal FINISH is sent. Between the points a spline may go beyond them: `limits`
-    clips it.
+    It begins with the value that Y has when the module is turned on, at rest, or with
+    the velocity and, if quintic, acceleration of a predecessor. A cubic spline has two
+    continuous derivatives, a quintic one four (de Boor 1978). In the last point y
+    rests, and the signal FINISH is sent. Between the points a spline may go beyond
+    them: `limits` clips it.
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Y")]
@@ -58,6 +58,7 @@ class Spline(PortBasedObject[Points], module_class="trajectory"):
         )
 
     def on(self) -> None:
+        rest(self.task, self.y_dot, self.y_acc)
         start = self.y, self.y_dot, self.y_acc
         self._pieces = spline_pieces(self._times, self._points, self._degree, start)
         self._time = 0.0
@@ -73,8 +74,7 @@ class Spline(PortBasedObject[Points], module_class="trajectory"):
             self.task.signal(Signal.FINISH)
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.y_dot[:] = self.y_acc[:] = 0.0
+        rest(self.task, self.y_dot, self.y_acc)
 
     def _project(self, time: float) -> None:
         k = int(np.searchsorted(self._times, time, side="right")) - 1

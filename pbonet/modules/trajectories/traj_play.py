@@ -15,6 +15,7 @@ from pbonet import (
 )
 from pbonet.errors import ParameterError
 from pbonet.io import read_samples
+from pbonet.modules._values import rest
 
 
 class Playing(Params):
@@ -34,9 +35,9 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
     The samples have times of their own, whatever the task's rate. Each piece has the
     values and derivatives of the file at both ends; where the file has no derivatives,
     those of second-order differences. First y goes in LEAD seconds from where it
-    stands, with the velocity that it has, to the first sample, by such a piece. At the
-    end it rests in the last sample and the signal FINISH is sent, or, if it repeats, it
-    goes in LEAD seconds to the first one again.
+    stands, at rest or with the velocity of a predecessor, to the first sample, by such
+    a piece. At the end it rests in the last sample and the signal FINISH is sent, or,
+    if it repeats, it goes in LEAD seconds to the first one again.
 
     A .csv file has a column of seconds and NDOF of values, perhaps NDOF more of
     derivatives; a .npz file has the arrays `time`, `values` and perhaps `rates`.
@@ -59,6 +60,7 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
             )
 
     def on(self) -> None:
+        rest(self.task, self.y_dot)
         self._from = self.y.copy(), self.y_dot.copy()
         self._lead = self.params.lead  # set() changes that of the next time
         self._time = -self._lead  # of the file, or before it
@@ -88,8 +90,7 @@ class TrajPlay(PortBasedObject[Playing], module_class="trajectory"):
             self.task.signal(Signal.FINISH)
 
     def off(self) -> None:
-        if not self.task.handover:
-            self.y_dot[:] = 0.0
+        rest(self.task, self.y_dot)
 
     def _go_to_the_start(self, speed: float) -> None:
         goal = self._values[0], self._rates[0] * speed

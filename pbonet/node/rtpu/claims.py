@@ -267,7 +267,8 @@ def _check_take_over(rtpu: str, request: Claim, held: Entry) -> None:
             f"subsystem {held.subsystem} has a master already",
             where=rtpu,
             got=f"master {held.client}, epoch {held.epoch}",
-            remedy="end that master, or take over with --take-over",
+            remedy="if it is just starting, wait; else end it, or take over with "
+            "--take-over",
         )
 
 

@@ -19,7 +19,7 @@ from .handover import TRIP, Exchange, plan, shortest_period
 from .signal_tasks import control, note
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from pbonet.xm.net import Reconfig
 
@@ -61,6 +61,8 @@ class _List:
         self._request = request
         self._result = Reconfigured(done=0)
         self._slow = _Slow(rtpu, request.subsystem)
+        self._handed: dict[str, Collection[str]] = {**request.handover}
+        """Variables that tasks of the list leave for later ones, by task."""
 
     async def run(self) -> Reconfigured:
         """Carry it out, as far as it goes."""
@@ -131,14 +133,17 @@ class _List:
             goes = signal == "off" and (
                 name in request.handover or self._has_successor(task, rest)
             )
+            comes = signal == "on" and self._has_predecessor(task)
             await control(
                 self._rtpu,
                 task,
                 signal,
                 request.timeout,
-                handover=goes,
+                handover=goes or comes,
                 extra=MOST_EXTRA * request.timeout,
             )
+            if goes:
+                self._handed.setdefault(name, task.facts.outputs)
         except PbonetError as error:
             self._result.error = error.to_wire()
             return [item]
@@ -207,6 +212,15 @@ class _List:
             if mine & set(other.facts.outputs):
                 return True
         return False
+
+    def _has_predecessor(self, task: Task) -> bool:
+        """Return whether another task of the list left an output, here or elsewhere."""
+        mine = set(task.facts.outputs)
+        return any(
+            mine.intersection(theirs)
+            for name, theirs in self._handed.items()
+            if name != task.name
+        )
 
 
 class _Slow:

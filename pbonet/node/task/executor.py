@@ -144,7 +144,8 @@ class Executor:
         Args:
             name: The signal.
             arg: Text for the module, as ``self.task.arg``.
-            handover: For ``off`` and ``kill``: a successor takes over the outputs.
+            handover: For ``off`` and ``kill``: a successor takes over the outputs. For
+                ``on``: this task does, from a predecessor.
             cede: For ``off``: the successor takes them over in its own claim.
 
         Returns:
@@ -343,7 +344,11 @@ class Executor:
         """
         self._take_safe()
         self.task.restart_rng()
-        return self._run(Event.ABORT)
+        self.task.handover = True
+        try:
+            return self._run(Event.ABORT)
+        finally:
+            self.task.handover = False
 
     # -- one event --------------------------------------------------------------------
 

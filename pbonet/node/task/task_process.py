@@ -388,8 +388,8 @@ class Host:
         self.time.turned_on()
         try:
             self.local.have_ended()
-            with self.journal.doing(Did("on")):
-                self.executor.signal("on")
+            with self.journal.doing(Did("on", handover=True)):
+                self.executor.signal("on", handover=True)
         except PbonetError as error:
             failed = error
         finally:

@@ -123,6 +123,11 @@ def _cut_off(rtpu: str, pid: int) -> UnreachableError:
         "the agent cannot be reached, although its process runs",
         where=rtpu,
         got=f"process {pid}" + (", which is stopped" if stopped else ""),
-        remedy=(f"'kill -CONT {pid}' resumes it; else " if stopped else "")
+        remedy=(
+            f"'kill -CONT {pid}' resumes it; else "
+            if stopped
+            else "if it has just started, or the machine is busy, wait and try again; "
+            "else "
+        )
         + f"end it with 'kill -9 {pid}' and start it again",
     )

@@ -24,6 +24,14 @@ EOF
 """
 
 
+def test_a_list_that_is_to_have_no_port_is_written_as_none() -> None:
+    info = module(port("outvar", "Y"))
+    rmod = parse_rmod(RMOD, "diff.rmod")
+    config = configuration(legality.Task(rmod=rmod, info=info, rtpu="arm0"), on=set())
+    (text,) = [one for one in texts(config) if "INVAR lists" in one]
+    assert text.endswith("; write INVAR none; 'pbonet library mod' shows the ports")
+
+
 def test_ports_of_file_and_class_are_compared_both_ways() -> None:
     info = module(port("invar", "Z"), port("invar", "W"), port("outvar", "Y"))
     rmod = parse_rmod(RMOD, "diff.rmod")

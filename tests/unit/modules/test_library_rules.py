@@ -2,9 +2,10 @@
 
 What is no number: the module is in ERROR and names the variable, or goes on with
 numbers; no output jumps, and nothing of it stays. Turned on: outputs go on from where
-they stand. Robot interfaces: no cycle on old data. Robots from files: a wrong file or
-frame is refused by name. A new module is under all of these rules by itself; what does
-not fit a rule stands in a list here, with the reason.
+they stand, velocities only from those of a predecessor. Robot interfaces: no cycle on
+old data. Robots from files: a wrong file or frame is refused by name. A new module is
+under all of these rules by itself; what does not fit a rule stands in a list here, with
+the reason.
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ def test_turned_on_its_outputs_go_on_from_where_they_stand(folder, name) -> None
     for port in taken:
         if there[port.attr].shape != (3, 4):
             there[port.attr] = there[port.attr] + OFFSET
-    made = bench(MODULES[name], folder, first=there)
+    made = bench(MODULES[name], folder, first=there, handover=True)
     made.step()
     steps = [
         float(np.abs(np.array(made[one.name]) - there[one.attr]).max(initial=0.0))
@@ -205,6 +206,28 @@ def test_turned_on_its_outputs_go_on_from_where_they_stand(folder, name) -> None
     for port, step in zip(taken, steps, strict=True):
         most = 1e-9 if exact else max(3.0 * usual[port.attr], 0.2 * OFFSET)
         assert step <= most, port.name
+
+
+@pytest.mark.parametrize("name", cases(*TAKES_OVER))
+def test_rates_that_a_dead_writer_left_have_no_effect(folder, name) -> None:
+    """Nothing moves by them any more, however old they are."""
+    rates = [
+        port.attr
+        for port in MODULES[name].info.ports
+        if port.kind is Kind.OUTVAR and "^" in port.name
+    ]
+    found = []
+    for left in (0.0, 0.3):
+        made = bench(MODULES[name], folder)
+        first = {attr: values(made, Kind.OUTVAR)[attr] * 0 + left for attr in rates}
+        made.kill()
+        made = bench(MODULES[name], folder, first=first)
+        made.step()
+        found.append(values(made, Kind.OUTVAR))
+        made.kill()
+    without, left_there = found
+    for attr, value in without.items():
+        assert np.array_equal(value, left_there[attr]), attr
 
 
 ROBOTS = cases("robot interface")

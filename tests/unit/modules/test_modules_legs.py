@@ -271,7 +271,7 @@ def posture(**values: Any) -> Bench[WholeBody]:
     params |= values.pop("params", {})
     told = {"ndof": 12, "library": [QUADRUPED], **GOALS, **values}
     bench = Bench(WholeBody, params=params, freq=1 / DT, **told)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 

@@ -365,7 +365,7 @@ def test_it_goes_on_from_the_velocity_that_was_there() -> None:
     there = np.array([0.5, -0.4, 0.3, 0.0, 0.2, -0.1])
     bench = Bench(DampedLS, ndof=6, x_des=pose + FAR, x=pose, jacobian=jacobian,
                   qd=there, freq=100)  # fmt: skip
-    bench.on()
+    bench.on(handover=True)
     assert bench.outputs.qd == pytest.approx(there, abs=0.0)
     bench.step()
     assert np.abs(bench.outputs.qd - there).max() == pytest.approx(20.0 * 0.01)

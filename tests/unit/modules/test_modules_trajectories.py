@@ -62,7 +62,7 @@ def piece(p: float, v: float, a: float, j: float, t: float) -> tuple[float, ...]
 
 def otg(n: int = 2, **more) -> Bench[Otg]:
     bench = Bench(Otg, params=LIMITS, ndof=n, freq=1 / STEP, **more)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 
@@ -134,6 +134,24 @@ def test_otg_reduces_a_velocity_that_is_above_the_limit() -> None:
     assert bench.outputs.q_dot[0] == pytest.approx(1.8, abs=1e-3)
     bench.step(n=700)
     assert bench.outputs.q_dot[0] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "limits"),
+    [
+        (0.48, 0.50, (0.25, 1.0, 10.0)),
+        (-0.76, -0.75, (2.0, 2.0, 40.0)),
+    ],
+)
+def test_otg_finds_a_way_on_which_a_phase_has_no_length(start, goal, limits) -> None:
+    """Of 2 a^3 / j^2: the largest acceleration is reached, and left at once."""
+    names = ("velocity", "acceleration", "jerk")
+    params = {name: (one,) for name, one in zip(names, limits, strict=True)}
+    bench = Bench(Otg, params=params, ndof=1, q=[start], q_des=[goal], freq=1 / STEP)
+    bench.on()
+    bench.step(n=round(0.6 / STEP))
+    assert bench.outputs.q[0] == pytest.approx(goal, abs=1e-9)
+    assert said(bench) == ["REACHED"]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -216,7 +234,7 @@ def pose(x, turn) -> np.ndarray:
 
 def otg_cart(x=POSE, **more) -> Bench[OtgCart]:
     bench = Bench(OtgCart, params=CART, x=x, freq=1 / STEP, **more)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 
@@ -345,7 +363,7 @@ def spline(n: int, order: str, **more) -> tuple[Bench[Spline], np.ndarray]:
     points = rng.normal(size=(len(TIMES), n))
     params = {"time": TIMES, "points": points.ravel(), "order": order}
     bench = Bench(Spline, params=params, ndof=n, freq=100, **more)
-    bench.on()
+    bench.on(handover=True)
     return bench, points
 
 
@@ -431,7 +449,7 @@ def play(file, n: int, **more) -> Bench[TrajPlay]:
     start = {name: more.pop(name) for name in ("y", "y_dot") if name in more}
     params = {"file": str(file), **more}
     bench = Bench(TrajPlay, params=params, ndof=n, freq=100, **start)
-    bench.on()
+    bench.on(handover=True)
     return bench
 
 

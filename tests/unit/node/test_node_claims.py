@@ -40,7 +40,7 @@ def test_another_master_is_refused_while_the_first_lives(claims):
             claim(claims, "arm", "b", masters=masters)
         assert str(caught.value) == (
             "arm0: subsystem arm has a master already (got master a, epoch 11); "
-            "end that master, or take over with --take-over"
+            "if it is just starting, wait; else end it, or take over with --take-over"
         )
 
 

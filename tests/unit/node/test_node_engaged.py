@@ -26,7 +26,7 @@ class Standing(Host):
         self.spec = SimpleNamespace(task="new")
         self.slot = SimpleNamespace(after=1, arm=lambda: None)
         self.time = SimpleNamespace(turned_on=lambda: None)
-        self.journal = SimpleNamespace(doing=contextlib.nullcontext)
+        self.journal = SimpleNamespace(doing=self._doing)
         self.executor = SimpleNamespace(state=State.OFF, signal=self._come_on)
         self.to_rtpu = SimpleNamespace(send=lambda _: None, notice=self._failed)
         self.core = SimpleNamespace()
@@ -41,7 +41,12 @@ class Standing(Host):
         self.meanwhile = meanwhile
         self._engage()
 
-    def _come_on(self, _signal):
+    def _doing(self, did):
+        self.logged = did
+        return contextlib.nullcontext()
+
+    def _come_on(self, _signal, *, handover):
+        self.handover = handover
         self.local.check_claim()
         self.meanwhile()
         try:
@@ -94,6 +99,8 @@ def test_an_heir_takes_over_from_who_has_ended(table, old, new):
     old.cede()
     new.engage()
     assert (new.executor.state, writer(table)) == (State.ON, "new")
+    assert new.handover, "its `on` goes on from what stands there"
+    assert new.logged.handover, "a replay begins alike"
 
 
 def test_an_heir_whose_on_is_slow_takes_nothing_from_who_came_back(table, old, new):

@@ -75,7 +75,7 @@ class Rtpu:
 
     def __init__(self, core, table):
         self.core, self.tasks, self.lists, self.reactions = core, {}, {}, {}
-        self.tombs = {}
+        self.tombs, self.handed = {}, []
         self.events = EventLog(self.name)
         opened = SimpleNamespace(table=table, keep=True)
         self.flags = Flags(self.name, Tables(arm=opened), self.events)
@@ -127,10 +127,11 @@ def rtpu(table, monkeypatch):
     core = _rt.CoreTable(1)
     made = Rtpu(core, table)
 
-    async def off(_rtpu, task, signal, _limit, **_more):
+    async def control(_rtpu, task, signal, _limit, *, handover, **_more):
+        made.handed += [(task.name, signal)] * handover
         await task.command(signal, None, _limit)
 
-    monkeypatch.setattr(reconfig, "control", off)
+    monkeypatch.setattr(reconfig, "control", control)
     yield made
     core.close()
 
@@ -201,6 +202,29 @@ def test_a_variable_that_nobody_is_to_take_over_is_not_waited_for(
     assert [one.cause for one in table.illegal] == [
         "off b is done, and no task took over Y1"
     ]
+
+
+def test_who_comes_on_after_one_that_hands_over_goes_on_from_it(rtpu):
+    """Not by an exchange: the last one does not leave."""
+    outputs = {"a": ["Y0"], "b": ["Y1"], "heir": ["Y0"]}
+    items = [("a", "off"), ("heir", "on"), ("b", "on")]
+    carry_out(rtpu, outputs, {}, items, handover={"a": ["Y0"]})
+    assert rtpu.handed == [("a", "off"), ("heir", "on")]
+
+
+def test_who_comes_on_after_one_that_an_earlier_part_turned_off_goes_on_from_it(rtpu):
+    """The master cuts a list wherever the next item is for another RTPU."""
+    outputs = {"heir": ["Y0"], "other": ["Y1"]}
+    items = [("heir", "on"), ("other", "on")]
+    carry_out(rtpu, outputs, {}, items, handover={"a": ["Y0"]})
+    assert rtpu.handed == [("heir", "on")]
+
+
+def test_who_is_turned_on_first_does_not_go_on_from_what_it_leaves_itself(rtpu):
+    outputs = {"a": ["Y0"], "heir": ["Y0"], "b": ["Y1"]}
+    items = [("a", "on"), ("a", "off"), ("heir", "on"), ("b", "on")]
+    carry_out(rtpu, outputs, {}, items, handover={"a": ["Y0"]})
+    assert rtpu.handed == [("a", "off"), ("heir", "on")]
 
 
 def two_lists(rtpu, *lists):

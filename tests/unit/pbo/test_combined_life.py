@@ -37,7 +37,7 @@ def test_data_go_through_in_one_cycle_and_the_inner_variable_is_nowhere(folder):
 
 def test_what_is_published_is_written_too(folder):
     path = folder.both(OUTVAR="Y Z")
-    bench = Bench.of(path, {"ndof": 2, "x": 3.0}, library=[folder.path])
+    bench = Bench.of(path, {"ndof": 2, "x": 3.0})
     bench.on()
     bench.step()
     assert bench["Y"].tolist() == bench["Z"].tolist() == [3.0, 3.0]
@@ -211,7 +211,7 @@ def test_what_fails_while_the_others_are_turned_off_is_told_too(folder):
         INVAR="X",
         OUTVAR="Z W",
     )
-    bench = Bench.of(path, {"ndof": 1}, library=[folder.path])
+    bench = Bench.of(path, {"ndof": 1})
     bench.on()
     calls(bench)
     with pytest.raises(MethodError) as caught:
@@ -284,7 +284,7 @@ def test_one_part_may_wait_for_the_event(folder):
 
 def test_critical_parts_are_stable_and_the_others_go_on(folder):
     folder.module("two", TWO, more="    def stable(self, dt): self.note('stable')")
-    bench = Bench.of(folder.both(), {"ndof": 1}, library=[folder.path], critical=True)
+    bench = Bench.of(folder.both(), {"ndof": 1}, critical=True)
     bench.on()
     calls(bench)
     bench.illegal = True

@@ -75,10 +75,10 @@ def test_constants_within_are_there_for_the_parts_behind(folder):
         more="    def init(self): self.ndof = 2",
     )
     path = folder.both(INCONST="none", INVAR="none")
-    bench = Bench.of(path, {"ndof": 2}, library=[folder.path])
+    bench = Bench.of(path, {"ndof": 2})
     assert bench.module.parts[1].n == 2
     with pytest.raises(MethodError, match=r"both\.one\.init: .*NDOF is not the size"):
-        Bench.of(path, {"ndof": 3}, library=[folder.path])
+        Bench.of(path, {"ndof": 3})
 
 
 def test_an_inner_variable_whose_size_nobody_knows(folder):
@@ -109,7 +109,7 @@ def test_a_combination_within_another(folder):
         "more", "COMBINE both three", "both.two.GAIN 5; three.FAILS off",
         INCONST="NDOF", INVAR="X", OUTVAR="W",
     )  # fmt: skip
-    bench = Bench.of(path, {"ndof": 2, "x": 1.0}, library=[folder.path])
+    bench = Bench.of(path, {"ndof": 2, "x": 1.0})
     bench.on()
     bench.step()
     assert bench["W"].tolist() == [-10.0, -10.0]
@@ -132,7 +132,7 @@ def test_aliases_of_the_parts_and_of_the_whole(folder):
         *("NDOF", "A", "C")
     ]
     assert rmod.svar_name("C") == "T_REF"
-    bench = Bench.of(path, {"ndof": 1, "x": 4.0}, library=[folder.path])
+    bench = Bench.of(path, {"ndof": 1, "x": 4.0})
     bench.on()
     bench.step()
     assert bench["C"] == 4.0
@@ -158,7 +158,7 @@ def test_an_inner_variable_that_is_read_before_it_is_written(folder):
         folder.load(path)
     text = path.read_text().replace("OUTVAR Z", "OUTVAR Y Z")
     path.write_text(text)
-    bench = Bench.of(path, {"n": 1, "x": 5.0, "y": 2.0}, library=[folder.path])
+    bench = Bench.of(path, {"n": 1, "x": 5.0, "y": 2.0})
     bench.on()
     bench.step()
     assert bench["Z"] == 2.0  # of the table, as the last writer left it

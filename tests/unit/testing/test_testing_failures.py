@@ -33,6 +33,7 @@ class Search(PortBasedObject):
 
     def on(self):
         self.from_where = (self.x, self.y)
+        self.goes_on = self.task.handover
         return self.run("on")
 
     def cycle(self, dt):
@@ -110,10 +111,12 @@ def test_without_a_handler_the_failure_is_warned_of():
 def test_an_abort_leaves_the_cycle_and_runs_on_again():
     bench = make(answering(Recovery.ABORT))
     bench.step()
+    assert not bench.module.goes_on
     answers = interrupt(bench)
     bench.inputs.x = 5.0
     bench.forget()
     assert bench.step() is State.ON
+    assert bench.module.goes_on, "it was not interrupted"
     assert answers == [], "the cycle was left before it heard of it"
     assert bench.outputs.y == 11.0, "as the cycle before left it"
     assert bench.module.from_where == (5.0, 11.0)
@@ -496,7 +499,7 @@ def test_the_bench_takes_safe_from_an_rmod(tmp_path):
     (tmp_path / "overruns.py").write_text(OVERRUNS.read_text())
     text = rmod("overruns", freq=50.0).replace("FREQ 50\n", "FREQ 50\nSAFE deadline\n")
     (tmp_path / "overruns.rmod").write_text(text)
-    with Bench.of(tmp_path / "overruns.rmod", library=[tmp_path]) as bench:
+    with Bench.of(tmp_path / "overruns.rmod") as bench:
         bench.on()
         bench.timing_failure(DEADLINE)
         assert bench["Y"].tolist() == [-7.0, -7.0]
