@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MARGIN_NS = 20_000
 TAKEN_NS = 10_000
-"""For which a turn keeps a cycle from running, about: its reserve lasts so much longer."""
+"""For which a turn keeps a cycle from running, about: its check is so much later."""
 HOLD_OFF_NS = 1_000_000
 """How long a critical section holds the loss of criticality off."""
 HANDLER_NS = 1_000_000
