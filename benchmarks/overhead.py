@@ -5,9 +5,10 @@ ring; so whatever it costs is overhead: the dispatcher's turn, its level changes
 switches, copies, guards, accounting, the record. Figures are the kernel's own
 (schedstat of the threads), which count the timer interrupt too; the rival is a C loop
 on clock_nanosleep, which does nothing else and takes turns with the tasks, block by
-block, since what a wake-up costs depends on what else the machine does. "together":
-all tasks have one period, so that one turn releases them all; "apart": every task has
-a period of its own.
+block, since what a wake-up costs depends on what else the machine does. "as many": as
+many C loops as tasks, each a process with the period of one of them. "together": all
+tasks have one period, so that one turn releases them all; "apart": every task has a
+period of its own.
 
 With ``--checks`` the same tasks are measured in turns without and with everything that
 is looked after: MAXC and MINC declared, a handler with a criticality of its own.
@@ -24,6 +25,7 @@ import json
 import statistics
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -51,13 +53,18 @@ class Rig(NamedTuple):
     rate: int
     cycles: int
 
-    def c_loop(self) -> float:
-        """Return microseconds a cycle of the C loop."""
-        period = int(1e9 / self.rate)
-        run = rtbench.run_loop(
-            self.loop, self.core.core, self.level, period, self.cycles
-        )
-        return run.cpu_ns / self.cycles / 1e3
+    def c_loops(self, periods: list[int]) -> float:
+        """Return microseconds a cycle of C loops with these periods, all at a time."""
+        cycles = -(-self.cycles // len(periods))
+
+        def run(period: int) -> rtbench.Loop:
+            return rtbench.run_loop(
+                self.loop, self.core.core, self.level, period, cycles
+            )
+
+        with ThreadPoolExecutor(len(periods)) as pool:
+            spent = sum(loop.cpu_ns for loop in pool.map(run, periods))
+        return spent / cycles / len(periods) / 1e3
 
 
 class Load(NamedTuple):
@@ -134,7 +141,9 @@ def totals(load: Load) -> dict[str, float]:
 
 def block(rig: Rig, load: Load, *, checks: bool) -> dict[str, float]:
     """Return microseconds per cycle, beside the C loop's just before."""
-    c_loop = rig.c_loop()
+    periods = [period for *_, period, _ in load.tasks]
+    c_loop = rig.c_loops([int(1e9 / rig.rate)])
+    c_loops = rig.c_loops(periods) if len(periods) > 1 else c_loop
     for slot, _, period, _ in load.tasks:
         rtbench.watch(load.core, slot, period, on=checks)
     rig.dispatcher.start()
@@ -153,6 +162,7 @@ def block(rig: Rig, load: Load, *, checks: bool) -> dict[str, float]:
     total = (cost["task"] + cost["dispatcher"]) / 1e3
     return {
         "c loop": c_loop,
+        "c loops": c_loops,
         "ratio": total / c_loop,
         "task": cost["task"] / 1e3,
         "accounted": cost["accounted"] / 1e3,
@@ -168,8 +178,8 @@ def block(rig: Rig, load: Load, *, checks: bool) -> dict[str, float]:
 
 
 HEAD = (
-    "tasks releases checks C loop us   task us (accounted) dispatcher us   core %"
-    "      total us [least greatest]   total / C loop            turns/cycle"
+    "tasks releases checks C loop us  as many   task us (accounted) dispatcher us"
+    "   core %      total us [least greatest]   total / C loop            turns/cycle"
     " levels/cycle missed failures"
 )
 
@@ -178,8 +188,8 @@ def line(name: str, blocks: list[dict[str, float]]) -> str:
     """Return a line of the table: medians of the blocks."""
     m = {key: statistics.median(b[key] for b in blocks) for key in blocks[0]}
     return (
-        f"{name:21} {m['c loop']:9.1f} {m['task']:9.1f} {m['accounted']:11.1f} "
-        f"{m['dispatcher']:13.1f} "
+        f"{name:21} {m['c loop']:9.1f} {m['c loops']:8.1f} "
+        f"{m['task']:9.1f} {m['accounted']:11.1f} {m['dispatcher']:13.1f} "
         f"{m['share']:8.2f} {rtbench.spread([b['total'] for b in blocks], 1)} "
         f"{rtbench.spread([b['ratio'] for b in blocks], 2)} "
         f"{m['turns']:13.3f} {m['levels']:12.3f} "

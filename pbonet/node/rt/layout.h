@@ -44,6 +44,7 @@ enum {
 #define RT_MAGIC UINT64_C(0x31656e6f63626f70)
 #define RT_MIN_PERIOD_NS INT64_C(100000)
 #define RT_LEAD_NS INT64_C(100000)
+#define RT_TAKEN_NS INT64_C(10000)       /* for which a turn keeps a cycle from running, about */
 #define RT_MARGIN_NS INT64_C(20000)      /* minimum time ahead of a timer */
 #define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
 #define RT_WAIT_SPAN 10     /* a wait hangs that uses `hang` within so many times that */

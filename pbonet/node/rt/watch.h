@@ -4,8 +4,10 @@
  * servers (6.4, 6.5), which are built on them. A failure is first contained, by a change of
  * criticality in the same turn, and then reported. CPU time is read lazily: it passes
  * no faster than time itself, so a reserve is checked at the earliest time at which it
- * could be used up, and then again. `tests/oracles/plain_dispatcher/watch.py` has the same
- * rules.
+ * could be used up, and then again. A cycle stands still during a turn and on its way back
+ * from it, so the check of a cycle's reserve comes later by RT_TAKEN_NS: at the earliest time it
+ * would mostly find a few microseconds left, and need another check RT_MARGIN_NS later.
+ * `tests/oracles/plain_dispatcher/watch.py` has the same rules.
  */
 #ifndef PBONET_WATCH_H
 #define PBONET_WATCH_H
@@ -188,7 +190,7 @@ static inline int64_t rt_look(struct rt_table *t, int i, struct rt_state *s, int
         if (used >= s->maxc)
             rt_exhaust(t, i, s, now, locked);
         else
-            next = rt_later(now, s->maxc - used);
+            next = rt_later(now, s->maxc - used + RT_TAKEN_NS);
     }
     if (s->owed) {
         if (s->locked_ns <= now) {

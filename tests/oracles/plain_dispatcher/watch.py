@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from .slotstate import SlotState
 
 MARGIN_NS = 20_000
+TAKEN_NS = 10_000
+"""For which a turn keeps a cycle from running, about: its check is so much later."""
 HOLD_OFF_NS = 1_000_000
 """How long a critical section holds the loss of criticality off."""
 HANDLER_NS = 1_000_000
@@ -275,7 +277,7 @@ class Watch:
             if used >= state.maxc:
                 self._exhaust()
             else:
-                following = self._later(state.maxc - used)
+                following = self._later(state.maxc - used + TAKEN_NS)
         if state.owed:
             following = sooner(following, self._overrule())
         if state.handling:

@@ -216,6 +216,6 @@ def test_a_device_that_is_much_too_fast_takes_nothing_from_others(device) -> Non
 def test_behind_a_cycle_only_silence_is_waited_for(device) -> None:
     one = device(maxc_ns=2 * MS)
     begin(one, 10 * MS)
-    assert one.table.step(one.now) == 12 * MS
+    assert one.table.step(one.now) == 12 * MS + 10 * US
     end(one, 11 * MS)
     assert one.table.step(one.now) == 30 * MS

@@ -283,6 +283,18 @@ def test_preemption_is_not_charged(core) -> None:
     assert failures(found) == [MAXEXEC]
 
 
+def test_what_a_turn_takes_from_a_cycle_costs_no_further_check(core) -> None:
+    one = core(maxc_ns=2 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    one.now = one.table.step(one.now)  # when the reserve can be used up
+    check = one.now + MS + 10 * US
+    one.at(one.now, cpu_ns=1 * MS)
+    assert one.table.step(one.now) == check
+    found = one.at(check, cpu_ns=1 * MS + 5 * US)  # the turn has taken 5
+    assert failures(found) == [MAXEXEC]
+
+
 def test_a_second_period_gets_its_own_reserve(core) -> None:
     """Stewart 1994, section 6.4: the cycle goes on with what the next one had."""
     one = core(maxc_ns=2 * MS)
