@@ -324,8 +324,7 @@ static inline void rt_meet_dispatcher(struct rt_task *task)
 static inline void rt_request(struct rt_slot *slot, uint32_t ask)
 {
     atomic_fetch_or(&slot->grant.ask, ask);
-    atomic_fetch_add(&slot->grant.bell, 1);
-    rt_futex_wake(&slot->grant.bell);
+    rt_ring(slot);
 }
 
 /* Ask the task to let its extremes begin with its next cycle; `on` does it, too. */
