@@ -586,7 +586,7 @@ static void lend_late(void)
 }
 
 /* A task that ends its cycle before the dispatcher says when the next one is sleeps until it
- * is woken. So there is no lease. */
+ * is woken. So there is no lease, and the task is woken to read it: the next turn lends. */
 static void end_before_lend(void)
 {
     begin(2000 * US, 0);
@@ -599,8 +599,11 @@ static void end_before_lend(void)
     require(runs_now[0], "granted");
     finish(0);
     wake(0);
-    require(!runs_now[0], "it sleeps");
+    require(!runs_now[0] && !slept_until, "it sleeps");
     require(rt_lend(&table, due) == due && !rt_is_lent(&table), "its next release is a turn's");
+    require(woken, "it reads when that is");
+    kick();
+    require(rt_is_lent(&table), "or its own, after another turn");
     rest();
 }
 
