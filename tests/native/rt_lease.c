@@ -607,7 +607,7 @@ static void end_before_lend(void)
     rest();
 }
 
-/* The dispatcher is blocked, and the task's release comes; then that can not be kept any more. */
+/* The release comes while the dispatcher is blocked, and then its MINC fits no more. */
 static void come_and_pass(void)
 {
     now = atomic_load(&table.next_ns[0]);
@@ -619,7 +619,7 @@ static void come_and_pass(void)
  * next one: also not if the release is given up before it is granted, and a lease follows. */
 static void blocked_turn(void)
 {
-    static const struct rt_settings none = {
+    static const struct rt_settings minc = {
         .pid = -1, .crit = -1, .priority = -1, .kind = -1, .drop = -1, .handler = -1,
         .tells = -1, .period_ns = -1, .deadline_ns = -1, .minc_ns = 1500 * US,
         .maxc_ns = -1, .hang_ns = -1};
@@ -627,7 +627,7 @@ static void blocked_turn(void)
     for (int64_t steps = 0; steps < 100; steps++) {
         const struct rt_state *s = &table.slots[0].state;
         begin(2000 * US, 0);
-        rt_configure(&table, 0, &none);
+        rt_configure(&table, 0, &minc);
         finish(0);
         now += 100 * US;
         kick();
