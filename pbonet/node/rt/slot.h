@@ -306,7 +306,8 @@ static inline void rt_end(struct rt_task *task)
     }
     rt_own_up(task->table, task->slot, task->dl_ns);
     /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
-     * others wait, or the dispatcher sees that the cycle has ended. */
+     * others wait, or the dispatcher sees that the cycle has ended. With rt_publish_next as
+     * well: either the next sleep sees the new release, or the dispatcher sees the end. */
     atomic_store(&task->slot->post.done, task->seq);
     if (atomic_load(&task->table->waiting))
         rt_kick(task->table);
