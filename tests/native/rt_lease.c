@@ -53,6 +53,10 @@ static int64_t now, timers[FDS];
 static int order[2], n_timers;          /* which timers were set last, and how many */
 static int64_t firsts[TASKS], lasts[TASKS], runs[TASKS], taken;
 static int runs_now[TASKS], leads, amid_turn, has_kicked;
+static int blocks;                      /* whether others run amid a turn */
+static uint32_t slept_bell;             /* the bell of the first task as it fell asleep ... */
+static int64_t slept_until;             /* ... and until when; 0: until it is woken */
+static int woken;                       /* it has been woken since */
 static int64_t steps_left = -1;         /* until something happens; -1: nothing will */
 static void (*happens)(void);
 static jmp_buf killed;
@@ -60,10 +64,10 @@ static jmp_buf killed;
 static void die(void);
 
 /* Between two turns anything may come, but a turn is one step of the core, unless its leader
- * is killed. */
+ * is killed or blocked. */
 static void step(void)
 {
-    if (steps_left >= 0 && (!amid_turn || happens == die) && !steps_left--)
+    if (steps_left >= 0 && (!amid_turn || blocks || happens == die) && !steps_left--)
         happens();
 }
 
@@ -119,6 +123,13 @@ static long call_kernel(long number, ...)
         has_kicked = 1;
         if (leads && !amid_turn)
             turn(0);
+    }
+    if (at == &tasks[0].slot->grant.bell && op == FUTEX_WAKE)
+        woken = *(_Atomic uint32_t *)at != slept_bell;
+    if (at == &tasks[0].slot->grant.bell && op == FUTEX_WAIT_BITSET) {
+        slept_bell = value;
+        slept_until = until ? nanoseconds(until) : 0;
+        woken = 0;
     }
     errno = EINTR;
     if (op == FUTEX_WAIT_BITSET && *(_Atomic uint32_t *)at != value)
@@ -320,7 +331,7 @@ static void configure(int i, int64_t period, int64_t maxc, int tells)
 {
     struct rt_settings s = {.pid = i + 1, .crit = 5, .priority = 0, .kind = -1,
                             .period_ns = period, .deadline_ns = 0, .drop = 5, .handler = -1,
-                            .tells = tells, .minc_ns = -1, .maxc_ns = maxc, .hang_ns = -1};
+                            .tells = tells, .minc_ns = 0, .maxc_ns = maxc, .hang_ns = -1};
     rt_configure(&table, i, &s);
 }
 
@@ -575,7 +586,7 @@ static void lend_late(void)
 }
 
 /* A task that ends its cycle before the dispatcher says when the next one is sleeps until it
- * is woken. So there is no lease. */
+ * is woken. So there is no lease, and the task is woken to read it: the next turn lends. */
 static void end_before_lend(void)
 {
     begin(2000 * US, 0);
@@ -588,9 +599,59 @@ static void end_before_lend(void)
     require(runs_now[0], "granted");
     finish(0);
     wake(0);
-    require(!runs_now[0], "it sleeps");
+    require(!runs_now[0] && !slept_until, "it sleeps");
     require(rt_lend(&table, due) == due && !rt_is_lent(&table), "its next release is a turn's");
+    require(woken, "it reads when that is");
+    kick();
+    require(rt_is_lent(&table), "or its own, after another turn");
     rest();
+}
+
+/* The release comes while the dispatcher is blocked, and then its MINC fits no more. */
+static void come_and_pass(void)
+{
+    now = atomic_load(&table.next_ns[0]);
+    wake(0);
+    now += 600 * US;
+}
+
+/* A task whose release comes amid a turn, wherever that is blocked, does not sleep through the
+ * next one: also not if the release is given up before it is granted, and a lease follows. */
+static void blocked_turn(void)
+{
+    static const struct rt_settings minc = {
+        .pid = -1, .crit = -1, .priority = -1, .kind = -1, .drop = -1, .handler = -1,
+        .tells = -1, .period_ns = -1, .deadline_ns = -1, .minc_ns = 1500 * US,
+        .maxc_ns = -1, .hang_ns = -1};
+    int given_up = 0;
+    for (int64_t steps = 0; steps < 100; steps++) {
+        const struct rt_state *s = &table.slots[0].state;
+        begin(2000 * US, 0);
+        rt_configure(&table, 0, &minc);
+        finish(0);
+        now += 100 * US;
+        kick();
+        uint64_t missed = s->missed;
+        happens = come_and_pass;
+        steps_left = steps;
+        amid_turn = blocks = 1;
+        int64_t due = rt_turn(&table, now, 0, 0, no_cpu);
+        rt_turn_end(&table);
+        due = rt_lend(&table, due);
+        amid_turn = blocks = 0;
+        int has_come = steps_left < 0, ran = runs_now[0];
+        steps_left = -1;
+        if (due <= now)
+            turn(0);
+        int gone = !ran && s->missed > missed;
+        given_up += gone && rt_is_lent(&table);
+        require(!gone || woken || slept_until == atomic_load(&table.next_ns[0]),
+                "it wakes up at its next release");
+        require(has_come || !gone, "given up for that");
+        configure(0, 2000 * US, 0, 0);
+        rest();
+    }
+    require(given_up > 5, "given up, and lent after that");
 }
 
 /* No lease is much longer than 50 ms, however far away the next release is. */
@@ -663,6 +724,7 @@ int main(int argc, char **argv)
         end_amid_lend();
         lend_late();
         end_before_lend();
+        blocked_turn();
         slow();
         other_period();
         other_life();

@@ -306,7 +306,8 @@ static inline void rt_end(struct rt_task *task)
     }
     rt_own_up(task->table, task->slot, task->dl_ns);
     /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
-     * others wait, or the dispatcher sees that the cycle has ended. */
+     * others wait, or the dispatcher sees that the cycle has ended. With rt_publish_next as
+     * well: either the next sleep sees the new release, or the dispatcher sees the end. */
     atomic_store(&task->slot->post.done, task->seq);
     if (atomic_load(&task->table->waiting))
         rt_kick(task->table);
@@ -324,8 +325,7 @@ static inline void rt_meet_dispatcher(struct rt_task *task)
 static inline void rt_request(struct rt_slot *slot, uint32_t ask)
 {
     atomic_fetch_or(&slot->grant.ask, ask);
-    atomic_fetch_add(&slot->grant.bell, 1);
-    rt_futex_wake(&slot->grant.bell);
+    rt_ring(slot);
 }
 
 /* Ask the task to let its extremes begin with its next cycle; `on` does it, too. */

@@ -79,6 +79,13 @@ static inline void rt_kick(struct rt_table *t)
     rt_futex_wake(&t->mailbox);
 }
 
+/* Wake the task of a slot, after a change of what it reads. */
+static inline void rt_ring(struct rt_slot *slot)
+{
+    atomic_fetch_add(&slot->grant.bell, 1);
+    rt_futex_wake(&slot->grant.bell);
+}
+
 /* Ask the leader to set the levels of all tasks again: another program changed one. */
 static inline void rt_relevel(struct rt_table *t)
 {

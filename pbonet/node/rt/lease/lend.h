@@ -193,14 +193,23 @@ static inline void rt_lend_to(struct rt_slot *slot)
     atomic_store_explicit(&g->seq, s->seq, memory_order_relaxed);
 }
 
-/* Write when each task of the core is released next: it sleeps until then. */
+/* Write when each task of the core is released next: it sleeps until then. A task that woke up
+ * amid the turn saw no lease, or ended its cycle before this, and sleeps until it is woken. So
+ * unless its cycle is under way it is woken here. */
 static inline void rt_publish_next(struct rt_table *t)
 {
     int high = (int)atomic_load(&t->high);
     for (int i = 0; i < high; i++) {
-        const struct rt_state *s = &t->slots[i].state;
+        struct rt_slot *slot = &t->slots[i];
+        const struct rt_state *s = &slot->state;
         int64_t next = s->armed && s->kind == RT_PERIODIC ? s->next_ns : 0;
-        atomic_store_explicit(&t->next_ns[i], next, memory_order_relaxed);
+        if (atomic_load_explicit(&t->next_ns[i], memory_order_relaxed) == next)
+            continue;
+        /* SYNC POINT: a cycle is marked as ended before its task loads the bell, and then the
+         * release: the task reads this release, or this sees the end and wakes it. */
+        atomic_store(&t->next_ns[i], next);
+        if (next && !(s->ready && atomic_load(&slot->post.done) != s->seq))
+            rt_ring(slot);
     }
 }
 
