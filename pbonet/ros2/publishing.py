@@ -16,6 +16,7 @@ from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 from . import field_paths
 from ._numbers import Filler
 from .cdr_template import Template
+from .field_paths import Part
 from .message_types import HEADER
 
 if TYPE_CHECKING:
@@ -88,27 +89,28 @@ class Filling:
         types.must_have(about.type, where)
         self.type = about.type
         self._message: Any = types.new(about.type)
-        plan: list[tuple[Leaf, Share]] = []
+        plan: list[Part] = []
         for path, text in about.fields.items():
             share = field_paths.share_of(text, variables, where)
             leaves = field_paths.leaves_of(types, about.type, path, where)
             plan += _shared(leaves, share, variables[share.variable], where)
-        for leaf, _ in plan:
-            field_paths.grow(types, self._message, leaf)
+        field_paths.must_be_whole(plan, about.constants, where)
+        for one in plan:
+            field_paths.grow(types, self._message, one.leaf)
         for path, value in about.constants.items():
             self._set(path, value, where)
-        self.variables = sorted({share.variable for _, share in plan})
+        self.variables = sorted({one.share.variable for one in plan})
         stamps = list(_headers(types, about.type, self._message))
         for header in stamps:
             header.frame_id = about.frame or header.frame_id
             header.stamp.sec = 0  # its place is found by what stands there
-        for leaf, share in plan:
-            field_paths.clear(self._message, leaf, share.end - share.first)
+        for one in plan:
+            field_paths.clear(self._message, one)
         template = Template(types, about.type, self._message)
         self._message_bytes = template.bytes
         self._numbers = [
-            (*field_paths.place(template, self._message, leaf, share), share, leaf)
-            for leaf, share in plan
+            (*field_paths.place(template, self._message, one), one.share, one.leaf)
+            for one in plan
         ]
         self._stamps = [
             template.place(header.stamp, "sec", "int32", None) for header in stamps
@@ -174,7 +176,7 @@ class Message(NamedTuple):
 
 def _shared(
     leaves: Sequence[Leaf], share: Share, variable: Variable, where: str
-) -> list[tuple[Leaf, Share]]:
+) -> list[Part]:
     """Return which elements of a variable go to which number of a message."""
     if variable.dtype[0] == "V":
         raise ConfigError(
@@ -182,7 +184,7 @@ def _shared(
             where=where,
             remedy="publish variables of numbers",
         )
-    found: list[tuple[Leaf, Share]] = []
+    found: list[Part] = []
     first, size = share.first, share.end - share.first
     widths = [field_paths.width(leaf) for leaf in leaves]
     need = sum(one or 0 for one in widths)
@@ -199,7 +201,7 @@ def _shared(
     for leaf, one in zip(leaves, widths, strict=True):
         field_paths.must_fit(leaf, variable, where)
         end = first + (one or 0)
-        found.append((leaf, share._replace(first=first, end=end)))
+        found.append(Part(leaf, share._replace(first=first, end=end)))
         first = end
     return found
 

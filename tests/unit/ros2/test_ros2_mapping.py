@@ -154,6 +154,63 @@ def test_single_numbers_truths_and_lists(types) -> None:
     assert list(line.points[0].positions) == [1, 2, 3]
 
 
+def test_several_variables_are_one_list(types) -> None:
+    parts = {"position[0:3]": "Q_MEZ", "position[5]": "V[5]", "position[3:5]": "X[0:2]"}
+    variables = {"V": Variable(name="V", type="double", nelem=6, units="rad")}
+    variables["X"] = Variable(name="X", type="double", nelem=7, units="rad")
+    about = Publish(topic="t", type=JOINTS, fields=parts)
+    filling = Filling(types, about, VARIABLES | variables, "here")
+    values = {"Q_MEZ": np.array([1.0, 2, 3]), "X": np.arange(7) + 4.0, "V": np.ones(6)}
+    got = decoded(types, JOINTS, filling.of(values).encode(STAMP))
+    assert list(got.position) == [1, 2, 3, 4, 5, 1]
+
+
+def test_some_elements_of_an_array_and_constants_beside_them(types) -> None:
+    got = filled(
+        types,
+        "sensor_msgs/msg/Imu",
+        {"angular_velocity_covariance[4]": "X[6]"},
+        constants={"orientation_covariance": [-1.0, *[0.0] * 8]},
+    )
+    assert list(got.angular_velocity_covariance) == [0] * 4 + [7] + [0] * 4
+    assert list(got.orientation_covariance) == [-1] + [0] * 8
+
+
+@pytest.mark.parametrize(
+    ("fields", "constants", "said"),
+    [
+        ({"position": "Q_MEZ", "position[0:2]": "Q_MEZ[0:2]"}, {}, "is given twice"),
+        ({"position[0:2]": "Q_MEZ[0:2]", "position[1]": "Q_MEZ[0]"}, {}, "given twice"),
+        ({"position": "Q_MEZ"}, {"position": [1.0, 2.0]}, "position is given twice"),
+        ({"header.stamp": "X[0:2]", "header.stamp.sec": "X[2]"}, {}, "given twice"),
+        ({"position[1:3]": "Q_MEZ[0:2]"}, {}, r"nothing gives position\[0:1\]"),
+        ({"position[0:3]": "X"}, {}, "X does not fit.*expected 3 elements, got 7"),
+    ],
+)
+def test_each_number_of_a_message_is_given_once(types, fields, constants, said) -> None:
+    variables = VARIABLES | {"X": Variable(name="X", type="double", nelem=7)}
+    about = Publish(topic="t", type=JOINTS, fields=fields, constants=constants)
+    with pytest.raises(ConfigError, match=said):
+        Filling(types, about, variables, "here")
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "said"),
+    [
+        ("sensor_msgs/msg/Imu", "orientation_covariance[8:10]", "elements 0 to 8"),
+        ("geometry_msgs/msg/Twist", "linear.x[0]", "which is no list"),
+        ("tf2_msgs/msg/TFMessage", "transforms[0:2].transform", "a list of messages"),
+        (JOINTS, "position[3:3]", "elements 0 to 999"),
+    ],
+)
+def test_elements_that_a_message_cannot_have_are_told(types, name, path, said) -> None:
+    """Both ways: a topic that is subscribed would never get one."""
+    with pytest.raises(ConfigError, match=said):
+        filled(types, name, {path: "X"})
+    with pytest.raises(ConfigError, match=said):
+        reading(types, Subscribe(topic="t", type=name, link="x", fields=[path]), "here")
+
+
 @pytest.mark.parametrize(
     ("name", "fields", "said"),
     [
