@@ -18,6 +18,7 @@ from ._numbers import Filler
 from .cdr_template import Template
 from .field_paths import Part
 from .message_types import HEADER
+from .topics_file import JOINT_STATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -87,6 +88,12 @@ class Filling:
         where: str,
     ) -> None:
         types.must_have(about.type, where)
+        if not about.fields:
+            raise ConfigError(
+                "no variable is published",
+                where=where,
+                expected='fields = { FIELD = "VARIABLE" }',
+            )
         self.type = about.type
         self._message: Any = types.new(about.type)
         plan: list[Part] = []
@@ -106,6 +113,7 @@ class Filling:
             header.stamp.sec = 0  # its place is found by what stands there
         for one in plan:
             field_paths.clear(self._message, one)
+        _must_be_of_one_size(about.type, self._message, where)
         template = Template(types, about.type, self._message)
         self._message_bytes = template.bytes
         self._numbers = [
@@ -204,6 +212,22 @@ def _shared(
         found.append(Part(leaf, share._replace(first=first, end=end)))
         first = end
     return found
+
+
+def _must_be_of_one_size(name: str, message: Any, where: str) -> None:  # noqa: ANN401
+    """Refuse a JointState with lists of several sizes, which no node of ROS uses."""
+    if name != JOINT_STATE:
+        return
+    lists = ("name", "position", "velocity", "effort")
+    sizes = {one: len(getattr(message, one)) for one in lists}
+    if len({size for size in sizes.values() if size}) > 1:
+        raise ConfigError(
+            "its lists differ in size",
+            where=where,
+            expected="one size; a list may also be empty",
+            got=" ".join(f"{one}: {size}" for one, size in sizes.items()),
+            remedy="name all joints under `constants`, and only those",
+        )
 
 
 def _as(before: object, value: Plain | list[Plain]) -> object:

@@ -221,6 +221,8 @@ def test_elements_that_a_message_cannot_have_are_told(types, name, path, said) -
         (JOINTS, {"name": "Q_MEZ"}, "name is not a number"),
         (JOINTS, {"header": "X"}, "frame_id is not a number"),
         (JOINTS, {"position": "RAW"}, "RAW is a struct"),
+        (JOINTS, {}, "no variable is published"),
+        (JOINTS, {"effort": "T_MEZ[0:2]", "position": "Q_MEZ"}, "lists differ in size"),
         ("sensor_msgs/msg/JointStat", {"a": "X"}, "no message.*JointState"),
         ("geometry_msgs/msg/Twist", {"linear": "V"}, r"expected 3 elements, got 6"),
         ("geometry_msgs/msg/Twist", {"linear.x.y": "V[0]"}, "has no field y"),
@@ -704,16 +706,40 @@ def test_without_a_file_names_and_units_decide() -> None:
     }
 
 
+TOPIC = "[[publish]]\ntopic = 'a'\ntype = 'b'\nfields = {}\n"
+LINK = "[[subscribe]]\ntopic = 'a'\ntype = 'b'\n"
+ACTION = """[[action]]
+name = "a"
+link = "b"
+joints = []
+desired = "A"
+actual = "B"
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[publish]", "says something that cannot be"),
-        ("nothing = 1", "unknown field"),
+        ("[[publish]", "this is not TOML.*at line 1"),
+        ("nothing = 1", "unknown key 'nothing'.*expected domain node"),
+        ("[[publishes]]", "unknown key 'publishes'.*did you mean publish?"),
+        (f"{TOPIC}max_hertz = 1", r"t.toml: publish\[0\]: unknown .*mean max_hz?"),
+        (f"publish = 3\n{LINK}", r"t.toml: publish: .*got Expected `array`"),
+        (f"{LINK}depth = '1'", r"subscribe\[0\].depth: .*got Expected `int`"),
+        (f"{LINK}link = 'ros2:a'", "a: 'ros2:a' is no name of a link"),
+        (f"{LINK}link = ''", "a: '' is no name of a link"),
+        (f"{LINK}link = 'a'\njoints = ['b', 'b']", "a: the joint b is there twice"),
+        (f"{LINK}link = 'a'\npoints = 10000000", "a: points is out .*1 to 131072"),
+        (f"{LINK}link = 'a'\ndepth = {2**70}", "depth is out of bounds"),
+        (f"{ACTION}feedback_hz = 1", "a: feedback_hz is out of .*5 to 1000, got 1"),
+        (f"{ACTION}feedback_hz = inf", "a: feedback_hz is out of bounds"),
+        (f"node = 'n'\n{TOPIC}{TOPIC.replace('a', '/n/a', 1)}", "/n/a is there twice"),
         ("domain = 233", "no ROS domain"),
         ('node = "a b"', "no name of ROS"),
         ('[[publish]]\ntopic = "a"', "missing required field"),
-        (2 * '[[publish]]\ntopic = "a"\ntype = "b"\nfields = {}\n', "a is there twice"),
-        ('[[publish]]\ntopic = "a"\ntype = "b"\nfields = {}\nmax_hz = 0.0', "above 0"),
+        (2 * TOPIC, "a is there twice"),
+        (f"{TOPIC}max_hz = 0.0", "a: max_hz is out of bounds"),
+        (f"{TOPIC}max_hz = nan", "a: max_hz is out of bounds"),
     ],
 )
 def test_a_wrong_file_is_told(tmp_path, text, said) -> None:
