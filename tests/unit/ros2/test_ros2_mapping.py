@@ -763,3 +763,35 @@ def test_messages_of_a_user(tmp_path) -> None:
         MessageTypes([tmp_path])
     with pytest.raises(ConfigError, match="no messages"):
         MessageTypes([folder])
+
+
+GOAL = "control_msgs/action/FollowJointTrajectory.action"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a/msg/B.msg", b"flot64 x\n", r"B.msg: the field x.*did you mean float64"),
+        ("a/msg/B.msg", b"other/C x\n", r"B.msg: .*unknown type C.*give its .msg file"),
+        ("a/msg/B.msg", b"\xff", r"B.msg: the definition cannot be read"),
+        (GOAL, b"\xff", r"FollowJointTrajectory.action: .*cannot be read"),
+        (GOAL, b"a/B x\n---\n---\n", "FollowJointTrajectory.action: .*unknown type B"),
+        (GOAL, b"float64 x\n---\n---\n", "the goal of control_msgs.*field trajectory"),
+        (GOAL, b"float64 x\n---\n", "FollowJointTrajectory.action: .*got 2 parts"),
+    ],
+)
+def test_a_wrong_definition_is_told_with_its_file(tmp_path, name, text, said) -> None:
+    file = tmp_path / name
+    file.parent.mkdir(parents=True)
+    file.write_bytes(text)
+    with pytest.raises(ConfigError, match=said):
+        MessageTypes([tmp_path]).add_following()
+
+
+def test_messages_of_one_folder_may_have_those_of_another(tmp_path) -> None:
+    for name, text in (("one/a/msg/B.msg", "c/D x\n"), ("two/c/msg/D.msg", "bool y\n")):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True)
+        file.write_text(text)
+    types = MessageTypes([tmp_path / "one", tmp_path / "two"])
+    assert types.has("a/msg/B")
