@@ -250,8 +250,10 @@ def _check(topics: Topics, where: str) -> None:
     for action in topics.action:
         its = f"{where}: {action.name}"
         _must_be_within("feedback_hz", action.feedback_hz, _FEEDBACKS, its)
-    for reader in (*topics.subscribe, *topics.action):
-        _check_reader(reader, where)
+    for link in topics.subscribe:
+        _check_reader(link, where)
+    for action in topics.action:
+        _check_reader(action, where)
 
 
 def _check_reader(reader: Subscribe | Action, where: str) -> None:
