@@ -177,7 +177,7 @@ class _Search:
             raise ConfigError(
                 f"{part} are no elements of {match[1]}",
                 where=self._where,
-                expected=f"elements 0 to {most - 1}; {match[1]}[0:{most}] are all"
+                expected=f"elements 0 to {most - 1}, as {match[1]}[0:{min(most, 3)}]"
                 if most
                 else f"{match[1]}, which is no list",
                 got=self._path,
@@ -293,7 +293,7 @@ def clear(message: Any, part: Part) -> None:  # noqa: ANN401
     Lists of messages on the way are there already (`grow`).
     """
     field = part.leaf.field
-    owner, last = _owner(message, part.leaf)
+    owner, last = owner_of(message, part.leaf)
     size = 1 if field.size is None else max(len(getattr(owner, last)), part.span.end)
     zeros = np.zeros(size, dtype_of(field.type))
     setattr(owner, last, zeros[0].item() if field.size is None else zeros)
@@ -306,14 +306,14 @@ def place(
 ) -> tuple[int, np.dtype[Any]]:
     """Return where the numbers of a part stand in its message, and their type."""
     field = part.leaf.field
-    owner, last = _owner(message, part.leaf)
+    owner, last = owner_of(message, part.leaf)
     dtype = np.dtype(dtype_of(field.type))
     size = None if field.size is None else len(getattr(owner, last))
     begin = template.place(owner, last, dtype.name, size)
     return begin + part.span.first * dtype.itemsize, dtype
 
 
-def _owner(message: Any, leaf: Leaf) -> tuple[Any, str]:  # noqa: ANN401
+def owner_of(message: Any, leaf: Leaf) -> tuple[Any, str]:  # noqa: ANN401
     """Return the message that has a leaf as its field, and the field's name."""
     *way, (last, _) = leaf.steps
     return _walk(message, way), last
@@ -485,7 +485,7 @@ def slices(
     found: list[Slice] = []
     first = 0
     for one in sources:
-        owner, last = _owner(message, one.leaf)
+        owner, last = owner_of(message, one.leaf)
         dtype = np.dtype(dtype_of(one.leaf.field.type))
         size = None if one.leaf.field.size is None else len(getattr(owner, last))
         place = layout.place(owner, last, dtype.name, size)

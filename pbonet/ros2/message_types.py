@@ -117,12 +117,14 @@ class MessageTypes:
         self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         defined: dict[str, Any] = self._store.fielddefs
         defined.update(_as_in_ros(defined))
+        self._files: dict[str, str] = {}
         self.add_service(COMMAND, COMMAND_TEXT)
         for name, text in _PARAMETERS.items():
             self.add_service(
                 f"rcl_interfaces/srv/{name}", text.format("rcl_interfaces/msg")
             )
-        self._add_folders(list(folders))
+        for folder in folders:
+            self._add_folder(folder)
 
     def add(self, name: str, text: str, home: str = "", where: str = "") -> None:
         """Add a message by its definition, the text of a ``.msg`` file.
@@ -135,8 +137,7 @@ class MessageTypes:
             where: The place, for errors.
 
         Raises:
-            ConfigError: It is no definition, has a type that is not known, or differs
-                from a known one.
+            ConfigError: It is no definition, or differs from a known one.
         """
         try:
             found = _as_in_ros(self._sys.get_types_from_msg(text, name))
@@ -151,21 +152,7 @@ class MessageTypes:
                 remedy="write it as in a .msg file of ROS 2; types of messages that "
                 "ROS 2 has cannot be changed",
             ) from None
-        self._must_be_complete(name, where)
-
-    def _must_be_complete(self, name: str, where: str) -> None:
-        """Refuse a message that has a field of a type that is not known."""
-        for field in self.fields(name):
-            if field.nested and not self.has(field.type):
-                short = field.type.rpartition("/")[2]
-                raise ConfigError(
-                    f"the field {field.name} of {name} is of the unknown type {short}",
-                    where=where,
-                    expected="a number's type, string, or a message that is known",
-                    got=field.type,
-                    remedy=did_you_mean(short, _SIMPLE)
-                    or "correct it, or give its .msg file, too",
-                )
+        self._files[name] = where
 
     def add_service(self, name: str, text: str) -> None:
         """Add a service by its definition, the text of a ``.srv`` file.
@@ -228,39 +215,30 @@ class MessageTypes:
             ConfigError: That of the user has no fields that are needed.
         """
         self.add_service(CANCEL, _CANCEL_TEXT)
-        self._add_tolerances()
+        for name, text in _TOLERANCES.items():
+            if not self.has(name):
+                self.add(name, text + _BOUNDS)
         if not self.has(f"{FOLLOW}_Goal"):
             self.add_action(FOLLOW, _FOLLOW_TEXT)
         texts = _SEPARATOR.split(_FOLLOW_TEXT)
         for part, text in zip(_ACTION_PARTS, texts, strict=True):
-            known = {one.name for one in self.fields(f"{FOLLOW}_{part}")}
+            name = f"{FOLLOW}_{part}"
+            self.must_have(name)
+            known = {one.name for one in self.fields(name)}
             wanted = [line.split()[1] for line in text.splitlines()]
             missing = [one for one in wanted if one not in known]
             if missing:
                 raise ConfigError(
                     f"the {part.lower()} of {FOLLOW} has no field {missing[0]}",
+                    where=self._files[name],
                     expected=" ".join(wanted),
                     remedy="give the .action file of ROS 2's control_msgs, or none",
                 )
 
-    def _add_tolerances(self) -> None:
-        for name, text in _TOLERANCES.items():
-            if not self.has(name):
-                self.add(name, text + _BOUNDS)
-
-    def _add_folders(self, folders: list[Path]) -> None:
-        """Add all messages, of which some may have others, and then all actions."""
-        for folder in folders:
-            self._add_messages(folder)
-        for file in (file for folder in folders for file in _files(folder, "msg")):
-            self._must_be_complete(_type_of_file(file), str(file))
-        for file in (file for folder in folders for file in _files(folder, "action")):
-            self._add_tolerances()
-            self.add_action(_type_of_file(file), _text_of(file), str(file))
-
-    def _add_messages(self, folder: Path) -> None:
+    def _add_folder(self, folder: Path) -> None:
         files = _files(folder, "msg")
-        if not files and not _files(folder, "action"):
+        actions = _files(folder, "action")
+        if not files and not actions:
             raise ConfigError(
                 "this folder has no messages",
                 where=str(folder),
@@ -272,7 +250,7 @@ class MessageTypes:
             name = _type_of_file(file)
             text = _text_of(file)
             try:
-                found |= self._sys.get_types_from_msg(text, name)
+                found |= _as_in_ros(self._sys.get_types_from_msg(text, name))
             except Exception as error:  # noqa: BLE001 - what rosbags' parser raises
                 raise ConfigError(
                     f"this is no definition of the message {name}",
@@ -289,13 +267,16 @@ class MessageTypes:
                 got=str(error).partition("\n")[0],
                 remedy="give every message that another one has, too",
             ) from None
+        self._files |= {_type_of_file(file): str(file) for file in files}
+        for file in actions:
+            self.add_action(_type_of_file(file), _text_of(file), str(file))
 
     def has(self, name: str) -> bool:
         """Return whether a message is known."""
         return name in self._store.fielddefs
 
     def must_have(self, name: str, where: str = "") -> None:
-        """Refuse a type that is not known.
+        """Refuse a type that is not known, or has a field of a type that is not.
 
         Raises:
             ConfigError: It is none.
@@ -308,6 +289,23 @@ class MessageTypes:
                 remedy=did_you_mean(name, self._store.fielddefs)
                 or "give its .msg file: `messages` names the folder of its package",
             )
+        for field in self.fields(name):
+            if field.nested:
+                self._must_have_field(name, field, where)
+                self.must_have(field.type, where)
+
+    def _must_have_field(self, name: str, field: Field, where: str) -> None:
+        if self.has(field.type):
+            return
+        short = field.type.rpartition("/")[2]
+        raise ConfigError(
+            f"the field {field.name} of {name} is of the unknown type {short}",
+            where=self._files.get(name) or where,
+            expected="a number's type, string, or a message that is known",
+            got=field.type,
+            remedy=did_you_mean(short, _SIMPLE)
+            or "correct it, or give its .msg file, too",
+        )
 
     def hash(self, name: str) -> str:
         """Return the hash of a message's or service's type, as keys have it."""

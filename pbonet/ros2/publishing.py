@@ -109,6 +109,7 @@ class Filling:
         self.variables = sorted({one.share.variable for one in plan})
         stamps = list(_headers(types, about.type, self._message))
         for header in stamps:
+            self._must_not_give(header.stamp, plan, where)
             header.frame_id = about.frame or header.frame_id
             header.stamp.sec = 0  # its place is found by what stands there
         for one in plan:
@@ -123,6 +124,18 @@ class Filling:
         self._stamps = [
             template.place(header.stamp, "sec", "int32", None) for header in stamps
         ]
+
+    def _must_not_give(self, stamp: Any, plan: list[Part], where: str) -> None:  # noqa: ANN401
+        """Refuse a header's stamp that the file gives, as the bridge sets it."""
+        for one in plan:
+            if field_paths.owner_of(self._message, one.leaf)[0] is stamp:
+                raise ConfigError(
+                    "the stamp of a header is no field to give",
+                    where=where,
+                    expected="other fields; the stamp is the time of the variables",
+                    got=one.leaf.path,
+                    remedy="remove it",
+                )
 
     def _set(self, path: str, value: Plain | list[Plain], where: str) -> None:
         """Set a field that stays as it is."""

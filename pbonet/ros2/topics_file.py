@@ -29,12 +29,14 @@ _JOINT_FIELDS: Final = {
     "effort": ("T", ("N*m", "N")),
 }
 """Fields of JointState, with the variable's name before the ``_`` and its units."""
-_RATES: Final = 0.001, 1e6
+_RATES: Final = 0.001, float("inf")
 """Bounds of `max_hz`."""
 _DEPTHS: Final = 1, 10_000
 _FEEDBACKS: Final = 5.0, 1000.0
 """Bounds of `feedback_hz`; SILENT of `ros_trajectory` is several times the time between
 two, as with every one the task sees that its goal is watched."""
+_GOAL: Final = 8
+"""Bytes before the points in a link's record."""
 _LINK: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
 HOME: Final = "ros2"
 """The part before the colon of a link that a bridge writes."""
@@ -237,7 +239,7 @@ def _check(topics: Topics, where: str) -> None:
                 expected="letters, digits and _, in parts with / between",
                 remedy="rename it",
             )
-    full = [_full_name(topics.node, one.topic) for one in topics.publish]
+    full = [full_name(topics.node or "SUBSYSTEM", one.topic) for one in topics.publish]
     _refuse_twice("topic", full, where)
     links = [one.link for one in topics.subscribe]
     links += [one.link for one in topics.action]
@@ -260,7 +262,8 @@ def _check_reader(reader: Subscribe | Action, where: str) -> None:
     where = f"{where}: {reader.name if isinstance(reader, Action) else reader.topic}"
     _refuse_twice("joint", reader.joints, where)
     row = 8 * (1 + 3 * len(reader.joints))
-    _must_be_within("points", reader.points, (1, LONGEST // row), where)
+    most = (LONGEST - _GOAL) // row
+    _must_be_within("points", reader.points, (1, most), where)
     if not _LINK.fullmatch(reader.link):
         raise ConfigError(
             f"{reader.link!r} is no name of a link",
@@ -271,7 +274,8 @@ def _check_reader(reader: Subscribe | Action, where: str) -> None:
         )
 
 
-def _full_name(node: str, topic: str) -> str:
+def full_name(node: str, topic: str) -> str:
+    """Return the full name of a topic of a node."""
     topic = topic.removeprefix("~/")
     return topic if topic.startswith("/") else f"/{node.strip('/')}/{topic}"
 

@@ -183,6 +183,7 @@ def test_some_elements_of_an_array_and_constants_beside_them(types) -> None:
         ({"position[0:2]": "Q_MEZ[0:2]", "position[1]": "Q_MEZ[0]"}, {}, "given twice"),
         ({"position": "Q_MEZ"}, {"position": [1.0, 2.0]}, "position is given twice"),
         ({"header.stamp": "X[0:2]", "header.stamp.sec": "X[2]"}, {}, "given twice"),
+        ({"header.stamp.sec": "X[0]"}, {}, "stamp of a header.*got header.stamp.sec"),
         ({"position[1:3]": "Q_MEZ[0:2]"}, {}, r"nothing gives position\[0:1\]"),
         ({"position[0:3]": "X"}, {}, "X does not fit.*expected 3 elements, got 7"),
     ],
@@ -729,7 +730,7 @@ actual = "B"
         (f"{LINK}link = 'ros2:a'", "a: 'ros2:a' is no name of a link"),
         (f"{LINK}link = ''", "a: '' is no name of a link"),
         (f"{LINK}link = 'a'\njoints = ['b', 'b']", "a: the joint b is there twice"),
-        (f"{LINK}link = 'a'\npoints = 10000000", "a: points is out .*1 to 131072"),
+        (f"{LINK}link = 'a'\npoints = 10000000", "a: points is out .*1 to 131071"),
         (f"{LINK}link = 'a'\ndepth = {2**70}", "depth is out of bounds"),
         (f"{ACTION}feedback_hz = 1", "a: feedback_hz is out of .*5 to 1000, got 1"),
         (f"{ACTION}feedback_hz = inf", "a: feedback_hz is out of bounds"),
@@ -737,9 +738,10 @@ actual = "B"
         ("domain = 233", "no ROS domain"),
         ('node = "a b"', "no name of ROS"),
         ('[[publish]]\ntopic = "a"', "missing required field"),
-        (2 * TOPIC, "a is there twice"),
+        (2 * TOPIC, "/SUBSYSTEM/a is there twice"),
         (f"{TOPIC}max_hz = 0.0", "a: max_hz is out of bounds"),
         (f"{TOPIC}max_hz = nan", "a: max_hz is out of bounds"),
+        (f"{LINK}link = 'a'\njoints = ['b']\npoints = 32768", "1 to 32767, got 32768"),
     ],
 )
 def test_a_wrong_file_is_told(tmp_path, text, said) -> None:
@@ -765,6 +767,13 @@ def test_messages_of_a_user(tmp_path) -> None:
         MessageTypes([folder])
 
 
+def use(folder):
+    """Use the messages and the action of a folder, as a bridge does."""
+    types = MessageTypes([folder])
+    types.add_following()
+    types.must_have("a/msg/B")
+
+
 GOAL = "control_msgs/action/FollowJointTrajectory.action"
 
 
@@ -785,7 +794,21 @@ def test_a_wrong_definition_is_told_with_its_file(tmp_path, name, text, said) ->
     file.parent.mkdir(parents=True)
     file.write_bytes(text)
     with pytest.raises(ConfigError, match=said):
-        MessageTypes([tmp_path]).add_following()
+        use(tmp_path)
+
+
+def test_a_message_that_is_not_used_may_have_unknown_ones(tmp_path) -> None:
+    """A package of a user may have messages that need others, or a `wstring`."""
+    texts = {"msg/B.msg": "other/C x\n", "msg/D.msg": "wstring x\n"}
+    texts |= {"action/E.action": "other/C x\n---\n---\n", "msg/F.msg": "char x\n"}
+    for name, text in texts.items():
+        file = tmp_path / "a" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    types = MessageTypes([tmp_path])
+    types.add_following()
+    types.must_have("a/msg/F")
+    assert types.new("a/msg/F").x == 0
 
 
 def test_messages_of_one_folder_may_have_those_of_another(tmp_path) -> None:
@@ -794,4 +817,5 @@ def test_messages_of_one_folder_may_have_those_of_another(tmp_path) -> None:
         file.parent.mkdir(parents=True)
         file.write_text(text)
     types = MessageTypes([tmp_path / "one", tmp_path / "two"])
-    assert types.has("a/msg/B")
+    types.must_have("a/msg/B")
+    assert types.new("a/msg/B").x.y is False
