@@ -20,7 +20,8 @@ from .repeated_warnings import Warnings
 from .ros_node import RosNode
 from .rosout import Rosout
 from .services import Services
-from .subscribing import HOME, Incoming
+from .subscribing import Incoming
+from .topics_file import HOME
 from .trajectory_action import TrajectoryAction
 from .wire_format import Kind, Node
 

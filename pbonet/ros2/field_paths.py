@@ -13,7 +13,7 @@ from pbonet.errors import ConfigError, ProtocolError, did_you_mean
 from .message_types import dtype_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -65,10 +65,10 @@ UNITS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
 
 
 class Span(NamedTuple):
-    """Some elements; an end of None: all from the first."""
+    """Some elements of a list."""
 
-    first: int = 0
-    end: int | None = None
+    first: int
+    end: int
 
 
 class Leaf(NamedTuple):
@@ -171,19 +171,25 @@ class _Search:
             return fields[match[1]], None
         first = int(match[2])
         end = first + 1 if match[3] is None else int(match[3])
-        if not first < end <= _MOST or fields[match[1]].size is None:
+        size = fields[match[1]].size
+        most = 0 if size is None else size or _MOST
+        if not first < end <= most:
             raise ConfigError(
-                f"{part} are no elements of a list",
+                f"{part} are no elements of {match[1]}",
                 where=self._where,
+                expected=f"elements 0 to {most - 1}, as {match[1]}[0:{min(most, 3)}]"
+                if most
+                else f"{match[1]}, which is no list",
                 got=self._path,
-                remedy=f"{match[1]}[0:3] are the first three of a list",
             )
         return fields[match[1]], Span(first, end)
 
     def _element(self, field: Field, span: Span | None) -> int | None:
         """Return which message of a list of messages is meant."""
-        if (field.size is None) == (span is None):
-            return None if span is None else span.first
+        if span is None and field.size is None:
+            return None
+        if span is not None and span.end == span.first + 1:
+            return span.first
         raise ConfigError(
             f"{field.name} is a list of messages",
             where=self._where,
@@ -231,30 +237,83 @@ class _Search:
 # -- writing --------------------------------------------------------------------------
 
 
-def clear(message: Any, leaf: Leaf, size: int) -> None:  # noqa: ANN401
-    """Let a leaf of a message be `size` zeros.
+class Part(NamedTuple):
+    """Elements of a variable that become a leaf of a message."""
+
+    leaf: Leaf
+    share: Share
+
+    @property
+    def span(self) -> Span:
+        """Which elements of the leaf they are."""
+        return self.leaf.span or Span(0, self.share.end - self.share.first)
+
+
+def must_be_whole(parts: Sequence[Part], constants: Iterable[str], where: str) -> None:
+    """Refuse numbers of a message that are given twice, and lists with gaps.
+
+    Raises:
+        ConfigError: There are such numbers.
+    """
+    given: dict[str, list[Part]] = {}
+    for one in parts:
+        given.setdefault(_full_path(one.leaf), []).append(one)
+    for path, its in given.items():
+        its.sort(key=lambda one: one.span)
+        end = 0
+        for one in its:
+            first = one.span.first
+            if first < end or path in constants:
+                raise ConfigError(
+                    f"{one.leaf.path} is given twice",
+                    where=where,
+                    expected="each number of a message once",
+                    remedy="remove one of them from `fields` and `constants`",
+                )
+            if first > end and one.leaf.field.size == 0:
+                raise ConfigError(
+                    f"nothing gives {path}[{end}:{first}]",
+                    where=where,
+                    expected="all elements of a list, from 0 on",
+                    got=one.leaf.path,
+                )
+            end = one.span.end
+
+
+def _full_path(leaf: Leaf) -> str:
+    """Return the path of a leaf alone, without the elements."""
+    return ".".join(
+        name if index is None else f"{name}[{index}]" for name, index in leaf.steps
+    )
+
+
+def clear(message: Any, part: Part) -> None:  # noqa: ANN401
+    """Let a leaf of a message be zeros, at least as many as a part needs.
 
     Lists of messages on the way are there already (`grow`).
     """
-    owner, last = _owner(message, leaf)
-    zeros = np.zeros(size, dtype_of(leaf.field.type))
-    setattr(owner, last, zeros[0].item() if leaf.field.size is None else zeros)
+    field = part.leaf.field
+    owner, last = owner_of(message, part.leaf)
+    size = 1 if field.size is None else max(len(getattr(owner, last)), part.span.end)
+    zeros = np.zeros(size, dtype_of(field.type))
+    setattr(owner, last, zeros[0].item() if field.size is None else zeros)
 
 
 def place(
     template: Template,
     message: Any,  # noqa: ANN401
-    leaf: Leaf,
-    share: Share,
+    part: Part,
 ) -> tuple[int, np.dtype[Any]]:
-    """Return where the numbers of a leaf stand in its message, and their type."""
-    owner, last = _owner(message, leaf)
-    kind = dtype_of(leaf.field.type)
-    size = None if leaf.field.size is None else share.end - share.first
-    return template.place(owner, last, kind, size), np.dtype(kind)
+    """Return where the numbers of a part stand in its message, and their type."""
+    field = part.leaf.field
+    owner, last = owner_of(message, part.leaf)
+    dtype = np.dtype(dtype_of(field.type))
+    size = None if field.size is None else len(getattr(owner, last))
+    begin = template.place(owner, last, dtype.name, size)
+    return begin + part.span.first * dtype.itemsize, dtype
 
 
-def _owner(message: Any, leaf: Leaf) -> tuple[Any, str]:  # noqa: ANN401
+def owner_of(message: Any, leaf: Leaf) -> tuple[Any, str]:  # noqa: ANN401
     """Return the message that has a leaf as its field, and the field's name."""
     *way, (last, _) = leaf.steps
     return _walk(message, way), last
@@ -315,6 +374,8 @@ def width(leaf: Leaf) -> int | None:
     """Return how many numbers a leaf takes; None: as many as there are."""
     if leaf.field.size is None:
         return 1
+    if leaf.span is not None:
+        return leaf.span.end - leaf.span.first
     return leaf.field.size or None
 
 
@@ -353,8 +414,7 @@ def source(leaf: Leaf, joints: int, where: str) -> Source:
         ConfigError: How many elements it has is not said.
     """
     if leaf.span is not None:
-        end = leaf.span.end or 0
-        return Source(leaf, end - leaf.span.first, by_joint=False)
+        return Source(leaf, leaf.span.end - leaf.span.first, by_joint=False)
     size = width(leaf)
     if size is None and not joints:
         raise ConfigError(
@@ -425,7 +485,7 @@ def slices(
     found: list[Slice] = []
     first = 0
     for one in sources:
-        owner, last = _owner(message, one.leaf)
+        owner, last = owner_of(message, one.leaf)
         dtype = np.dtype(dtype_of(one.leaf.field.type))
         size = None if one.leaf.field.size is None else len(getattr(owner, last))
         place = layout.place(owner, last, dtype.name, size)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from pbonet.errors import ConfigError, ProtocolError, did_you_mean
+from pbonet.errors import ConfigError, ConfigFileError, ProtocolError, did_you_mean
 from pbonet.io import from_extra
 
 if TYPE_CHECKING:
@@ -75,6 +75,10 @@ _PARAMETERS: Final = {
 """Services by which every node of ROS 2 shows its parameters."""
 _INFO: Final = "service_msgs/msg/ServiceEventInfo"
 _PARTS: Final = 3
+_SIMPLE: Final = (
+    *("bool", "byte", "char", "string", "float32", "float64"),
+    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+)
 _SEPARATOR: Final = re.compile(r"^---[ \t]*(?:\n|$)", re.MULTILINE)
 _ACTION_PARTS: Final = ("Goal", "Result", "Feedback")
 _UUID, _TIME = "unique_identifier_msgs/UUID", "builtin_interfaces/Time"
@@ -113,6 +117,7 @@ class MessageTypes:
         self._store: Any = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         defined: dict[str, Any] = self._store.fielddefs
         defined.update(_as_in_ros(defined))
+        self._files: dict[str, str] = {}
         self.add_service(COMMAND, COMMAND_TEXT)
         for name, text in _PARAMETERS.items():
             self.add_service(
@@ -121,7 +126,7 @@ class MessageTypes:
         for folder in folders:
             self._add_folder(folder)
 
-    def add(self, name: str, text: str, home: str = "") -> None:
+    def add(self, name: str, text: str, home: str = "", where: str = "") -> None:
         """Add a message by its definition, the text of a ``.msg`` file.
 
         Args:
@@ -129,6 +134,7 @@ class MessageTypes:
             text: The definition.
             home: Where messages without a package are, ``PACKAGE/msg``; empty: beside
                 this one.
+            where: The place, for errors.
 
         Raises:
             ConfigError: It is no definition, or differs from a known one.
@@ -141,10 +147,12 @@ class MessageTypes:
         except Exception as error:  # noqa: BLE001 - what rosbags' parser raises
             raise ConfigError(
                 f"this is no definition of the message {name}",
+                where=where,
                 got=str(error).partition("\n")[0] or type(error).__name__,
                 remedy="write it as in a .msg file of ROS 2; types of messages that "
                 "ROS 2 has cannot be changed",
             ) from None
+        self._files[name] = where
 
     def add_service(self, name: str, text: str) -> None:
         """Add a service by its definition, the text of a ``.srv`` file.
@@ -166,8 +174,13 @@ class MessageTypes:
             f"{name}_Event event_message\n",
         )
 
-    def add_action(self, name: str, text: str) -> None:
+    def add_action(self, name: str, text: str, where: str = "") -> None:
         """Add an action by its definition, the text of an ``.action`` file.
+
+        Args:
+            name: Its name.
+            text: The definition.
+            where: The place, for errors.
 
         Raises:
             ConfigError: It is no definition.
@@ -177,12 +190,13 @@ class MessageTypes:
         if len(texts) != len(_ACTION_PARTS):
             raise ConfigError(
                 f"this is no definition of the action {name}",
+                where=where,
                 expected="goal, result and feedback, with lines of --- between",
                 got=f"{len(texts)} parts",
                 remedy="write it as in an .action file of ROS 2",
             )
         for part, its in zip(_ACTION_PARTS, texts, strict=True):
-            self.add(f"{name}_{part}", its, f"{package}/msg")
+            self.add(f"{name}_{part}", its, f"{package}/msg", where)
         goal_id = f"{_UUID} goal_id\n"
         self.add_service(
             f"{name}_SendGoal",
@@ -195,17 +209,35 @@ class MessageTypes:
         self.add(f"{name}_FeedbackMessage", f"{goal_id}{name}_Feedback feedback\n")
 
     def add_following(self) -> None:
-        """Add the action of a controller of trajectories, unless a user gave it."""
+        """Add the action of a controller of trajectories, unless a user gave it.
+
+        Raises:
+            ConfigError: That of the user has no fields that are needed.
+        """
         self.add_service(CANCEL, _CANCEL_TEXT)
         for name, text in _TOLERANCES.items():
             if not self.has(name):
                 self.add(name, text + _BOUNDS)
         if not self.has(f"{FOLLOW}_Goal"):
             self.add_action(FOLLOW, _FOLLOW_TEXT)
+        texts = _SEPARATOR.split(_FOLLOW_TEXT)
+        for part, text in zip(_ACTION_PARTS, texts, strict=True):
+            name = f"{FOLLOW}_{part}"
+            self.must_have(name)
+            known = {one.name for one in self.fields(name)}
+            wanted = [line.split()[1] for line in text.splitlines()]
+            missing = [one for one in wanted if one not in known]
+            if missing:
+                raise ConfigError(
+                    f"the {part.lower()} of {FOLLOW} has no field {missing[0]}",
+                    where=self._files[name],
+                    expected=" ".join(wanted),
+                    remedy="give the .action file of ROS 2's control_msgs, or none",
+                )
 
     def _add_folder(self, folder: Path) -> None:
-        files = sorted(folder.glob("*/msg/*.msg"))
-        actions = sorted(folder.glob("*/action/*.action"))
+        files = _files(folder, "msg")
+        actions = _files(folder, "action")
         if not files and not actions:
             raise ConfigError(
                 "this folder has no messages",
@@ -216,9 +248,9 @@ class MessageTypes:
         found: dict[str, Any] = {}
         for file in files:
             name = _type_of_file(file)
+            text = _text_of(file)
             try:
-                text = file.read_text(encoding="utf-8")
-                found |= self._sys.get_types_from_msg(text, name)
+                found |= _as_in_ros(self._sys.get_types_from_msg(text, name))
             except Exception as error:  # noqa: BLE001 - what rosbags' parser raises
                 raise ConfigError(
                     f"this is no definition of the message {name}",
@@ -235,15 +267,16 @@ class MessageTypes:
                 got=str(error).partition("\n")[0],
                 remedy="give every message that another one has, too",
             ) from None
+        self._files |= {_type_of_file(file): str(file) for file in files}
         for file in actions:
-            self.add_action(_type_of_file(file), file.read_text(encoding="utf-8"))
+            self.add_action(_type_of_file(file), _text_of(file), str(file))
 
     def has(self, name: str) -> bool:
         """Return whether a message is known."""
         return name in self._store.fielddefs
 
     def must_have(self, name: str, where: str = "") -> None:
-        """Refuse a type that is not known.
+        """Refuse a type that is not known, or has a field of a type that is not.
 
         Raises:
             ConfigError: It is none.
@@ -256,6 +289,23 @@ class MessageTypes:
                 remedy=did_you_mean(name, self._store.fielddefs)
                 or "give its .msg file: `messages` names the folder of its package",
             )
+        for field in self.fields(name):
+            if field.nested:
+                self._must_have_field(name, field, where)
+                self.must_have(field.type, where)
+
+    def _must_have_field(self, name: str, field: Field, where: str) -> None:
+        if self.has(field.type):
+            return
+        short = field.type.rpartition("/")[2]
+        raise ConfigError(
+            f"the field {field.name} of {name} is of the unknown type {short}",
+            where=self._files.get(name) or where,
+            expected="a number's type, string, or a message that is known",
+            got=field.type,
+            remedy=did_you_mean(short, _SIMPLE)
+            or "correct it, or give its .msg file, too",
+        )
 
     def hash(self, name: str) -> str:
         """Return the hash of a message's or service's type, as keys have it."""
@@ -318,6 +368,23 @@ class MessageTypes:
                 got=f"{len(data)} bytes: {type(error).__name__}",
                 remedy="its sender has another definition of the type",
             ) from None
+
+
+def _files(folder: Path, kind: str) -> list[Path]:
+    """Return the files of messages (``msg``) or actions (``action``) in a folder."""
+    return sorted(folder.glob(f"*/{kind}/*.{kind}"))
+
+
+def _text_of(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigFileError(
+            "the definition cannot be read",
+            where=str(file),
+            got=getattr(error, "strerror", None) or str(error),
+            remedy="write it in UTF-8, and let this user read it",
+        ) from None
 
 
 def _type_of_file(file: Path) -> str:

@@ -16,7 +16,9 @@ from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 from . import field_paths
 from ._numbers import Filler
 from .cdr_template import Template
+from .field_paths import Part
 from .message_types import HEADER
+from .topics_file import JOINT_STATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -86,33 +88,54 @@ class Filling:
         where: str,
     ) -> None:
         types.must_have(about.type, where)
+        if not about.fields:
+            raise ConfigError(
+                "no variable is published",
+                where=where,
+                expected='fields = { FIELD = "VARIABLE" }',
+            )
         self.type = about.type
         self._message: Any = types.new(about.type)
-        plan: list[tuple[Leaf, Share]] = []
+        plan: list[Part] = []
         for path, text in about.fields.items():
             share = field_paths.share_of(text, variables, where)
             leaves = field_paths.leaves_of(types, about.type, path, where)
             plan += _shared(leaves, share, variables[share.variable], where)
-        for leaf, _ in plan:
-            field_paths.grow(types, self._message, leaf)
+        field_paths.must_be_whole(plan, about.constants, where)
+        for one in plan:
+            field_paths.grow(types, self._message, one.leaf)
         for path, value in about.constants.items():
             self._set(path, value, where)
-        self.variables = sorted({share.variable for _, share in plan})
+        self.variables = sorted({one.share.variable for one in plan})
         stamps = list(_headers(types, about.type, self._message))
         for header in stamps:
+            self._must_not_give(header.stamp, plan, where)
             header.frame_id = about.frame or header.frame_id
             header.stamp.sec = 0  # its place is found by what stands there
-        for leaf, share in plan:
-            field_paths.clear(self._message, leaf, share.end - share.first)
+        for one in plan:
+            field_paths.clear(self._message, one)
+        _must_be_of_one_size(about.type, self._message, where)
         template = Template(types, about.type, self._message)
         self._message_bytes = template.bytes
         self._numbers = [
-            (*field_paths.place(template, self._message, leaf, share), share, leaf)
-            for leaf, share in plan
+            (*field_paths.place(template, self._message, one), one.share, one.leaf)
+            for one in plan
         ]
         self._stamps = [
             template.place(header.stamp, "sec", "int32", None) for header in stamps
         ]
+
+    def _must_not_give(self, stamp: Any, plan: list[Part], where: str) -> None:  # noqa: ANN401
+        """Refuse a header's stamp that the file gives, as the bridge sets it."""
+        for one in plan:
+            if field_paths.owner_of(self._message, one.leaf)[0] is stamp:
+                raise ConfigError(
+                    "the stamp of a header is no field to give",
+                    where=where,
+                    expected="other fields; the stamp is the time of the variables",
+                    got=one.leaf.path,
+                    remedy="remove it",
+                )
 
     def _set(self, path: str, value: Plain | list[Plain], where: str) -> None:
         """Set a field that stays as it is."""
@@ -174,7 +197,7 @@ class Message(NamedTuple):
 
 def _shared(
     leaves: Sequence[Leaf], share: Share, variable: Variable, where: str
-) -> list[tuple[Leaf, Share]]:
+) -> list[Part]:
     """Return which elements of a variable go to which number of a message."""
     if variable.dtype[0] == "V":
         raise ConfigError(
@@ -182,7 +205,7 @@ def _shared(
             where=where,
             remedy="publish variables of numbers",
         )
-    found: list[tuple[Leaf, Share]] = []
+    found: list[Part] = []
     first, size = share.first, share.end - share.first
     widths = [field_paths.width(leaf) for leaf in leaves]
     need = sum(one or 0 for one in widths)
@@ -199,9 +222,25 @@ def _shared(
     for leaf, one in zip(leaves, widths, strict=True):
         field_paths.must_fit(leaf, variable, where)
         end = first + (one or 0)
-        found.append((leaf, share._replace(first=first, end=end)))
+        found.append(Part(leaf, share._replace(first=first, end=end)))
         first = end
     return found
+
+
+def _must_be_of_one_size(name: str, message: Any, where: str) -> None:  # noqa: ANN401
+    """Refuse a JointState with lists of several sizes, which no node of ROS uses."""
+    if name != JOINT_STATE:
+        return
+    lists = ("name", "position", "velocity", "effort")
+    sizes = {one: len(getattr(message, one)) for one in lists}
+    if len({size for size in sizes.values() if size}) > 1:
+        raise ConfigError(
+            "its lists differ in size",
+            where=where,
+            expected="one size; a list may also be empty",
+            got=" ".join(f"{one}: {size}" for one, size in sizes.items()),
+            remedy="name all joints under `constants`, and only those",
+        )
 
 
 def _as(before: object, value: Plain | list[Plain]) -> object:

@@ -341,7 +341,10 @@ class RosNode:
 
         def take(query: zenoh.Query) -> None:
             try:
+                must_be_short(_size_of(query))
                 requests.put_nowait((answer, end, query))
+            except ProtocolError as error:
+                _refuse(query, str(error))
             except queue.Full:
                 _refuse(query, f"{end.name}: too many requests wait; ask again")
 
@@ -427,7 +430,6 @@ class RosNode:
                 query.attachment.to_bytes() if query.attachment else b""
             )
             data = query.payload.to_bytes() if query.payload else b""
-            must_be_short(len(data))
             request = self.types.decode(f"{end.type}_Request", data)
         except ProtocolError as error:
             _refuse(query, str(error))
@@ -479,6 +481,12 @@ class RosNode:
             self.warnings.warn(name, "it could not be sent", f": {error}")
         except Exception as error:  # noqa: BLE001 - no message ends the node
             self.warnings.failed(name, error)
+
+
+def _size_of(query: Any) -> int:  # noqa: ANN401 - as above
+    """Return how many bytes of a sender's choice a request has."""
+    parts = query.payload, query.attachment, str(query.parameters)
+    return sum(len(one) for one in parts if one is not None)
 
 
 def _refuse(query: Any, text: str) -> None:  # noqa: ANN401 - as above

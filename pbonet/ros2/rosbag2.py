@@ -56,7 +56,8 @@ def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
     topics = topics or topics_file.by_names(variables.values())
     types = MessageTypes(topics.folders)
     made = publishing.fillings(types, topics.publish, variables, str(log.path))
-    node = topics.node or str(log.about.get("subsystem", "pbonet"))
+    subsystem = str(log.about.get("subsystem", "pbonet"))
+    node = topics.node or subsystem.replace("-", "_")
     counts: dict[str, int] = {}
     arrays = cache(log.arrays)
     plugin = rosbag2.StoragePlugin.MCAP
@@ -65,7 +66,7 @@ def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
             streams: list[Iterator[tuple[int, int, bytes]]] = []
             ends: list[Any] = []
             for about, filling in made:
-                name = full_name(node, about.topic)
+                name = topics_file.full_name(node, about.topic)
                 counts[name] = 0
                 streams.append(_messages(log, arrays, filling, len(ends)))
                 ends.append(bag.add_connection(name, about.type, typestore=types.store))
@@ -80,13 +81,6 @@ def export(log: Log, out: Path, topics: Topics | None = None) -> dict[str, int]:
             remedy="choose a folder that does not exist",
         ) from None
     return counts
-
-
-def full_name(node: str, topic: str) -> str:
-    """Return the full name of a topic of a node."""
-    if topic.startswith("/"):
-        return topic
-    return f"/{node.strip('/').replace('-', '_')}/{topic.removeprefix('~/')}"
 
 
 def _recorded(log: Log) -> dict[str, Variable]:

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .repeated_warnings import Warnings
     from .topics_file import Subscribe
 
-HOME: Final = "ros2"
-"""The part before the colon of a link that a bridge writes."""
 _NAMES: Final = ("name", "joint_names")
 """Fields of messages that name joints."""
 _COLUMNS: Final = ("positions", "velocities", "accelerations")
@@ -146,11 +144,11 @@ class Trajectory:
 
     def __init__(self, types: MessageTypes, about: Subscribe, where: str) -> None:
         types.must_have(about.type, where)
-        if not about.joints or about.points < 1 or about.fields:
+        if not about.joints or about.fields:
             raise ConfigError(
                 "a trajectory needs its joints, and no fields",
                 where=where,
-                expected='joints = ["joint1", "joint2"], and points above 0',
+                expected='joints = ["joint1", "joint2"]',
             )
         self._joints = _Joints(about.joints)
         self._count = len(about.joints)

@@ -6,15 +6,15 @@ import os
 import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import msgspec
 from msgspec import Struct
 
 from pbonet.analysis.legality import same_unit
-from pbonet.errors import ConfigError, ConfigFileError
+from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
 
-from .wire_format import MOST_DOMAIN, NAME, Qos
+from .wire_format import LONGEST, MOST_DOMAIN, NAME, Qos
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -29,9 +29,17 @@ _JOINT_FIELDS: Final = {
     "effort": ("T", ("N*m", "N")),
 }
 """Fields of JointState, with the variable's name before the ``_`` and its units."""
-_SELDOM: Final = 5.0
-"""Least feedback of an action a second; SILENT of `ros_trajectory` is several times
-the time between."""
+_RATES: Final = 0.001, float("inf")
+"""Bounds of `max_hz`."""
+_DEPTHS: Final = 1, 10_000
+_FEEDBACKS: Final = 5.0, 1000.0
+"""Bounds of `feedback_hz`; SILENT of `ros_trajectory` is several times the time between
+two, as with every one the task sees that its goal is watched."""
+_GOAL: Final = 8
+"""Bytes before the points in a link's record."""
+_LINK: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
+HOME: Final = "ros2"
+"""The part before the colon of a link that a bridge writes."""
 Plain = str | bool | int | float
 
 
@@ -141,6 +149,13 @@ class Topics(Struct, kw_only=True, forbid_unknown_fields=True):
         return int(text)
 
 
+_TABLES: Final[dict[str, type[Struct]]] = {
+    "publish": Publish,
+    "subscribe": Subscribe,
+    "action": Action,
+}
+
+
 def read_topics(path: Path) -> Topics:
     """Return what a bridge's file says.
 
@@ -158,17 +173,57 @@ def read_topics(path: Path) -> Topics:
             remedy="see docs/ros2.md for what stands in it",
         ) from None
     try:
-        found = msgspec.convert(tomllib.loads(text), Topics)
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
         raise ConfigError(
-            "the file of topics says something that cannot be",
+            "this is not TOML",
             where=str(path),
+            expected="key = value",
             got=str(error),
-            remedy="see docs/ros2.md for what stands in it",
+            remedy="write texts in quotes, lists in brackets",
         ) from None
+    found = _converted(table, str(path))
     found.messages = [str(path.parent / folder) for folder in found.messages]
     _check(found, str(path))
     return found
+
+
+def _converted(table: dict[str, Any], where: str) -> Topics:
+    """Return what a file says, unless a key is unknown, missing or of another type."""
+    _must_know(table, Topics, where)
+    for key, kind in _TABLES.items():
+        entries = table.get(key)
+        for place, entry in enumerate(_list_of(entries)):
+            if isinstance(entry, dict):
+                _must_know(
+                    cast("dict[str, Any]", entry), kind, f"{where}: {key}[{place}]"
+                )
+    try:
+        return msgspec.convert(table, Topics)
+    except msgspec.ValidationError as error:
+        what, _, key = str(error).partition(" - at ")
+        key = key.strip("`").removeprefix("$").lstrip(".")
+        raise ConfigError(
+            "the file of topics says something that cannot be",
+            where=f"{where}: {key}" if key else where,
+            got=what,
+            remedy="docs/ros2.md lists the keys",
+        ) from None
+
+
+def _must_know(table: dict[str, Any], kind: type[Struct], where: str) -> None:
+    for key in table:
+        if key not in kind.__struct_fields__:
+            raise ConfigError(
+                f"unknown key {key!r}",
+                where=where,
+                expected=" ".join(kind.__struct_fields__),
+                remedy=did_you_mean(key, kind.__struct_fields__) or "remove it",
+            )
+
+
+def _list_of(entries: object) -> list[object]:
+    return cast("list[object]", entries) if isinstance(entries, list) else []
 
 
 def _check(topics: Topics, where: str) -> None:
@@ -184,23 +239,58 @@ def _check(topics: Topics, where: str) -> None:
                 expected="letters, digits and _, in parts with / between",
                 remedy="rename it",
             )
-    _refuse_twice("topic", [one.topic for one in topics.publish], where)
+    full = [full_name(topics.node or "SUBSYSTEM", one.topic) for one in topics.publish]
+    _refuse_twice("topic", full, where)
     links = [one.link for one in topics.subscribe]
     links += [one.link for one in topics.action]
     _refuse_twice("link", links, where)
     _refuse_twice("action", [one.name for one in topics.action], where)
     for one in (*topics.publish, *topics.subscribe):
-        if not (one.max_hz > 0 and one.depth > 0):
-            raise ConfigError(
-                "max_hz and depth are above 0", where=f"{where}: {one.topic}"
-            )
+        its = f"{where}: {one.topic}"
+        _must_be_within("max_hz", one.max_hz, _RATES, its)
+        _must_be_within("depth", one.depth, _DEPTHS, its)
     for action in topics.action:
-        if not action.feedback_hz >= _SELDOM:
-            raise ConfigError(
-                f"feedback_hz is at least {_SELDOM:g}",
-                where=f"{where}: {action.name}",
-                remedy="with every feedback the task sees that its goal is watched",
-            )
+        its = f"{where}: {action.name}"
+        _must_be_within("feedback_hz", action.feedback_hz, _FEEDBACKS, its)
+    for link in topics.subscribe:
+        _check_reader(link, where)
+    for action in topics.action:
+        _check_reader(action, where)
+
+
+def _check_reader(reader: Subscribe | Action, where: str) -> None:
+    where = f"{where}: {reader.name if isinstance(reader, Action) else reader.topic}"
+    _refuse_twice("joint", reader.joints, where)
+    row = 8 * (1 + 3 * len(reader.joints))
+    most = (LONGEST - _GOAL) // row
+    _must_be_within("points", reader.points, (1, most), where)
+    if not _LINK.fullmatch(reader.link):
+        raise ConfigError(
+            f"{reader.link!r} is no name of a link",
+            where=where,
+            expected="NAME, of letters, digits, and _ - . after the first; tasks read "
+            f"it as {HOME}:NAME",
+            remedy="rename it",
+        )
+
+
+def full_name(node: str, topic: str) -> str:
+    """Return the full name of a topic of a node."""
+    topic = topic.removeprefix("~/")
+    return topic if topic.startswith("/") else f"/{node.strip('/')}/{topic}"
+
+
+def _must_be_within(
+    key: str, value: float, bounds: tuple[float, float], where: str
+) -> None:
+    least, most = bounds
+    if not least <= value <= most:
+        raise ConfigError(
+            f"{key} is out of bounds",
+            where=where,
+            expected=f"{least:g} to {most:g}",
+            got=f"{value:g}",
+        )
 
 
 def _check_domain(topics: Topics, where: str) -> None:

@@ -23,6 +23,8 @@ LONGEST: Final = 1 << 20
 """Bytes of the longest message or request that is decoded, as of a link's record."""
 MOST_DOMAIN: Final = 232
 """The largest domain id of ROS 2."""
+_LONGEST_TOKEN: Final = 2048
+"""Bytes of the longest token that is read; names of ROS have at most 255 each."""
 NAME: Final = re.compile(r"/?[A-Za-z_~][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 """A topic, service or node; without the first slash it belongs to the node."""
 _NUMBER: Final = re.compile(r"[0-9]{1,20}")
@@ -189,7 +191,9 @@ def tokens_of(domain: int) -> str:
 
 
 def parse_token(key: str) -> Node | End | None:
-    """Return what a token says; None if it is none that we understand."""
+    """Return what a token says; None if it is none that we understand, or too long."""
+    if len(key) > _LONGEST_TOKEN or not key.isascii():
+        return None
     parts = key.split("/")
     if len(parts) not in {_NODE_PARTS, _END_PARTS} or parts[0] != ADMIN:
         return None

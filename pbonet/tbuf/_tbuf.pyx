@@ -87,9 +87,12 @@ cdef class Buffer:
         madvise(at, self.bytes, 23)     # MADV_POPULATE_WRITE: no page faults in a cycle
 
     def __dealloc__(self):
-        self.unmap()
+        self.drop()
 
     def unmap(self) -> None:
+        self.drop()
+
+    cdef drop(self):            # at the end of a process methods may be gone
         if self.b is not NULL:
             munmap(self.b, self.bytes)
             self.b = NULL

@@ -49,6 +49,13 @@ class MavParams(PortBasedObject[Wishes], module_class="robot interface"):
                 got=str(len(k.watch)),
                 remedy="change NELEM of the variable, or WATCH",
             )
+        if long := [one for one in k.watch if len(one) > LONGEST]:
+            raise ParameterError(
+                "WATCH has a name that no parameter of a vehicle can have",
+                expected=f"at most {LONGEST} characters",
+                got=long[0],
+                remedy="correct it, as in MPC_XY_VEL_MAX",
+            )
         self._link = link_of(self.task)
         self._client = ParameterClient(self._link, k.component)
         self._client.watched = k.watch

@@ -428,7 +428,7 @@ def ros2(
         NodeError: An endpoint is malformed, or cannot be listened on.
     """
     if listen:
-        check_endpoint(listen, insecure=insecure)
+        _check_ros2_router(listen, insecure=insecure)
     settings: dict[str, object] = {
         "mode": "router" if listen else "peer",
         "listen": {"endpoints": [listen or "tcp/127.0.0.1:0"]},
@@ -461,9 +461,23 @@ def ros2(
             "no zenoh router for ROS 2 answers",
             where=router,
             got=reason(error),
-            remedy="start one with `ros2 run rmw_zenoh_cpp rmw_zenohd`, or be one with "
-            f"--listen {router}",
+            remedy="check the address; start one there with `ros2 run rmw_zenoh_cpp "
+            "rmw_zenohd`, or be one with --listen tcp/localhost:7447",
         ) from None
+
+
+def _check_ros2_router(endpoint: str, *, insecure: bool) -> None:
+    """Refuse an endpoint that is malformed, or reaches beyond this machine."""
+    protocol, _, address = check_endpoint(endpoint).partition("/")
+    if not (insecure or protocol == access_control.LOCAL or is_loopback(address)):
+        raise NodeError(
+            "nodes of ROS 2 authenticate nobody, so listening beyond this machine "
+            "is not protected",
+            where=endpoint,
+            expected="an address of this machine alone, such as tcp/localhost:7447",
+            remedy="use --insecure if everyone on that network may read the robot, and "
+            "with --control command it",
+        )
 
 
 def _local_agents(domain: str) -> tuple[list[str], dict[str, int]]:

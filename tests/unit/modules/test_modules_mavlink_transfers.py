@@ -442,6 +442,16 @@ def test_wishes_are_names_and_values() -> None:
             wishes(text)
 
 
+def test_a_watched_name_is_one_that_a_parameter_can_have() -> None:
+    """Another one would never be read, and `left` never be 0."""
+    with pytest.raises(MethodError, match="at most 16 characters, got MPC_XY_VEL_M"):
+        Bench(
+            MavParams,
+            {"system": 1, "nparam": 1},
+            params={"watch": ("MPC_XY_VEL_MAXIMUM",)},
+        )
+
+
 @pytest.mark.parametrize("module", [MavParams, MavMission])
 def test_parts_need_the_owner_of_the_link(module: Any) -> None:
     params = {"watch": ("A",)} if module is MavParams else {}

@@ -64,5 +64,7 @@ def test_where_no_router_is_and_where_one_is_told_of() -> None:
         session.ros2(0, router=f"tcp/127.0.0.1:{port}")
     with session.ros2(0, listen=f"tcp/127.0.0.1:{port}"), pytest.raises(NodeError):
         session.ros2(0, listen=f"tcp/127.0.0.1:{port}")
-    with pytest.raises(NodeError, match="not protected"):
+    with pytest.raises(NodeError, match="not protected") as caught:
         session.ros2(0, listen="tcp/0.0.0.0:7447")
+    assert "--insecure" in str(caught.value)
+    assert "keys" not in str(caught.value), "nodes of ROS have none"

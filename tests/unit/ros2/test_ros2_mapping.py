@@ -154,6 +154,64 @@ def test_single_numbers_truths_and_lists(types) -> None:
     assert list(line.points[0].positions) == [1, 2, 3]
 
 
+def test_several_variables_are_one_list(types) -> None:
+    parts = {"position[0:3]": "Q_MEZ", "position[5]": "V[5]", "position[3:5]": "X[0:2]"}
+    variables = {"V": Variable(name="V", type="double", nelem=6, units="rad")}
+    variables["X"] = Variable(name="X", type="double", nelem=7, units="rad")
+    about = Publish(topic="t", type=JOINTS, fields=parts)
+    filling = Filling(types, about, VARIABLES | variables, "here")
+    values = {"Q_MEZ": np.array([1.0, 2, 3]), "X": np.arange(7) + 4.0, "V": np.ones(6)}
+    got = decoded(types, JOINTS, filling.of(values).encode(STAMP))
+    assert list(got.position) == [1, 2, 3, 4, 5, 1]
+
+
+def test_some_elements_of_an_array_and_constants_beside_them(types) -> None:
+    got = filled(
+        types,
+        "sensor_msgs/msg/Imu",
+        {"angular_velocity_covariance[4]": "X[6]"},
+        constants={"orientation_covariance": [-1.0, *[0.0] * 8]},
+    )
+    assert list(got.angular_velocity_covariance) == [0] * 4 + [7] + [0] * 4
+    assert list(got.orientation_covariance) == [-1] + [0] * 8
+
+
+@pytest.mark.parametrize(
+    ("fields", "constants", "said"),
+    [
+        ({"position": "Q_MEZ", "position[0:2]": "Q_MEZ[0:2]"}, {}, "is given twice"),
+        ({"position[0:2]": "Q_MEZ[0:2]", "position[1]": "Q_MEZ[0]"}, {}, "given twice"),
+        ({"position": "Q_MEZ"}, {"position": [1.0, 2.0]}, "position is given twice"),
+        ({"header.stamp": "X[0:2]", "header.stamp.sec": "X[2]"}, {}, "given twice"),
+        ({"header.stamp.sec": "X[0]"}, {}, "stamp of a header.*got header.stamp.sec"),
+        ({"position[1:3]": "Q_MEZ[0:2]"}, {}, r"nothing gives position\[0:1\]"),
+        ({"position[0:3]": "X"}, {}, "X does not fit.*expected 3 elements, got 7"),
+    ],
+)
+def test_each_number_of_a_message_is_given_once(types, fields, constants, said) -> None:
+    variables = VARIABLES | {"X": Variable(name="X", type="double", nelem=7)}
+    about = Publish(topic="t", type=JOINTS, fields=fields, constants=constants)
+    with pytest.raises(ConfigError, match=said):
+        Filling(types, about, variables, "here")
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "said"),
+    [
+        ("sensor_msgs/msg/Imu", "orientation_covariance[8:10]", "elements 0 to 8"),
+        ("geometry_msgs/msg/Twist", "linear.x[0]", "which is no list"),
+        ("tf2_msgs/msg/TFMessage", "transforms[0:2].transform", "a list of messages"),
+        (JOINTS, "position[3:3]", "elements 0 to 999"),
+    ],
+)
+def test_elements_that_a_message_cannot_have_are_told(types, name, path, said) -> None:
+    """Both ways: a topic that is subscribed would never get one."""
+    with pytest.raises(ConfigError, match=said):
+        filled(types, name, {path: "X"})
+    with pytest.raises(ConfigError, match=said):
+        reading(types, Subscribe(topic="t", type=name, link="x", fields=[path]), "here")
+
+
 @pytest.mark.parametrize(
     ("name", "fields", "said"),
     [
@@ -164,6 +222,8 @@ def test_single_numbers_truths_and_lists(types) -> None:
         (JOINTS, {"name": "Q_MEZ"}, "name is not a number"),
         (JOINTS, {"header": "X"}, "frame_id is not a number"),
         (JOINTS, {"position": "RAW"}, "RAW is a struct"),
+        (JOINTS, {}, "no variable is published"),
+        (JOINTS, {"effort": "T_MEZ[0:2]", "position": "Q_MEZ"}, "lists differ in size"),
         ("sensor_msgs/msg/JointStat", {"a": "X"}, "no message.*JointState"),
         ("geometry_msgs/msg/Twist", {"linear": "V"}, r"expected 3 elements, got 6"),
         ("geometry_msgs/msg/Twist", {"linear.x.y": "V[0]"}, "has no field y"),
@@ -647,16 +707,41 @@ def test_without_a_file_names_and_units_decide() -> None:
     }
 
 
+TOPIC = "[[publish]]\ntopic = 'a'\ntype = 'b'\nfields = {}\n"
+LINK = "[[subscribe]]\ntopic = 'a'\ntype = 'b'\n"
+ACTION = """[[action]]
+name = "a"
+link = "b"
+joints = []
+desired = "A"
+actual = "B"
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[publish]", "says something that cannot be"),
-        ("nothing = 1", "unknown field"),
+        ("[[publish]", "this is not TOML.*at line 1"),
+        ("nothing = 1", "unknown key 'nothing'.*expected domain node"),
+        ("[[publishes]]", "unknown key 'publishes'.*did you mean publish?"),
+        (f"{TOPIC}max_hertz = 1", r"t.toml: publish\[0\]: unknown .*mean max_hz?"),
+        (f"publish = 3\n{LINK}", r"t.toml: publish: .*got Expected `array`"),
+        (f"{LINK}depth = '1'", r"subscribe\[0\].depth: .*got Expected `int`"),
+        (f"{LINK}link = 'ros2:a'", "a: 'ros2:a' is no name of a link"),
+        (f"{LINK}link = ''", "a: '' is no name of a link"),
+        (f"{LINK}link = 'a'\njoints = ['b', 'b']", "a: the joint b is there twice"),
+        (f"{LINK}link = 'a'\npoints = 10000000", "a: points is out .*1 to 131071"),
+        (f"{LINK}link = 'a'\ndepth = {2**70}", "depth is out of bounds"),
+        (f"{ACTION}feedback_hz = 1", "a: feedback_hz is out of .*5 to 1000, got 1"),
+        (f"{ACTION}feedback_hz = inf", "a: feedback_hz is out of bounds"),
+        (f"node = 'n'\n{TOPIC}{TOPIC.replace('a', '/n/a', 1)}", "/n/a is there twice"),
         ("domain = 233", "no ROS domain"),
         ('node = "a b"', "no name of ROS"),
         ('[[publish]]\ntopic = "a"', "missing required field"),
-        (2 * '[[publish]]\ntopic = "a"\ntype = "b"\nfields = {}\n', "a is there twice"),
-        ('[[publish]]\ntopic = "a"\ntype = "b"\nfields = {}\nmax_hz = 0.0', "above 0"),
+        (2 * TOPIC, "/SUBSYSTEM/a is there twice"),
+        (f"{TOPIC}max_hz = 0.0", "a: max_hz is out of bounds"),
+        (f"{TOPIC}max_hz = nan", "a: max_hz is out of bounds"),
+        (f"{LINK}link = 'a'\njoints = ['b']\npoints = 32768", "1 to 32767, got 32768"),
     ],
 )
 def test_a_wrong_file_is_told(tmp_path, text, said) -> None:
@@ -680,3 +765,57 @@ def test_messages_of_a_user(tmp_path) -> None:
         MessageTypes([tmp_path])
     with pytest.raises(ConfigError, match="no messages"):
         MessageTypes([folder])
+
+
+def use(folder):
+    """Use the messages and the action of a folder, as a bridge does."""
+    types = MessageTypes([folder])
+    types.add_following()
+    types.must_have("a/msg/B")
+
+
+GOAL = "control_msgs/action/FollowJointTrajectory.action"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a/msg/B.msg", b"flot64 x\n", r"B.msg: the field x.*did you mean float64"),
+        ("a/msg/B.msg", b"other/C x\n", r"B.msg: .*unknown type C.*give its .msg file"),
+        ("a/msg/B.msg", b"\xff", r"B.msg: the definition cannot be read"),
+        (GOAL, b"\xff", r"FollowJointTrajectory.action: .*cannot be read"),
+        (GOAL, b"a/B x\n---\n---\n", "FollowJointTrajectory.action: .*unknown type B"),
+        (GOAL, b"float64 x\n---\n---\n", "the goal of control_msgs.*field trajectory"),
+        (GOAL, b"float64 x\n---\n", "FollowJointTrajectory.action: .*got 2 parts"),
+    ],
+)
+def test_a_wrong_definition_is_told_with_its_file(tmp_path, name, text, said) -> None:
+    file = tmp_path / name
+    file.parent.mkdir(parents=True)
+    file.write_bytes(text)
+    with pytest.raises(ConfigError, match=said):
+        use(tmp_path)
+
+
+def test_a_message_that_is_not_used_may_have_unknown_ones(tmp_path) -> None:
+    """A package of a user may have messages that need others, or a `wstring`."""
+    texts = {"msg/B.msg": "other/C x\n", "msg/D.msg": "wstring x\n"}
+    texts |= {"action/E.action": "other/C x\n---\n---\n", "msg/F.msg": "char x\n"}
+    for name, text in texts.items():
+        file = tmp_path / "a" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    types = MessageTypes([tmp_path])
+    types.add_following()
+    types.must_have("a/msg/F")
+    assert types.new("a/msg/F").x == 0
+
+
+def test_messages_of_one_folder_may_have_those_of_another(tmp_path) -> None:
+    for name, text in (("one/a/msg/B.msg", "c/D x\n"), ("two/c/msg/D.msg", "bool y\n")):
+        file = tmp_path / name
+        file.parent.mkdir(parents=True)
+        file.write_text(text)
+    types = MessageTypes([tmp_path / "one", tmp_path / "two"])
+    types.must_have("a/msg/B")
+    assert types.new("a/msg/B").x.y is False

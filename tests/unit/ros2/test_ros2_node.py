@@ -56,13 +56,19 @@ class Session:
     declare_queryable = declare_subscriber
 
 
+class Bytes(bytes):
+    """Stands for zenoh's bytes."""
+
+    def to_bytes(self):
+        return bytes(self)
+
+
 class Query:
     """Stands for a request of zenoh."""
 
-    def __init__(self, data, gid=bytes(16)):
-        self.payload = SimpleNamespace(to_bytes=lambda: data)
-        note = Attachment(1, 0, gid).pack()
-        self.attachment = SimpleNamespace(to_bytes=lambda: note)
+    def __init__(self, data, gid=bytes(16), parameters=""):
+        self.payload, self.parameters = Bytes(data), parameters
+        self.attachment = Bytes(Attachment(1, 0, gid).pack())
         self.answers = Queue()
 
     def __enter__(self):
@@ -147,6 +153,16 @@ def test_others_with_ever_new_names_cannot_fill_the_memory(node, monkeypatch) ->
         token = foreign(f"other{number}").token
         node.session.called["7"](token_sample(token, zenoh.SampleKind.PUT))
     assert len(node._others) == 3
+
+
+def test_others_with_endless_names_are_not_kept(node) -> None:
+    comes = node.session.called["7"]
+    for name in ("x" * 10_000, "\u00e9"):
+        comes(token_sample(foreign(name).token, zenoh.SampleKind.PUT))
+    assert not node._others
+    longest = foreign("x" * 255)._replace(name=f"/{'y' * 254}")
+    comes(token_sample(longest.token, zenoh.SampleKind.PUT))
+    assert list(node._others) == [longest.token]
 
 
 def foreign(name):
@@ -262,11 +278,26 @@ def test_a_request_that_fails_is_answered(node, ask, told) -> None:
     assert told == ["/fails: it failed inside pbonet: no way"]
 
 
-def test_a_request_that_is_too_long_is_not_decoded(node, ask, told) -> None:
-    node.serve("/long", COMMAND, lambda _: None)
-    answer = ask("long", bytes(LONGEST + 1)).get(timeout=60)
-    assert "a message is too long, and was not read" in answer
-    assert not told
+@pytest.mark.parametrize("about", [{"data": bytes(LONGEST + 1)}, {"parameters": "x"}])
+def test_a_request_that_is_too_long_does_not_even_wait(node, types, about) -> None:
+    """Requests that wait are bounded by their number, so each of them must be short."""
+    goes_on = threading.Semaphore(0)
+
+    def slow(_):
+        assert goes_on.acquire(timeout=60)
+        return types.new(f"{COMMAND}_Response")
+
+    node.serve("/slow", COMMAND, slow)
+    data = types.encode(f"{COMMAND}_Request", types.new(f"{COMMAND}_Request"))
+    first, long = Query(data), Query(**{"data": data} | about)
+    long.parameters *= LONGEST
+    node.session.called["slow"](first)
+    node.session.called["slow"](long)
+    refusal = long.answers.get_nowait()
+    assert "a message is too long, and was not read" in refusal
+    assert first.answers.empty()
+    goes_on.release()
+    assert first.answers.get(timeout=60) == ""
 
 
 def test_an_answer_may_come_later(node, types, ask) -> None:

@@ -23,6 +23,7 @@ from pbonet.errors import (
     XmTakenError,
 )
 from pbonet.tbuf import layout, places
+from pbonet.tbuf._tbuf import Buffer
 
 SIX = np.dtype(("f8", (6,)))
 POSE = np.dtype([("x", "f8", (3,)), ("valid", "?"), ("id", "i4")])
@@ -163,6 +164,18 @@ def test_a_writer_may_send_from_an_array_of_its_own():
 def test_what_was_read_cannot_be_changed(link):
     with pytest.raises(ValueError, match="read-only"):
         link[1].value[0] = 1
+
+
+def test_an_end_is_freed_without_its_methods(monkeypatch):
+    """At the end of a process they may be gone before it."""
+    said = []
+    monkeypatch.setattr(sys, "unraisablehook", said.append)
+
+    class Late(Buffer):
+        unmap = None
+
+    Late()
+    assert not said
 
 
 def test_one_writer_and_one_reader(link, monkeypatch):
