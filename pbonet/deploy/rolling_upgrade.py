@@ -293,7 +293,7 @@ class _Upgrade:
         if units and not turn.linked:
             await shell.run("systemctl", "stop", *units)
         for action in use(facts, turn.target):
-            await shell.run(*action.words)
+            await shell.do(action)
         turn.exchanged = True
         if units:
             await shell.run("systemctl", "reset-failed", *units, check=False)

@@ -43,6 +43,12 @@ class Run(Struct, frozen=True):
     words: tuple[str, ...]
     must: bool = True
     """Whether a failure is an error; else the check that follows reports it."""
+    data: bytes = b""
+    """Its standard input."""
+    what: str = ""
+    """What an error says of a failure; empty: that this command has failed."""
+    remedy: str = ""
+    """What to do then; empty: what follows from the command's output."""
 
 
 class Step(Struct, kw_only=True):
