@@ -145,8 +145,10 @@ class Shell:
             ) from None
         except (OSError, asyncssh.Error) as error:
             raise self._lost(str(error)) from None
+        if done.exit_status is None:
+            raise self._lost(f"the connection was lost during {shlex.join(words[:6])}")
         return Done(
-            status=255 if done.exit_status is None else done.exit_status,
+            status=done.exit_status,
             out=_text(done.stdout),
             err=_text(done.stderr),
         )

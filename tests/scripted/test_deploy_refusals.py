@@ -27,8 +27,9 @@ ANSWERS = {
     "plain": {"id -u": (0, "1000\n"), "sudo": (1, ""), "id -un": (0, "plain\n")},
     "bare": {"id -u": (0, "0\n"), "python3": (127, "")},
     "odd": {"id -u": (0, "0\n"), "python3": (0, "no JSON")},
+    "dying": {"id -u": (0, "0\n"), "python3": (None, "")},
 }
-"""By user, what the machine answers to commands that begin so."""
+"""By user, what the machine answers to commands that begin so; None: it dies."""
 
 
 class Server(asyncssh.SSHServer):
@@ -50,7 +51,10 @@ async def answer(process):
     known = sorted(ANSWERS[name], key=len, reverse=True)
     status, out = next(ANSWERS[name][k] for k in known if words.startswith(k))
     process.stdout.write(out)
-    process.exit(status)
+    if status is None:
+        process.get_extra_info("connection").abort()
+    else:
+        process.exit(status)
 
 
 @pytest.fixture
@@ -89,6 +93,7 @@ def machine(tmp_path):
         ("plain", "may not become root there without a password"),
         ("bare", "the machine has no python3"),
         ("odd", "could not tell what the machine has"),
+        ("dying", "cannot be reached over ssh (got the connection was lost during"),
     ],
 )
 def test_a_machine_that_refuses_says_what_to_do(machine, tmp_path, user, said):

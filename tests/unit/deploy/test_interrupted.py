@@ -22,7 +22,7 @@ from pbonet.deploy.host_facts import Unit
 from pbonet.deploy.host_reports import Report
 from pbonet.deploy.plan_host import ALONE, Plan, install, use
 from pbonet.deploy.ssh import Done, Shell
-from pbonet.errors import ConfigFileError, NodeError
+from pbonet.errors import ConfigFileError, NodeError, UnreachableError
 from pbonet.master.configuration import Place
 from pbonet.xm.net import pki
 
@@ -295,3 +295,24 @@ def test_a_task_that_came_on_meanwhile_is_asked_for(
     assert "the release of pc was not exchanged" in up.turn.report.warnings[-1]
     up.turn.exchanged = True
     assert "--back --host pc" in up._way_on(up.turn)
+
+
+def test_a_machine_that_dies_amid_its_turn_leaves_a_word_about_its_fallbacks(
+    hosts, machine, release, monkeypatch
+):
+    """A repeated upgrade knows nothing of a task that has gone with its machine."""
+    up = Upgrade(hosts, after(machine, nothing(machine), release), monkeypatch)
+    job = hosts.path.with_name("run.job")
+    task = running_tasks.Task(
+        name="mid", subsystem="cell", rtpu="arm0", job=job, restart="off", fallback="b"
+    )
+    found = {"pc": running_tasks.Moves(tasks=[task])}
+    monkeypatch.setattr(running_tasks, "moves", lambda *_: found)
+    monkeypatch.setattr(running_tasks, "move_away", lambda *_: None)
+
+    def lost(*_):
+        raise UnreachableError("the machine cannot be reached over ssh", where="pc")
+
+    monkeypatch.setattr(rolling_upgrade, "Shell", lost)
+    assert not asyncio.run(up._take(up.turn))
+    assert up.turn.report.warnings[-1].endswith(f"'pbonet swap {job} b mid'")
