@@ -12,7 +12,7 @@ end() {
   rm -rf "$incoming"
   exit "$status"
 }
-failed() { # Python's venv does not say of a full disk that it is full
+failed() { # venv does not say that the disk is full; mkdir, pip and touch do
   free=$(df --output=avail -k "$folder" | tail -n 1)
   if [ "$free" -lt 1024 ]; then
     echo "No space left on device: $folder" >&2
@@ -24,9 +24,9 @@ if [ -e "$folder/$complete" ]; then
   exit 0
 fi
 rm -rf "$folder"
-mkdir -p "$folder" || failed
+mkdir -p "$folder" || exit 1
 "$python" -m venv "$folder" < /dev/null || failed
 "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-cache-dir \
-  "$@" < /dev/null || failed
+  "$@" < /dev/null || exit 1
 "$folder/bin/pbonet" --version < /dev/null > /dev/null || exit 1
-touch "$folder/$complete" || failed
+touch "$folder/$complete" || exit 1

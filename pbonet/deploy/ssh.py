@@ -230,9 +230,9 @@ class Shell:
         self, done: Done, words: Sequence[str], what: str = "", remedy: str = ""
     ) -> NodeError:
         """Return the error of a command that failed."""
-        told = f"a command failed with status {done.status}: {shlex.join(words)}"
+        command = f"a command failed with status {done.status}: {shlex.join(words)}"
         return NodeError(
-            what or told,
+            what or command,
             where=self.machine.name,
             got=done.said or f"status {done.status}",
             remedy=remedy or _remedy(done.said),
@@ -273,7 +273,7 @@ def _text(data: object) -> str:
 def _remedy(said: str) -> str:
     """Return what to do after a command that failed with these lines."""
     if "No space left" in said:
-        return "make room on the machine (df -h /opt /etc), and repeat"
+        return "make room on the machine (df -h /opt /etc /tmp), and repeat"
     if "invalid user" in said or "invalid group" in said:
         return (
             "make this user and group on the machine (pbonet deploy makes pbonet), and "

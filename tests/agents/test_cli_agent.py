@@ -167,6 +167,9 @@ def test_doctor_removes_nothing_that_a_process_with_more_rights_may_use(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "read_text", hidden)
         assert not doctor.clean()
+    with monkeypatch.context() as patch:  # hidepid: it is not even seen
+        patch.setattr(os, "access", lambda path, _: path != "/proc/1/status")
+        assert not doctor.clean()
     assert doctor.abandoned() == [own]
     own.unlink()
 

@@ -190,7 +190,8 @@ def abandoned() -> list[Path]:
     """Return shared memory files of this user that no process has mapped.
 
     None, if a Python of this user does not show what it has mapped: the kernel hides
-    that of one that has more rights, such as an agent with a capability.
+    that of one that has more rights, such as an agent with a capability. Nor any where
+    ``/proc`` shows no processes of others (hidepid), as such a one is then not seen.
     """
     mine = sorted(shm.folder().glob(shm.own("*")))
     used = _mapped(mine)
@@ -200,6 +201,8 @@ def abandoned() -> list[Path]:
 def _mapped(paths: Iterable[Path]) -> set[str]:
     """Return which files are mapped by a process of this user, or may be."""
     wanted = {str(path) for path in paths}
+    if not os.access("/proc/1/status", os.R_OK):
+        return wanted
     used: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:

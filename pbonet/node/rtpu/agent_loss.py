@@ -48,7 +48,7 @@ class Silence:
         self._silences: dict[str, float] = {}
         self._last = 0.0
         self._raised: set[str] = set()
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
 
     def take(self, silences: dict[str, float]) -> None:
         """Take a sign of life; more are expected while subsystems are named.
@@ -93,7 +93,14 @@ class Silence:
             self._rtpu.flags.up(subsystem, SILENCE, cause)
         if left < math.inf:
             again = asyncio.get_running_loop().call_later
-            self._timer = again(left, self._check)
+            self._timer = again(left, self._expire)
+
+    def _expire(self) -> None:
+        """Check, after the signs of life that wait to be read.
+
+        They do so when this process itself was stopped.
+        """
+        self._timer = asyncio.get_running_loop().call_soon(self._check)
 
     def _alone(self, subsystem: str) -> float:
         """Return the time of ``ALONE``; 0: never."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from types import SimpleNamespace
 
@@ -103,5 +104,35 @@ def test_one_timer_waits_for_the_silence_and_each_sign_of_life_moves_it(monkeypa
             assert silence._timer.when() == pytest.approx(at)
         silence.take({})
         assert silence._timer is None
+
+    asyncio.run(run())
+
+
+def test_a_sign_of_life_that_waits_to_be_read_counts_first(monkeypatch):
+    """As when this process was stopped for longer than ALONE, and the agent was not."""
+    clock, flags = [100.0], Flags()
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    tables = {"arm": SimpleNamespace(use=SimpleNamespace(alone=1.0))}
+
+    async def run():
+        silence = Silence(SimpleNamespace(flags=flags, tables=tables))
+        here, there = socket.socketpair()
+        reader, writer = await asyncio.open_connection(sock=here)
+
+        async def serve():
+            silence.take({"arm": 0.0})
+            await reader.readexactly(1)
+            assert not flags.raised
+            silence.take({"arm": 0.0})
+
+        served = asyncio.ensure_future(serve())
+        await asyncio.sleep(0)
+        clock[0] += 5.0
+        with there:
+            there.sendall(b"x")
+            await served
+            assert not flags.raised
+        writer.close()
+        await writer.wait_closed()
 
     asyncio.run(run())
