@@ -46,9 +46,9 @@ class Run(Struct, frozen=True):
     data: bytes = b""
     """Its standard input."""
     what: str = ""
-    """What an error says of a failure; empty: that this command has failed."""
+    """The error of a failure; empty: that this command has failed."""
     remedy: str = ""
-    """What to do then; empty: what follows from the command's output."""
+    """The remedy then; empty: the one that follows from the command's output."""
 
 
 class Step(Struct, kw_only=True):
