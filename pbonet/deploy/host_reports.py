@@ -84,17 +84,17 @@ def data(reports: Iterable[Report]) -> list[dict[str, object]]:
     ]
 
 
-def text(reports: Iterable[Report], hint: str = "") -> str:
+def text(reports: Iterable[Report], *, planned: bool = False) -> str:
     """Return reports as text.
 
     Args:
         reports: The machines.
-        hint: A line at the end when something is still to be done.
+        planned: Whether nothing was done; the last line then says how it is.
     """
     reports = list(reports)
     lines = [line for one in reports for line in (*_lines(one), "")]
-    if hint and any(s.state == "change" for one in reports for s in one.steps):
-        lines.append(hint)
+    if planned and any(s.state == "change" for one in reports for s in one.steps):
+        lines.append("Nothing was done. Do it with --apply.")
     return "\n".join(lines).rstrip()
 
 

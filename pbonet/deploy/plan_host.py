@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import secrets
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import NodeError
@@ -27,8 +28,15 @@ INCOMING: Final = f"{steps.RELEASES}/incoming"
 ALONE: Final = ("flock", "/run/pbonet-install.lock")
 """Waits for what still installs there: another operator, or a pip whose connection was
 lost."""
-_CLEAR: Final = '[ -e "$1" ] || rm -rf "$(dirname "$1")"; rm -rf "$2"'
-"""Removes a release that is not complete, and wheels."""
+_CLEAR: Final = (
+    '[ ! -e "$1" ] || find "$1" -mindepth 1 -maxdepth 1 -mmin +30 -exec rm -rf {} +'
+)
+"""Removes wheels whose connection was lost, and none that are being sent now."""
+_UNCHANGED: Final = """
+[ -L "$1" ] && now=$(basename "$(readlink -f "$1")") || now=
+[ "$now" = "$2" ] || { echo "${now:-none}"; exit 1; }
+"""
+"""Whether a link leads to a release, or is not there; else prints where it leads."""
 
 
 class Plan:
@@ -285,7 +293,7 @@ class Plan:
                 )
             elif not enabled or found is None or not self.facts.running(rtpu):
                 start = Run(("systemctl", "enable", "--now", unit), must=False)
-                state = "" if found is None else f", now {found.state}"
+                state = "" if found is None else f", before: {found.state}"
                 yield self._service(rtpu, f"is enabled and started{state}", (start,))
             elif rtpu in self._reread or self._is_behind(rtpu):
                 reload = Run(("systemctl", "reload", unit))
@@ -317,19 +325,17 @@ class Plan:
 def install(machine: Machine, release: Release) -> Iterator[Put | Run]:
     """Yield what installs a release beside others; it is not used yet."""
     folder = f"{steps.RELEASES}/{release.name}"
-    incoming = f"{INCOMING}/{release.name}"
-    complete = f"{folder}/{steps.COMPLETE}"
-    yield Run((*ALONE, "sh", "-c", _CLEAR, "sh", complete, INCOMING))
+    incoming = f"{INCOMING}/{release.name}-{secrets.token_hex(3)}"
+    yield Run(("sh", "-c", _CLEAR, "sh", INCOMING))
     for path in (release.wheel, *release.wheelhouse):
         yield Put(path=f"{incoming}/{path.name}", data=path.read_bytes())
-    yield Run((*ALONE, machine.host.python, "-m", "venv", folder))
-    pip = (f"{folder}/bin/python", "-m", "pip", "install", "--quiet")
-    quiet = ("--disable-pip-version-check", "--no-cache-dir")
     index = ("--no-index", f"--find-links={incoming}") if release.wheelhouse else ()
-    yield Run((*ALONE, *pip, *quiet, *index, f"{incoming}/{release.requirement}"))
-    yield Run((f"{folder}/bin/pbonet", "--version"))
-    yield Run(("touch", complete))
-    yield Run(("rm", "-rf", INCOMING))
+    here = (folder, incoming, steps.COMPLETE, machine.host.python)
+    yield Run(
+        (*ALONE, "sh", "-s", "--", *here, *index, f"{incoming}/{release.requirement}"),
+        data=packaged("install_release.sh").encode(),
+        what=f"the release {release.name} cannot be installed",
+    )
 
 
 def use(facts: Facts, name: str) -> Iterator[Run]:
@@ -340,6 +346,11 @@ def use(facts: Facts, name: str) -> Iterator[Run]:
     before = facts.current
     if before == name:
         return
+    yield Run(
+        ("sh", "-c", _UNCHANGED, "sh", steps.OPT, before),
+        what=f"the release in use is not {before or 'none'} any more, as planned",
+        remedy="agree with who else works on the machine, and repeat",
+    )
     if facts.folder:
         before = BEFORE
         target = f"{steps.RELEASES}/{BEFORE}"

@@ -247,7 +247,7 @@ class _Upgrade:
 
     async def _take(self, turn: Turn) -> bool:
         """Take a machine's turn; return whether it is back."""
-        report = turn.report
+        report, moves = turn.report, running_tasks.Moves(tasks=[])
         try:
             moves = await asyncio.to_thread(self._still_allowed, turn)
             await asyncio.to_thread(running_tasks.move_away, moves, self.place)
@@ -265,6 +265,7 @@ class _Upgrade:
         report.warnings.append(
             f"the other machines were not begun; {self._way_on(turn)}"
         )
+        report.warnings += moves.left()
         return False
 
     def _way_on(self, turn: Turn) -> str:
@@ -293,7 +294,7 @@ class _Upgrade:
         if units and not turn.linked:
             await shell.run("systemctl", "stop", *units)
         for action in use(facts, turn.target):
-            await shell.run(*action.words)
+            await shell.do(action)
         turn.exchanged = True
         if units:
             await shell.run("systemctl", "reset-failed", *units, check=False)

@@ -74,6 +74,15 @@ class Moves(Struct, frozen=True, kw_only=True):
         names = [one.name for one in self.tasks if one.job is not None]
         return f"{', '.join(names)} ON again" if names else "there were none to start"
 
+    def left(self) -> list[str]:
+        """Return how places are given back, when a machine's turn was not finished."""
+        return [
+            f"{one.fallback} may have the place of {one.name}, and keeps it: when "
+            f"{one.rtpu} is back, 'pbonet swap {one.job} {one.fallback} {one.name}'"
+            for one in self.tasks
+            if one.fallback and one.job is not None
+        ]
+
     @property
     def jobs(self) -> list[Path]:
         """The jobs that are started again."""

@@ -151,7 +151,7 @@ async def act(shell: Shell, step: Step) -> None:
         if isinstance(action, Put):
             await shell.put(action)
         else:
-            await shell.run(*action.words, check=action.must)
+            await shell.do(action)
 
 
 async def check(shell: Shell, report: Report) -> None:

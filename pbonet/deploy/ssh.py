@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from msgspec import Struct
 
-from pbonet.errors import NodeError, UnreachableError
+from pbonet.errors import ConfigFileError, NodeError, UnreachableError
 
 try:
     import asyncssh
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from .hosts_file import HostsFile, Machine
-    from .steps import Put
+    from .steps import Put, Run
 
 CONNECT: Final = 15.0
 """Seconds after which a machine that does not answer is given up."""
@@ -95,13 +95,19 @@ class Shell:
         """
         done = await self._run(*self._root, *words, data=data)
         if check and done.status:
-            raise NodeError(
-                f"a command failed with status {done.status}: {shlex.join(words)}",
-                where=self.machine.name,
-                got=done.said,
-                remedy=_remedy(done.said, words),
-            )
+            raise self._failed(done, words)
         return done
+
+    async def do(self, command: Run) -> None:
+        """Run a command of a step as root.
+
+        Raises:
+            NodeError: It failed, and must not; or it took too long.
+            UnreachableError: The connection was lost.
+        """
+        done = await self.run(*command.words, data=command.data, check=False)
+        if done.status and command.must:
+            raise self._failed(done, command.words, command.what, command.remedy)
 
     async def put(self, file: Put) -> None:
         """Write a file, in one step for its readers; its folder is made if needed.
@@ -110,13 +116,16 @@ class Shell:
             NodeError: It cannot be written.
         """
         script = (
-            'mkdir -p "$(dirname "$1")"; umask 077; cat > "$1.new" '
-            '&& [ "$(wc -c < "$1.new")" -eq "$4" ] '  # else the connection was lost
-            '&& chown -- "$3" "$1.new" && chmod "$2" "$1.new" && mv -f "$1.new" "$1" '
-            '|| { rm -f "$1.new"; exit 1; }'
+            'mkdir -p "$(dirname "$1")"; new="$1.$$.new"; umask 077; cat > "$new" '
+            '&& [ "$(wc -c < "$new")" -eq "$4" ] '  # else the connection was lost
+            '&& chown -- "$3" "$new" && chmod "$2" "$new" && mv -f "$new" "$1" '
+            '|| { rm -f "$new"; exit 1; }'
         )
         about = (f"{file.mode:04o}", f"{file.owner}:{file.group}", str(len(file.data)))
-        await self.run("sh", "-ec", script, "sh", file.path, *about, data=file.data)
+        words = ("sh", "-ec", script, "sh", file.path, *about)
+        done = await self.run(*words, data=file.data, check=False)
+        if done.status:
+            raise self._failed(done, words, f"{file.path} cannot be written")
 
     async def _run(self, *words: str, data: bytes = b"") -> Done:
         assert self._connection is not None, "the connection was not opened"  # noqa: S101
@@ -136,23 +145,21 @@ class Shell:
             ) from None
         except (OSError, asyncssh.Error) as error:
             raise self._lost(str(error)) from None
+        if done.exit_status is None:
+            raise self._lost(f"the connection was lost during {shlex.join(words[:6])}")
         return Done(
-            status=255 if done.exit_status is None else done.exit_status,
+            status=done.exit_status,
             out=_text(done.stdout),
             err=_text(done.stderr),
         )
 
     async def _connect(self) -> asyncssh.SSHClientConnection:
-        host, file = self.machine.host, self.file
-        given: dict[str, object] = {}
+        host = self.machine.host
+        given: dict[str, object] = self._files()
         if host.port is not None:
             given["port"] = host.port
         if host.user is not None:
             given["username"] = host.user
-        if file.known_hosts is not None:
-            given["known_hosts"] = str(file.known_hosts)
-        if file.identity is not None:
-            given["client_keys"] = [str(file.identity)]
         try:
             return await asyncssh.connect(
                 self.machine.address,
@@ -166,6 +173,31 @@ class Shell:
             raise self._refused(error.reason) from None
         except (OSError, asyncssh.Error, ValueError) as error:
             raise self._lost(str(error) or "no answer") from None
+
+    def _files(self) -> dict[str, object]:
+        """Return the operator's own files as asyncssh takes them.
+
+        Raises:
+            ConfigFileError: One cannot be read, or has a passphrase.
+        """
+        file = self.file
+        found: dict[str, object] = {}
+        path, key = None, "known_hosts"
+        try:
+            if (path := file.known_hosts) is not None:
+                found[key] = asyncssh.read_known_hosts(str(path))
+            key = "identity"
+            if (path := file.identity) is not None:
+                found["client_keys"] = asyncssh.load_keypairs([str(path)])
+        except (OSError, ValueError) as error:
+            raise ConfigFileError(
+                f"{key} of {file.path.name} cannot be used",
+                where=str(path),
+                got=getattr(error, "strerror", "") or str(error),
+                remedy="name a file of ssh, or leave it out; for a key with a "
+                "passphrase leave it out after 'ssh-add FILE'",
+            ) from None
+        return found
 
     async def _become_root(self) -> None:
         done = await self._run("id", "-u")
@@ -193,6 +225,18 @@ class Shell:
         host = self.machine.host
         port = f"-p {host.port} " if host.port else ""
         return f"{port}{f'{host.user}@' if host.user else ''}{self.machine.address}"
+
+    def _failed(
+        self, done: Done, words: Sequence[str], what: str = "", remedy: str = ""
+    ) -> NodeError:
+        """Return the error of a command that failed."""
+        command = f"a command failed with status {done.status}: {shlex.join(words)}"
+        return NodeError(
+            what or command,
+            where=self.machine.name,
+            got=done.said or f"status {done.status}",
+            remedy=remedy or _remedy(done.said),
+        )
 
     def _lost(self, why: str) -> UnreachableError:
         return UnreachableError(
@@ -226,16 +270,16 @@ def _text(data: object) -> str:
     return data.decode("utf-8", "replace") if isinstance(data, bytes) else ""
 
 
-def _remedy(said: str, words: Sequence[str]) -> str:
+def _remedy(said: str) -> str:
     """Return what to do after a command that failed with these lines."""
     if "No space left" in said:
-        return "make room on the machine (df -h /opt /etc), and repeat"
+        return "make room on the machine (df -h /opt /etc /tmp), and repeat"
     if "invalid user" in said or "invalid group" in said:
         return (
             "make this user and group on the machine (pbonet deploy makes pbonet), and "
             "repeat"
         )
-    if "pip" in words and ("No matching distribution" in said or "Could not" in said):
+    if "No matching distribution" in said:
         return (
             "without a way to a package index, give the wheels of all dependencies "
             "with --wheelhouse (pip download --dest FOLDER WHEEL)"

@@ -43,6 +43,12 @@ class Run(Struct, frozen=True):
     words: tuple[str, ...]
     must: bool = True
     """Whether a failure is an error; else the check that follows reports it."""
+    data: bytes = b""
+    """Its standard input."""
+    what: str = ""
+    """The error of a failure; empty: that this command has failed."""
+    remedy: str = ""
+    """The remedy then; empty: the one that follows from the command's output."""
 
 
 class Step(Struct, kw_only=True):

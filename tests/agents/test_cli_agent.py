@@ -151,6 +151,29 @@ def test_doctor_finds_shared_memory_that_nobody_uses(shared_memory):
     (shared_memory / "pbonet.99999.other.svar").unlink()
 
 
+def test_doctor_removes_nothing_that_a_process_with_more_rights_may_use(
+    shared_memory, monkeypatch
+):
+    """The kernel hides what a process has mapped that has a capability, say."""
+    own = shared_memory / f"pbonet.{os.getuid()}.core1"
+    own.write_bytes(b"x")
+    read = Path.read_text
+
+    def hidden(path, *args, **how):
+        if path == Path("/proc", str(os.getpid()), "maps"):
+            raise PermissionError(path)
+        return read(path, *args, **how)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_text", hidden)
+        assert not doctor.clean()
+    with monkeypatch.context() as patch:  # hidepid: it is not even seen
+        patch.setattr(os, "access", lambda path, _: path != "/proc/1/status")
+        assert not doctor.clean()
+    assert doctor.abandoned() == [own]
+    own.unlink()
+
+
 def probe(**changes):
     values = {
         "backend": "fifo",

@@ -27,8 +27,9 @@ ANSWERS = {
     "plain": {"id -u": (0, "1000\n"), "sudo": (1, ""), "id -un": (0, "plain\n")},
     "bare": {"id -u": (0, "0\n"), "python3": (127, "")},
     "odd": {"id -u": (0, "0\n"), "python3": (0, "no JSON")},
+    "dying": {"id -u": (0, "0\n"), "python3": (None, "")},
 }
-"""By user, what the machine answers to commands that begin so."""
+"""By user, what the machine answers to commands that begin so; None: it dies."""
 
 
 class Server(asyncssh.SSHServer):
@@ -50,7 +51,10 @@ async def answer(process):
     known = sorted(ANSWERS[name], key=len, reverse=True)
     status, out = next(ANSWERS[name][k] for k in known if words.startswith(k))
     process.stdout.write(out)
-    process.exit(status)
+    if status is None:
+        process.get_extra_info("connection").abort()
+    else:
+        process.exit(status)
 
 
 @pytest.fixture
@@ -89,6 +93,7 @@ def machine(tmp_path):
         ("plain", "may not become root there without a password"),
         ("bare", "the machine has no python3"),
         ("odd", "could not tell what the machine has"),
+        ("dying", "cannot be reached over ssh (got the connection was lost during"),
     ],
 )
 def test_a_machine_that_refuses_says_what_to_do(machine, tmp_path, user, said):
@@ -106,3 +111,31 @@ def test_a_machine_that_refuses_says_what_to_do(machine, tmp_path, user, said):
     first, second = set_up_hosts.deploy(hosts, None, apply=True, fail_fast=True)
     assert first.state == "failed"
     assert second.state == "waits"
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "got"),
+    [
+        ("identity", None, "No such file"),
+        ("identity", "no key", "Invalid private key"),
+        ("known_hosts", None, "No such file"),
+    ],
+)
+def test_files_of_the_operator_that_cannot_be_used_are_named(tmp_path, key, text, got):
+    """The machine is not what cannot be reached."""
+    path = tmp_path / "missing"
+    if text is not None:
+        path.write_text(text)
+    file = tmp_path / "lab.toml"
+    file.write_text(f'{key} = "missing"\n[hosts.pc]\naddress = "127.0.0.1"\n')
+    (report,) = set_up_hosts.deploy(read_hosts(file), [], apply=True)
+    assert report.error.startswith(f"{path}: {key} of lab.toml cannot be used")
+    assert got in report.error
+    assert "ssh-add" in report.error
+
+
+def test_after_it_was_done_nothing_says_that_it_was_not():
+    report = host_reports.Report(host="pc")
+    report.add("keys", "change", "a step after the one that failed")
+    assert "Nothing was done" in host_reports.text([report], planned=True)
+    assert "Nothing was done" not in host_reports.text([report])

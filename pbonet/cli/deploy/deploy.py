@@ -40,6 +40,6 @@ def command(
     reports = deploy.set_up_hosts.deploy(
         hosts, releases, apply=apply, fail_fast=fail_fast
     )
-    text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
+    text = deploy.host_reports.text(reports, planned=not apply)
     options.show(text, deploy.host_reports.data(reports), as_data=json_)
     return deploy.host_reports.status(reports)

@@ -33,6 +33,6 @@ def command(
 
     hosts = deploy.read_hosts(file, host or ())
     reports = deploy.backup.restore(hosts, folder, apply=apply)
-    text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
+    text = deploy.host_reports.text(reports, planned=not apply)
     options.show(text, deploy.host_reports.data(reports), as_data=json_)
     return deploy.host_reports.status(reports)

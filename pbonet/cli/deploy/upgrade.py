@@ -44,6 +44,6 @@ def command(
     reports = deploy.rolling_upgrade.upgrade(
         hosts, releases, place, apply=apply, yes=yes
     )
-    text = deploy.host_reports.text(reports, "Nothing was done. Do it with --apply.")
+    text = deploy.host_reports.text(reports, planned=not apply)
     options.show(text, deploy.host_reports.data(reports), as_data=json_)
     return deploy.host_reports.status(reports)

@@ -37,7 +37,7 @@ class Question(Struct, frozen=True, kw_only=True):
             StateError: Nothing has that name.
         """
         if self.kind == "miss" and self.name not in facts.tasks():
-            raise _unknown(f"no task {self.name}", self.name, facts.tasks())
+            raise _unknown(f"no task {self.name}", self.name, facts.tasks(), facts)
         if self.kind:
             return self
         rtpus = [one.name for one in facts.graph.rtpus]
@@ -47,7 +47,7 @@ class Question(Struct, frozen=True, kw_only=True):
                 return Question(kind=kind, name=self.name)
         every = [name for known in names.values() for name in known]
         what = f"no task, variable or RTPU {self.name}"
-        raise _unknown(what, self.name, every)
+        raise _unknown(what, self.name, every, facts)
 
 
 def asked_by(words: Sequence[str], trace: float = 0.0) -> Question:
@@ -105,10 +105,11 @@ def _no_question(words: Sequence[str]) -> StateError:
     )
 
 
-def _unknown(what: str, name: str, known: Sequence[str]) -> StateError:
+def _unknown(what: str, name: str, known: Sequence[str], facts: Facts) -> StateError:
+    remedy = did_you_mean(name, known) or "'pbonet status' and 'display' show names"
+    if facts.silent:
+        away = ", ".join(sorted(facts.silent))
+        remedy = f"what is on {away} is not known, as it does not answer; {remedy}"
     return StateError(
-        f"the subsystem has {what}",
-        expected=_USES,
-        got=name,
-        remedy=did_you_mean(name, known) or "'pbonet status' and 'display' show names",
+        f"the subsystem has {what}", expected=_USES, got=name, remedy=remedy
     )

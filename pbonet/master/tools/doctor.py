@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import os
 import platform
 import shutil
 import time
@@ -186,23 +187,46 @@ def memory() -> Iterator[Finding]:
 
 
 def abandoned() -> list[Path]:
-    """Return shared memory files of this user that no process has mapped."""
+    """Return shared memory files of this user that no process has mapped.
+
+    None, if a Python of this user does not show what it has mapped: the kernel hides
+    that of one that has more rights, such as an agent with a capability. Nor any where
+    ``/proc`` shows no processes of others (hidepid), as such a one is then not seen.
+    """
     mine = sorted(shm.folder().glob(shm.own("*")))
     used = _mapped(mine)
     return [path for path in mine if str(path) not in used]
 
 
 def _mapped(paths: Iterable[Path]) -> set[str]:
-    """Return which files are mapped by a process of this user."""
+    """Return which files are mapped by a process of this user, or may be."""
     wanted = {str(path) for path in paths}
+    if not os.access("/proc/1/status", os.R_OK):
+        return wanted
     used: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:
             text = maps.read_text(encoding="utf-8", errors="replace")
+        except PermissionError:
+            if _is_own(maps.parent):
+                return wanted
+            continue
         except OSError:
-            continue  # another user's, or gone
+            continue  # gone
         used |= {path for path in wanted - used if path in text}
     return used
+
+
+def _is_own(process: Path) -> bool:
+    """Return whether a process is a Python of this user, as far as that can be read."""
+    try:
+        command = (process / "cmdline").read_bytes()
+        status = (process / "status").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    uids = next(line for line in status.splitlines() if line.startswith("Uid:"))
+    is_python = b"python" in command or b"pbonet" in command
+    return is_python and int(uids.split()[2]) == os.geteuid()
 
 
 def agents(

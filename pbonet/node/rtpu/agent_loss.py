@@ -13,6 +13,7 @@ expects signs of life from it, and raises the flag itself.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,6 @@ PATIENCE = 1.0
 PAUSE = 0.005
 SILENCE = "agent's silence"
 """The subject of the entry for an agent that gives no sign of life."""
-TURN = 0.1
-"""Seconds between checks of that."""
 MISSED = 0.5
 """Seconds after which the agent, if it works, has given another one. Then the time for
 which the keeper had not answered before counts, too."""
@@ -49,7 +48,7 @@ class Silence:
         self._silences: dict[str, float] = {}
         self._last = 0.0
         self._raised: set[str] = set()
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
 
     def take(self, silences: dict[str, float]) -> None:
         """Take a sign of life; more are expected while subsystems are named.
@@ -66,25 +65,42 @@ class Silence:
             if silences.get(subsystem, 0.0) <= self._alone(subsystem):
                 self._raised.discard(subsystem)
                 self._rtpu.flags.down(subsystem, SILENCE)
-        if silences and self._timer is None:
-            self._check()
+        self._check()
 
     def close(self) -> None:
         """Expect no more."""
         if self._timer is not None:
             self._timer.cancel()
+            self._timer = None
 
     def _check(self) -> None:
-        silent = time.monotonic() - self._last
+        """Raise the flag for the subsystems whose time is over; come again for others.
+
+        Signs of life come more often than that, so nothing wakes for it between them.
+        """
+        self.close()
+        silent, left = time.monotonic() - self._last, math.inf
         for subsystem, before in self._silences.items():
             alone = self._alone(subsystem)
-            lost = silent > alone or (silent > MISSED and silent + before > alone)
-            if alone and lost and subsystem not in self._raised:
-                self._raised.add(subsystem)
-                cause = f"the agent gives no sign of life for {alone:g} s (ALONE)"
-                self._rtpu.flags.up(subsystem, SILENCE, cause)
-        again = asyncio.get_running_loop().call_later
-        self._timer = again(TURN, self._check) if self._silences else None
+            if not alone or subsystem in self._raised:
+                continue
+            limit = min(alone, max(MISSED, alone - before))
+            if silent < limit:
+                left = min(left, limit - silent)
+                continue
+            self._raised.add(subsystem)
+            cause = f"the agent gives no sign of life for {alone:g} s (ALONE)"
+            self._rtpu.flags.up(subsystem, SILENCE, cause)
+        if left < math.inf:
+            again = asyncio.get_running_loop().call_later
+            self._timer = again(left, self._expire)
+
+    def _expire(self) -> None:
+        """Check, after the signs of life that wait to be read.
+
+        They do so when this process itself was stopped.
+        """
+        self._timer = asyncio.get_running_loop().call_soon(self._check)
 
     def _alone(self, subsystem: str) -> float:
         """Return the time of ``ALONE``; 0: never."""

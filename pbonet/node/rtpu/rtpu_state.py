@@ -377,6 +377,7 @@ class Rtpu:
 
         If a cycle of it fails in time, the dispatcher writes its safe values.
         """
+        self._timing_failures.begin(self.core.status())
         opened = self.tables.get(task.facts.subsystem)
         depended_on = opened is not None and task.facts.outputs
         self.vigil.watch(
@@ -636,7 +637,8 @@ class Rtpu:
                 self.core.kick()  # in its turns it reads what waits have used
             self._waiting_cycles.check(tasks)
             self._scheduling.check(tasks)
-            self._end_crowds()
+            if tasks:
+                self._end_crowds()
             for subsystem, damage in self.tables.harmed():
                 self.events.add(
                     Severity.ERROR,

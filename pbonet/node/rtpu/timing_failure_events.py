@@ -16,7 +16,7 @@ from pbonet.node.rt import KINDS
 from pbonet.node.wire import CoreTimes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection
 
     from pbonet.analysis.schedule import CoreStatus, SlotStatus
     from pbonet.node.wire import EventLog
@@ -44,13 +44,23 @@ class TimingFailureEvents:
         self._stalled_ns = 0
         self._errors = 0
 
-    def report_new(
-        self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]
-    ) -> None:
-        """Report what has come since the last check."""
+    def begin(self, core: CoreStatus) -> None:
+        """Read the times of the core from now on, as the first task has come."""
         if self._times is None:
             self._times = CoreTimes(core.core)
-        times = self._times.read(core.leader_pid, core.leader_tid)
+            self._times.read(core.leader_pid, core.leader_tid)
+
+    def report_new(
+        self, core: CoreStatus, tasks: Collection[tuple[Task, SlotStatus]]
+    ) -> None:
+        """Report what has come since the last check."""
+        times = ""
+        if not tasks:
+            self._times = None  # reading them is most of what an idle RTPU does
+        elif self._times is None:
+            self.begin(core)
+        else:
+            times = self._times.read(core.leader_pid, core.leader_tid)
         seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
         hung: set[tuple[str, str, int, int]] = set()
         for task, slot in tasks:

@@ -3,6 +3,7 @@
 import asyncio
 import getpass
 import json
+import os
 import subprocess
 
 import pytest
@@ -21,7 +22,7 @@ from pbonet.deploy.host_facts import Unit
 from pbonet.deploy.host_reports import Report
 from pbonet.deploy.plan_host import ALONE, Plan, install, use
 from pbonet.deploy.ssh import Done, Shell
-from pbonet.errors import ConfigFileError, NodeError
+from pbonet.errors import ConfigFileError, NodeError, UnreachableError
 from pbonet.master.configuration import Place
 from pbonet.xm.net import pki
 
@@ -39,8 +40,10 @@ class Cut(Shell):
     left = 1 << 20
 
     async def run(self, *words, data=b"", check=True):  # noqa: ARG002
-        done = subprocess.run(words, input=data[: self.left], check=False)  # noqa: ASYNC221
-        return Done(done.returncode, "", "")
+        done = subprocess.run(  # noqa: ASYNC221
+            words, input=data[: self.left], check=False, stderr=subprocess.PIPE
+        )
+        return Done(done.returncode, "", done.stderr.decode())
 
 
 def test_a_file_that_came_in_part_is_not_used(hosts, tmp_path):
@@ -56,7 +59,8 @@ def test_a_file_that_came_in_part_is_not_used(hosts, tmp_path):
     assert path.read_bytes() == b"core = 1\n"
     assert path.stat().st_mode & 0o777 == 0o640
     shell.left = 7
-    put(b'core = 2\nkeys = "k"\n')
+    with pytest.raises(NodeError, match=r"pc: /.*arm0.toml cannot be written"):
+        put(b'core = 2\nkeys = "k"\n')
     assert path.read_bytes() == b"core = 1\n"
     assert [*path.parent.iterdir()] == [path]
 
@@ -65,7 +69,8 @@ def test_a_file_that_came_in_part_is_not_used(hosts, tmp_path):
 def test_a_file_of_an_owner_that_does_not_exist_is_not_written(hosts, tmp_path, owner):
     shell, path = Cut(hosts.machines[0], hosts), tmp_path / "etc" / "arm0.toml"
     file = steps.Put(path=str(path), data=b"core = 1\n", owner=owner, group="root")
-    asyncio.run(shell.put(file))
+    with pytest.raises(NodeError, match=r"cannot be written .*invalid user.*make this"):
+        asyncio.run(shell.put(file))
     assert not [*path.parent.iterdir()]
 
 
@@ -94,20 +99,99 @@ def test_systemd_reads_units_that_were_written_before(machine, release):
     assert step.actions == (steps.Run(("systemctl", "daemon-reload")),)
 
 
-def test_a_release_that_somebody_else_has_completed_is_not_removed(
+PYTHON = """#!/bin/sh
+echo "$@" >> {log}
+case "$1 $2 $3" in
+"-m venv "*)
+  mkdir -p "$3/bin"
+  cp "$0" "$3/bin/python"
+  printf '#!/bin/sh\n' > "$3/bin/pbonet"
+  chmod +x "$3/bin/pbonet" ;;
+"-m pip "*) test ! -e {bad} || exit 3 ;;
+esac
+"""
+"""Stands for a machine's Python."""
+
+
+@pytest.fixture
+def installing(tmp_path):
+    """Return what installs a release here, with a Python that keeps its words."""
+    python, log, bad = (tmp_path / name for name in ("python", "log", "bad"))
+    python.write_text(PYTHON.format(log=log, bad=bad))
+    python.chmod(0o755)
+    log.touch()
+
+    def install_release():
+        folder, incoming = tmp_path / "rel" / "r-1", tmp_path / "incoming"
+        incoming.mkdir()
+        here = (folder, incoming, steps.COMPLETE, python, incoming / "x.whl")
+        done = subprocess.run(
+            ["sh", "-s", "--", *map(str, here)],
+            input=steps.packaged("install_release.sh"),
+            text=True,
+            check=False,
+        )
+        assert not incoming.exists()
+        return done.returncode, folder / steps.COMPLETE, log.read_text()
+
+    install_release.bad = bad
+    return install_release
+
+
+def test_a_release_that_somebody_else_has_completed_is_not_made_again(installing):
+    status, complete, log = installing()
+    assert (status, complete.exists(), "-m venv" in log) == (0, True, True)
+    assert installing() == (0, complete, log)
+    complete.unlink()  # half a release is
+    assert installing() == (0, complete, log * 2)
+    assert complete.exists()
+
+
+def test_a_release_that_cannot_be_installed_leaves_its_room_free(installing):
+    installing.bad.touch()
+    status, complete, _ = installing()
+    assert status
+    assert not complete.parent.exists()
+
+
+def test_two_operators_who_install_at_once_share_no_files(machine, release):
+    """What one of them removes, the other one does not need."""
+    (clear, *puts, run), (_, *others, _) = (
+        [*install(machine, release)] for _ in range(2)
+    )
+    assert run.words[:2] == ALONE
+    assert not {put.path for put in puts} & {put.path for put in others}
+    assert all(put.path.startswith(clear.words[-1]) for put in puts)
+
+
+def test_wheels_that_are_being_sent_are_not_removed(machine, release, tmp_path):
+    clear = next(install(machine, release))
+    new, old = tmp_path / "incoming" / "new", tmp_path / "incoming" / "old"
+    for path in (new, old):
+        path.mkdir(parents=True)
+    os.utime(old, (0, 0))
+    subprocess.run([*clear.words[:-1], new.parent], check=True)
+    assert (new.exists(), old.exists()) == (True, False)
+
+
+def test_a_release_is_not_exchanged_for_one_that_was_not_in_the_plan(
     machine, release, tmp_path
 ):
-    """Nor is one removed in which a command is still at work."""
-    first, *_, venv, pip, _, _, _ = install(machine, release)
-    assert first.words[:2] == venv.words[:2] == pip.words[:2] == ALONE
-    there = [tmp_path / name for name in ("done", "half", "incoming")]
-    for path in there:
-        path.mkdir()
-    (there[0] / "complete").touch()
-    for path in there[:2]:
-        words = [*first.words[2:-2], path / "complete", there[2]]
-        subprocess.run(words, check=True)
-    assert [path.exists() for path in there] == [True, False, False]
+    """Another operator has used one since this plan was made."""
+    facts = after(machine, nothing(machine), release)
+    link = tmp_path / "opt"
+    for current in ("", "r-1"):
+        guard = next(use(structs.replace(facts, current=current), "new"))
+        assert f"is not {current or 'none'} any more" in guard.what
+        words = [str(link) if word == steps.OPT else word for word in guard.words]
+        for there in ("", "r-1", "r-2"):
+            link.unlink(missing_ok=True)
+            if there:
+                link.symlink_to(tmp_path / there)
+            done = subprocess.run(words, check=False, capture_output=True, text=True)
+            same = there == current
+            said = "" if same else f"{there or 'none'}\n"
+            assert (done.returncode, done.stdout) == (int(not same), said)
 
 
 def test_keys_that_cannot_be_written_are_an_error_of_their_machine(machine, tmp_path):
@@ -211,3 +295,24 @@ def test_a_task_that_came_on_meanwhile_is_asked_for(
     assert "the release of pc was not exchanged" in up.turn.report.warnings[-1]
     up.turn.exchanged = True
     assert "--back --host pc" in up._way_on(up.turn)
+
+
+def test_a_machine_that_dies_amid_its_turn_leaves_a_word_about_its_fallbacks(
+    hosts, machine, release, monkeypatch
+):
+    """A repeated upgrade knows nothing of a task that has gone with its machine."""
+    up = Upgrade(hosts, after(machine, nothing(machine), release), monkeypatch)
+    job = hosts.path.with_name("run.job")
+    task = running_tasks.Task(
+        name="mid", subsystem="cell", rtpu="arm0", job=job, restart="off", fallback="b"
+    )
+    found = {"pc": running_tasks.Moves(tasks=[task])}
+    monkeypatch.setattr(running_tasks, "moves", lambda *_: found)
+    monkeypatch.setattr(running_tasks, "move_away", lambda *_: None)
+
+    def lost(*_):
+        raise UnreachableError("the machine cannot be reached over ssh", where="pc")
+
+    monkeypatch.setattr(rolling_upgrade, "Shell", lost)
+    assert not asyncio.run(up._take(up.turn))
+    assert up.turn.report.warnings[-1].endswith(f"'pbonet swap {job} b mid'")

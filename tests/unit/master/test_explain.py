@@ -1012,3 +1012,10 @@ def test_a_constant_needs_no_task_that_is_on():
     one = known.graph.variables[0]
     known.graph.variables[0] = structs.replace(one, constant=True)
     assert not diagnosis.explain(known, asked_by(["Q"])).found
+
+
+@pytest.mark.parametrize("words", [("elsewhere",), ("miss", "elsewhere")])
+def test_an_unknown_name_may_be_on_a_machine_that_does_not_answer(words):
+    known = facts(silent={"arm1": UnreachableError("no agent").to_wire()})
+    with pytest.raises(StateError, match=r"has no task.*what is on arm1 is not known"):
+        asked_by(words).resolved(known)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from types import SimpleNamespace
+
+import pytest
 
 from pbonet.node.agent import Agent
 from pbonet.node.rtpu.agent_loss import SILENCE, Silence
@@ -38,7 +41,6 @@ def test_the_flag_is_up_while_the_agent_is_silent(monkeypatch):
 
         def after(seconds):
             clock[0] += seconds
-            silence._timer.cancel()
             silence._check()
             return {subsystem for subsystem, _ in flags.raised}
 
@@ -81,3 +83,56 @@ def test_only_a_keeper_elsewhere_that_is_named_is_expected_to_answer():
     )
     agent._send_alive()
     assert [one.silences for one in sent] == [{"head": 0.5}]
+
+
+def test_one_timer_waits_for_the_silence_and_each_sign_of_life_moves_it(monkeypatch):
+    """So nothing wakes between signs of life, and the flag is not up late."""
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    tables = {"arm": SimpleNamespace(use=SimpleNamespace(alone=1.0))}
+
+    async def run():
+        silence = Silence(SimpleNamespace(flags=Flags(), tables=tables))
+        for now, before, at in (
+            (100.0, 0.0, 101.0),
+            (100.2, 0.0, 101.2),
+            (100.4, 0.3, 101.1),
+            (100.6, 9.0, 101.1),
+        ):
+            clock[0] = now
+            silence.take({"arm": before})
+            assert silence._timer.when() == pytest.approx(at)
+        silence.take({})
+        assert silence._timer is None
+
+    asyncio.run(run())
+
+
+def test_a_sign_of_life_that_waits_to_be_read_counts_first(monkeypatch):
+    """As when this process was stopped for longer than ALONE, and the agent was not."""
+    clock, flags = [100.0], Flags()
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    tables = {"arm": SimpleNamespace(use=SimpleNamespace(alone=1.0))}
+
+    async def run():
+        silence = Silence(SimpleNamespace(flags=flags, tables=tables))
+        here, there = socket.socketpair()
+        reader, writer = await asyncio.open_connection(sock=here)
+
+        async def serve():
+            silence.take({"arm": 0.0})
+            await reader.readexactly(1)
+            assert not flags.raised
+            silence.take({"arm": 0.0})
+
+        served = asyncio.ensure_future(serve())
+        await asyncio.sleep(0)
+        clock[0] += 5.0
+        with there:
+            there.sendall(b"x")
+            await served
+            assert not flags.raised
+        writer.close()
+        await writer.wait_closed()
+
+    asyncio.run(run())

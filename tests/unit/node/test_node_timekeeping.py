@@ -4,6 +4,7 @@ from types import SimpleNamespace as Plain
 
 import pytest
 
+from pbonet.node.rtpu import timing_failure_events
 from pbonet.node.rtpu.timing_failure_events import TimingFailureEvents
 from pbonet.node.wire.core_times import CoreTimes
 from pbonet.node.wire.event_log import EventLog
@@ -85,3 +86,38 @@ def test_what_a_core_did_is_the_kernels_difference(tmp_path):
     assert "dispatcher" not in times.read(7, 9)  # another one leads
     (tmp_path / "stat").unlink()
     assert times.read(7, 9) == ""
+
+
+class CountedTimes:
+    """Core times that count how often they were read."""
+
+    readings = 0
+
+    def __init__(self, _core):
+        self.first = True
+
+    def read(self, _pid, _tid):
+        CountedTimes.readings += 1
+        first, self.first = self.first, False
+        return "" if first else "core 1 in 0.50 s"
+
+
+def test_core_times_are_read_only_while_there_are_tasks(monkeypatch):
+    """The first failure of the first task has them all the same."""
+    monkeypatch.setattr(timing_failure_events, "CoreTimes", CountedTimes)
+    monkeypatch.setattr(CountedTimes, "readings", 0)
+    events = EventLog("arm0")
+    keeper = TimingFailureEvents(events)
+    fields = dict.fromkeys(
+        ("hung", "flooded", "held_off", "safe", "cycles", "on_cycles", "maxc_ns"), 0
+    )
+    slot = Plain(**fields, pid=7, failures=(4, 0, 0), cpu_now_ns=0, cpu_max_ns=0)
+    for _ in range(2):
+        keeper.report_new(CORE, [])
+        assert CountedTimes.readings == 0
+        keeper.begin(CORE)
+        keeper.report_new(CORE, [(TASK, slot)])
+        assert events.since(0)[-1].text.endswith("core 1 in 0.50 s")
+        keeper.report_new(CORE, [])
+        assert CountedTimes.readings == 2
+        CountedTimes.readings = 0

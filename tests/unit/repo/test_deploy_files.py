@@ -73,6 +73,7 @@ def test_dockerfile_has_no_fault():
 
 def test_scripts_have_no_fault():
     judge("shellcheck", DEPLOY / "host-setup.sh")
+    judge("shellcheck", "--shell=sh", ROOT / "pbonet" / "deploy" / "install_release.sh")
 
 
 def unit_in(folder, of=UNIT):
