@@ -1,0 +1,86 @@
+r"""Ctrl-C and SIGTERM during a command that undoes what it began when it fails.
+
+The first one ends the command, and begins the undoing. Python would end that at the
+second one, with tasks that are created or ON; here each further one only shows what is
+waited for. SIGQUIT (Ctrl-\) ends the process at once, as ever.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING, Any, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+_DEFAULTS: Final = (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGTERM, signal.SIG_DFL),
+)
+"""Signals with the handlers that end a program; of others the program takes care."""
+
+
+class InterruptsInTurn:
+    """Have a block ended by the first interrupt, and its undoing by none.
+
+    Args:
+        what: What is undone, or ended, for messages.
+        left: What to do about what is left if the process is ended at once.
+        awaited: Returns what is waited for.
+        first: Whether an interrupt ends the block; otherwise none does.
+        idle: Whether it leaves interrupts as they are.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        left: str,
+        awaited: Callable[[], str],
+        *,
+        first: bool = True,
+        idle: bool = False,
+    ) -> None:
+        self._what = what
+        self._left = left
+        self._awaited = awaited
+        self._first = first
+        self._signals = () if idle else _DEFAULTS
+        self._before: list[tuple[int, Any]] = []
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in self._signals:
+                if signal.getsignal(number) is handler:
+                    signal.signal(number, self._take)
+                    self._before.append((number, handler))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before:
+            signal.signal(number, handler)
+
+    def wait(self) -> None:
+        """Let no interrupt end what follows."""
+        self._first = False
+
+    def _take(self, number: int, _: FrameType | None) -> None:
+        if not self._first:
+            awaited = self._awaited()
+            _say(
+                f"still {self._what}{awaited and f'; waits for {awaited}'}. "
+                f"Ctrl-\\ ends this at once; {self._left}"
+            )
+            return
+        self._first = False
+        _say(f"interrupted: {self._what}")
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        raise SystemExit(128 + number)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
