@@ -23,7 +23,7 @@ from pbonet.node.agent.agent import Agent
 from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders, _Child
 from pbonet.node.recorder import Time, log_rotation, recorder_process as recording
 from pbonet.node.ring._ring import Ring
-from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.rtpu import orphaned_rings, record_request
 from pbonet.node.task import ring_bytes
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import codec, messages as m
@@ -306,6 +306,36 @@ def test_a_recorder_that_was_lost_hands_on_what_it_has_lost(
         ring.destroy()
         recorders.stop()
     assert plans == [{}, {"a": 1}]
+
+
+def test_the_recorder_of_the_next_agent_goes_on_counting_what_is_lost(tmp_path) -> None:
+    """The RTPU process keeps the count; a new one in its plan begins no recorder."""
+    (tmp_path / "r").write_text("a file where a folder should be")
+    rtpu = SimpleNamespace(recordings={"arm": wanted(tmp_path)})
+
+    def take(message: rtpu_messages.FromRecorder) -> None:
+        if isinstance(message, rtpu_messages.Recorder):
+            record_request.keep_losses(rtpu, message)
+
+    def recorded(cycle: int) -> Recorders:
+        recorders = Recorders(take, AgentConfig())
+        recorders.update(rtpu.recordings)
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+        wait_for(lambda: rtpu.recordings["arm"].lost == {"a": cycle}, "the count")
+        return recorders
+
+    ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+    try:
+        recorders = recorded(1)
+        pids = [*recorders.processes()]
+        recorders.update(rtpu.recordings)
+        assert [*recorders.processes()] == pids
+        recorders.stop()
+        recorders = recorded(2)
+        wait_for(lambda: recorders.fares("arm").lost == 2, "its status")
+    finally:
+        ring.destroy()
+        recorders.stop()
 
 
 @pytest.mark.parametrize(
