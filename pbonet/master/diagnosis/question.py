@@ -37,7 +37,7 @@ class Question(Struct, frozen=True, kw_only=True):
             StateError: Nothing has that name.
         """
         if self.kind == "miss" and self.name not in facts.tasks():
-            raise _unknown(f"no task {self.name}", self.name, facts.tasks())
+            raise _unknown(f"no task {self.name}", self.name, facts.tasks(), facts)
         if self.kind:
             return self
         rtpus = [one.name for one in facts.graph.rtpus]
@@ -47,7 +47,7 @@ class Question(Struct, frozen=True, kw_only=True):
                 return Question(kind=kind, name=self.name)
         every = [name for known in names.values() for name in known]
         what = f"no task, variable or RTPU {self.name}"
-        raise _unknown(what, self.name, every)
+        raise _unknown(what, self.name, every, facts)
 
 
 def asked_by(words: Sequence[str], trace: float = 0.0) -> Question:
@@ -105,7 +105,15 @@ def _no_question(words: Sequence[str]) -> StateError:
     )
 
 
-def _unknown(what: str, name: str, known: Sequence[str]) -> StateError:
+def _unknown(what: str, name: str, known: Sequence[str], facts: Facts) -> StateError:
+    if facts.silent and not did_you_mean(name, known):
+        silent = " and ".join(facts.silent)
+        return StateError(
+            f"the RTPUs that answer have {what}",
+            expected=_USES,
+            got=f"{name}, and no answer of {silent}",
+            remedy=f"ask about {next(iter(facts.silent))}, which may have it",
+        )
     return StateError(
         f"the subsystem has {what}",
         expected=_USES,

@@ -111,6 +111,24 @@ def test_a_log_goes_on_in_another_file_when_it_has_many_chunks(
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3, 4, 5]
 
 
+def test_a_log_that_was_removed_is_reported_and_goes_on_in_another_file(
+    ring, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(log_rotation, "CHECK", 0.0)
+    said: list[rtpu_messages.FromRecorder] = []
+    recorder = begin(tmp_path, said)
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+        if n == 0:
+            (tmp_path / "r").rename(tmp_path / "moved")
+    recorder.end()
+    assert codes(said) == ["NOT_RECORDED"]
+    assert Log(tmp_path / "moved").complete
+    assert Log(tmp_path / "moved").arrays("a")["cycle"].tolist() == [1]
+    assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [2, 3]
+
+
 def test_rings_are_emptied_while_what_was_kept_is_written(
     tmp_path, monkeypatch
 ) -> None:

@@ -639,6 +639,16 @@ def test_a_writer_on_a_machine_that_is_away():
     assert "do: look" in text
 
 
+def test_a_name_that_none_of_those_that_answer_knows_may_be_that_of_another_rtpu():
+    known = facts(silent={"arm1": NoAnswerError("silent").to_wire()})
+    with pytest.raises(StateError) as caught:
+        told(known, "gripper")
+    assert "the RTPUs that answer have no task, variable or RTPU gripper" in str(
+        caught.value
+    )
+    assert "ask about arm1, which may have it" in str(caught.value)
+
+
 def test_a_table_that_cannot_be_read():
     known = facts(values={}, silent={"arm0": NoAnswerError("silent").to_wire()})
     text = told(known, "REF")
