@@ -44,7 +44,7 @@ _ENDING: Final = 10.0
 _EARLIER: Final = re.compile(
     r"(on|off|kill|clear|reinit): (ON|OFF|ERROR|NOT-CREATED)(?:: (.*))?", re.DOTALL
 )
-"""What older logs say of a signal."""
+"""The text of a signal in older logs."""
 _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DOTALL)
 
 
