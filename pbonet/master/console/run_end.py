@@ -224,8 +224,10 @@ class Interrupts:
             force()
 
     def _show(self, text: str) -> None:
+        """Show a line; if its pipe was closed, nothing, and what follows is done."""
         if self._say is not None:
-            self._say(text)
+            with contextlib.suppress(OSError, SystemExit):  # the latter is rich's
+                self._say(text)
 
     @contextlib.contextmanager
     def caught(self) -> Generator[None]:

@@ -77,11 +77,15 @@ def read_log(path: str | Path) -> Facts:
 
 def _stamp(path: str | Path) -> _Stamp:
     """Return what changes with the files of a log."""
-    found = [(one, one.stat()) for one in files_of(Path(path)) if one.exists()]
-    return tuple(
-        (str(file.absolute()), one.st_ino, one.st_size, one.st_mtime_ns)
-        for file, one in found
-    )
+    return tuple(_state(file.absolute()) for file in files_of(Path(path)))
+
+
+def _state(file: Path) -> tuple[str, int, int, int]:
+    try:
+        one = file.stat()
+    except OSError:  # it was just removed; reading it says so
+        return str(file), 0, 0, 0
+    return str(file), one.st_ino, one.st_size, one.st_mtime_ns
 
 
 def _read(path: str | Path) -> Facts:

@@ -7,6 +7,7 @@ waited for. SIGQUIT (Ctrl-\) ends the process at once, as ever.
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import threading
@@ -49,38 +50,52 @@ class InterruptsInTurn:
         self._first = first
         self._signals = () if idle else _DEFAULTS
         self._before: list[tuple[int, Any]] = []
+        self._installed = False
+        self._late = 0
+        """A signal that came while handlers were exchanged."""
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             for number, handler in self._signals:
                 if signal.getsignal(number) is handler:
-                    signal.signal(number, self._take)
                     self._before.append((number, handler))
+                    signal.signal(number, self._take)
+        self._installed = True
+        if self._late:
+            self.__exit__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before:
+        """Put the handlers back: the one that raises an exception is the last."""
+        self._installed = False
+        for number, handler in reversed(self._before):
             signal.signal(number, handler)
+        if self._late:
+            signal.raise_signal(self._late)
 
     def wait(self) -> None:
         """Let no interrupt end what follows."""
         self._first = False
 
     def _take(self, number: int, _: FrameType | None) -> None:
-        if not self._first:
+        if not self._installed:
+            self._late = number
+        elif not self._first:
             awaited = self._awaited()
             _say(
                 f"still {self._what}{awaited and f'; waits for {awaited}'}. "
                 f"Ctrl-\\ ends this at once; {self._left}"
             )
-            return
-        self._first = False
-        _say(f"interrupted: {self._what}")
-        if number == signal.SIGINT:
-            raise KeyboardInterrupt
-        raise SystemExit(128 + number)
+        else:
+            self._first = False
+            _say(f"interrupted: {self._what}")
+            if number == signal.SIGINT:
+                raise KeyboardInterrupt
+            raise SystemExit(128 + number)
 
 
 def _say(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
+    """Write a line; a pipe that was closed, or a write under way, ends no undoing."""
+    with contextlib.suppress(AttributeError, OSError, RuntimeError, ValueError):
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()

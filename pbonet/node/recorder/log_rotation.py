@@ -155,7 +155,7 @@ class LogFiles:
         if writer is None or now < self._check:
             return
         self._check = now + CHECK
-        if not writer.path.exists():
+        if not writer.is_there:
             text = f"{writer.path} was removed or moved, with what was recorded until "
             text += "now; another file follows"
             self._say(Severity.ERROR, "NOT_RECORDED", text)

@@ -59,9 +59,12 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
 
 
 def keep_losses(rtpu: Rtpu, recorder: rtpu_messages.Recorder) -> None:
-    """Keep what a recorder has lost for the recorder of the next agent."""
+    """Keep what a recorder has lost for the recorder of the next agent.
+
+    That of an earlier run may still say so when another run has begun.
+    """
     recording = rtpu.recordings.get(recorder.subsystem)
-    if recording is not None:
+    if recording is not None and recording.run == recorder.run:
         rtpu.recordings[recorder.subsystem] = msgspec.structs.replace(
             recording, lost=recorder.handed_on
         )

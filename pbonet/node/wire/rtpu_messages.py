@@ -141,6 +141,7 @@ class Recorder(Struct, tag="recorder", kw_only=True):
     """The state of a recorder."""
 
     subsystem: str
+    run: str = ""
     path: str = ""
     """The log that it writes; empty if none."""
     lost: int = 0

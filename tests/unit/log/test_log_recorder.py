@@ -111,6 +111,46 @@ def test_a_log_goes_on_in_another_file_when_it_has_many_chunks(
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3, 4, 5]
 
 
+def test_a_log_that_was_moved_away_for_an_empty_one_goes_on_in_another_file(
+    ring, tmp_path, monkeypatch
+) -> None:
+    """As `logrotate` does with `create`."""
+    monkeypatch.setattr(log_rotation, "CHECK", 0.0)
+    said: list[rtpu_messages.FromRecorder] = []
+    recorder = begin(tmp_path, said)
+    path, moved = tmp_path / "r" / "run.mcap", tmp_path / "r" / "run.mcap.1"
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+        if n == 0:
+            path.rename(moved)
+            path.touch()
+    recorder.end()
+    assert codes(said) == ["NOT_RECORDED"]
+    assert Log(moved).arrays("a")["cycle"].tolist() == [1]
+    (other,) = logs(tmp_path)
+    assert Log(other).arrays("a")["cycle"].tolist() == [2, 3]
+
+
+def test_a_log_in_a_folder_that_cannot_be_read_is_not_taken_for_removed(
+    tmp_path, monkeypatch
+) -> None:
+    """As on a network disk that is away."""
+
+    def refused(_self):
+        raise PermissionError(errno.EACCES, "no")
+
+    monkeypatch.setattr(log_rotation, "CHECK", 0.0)
+    said: list[rtpu_messages.FromRecorder] = []
+    recorder = begin(tmp_path, said)
+    recorder.turn()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "stat", refused)
+        recorder.turn()
+    recorder.end()
+    assert codes(said) == []
+
+
 def test_a_log_that_was_removed_is_reported_and_goes_on_in_another_file(
     ring, tmp_path, monkeypatch
 ) -> None:
@@ -354,6 +394,14 @@ def test_the_recorder_of_the_next_agent_goes_on_counting_what_is_lost(tmp_path) 
     finally:
         ring.destroy()
         recorders.stop()
+
+
+def test_what_the_recorder_of_an_earlier_run_has_lost_is_no_part_of_this_one(tmp_path):
+    rtpu = SimpleNamespace(recordings={"arm": wanted(tmp_path)})
+    for run, lost in (("earlier", {}), ("r", {"a": 1})):
+        late = rtpu_messages.Recorder(subsystem="arm", run=run, handed_on={"a": 1})
+        record_request.keep_losses(rtpu, late)
+        assert rtpu.recordings["arm"].lost == lost
 
 
 @pytest.mark.parametrize(

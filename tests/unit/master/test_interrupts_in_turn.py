@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -69,6 +71,46 @@ def test_none_ends_what_is_undone_for_another_reason(capsys):
     with to_undo(first=False):
         os.kill(os.getpid(), signal.SIGINT)
     assert capsys.readouterr().err.splitlines() == [STILL, STILL]
+
+
+def test_a_closed_pipe_ends_no_undoing(monkeypatch):
+    """`| tee` is ended by the same Ctrl-C."""
+
+    def closed(_text):
+        raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=closed))
+    with to_undo(first=False):
+        os.kill(os.getpid(), signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt), to_undo():
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.parametrize("when", ["installed", "put back"])
+def test_one_that_comes_while_handlers_are_exchanged_leaves_none_installed(
+    when, monkeypatch
+):
+    """It counts as one that came before or after the block."""
+
+    def exchanged(number, handler):
+        old = signal_signal(number, handler)
+        if number == which:
+            os.kill(os.getpid(), signal.SIGINT)
+        return old
+
+    def block():
+        with to_undo():
+            entered.append(1)
+            monkeypatch.setattr(signal, "signal", exchanged)
+
+    signal_signal, entered = signal.signal, []
+    which = signal.SIGINT if when == "installed" else signal.SIGTERM
+    if when == "installed":
+        monkeypatch.setattr(signal, "signal", exchanged)
+    with pytest.raises(KeyboardInterrupt):
+        block()
+    monkeypatch.undo()
+    assert entered == ([] if when == "installed" else [1])
 
 
 def test_handlers_of_the_program_stay(usual_handlers):

@@ -2,6 +2,7 @@
 
 import queue
 import signal
+import threading
 from types import SimpleNamespace
 
 import msgspec
@@ -183,3 +184,17 @@ def test_each_interrupt_of_a_run_says_what_it_does():
         "interrupted again: the end is under way; waits for the off of a on arm1",
     ]
     wait_for(lambda: stops == [1], "one stop")
+
+
+def test_a_second_interrupt_stops_everything_also_when_its_line_cannot_be_shown():
+    """`| tee` is ended by the same Ctrl-C."""
+
+    def closed(_text):
+        raise BrokenPipeError
+
+    interrupts = Interrupts(say=closed)
+    stopped = threading.Event()
+    interrupts.force = stopped.set
+    for _ in range(2):
+        interrupts.take(signal.SIGINT, None)
+    assert stopped.wait(60)
