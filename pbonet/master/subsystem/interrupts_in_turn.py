@@ -53,6 +53,8 @@ class InterruptsInTurn:
         self._installed = False
         self._late = 0
         """A signal that came while handlers were exchanged."""
+        self._ends = False
+        """Whether SIGTERM is carried out after the block."""
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -65,13 +67,15 @@ class InterruptsInTurn:
             self.__exit__()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
         """Put the handlers back: the one that raises an exception is the last."""
         self._installed = False
         for number, handler in reversed(self._before):
             signal.signal(number, handler)
         if self._late:
             signal.raise_signal(self._late)
+        if self._ends and kind is None:
+            raise SystemExit(128 + signal.SIGTERM)
 
     def wait(self) -> None:
         """Let no interrupt end what follows."""
@@ -81,6 +85,7 @@ class InterruptsInTurn:
         if not self._installed:
             self._late = number
         elif not self._first:
+            self._ends = self._ends or number == signal.SIGTERM
             awaited = self._awaited()
             _say(
                 f"still {self._what}{awaited and f'; waits for {awaited}'}. "

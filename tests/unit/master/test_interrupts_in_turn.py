@@ -113,6 +113,26 @@ def test_one_that_comes_while_handlers_are_exchanged_leaves_none_installed(
     assert entered == ([] if when == "installed" else [1])
 
 
+def test_a_request_to_end_the_process_is_carried_out_after_an_orderly_end(capsys):
+    """It is sent once, as by `timeout` or systemd; an error of the block is kept."""
+    done = []
+
+    def block(error):
+        with to_undo(first=False):
+            os.kill(os.getpid(), signal.SIGTERM)
+            done.append(1)
+            if error is not None:
+                raise error
+
+    with pytest.raises(SystemExit) as caught:
+        block(None)
+    assert caught.value.code == 143
+    with pytest.raises(ValueError, match="of the block"):
+        block(ValueError("of the block"))
+    assert done == [1, 1]
+    assert capsys.readouterr().err.splitlines() == [STILL, STILL]
+
+
 def test_handlers_of_the_program_stay(usual_handlers):
     taken = []
     signal.signal(signal.SIGINT, lambda *_: taken.append(1))
