@@ -74,6 +74,15 @@ class _Whole:
     def flush(self) -> None:
         """Do nothing, because nothing is buffered."""
 
+    def is_at(self, path: Path) -> bool:
+        """Return whether this is its file, or that cannot be known."""
+        try:
+            return os.path.samestat(path.stat(), os.fstat(self._file.fileno()))
+        except FileNotFoundError:
+            return False
+        except OSError:
+            return True
+
     def close(self) -> None:
         self._file.close()
 
@@ -187,6 +196,11 @@ class LogWriter:
     def size(self) -> int:
         """The size of the file so far."""
         return self._stream.tell()
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its path still is this file; also if that cannot be known."""
+        return self._stream.is_at(self.path)
 
     @property
     def chunks(self) -> int:

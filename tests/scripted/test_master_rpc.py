@@ -106,8 +106,9 @@ def test_agent_that_gives_no_sign_of_life_is_found_out(client, agents, timeout):
         client.call("arm1", m.Status(), m.RtpuStatus, timeout=timeout)
     assert str(caught.value) == (
         "arm1: the agent is registered but does not respond (expected an answer within "
-        "1.1 s); see its output; if it hangs, end it with 'kill -9' and start it "
-        "again: its tasks continue meanwhile, for its grace"
+        "1.1 s); if its machine is busy, wait and try again; else see its output; if "
+        "it hangs, end it with 'kill -9' and start it again: its tasks continue "
+        "meanwhile, for its grace"
     )
 
 

@@ -397,17 +397,30 @@ def ctrl_c_is_heeded():
 
 
 @pytest.mark.usefixtures("ctrl_c_is_heeded")
-def test_start_that_ctrl_c_ends_leaves_no_task_that_was_being_created(arm, agents):
-    """Its request is done after that; a kill of the task comes too early once."""
+def test_start_that_ctrl_c_ends_leaves_no_task_that_was_being_created(
+    arm, agents, capsys
+):
+    """Its request is done after that; a kill of the task comes too early once.
+
+    A second Ctrl-C meanwhile shows what is waited for.
+    """
     held = agents["arm1"].held["spawn"] = threading.Event()
 
     def asked(kind):
         return [one for one in agents["arm1"].requests if isinstance(one, kind)]
 
+    def shown():
+        text.append(capsys.readouterr().err)
+        return "".join(text).partition("still undoing what was begun; waits for ")[2]
+
+    text: list[str] = []
+
     def interrupt():
         wait_for(lambda: asked(m.Spawn), "a task is being created")
         os.kill(os.getpid(), signal.SIGINT)
         wait_for(lambda: asked(m.Control), "it is killed")
+        os.kill(os.getpid(), signal.SIGINT)
+        wait_for(lambda: "\n" in shown(), "the second one is answered")
         held.set()
 
     pressing = threading.Thread(target=interrupt)
@@ -415,6 +428,7 @@ def test_start_that_ctrl_c_ends_leaves_no_task_that_was_being_created(arm, agent
     with pytest.raises(KeyboardInterrupt):
         arm.start("puma")
     pressing.join()
+    assert shown().startswith("the kill of ")
     assert asked(m.Spawn)
     assert {name: list(one.tasks) for name, one in agents.items()} == {
         "arm0": [],

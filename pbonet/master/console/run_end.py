@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from pbonet.errors import PbonetError
 from pbonet.master.subsystem import SequenceState
 
 from . import summary
@@ -173,28 +174,60 @@ class Interrupts:
     Args:
         once: A second one acts as if signals were not caught, which ends a module that
             hangs in this very process.
+        ends: What the first one begins, for its message.
+        say: Shows what an interrupt does; None: nothing is shown.
     """
 
-    def __init__(self, *, once: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        once: bool = False,
+        ends: str = "",
+        say: Callable[[str], object] | None = None,
+    ) -> None:
         self.wished = threading.Event()
         self.count = 0
         self._once = once
+        self._ends = ends
+        self._say = say
         self._before: list[Any] = []
         self.force: Callable[[], object] | None = None
-        """Called in a thread of its own by the second interrupt."""
+        """Called, once, in a thread of its own after the second interrupt."""
+        self.awaited: Callable[[], str] = str
+        """Returns what is waited for, for the message of further ones."""
 
     def take(self, _number: int, _frame: FrameType | None) -> None:
         """Take a signal.
 
-        An event is set by another thread: the main one may hold the event's lock just
-        now, because it waits for it, and would wait for itself.
+        What it does is done by another thread: the main one may hold the lock of the
+        event just now, because it waits for it, and would wait for itself.
         """
         self.count += 1
-        _thread.start_new_thread(self.wished.set, ())
+        _thread.start_new_thread(self._taken, (self.count,))
         if self._once:
             self._give_back()
-        if self.count == _FORCE and self.force is not None:
-            _thread.start_new_thread(self.force, ())
+
+    def _taken(self, count: int) -> None:
+        """Request the end, or have everything stopped at once; say which."""
+        self.wished.set()
+        if count < _FORCE:
+            self._show(f"interrupted: {self._ends}")
+            return
+        force, self.force = self.force, None
+        if force is None:
+            awaited = self.awaited()
+            waits = f"waits for {awaited}" if awaited else "its steps have time limits"
+            self._show(f"interrupted again: the end is under way; {waits}")
+            return
+        self._show("interrupted again: everything is stopped at once")
+        with contextlib.suppress(PbonetError):  # the end of the run shows what failed
+            force()
+
+    def _show(self, text: str) -> None:
+        """Show a line; if its pipe was closed, nothing, and what follows is done."""
+        if self._say is not None:
+            with contextlib.suppress(OSError, SystemExit):  # the latter is rich's
+                self._say(text)
 
     @contextlib.contextmanager
     def caught(self) -> Generator[None]:

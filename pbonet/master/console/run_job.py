@@ -95,7 +95,6 @@ class Run:
         self._missing = 0
         self._away: list[str] = []
         self._standstills = Standstills()
-        self._interrupts = Interrupts()
         self._reason = ""
         self._faults: list[str] = []
         self._unfinished: list[PbonetError] = []
@@ -103,6 +102,10 @@ class Run:
         self.name = self.files.recorded_job().name
         self._seconds = None if self.files.seq else seconds
         self._sequence: SequenceThread | None = None
+        ends = "it goes to its safe job" if self.files.seq else "it ends in order"
+        self._interrupts = Interrupts(
+            ends=f"{ends}; a second interrupt stops everything at once", say=view.say
+        )
         self._agents = agents or Embedded(
             place.domain,
             libraries=[*map(str, self.files.library.folders)],
@@ -171,6 +174,7 @@ class Run:
         listener = Listener(subsystem, printed=True)
         try:
             self._interrupts.force = subsystem.stop
+            self._interrupts.awaited = subsystem.clients.awaited
             listener.open()  # before a task may fail
             begin = self._start(subsystem, infos)
             statuses = self._watch(subsystem, begin, listener)

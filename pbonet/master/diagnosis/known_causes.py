@@ -38,6 +38,7 @@ def _cause(subject: str, sentence: str, remedy: str) -> FlagCause:
 
 
 _REPAIR: Final = "repair its cause, then `clear`, or `kill` and `spawn`"
+_SPAWN: Final = "repair its cause, then `start` the job, or `spawn` it again"
 _AGENT: Final = (
     "check the network and that agent; the flag goes down when it answers again"
 )
@@ -49,8 +50,8 @@ FLAG_CAUSES: Final = (
     ),
     _cause("variable", "the input <name> of … is stale", "find why it is too old"),
     _cause("task", "<name> is in ERROR", _REPAIR),
-    _cause("task", "<name> has died", _REPAIR),
-    _cause("task", "<name> has ended by itself", _REPAIR),
+    _cause("task", "<name> has died", _SPAWN),
+    _cause("task", "<name> has ended by itself", _SPAWN),
     _cause(
         "task",
         "<name> was lost with its RTPU process",
@@ -87,7 +88,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     "turned off": "turn it on again, by `swap` if another task writes its variables",
     "off by itself": "read that module's events; turn it on again",
     "stands by": "nothing: it is released when its original fails",
-    "died": "read its event with the traceback; repair, `kill` and `spawn` it again",
+    "died": "see in its event, and in what it printed, why it ended; then `start` the "
+    "job, or `spawn` it again",
     "not spawned": "start the job, or spawn the task",
     "no cycle": "`kill` ends a cycle that hangs; a task that waits in `sync` needs its "
     "event",

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, Final
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
+from msgspec import structs
 
 from pbonet.errors import PbonetError
-from pbonet.log import Log, timelines
+from pbonet.log import Log, files_of, timelines
 from pbonet.master.configuration import Graph, recorded_graph
 from pbonet.xm.net import (
     Event,
@@ -23,7 +26,6 @@ from .facts import Facts, Gap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -39,13 +41,24 @@ _OUT_OF_ORDER: Final = ("FORCED", "LEFT_SAFE")
 """Events of a task that did not end in order, also amid the end of a run."""
 _ENDING: Final = 10.0
 """Seconds within which the tasks of a run are turned off at its end."""
+_EARLIER: Final = re.compile(
+    r"(on|off|kill|clear|reinit): (ON|OFF|ERROR|NOT-CREATED)(?:: (.*))?", re.DOTALL
+)
+"""The text of a signal in older logs."""
 _CHANGES: Final = re.compile(r"(?:\[\d+ changes\] )?(?:no longer: )?(.*)", re.DOTALL)
+
+
+_Stamp: TypeAlias = tuple[tuple[str, int, int, int], ...]
+_kept: dict[_Stamp, Facts] = {}
+"""The facts of the log that was read last."""
+_guard: Final = threading.Lock()
 
 
 def read_log(path: str | Path) -> Facts:
     """Return the facts of a recorded run, as they were before its tasks were ended.
 
-    A task whose process was ended by force, or died, has no process.
+    A task whose process was ended by force, or died, has no process. The log that was
+    read last is read again only when its files have changed.
 
     Args:
         path: The log, or the folder of a run.
@@ -53,6 +66,29 @@ def read_log(path: str | Path) -> Facts:
     Raises:
         LogError: There is none, or it is damaged from the beginning.
     """
+    with _guard:
+        stamp = _stamp(path)
+        facts = _kept.get(stamp)
+        if facts is None:
+            _kept.clear()
+            facts = _kept[stamp] = _read(path)
+        return structs.replace(facts, unknown=list(facts.unknown))
+
+
+def _stamp(path: str | Path) -> _Stamp:
+    """Return what changes with the files of a log."""
+    return tuple(_state(file.absolute()) for file in files_of(Path(path)))
+
+
+def _state(file: Path) -> tuple[str, int, int, int]:
+    try:
+        one = file.stat()
+    except OSError:  # it was just removed; reading it says so
+        return str(file), 0, 0, 0
+    return str(file), one.st_ino, one.st_size, one.st_mtime_ns
+
+
+def _read(path: str | Path) -> Facts:
     log = Log(path)
     unknown = [str(one) for one in log.check()]
     unknown += (
@@ -60,7 +96,7 @@ def read_log(path: str | Path) -> Facts:
         if log.complete
         else ["the end of the log: it was not finished, or is still written"]
     )
-    events = [convert(one, Event) for one in log.events()]
+    events = [_event(one) for one in log.events()]
     try:
         graph = convert(recorded_graph(log)[0], Graph)
     except PbonetError as error:
@@ -89,6 +125,17 @@ def read_log(path: str | Path) -> Facts:
     facts.gaps = {task: _gaps(log, task) for task in log.tasks}
     facts.values = _values(log, end)
     return facts
+
+
+def _event(recorded: dict[str, Any]) -> Event:
+    """Return a recorded event; what it says of a signal is in the present words."""
+    event = convert(recorded, Event)
+    if event.code in {"STATE", "SIGNAL_FAILED"} and (
+        parts := _EARLIER.fullmatch(event.text)
+    ):
+        signal, state, failed = parts.groups("")
+        event.text = event_codes.signal_text(signal, state, failed)
+    return event
 
 
 def _rtpus(log: Log, facts: Facts, end: float) -> dict[str, RtpuStatus]:

@@ -106,10 +106,17 @@ def _no_question(words: Sequence[str]) -> StateError:
 
 
 def _unknown(what: str, name: str, known: Sequence[str], facts: Facts) -> StateError:
-    remedy = did_you_mean(name, known) or "'pbonet status' and 'display' show names"
-    if facts.silent:
-        away = ", ".join(sorted(facts.silent))
-        remedy = f"what is on {away} is not known, as it does not answer; {remedy}"
+    if facts.silent and not did_you_mean(name, known):
+        silent = " and ".join(facts.silent)
+        return StateError(
+            f"the RTPUs that answer have {what}",
+            expected=_USES,
+            got=f"{name}, and no answer of {silent}",
+            remedy=f"ask about {next(iter(facts.silent))}, which may have it",
+        )
     return StateError(
-        f"the subsystem has {what}", expected=_USES, got=name, remedy=remedy
+        f"the subsystem has {what}",
+        expected=_USES,
+        got=name,
+        remedy=did_you_mean(name, known) or "'pbonet status' and 'display' show names",
     )

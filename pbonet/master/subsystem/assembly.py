@@ -244,17 +244,19 @@ class Done:
         Raises:
             SeveralError: It failed, and not all could be undone.
         """
-        try:
-            yield
-        except BaseException as error:
-            left = self.undo()
-            if left and isinstance(error, PbonetError):
-                raise SeveralError(
-                    f"{what}, and not all could be undone",
-                    [error, *left],
-                    remedy="'stop' ends the remaining tasks",
-                ) from error
-            raise
+        with self._task_set.interrupts("undoing what was begun") as interrupts:
+            try:
+                yield
+            except BaseException as error:
+                interrupts.wait()
+                left = self.undo()
+                if left and isinstance(error, PbonetError):
+                    raise SeveralError(
+                        f"{what}, and not all could be undone",
+                        [error, *left],
+                        remedy="'stop' ends the remaining tasks",
+                    ) from error
+                raise
 
     def spawn(
         self,

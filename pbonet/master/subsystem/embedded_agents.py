@@ -24,6 +24,8 @@ from pbonet.errors import NodeError, PbonetError, StateError, UnreachableError
 from pbonet.master.configuration import environment
 from pbonet.xm.net import credentials, run_folder, session
 
+from .interrupts_in_turn import InterruptsInTurn
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from threading import Event
@@ -206,6 +208,15 @@ class Embedded:
 
         An RTPU process whose agent has died ends by itself; that is waited for, too.
         """
+        with InterruptsInTurn(
+            "ending the agents of this process",
+            "they end by themselves then",
+            lambda: " and ".join(one.rtpu for one in self.children),
+            first=False,
+        ):
+            return self._stop()
+
+    def _stop(self) -> list[str]:
         for child in self.children:
             if child.process.poll() is None:
                 child.process.terminate()

@@ -67,6 +67,13 @@ class RtpuClients:
         self.epochs: dict[str, int] = {}
         self._agents: dict[str, m.AgentInfo] = {}
         self._token: rpc.Declared | None = None
+        self._last: dict[str, m.Request] = {}
+        """The newest requests, by RTPU."""
+
+    def awaited(self) -> str:
+        """Return what is waited for when a request is under way: the newest ones."""
+        found = [f"{_in_words(one)} on {rtpu}" for rtpu, one in self._last.items()]
+        return ", ".join(found)
 
     @property
     def names(self) -> list[str]:
@@ -265,9 +272,9 @@ class RtpuClients:
         Raises:
             PbonetError: As `rpc.Client.call` and the agent say.
         """
-        return self.client.call(
-            rtpu, self._signed(rtpu, request), result, timeout=timeout
-        )
+        signed = self._signed(rtpu, request)
+        self._last = {rtpu: signed}
+        return self.client.call(rtpu, signed, result, timeout=timeout)
 
     def each(
         self,
@@ -280,6 +287,7 @@ class RtpuClients:
         """Send a request to each RTPU at once; return results and errors."""
         wanted = self.entries if rtpus is None else rtpus
         requests = {rtpu: self._signed(rtpu, make(rtpu)) for rtpu in wanted}
+        self._last = requests
         return self.client.call_all(requests, result, timeout=timeout)
 
     def infos(self) -> list[m.AgentInfo]:
@@ -374,6 +382,15 @@ class RtpuClients:
             self.client.domain, self.sbs.subsystem, self.client.name
         )
         self._token = self.client.announce(key)
+
+
+def _in_words(request: m.Request) -> str:
+    """Return in a few words what a request has done."""
+    if isinstance(request, m.Control):
+        return f"the {request.signal} of {request.task}"
+    if isinstance(request, m.Spawn):
+        return f"the creation of {request.task}"
+    return f"an answer to {type(request).__name__}"
 
 
 def _only_unheard(results: Mapping[str, object], errors: Sequence[PbonetError]) -> bool:

@@ -321,12 +321,13 @@ class Subsystem:
                 its own error is raised.
         """
         self.stopped.set()
-        try:
-            from . import assembly
+        from . import assembly
 
-            return assembly.end(self.task_set, self.name)
-        finally:
-            self.detach()
+        with self.task_set.interrupts(f"turning {self.name} off", first=False):
+            try:
+                return assembly.end(self.task_set, self.name)
+            finally:
+                self.detach()
 
     def quit(self) -> None:
         """End the subsystem as `finish` does; warn of tasks that hung or failed.

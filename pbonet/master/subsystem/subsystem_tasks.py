@@ -29,6 +29,7 @@ from pbonet.xm.net import convert, messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
 from .call_in_thread import InThread
+from .interrupts_in_turn import InterruptsInTurn
 from .standbys import Standbys
 from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
@@ -675,6 +676,23 @@ class SubsystemTasks:
         self.model.spawned(member)
         self._modules.pop(member.name, None)
         self.note(status)
+
+    def interrupts(self, what: str, *, first: bool = True) -> InterruptsInTurn:
+        """Return a context in which no interrupt ends what is undone, or ended.
+
+        In virtual time each does, as modules that may hang run in this process.
+
+        Args:
+            what: What is undone, or ended, for messages.
+            first: Whether an interrupt ends the block; otherwise none does.
+        """
+        return InterruptsInTurn(
+            what,
+            f"'pbonet stop {self.clients.sbs.subsystem}' turns off what is left then",
+            self.clients.awaited,
+            first=first,
+            idle=self._virtual,
+        )
 
     def order_lost(self, items: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
         """Give tasks that cannot be reached the order to go off when they can be.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pbonet.config import AgentConfig
     from pbonet.xm.net import AnyRequest
 
-    Tell = Callable[[rtpu_messages.Note], None]
+    Tell = Callable[[rtpu_messages.FromRecorder], None]
     _Told = Callable[[], rtpu_messages.Commanded]
 
 END_TIME: Final = 10.0
@@ -67,7 +67,7 @@ class _Child:
         self._guard = threading.Lock()
         self._ending = threading.Event()
         self._lost: list[float] = []
-        self._handed_on: dict[str, int] = {}
+        self._handed_on = wanted.lost
         """Records that its recorders have lost of each task, for the next one."""
         self._said = -1
         self._feed = RecorderPipe(self._unfit, self._kill)
@@ -115,6 +115,12 @@ class _Child:
             ours.pop_all()
         self._feed.begin(feed)
         return process
+
+    def records(self, wanted: rtpu_messages.Recording | None) -> bool:
+        """Return whether it has this plan; what was lost meanwhile is no part of it."""
+        return wanted is not None and self.wanted == msgspec.structs.replace(
+            wanted, lost=self.wanted.lost
+        )
 
     @property
     def pid(self) -> int:
@@ -214,7 +220,7 @@ class Recorders:
     """Runs a recorder for each recorded subsystem.
 
     Args:
-        tell: Passes a note to the RTPU process.
+        send: Passes a note to the RTPU process, or what a recorder has lost.
         config: The machine's configuration; each log contains it.
     """
 
@@ -252,7 +258,7 @@ class Recorders:
         }
         with self._guard:
             for subsystem, child in list(self._children.items()):
-                if wanted.get(subsystem) != child.wanted:
+                if not child.records(wanted.get(subsystem)):
                     del self._children[subsystem]
                     self._fares.pop(subsystem, None)
                     child.end()
@@ -283,8 +289,9 @@ class Recorders:
     def _said(self, message: rtpu_messages.FromRecorder) -> None:
         if isinstance(message, rtpu_messages.Recorder):
             self._fares[message.subsystem] = message
-        else:
-            self._tell(message)
+            if not message.handed_on:
+                return
+        self._tell(message)
 
     def processes(self) -> dict[int, str]:
         """Return the processes of the recorders, with what each one is."""

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 RETRY: Final = 2.0
 """Seconds until the next attempt to make a new file after a failure."""
+CHECK: Final = 1.0
+"""Seconds between two checks whether the file is still there."""
 SWEEP: Final = 5.0
 """Seconds between two checks of the size of all logs."""
 FRESH: Final = 60.0
@@ -110,7 +112,7 @@ class LogFiles:
         those of recorders that were lost before this one."""
         self.told = False
         """Whether a failure to make a file was reported."""
-        self._retry = self._sweep = 0.0
+        self._retry = self._sweep = self._check = 0.0
         self._begun = 0.0
         self._wrong = 0.0
         """The time until which everything is written, after an error."""
@@ -131,6 +133,7 @@ class LogFiles:
     def turn(self) -> None:
         """Begin a file if it is time, end it if it is full, remove old ones."""
         now = self.by.clock()
+        self._must_exist(now)
         over = self._wanted.last and now > self._wrong and not self._is_due
         if over and self.writer is not None:
             self._finish()
@@ -145,6 +148,18 @@ class LogFiles:
         if self._wanted.limits.runs_mb and now >= self._sweep:
             self._sweep = now + SWEEP
             self._let_go()
+
+    def _must_exist(self, now: float) -> None:
+        """Leave a file that was removed, or moved away; another one follows at once."""
+        writer = self.writer
+        if writer is None or now < self._check:
+            return
+        self._check = now + CHECK
+        if not writer.is_there:
+            text = f"{writer.path} was removed or moved, with what was recorded until "
+            text += "now; another file follows"
+            self._say(Severity.ERROR, "NOT_RECORDED", text)
+            self._finish()
 
     def put(self, do: Do, task: str = "", records: bytes = b"") -> None:
         """Write something, now or when an error occurs.

@@ -293,6 +293,7 @@ class Recorder:
             self._send(
                 rtpu_messages.Recorder(
                     subsystem=subsystem,
+                    run=self._wanted.run,
                     path=path,
                     lost=lost,
                     handed_on=self._handed_on(),

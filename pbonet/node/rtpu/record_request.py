@@ -10,6 +10,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from pbonet.errors import LogError
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import Recorded, run_folder
@@ -54,6 +56,18 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
     rtpu.publish_claims()
     path = str(folder / f"{request.file}.mcap")
     return Recorded(path=path, machine=run_folder.machine())
+
+
+def keep_losses(rtpu: Rtpu, recorder: rtpu_messages.Recorder) -> None:
+    """Keep what a recorder has lost for the recorder of the next agent.
+
+    That of an earlier run may still say so when another run has begun.
+    """
+    recording = rtpu.recordings.get(recorder.subsystem)
+    if recording is not None and recording.run == recorder.run:
+        rtpu.recordings[recorder.subsystem] = msgspec.structs.replace(
+            recording, lost=recorder.handed_on
+        )
 
 
 def end(rtpu: Rtpu, subsystem: str) -> None:

@@ -24,7 +24,7 @@ from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, sweep
 from pbonet.xm.net import run_folder
 
-from . import agent_loss, cleanup, orphaned_rings, signal_tasks
+from . import agent_loss, cleanup, orphaned_rings, record_request, signal_tasks
 from .fork_client import Server
 from .network_queues import NetworkQueues
 from .request_handlers import RequestHandlers
@@ -201,6 +201,8 @@ class AgentLink:
                     subsystem=message.subsystem,
                     task=message.task,
                 )
+            case rtpu_messages.Recorder():
+                record_request.keep_losses(self._rtpu, message)
             case rtpu_messages.Alive():
                 self._silence.take(message.silences)
             case rtpu_messages.TakeOver():

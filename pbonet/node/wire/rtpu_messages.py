@@ -141,6 +141,7 @@ class Recorder(Struct, tag="recorder", kw_only=True):
     """The state of a recorder."""
 
     subsystem: str
+    run: str = ""
     path: str = ""
     """The log that it writes; empty if none."""
     lost: int = 0
@@ -166,7 +167,7 @@ class TakeOver(Struct, tag="takeover"):
     why: str
 
 
-FromAgent = Attach | Forward | Note | Shutdown | Arrived | Alive | TakeOver
+FromAgent = Attach | Forward | Note | Recorder | Shutdown | Arrived | Alive | TakeOver
 
 
 # -- agent to recorder, and back ------------------------------------------------------
@@ -205,7 +206,8 @@ class Recording(Struct, kw_only=True):
     """Seconds before an error that are recorded; 0: everything is recorded."""
     limits: LogLimits = LogLimits()
     lost: dict[str, int] = {}
-    """Records of each task that a recorder before this one has lost."""
+    """Records of each task that recorders before this one have lost: the RTPU process
+    keeps this for the next agent's."""
     before: list[Commanded] = []
     """Earlier commands, already answered; the pipe to a recorder is too small for all
     of them at once."""

@@ -516,8 +516,9 @@ def _no_sign(rtpu: str) -> NoAnswerError:
         "the agent is registered but does not respond",
         where=rtpu,
         expected=f"an answer within {ASK_TIME + PROOF_TIME:g} s",
-        remedy="see its output; if it hangs, end it with 'kill -9' and start it "
-        "again: its tasks continue meanwhile, for its grace",
+        remedy="if its machine is busy, wait and try again; else see its output; if it "
+        "hangs, end it with 'kill -9' and start it again: its tasks continue "
+        "meanwhile, for its grace",
     )
 
 

@@ -28,7 +28,7 @@ def remedy(by: AgentInfo, lost: Lost) -> str:
     """Return what to do about it."""
     runs = f"whether {lost.rtpu} runs on {lost.host}"
     if by.host == lost.host:
-        return f"see {runs}"
+        return f"see {runs}; 'pbonet agent --name {lost.rtpu}' starts it"
     return (
         f"check the network between {by.host} and {lost.host}, and {runs}; they link "
         "again by themselves"

@@ -23,7 +23,7 @@ from pbonet.node.agent.agent import Agent
 from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders, _Child
 from pbonet.node.recorder import Time, log_rotation, recorder_process as recording
 from pbonet.node.ring._ring import Ring
-from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.rtpu import orphaned_rings, record_request
 from pbonet.node.task import ring_bytes
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import codec, messages as m
@@ -109,6 +109,64 @@ def test_a_log_goes_on_in_another_file_when_it_has_many_chunks(
     recorder.end()
     assert len(Log(tmp_path / "r").parts) >= 2
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_a_log_that_was_moved_away_for_an_empty_one_goes_on_in_another_file(
+    ring, tmp_path, monkeypatch
+) -> None:
+    """As `logrotate` does with `create`."""
+    monkeypatch.setattr(log_rotation, "CHECK", 0.0)
+    said: list[rtpu_messages.FromRecorder] = []
+    recorder = begin(tmp_path, said)
+    path, moved = tmp_path / "r" / "run.mcap", tmp_path / "r" / "run.mcap.1"
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+        if n == 0:
+            path.rename(moved)
+            path.touch()
+    recorder.end()
+    assert codes(said) == ["NOT_RECORDED"]
+    assert Log(moved).arrays("a")["cycle"].tolist() == [1]
+    (other,) = logs(tmp_path)
+    assert Log(other).arrays("a")["cycle"].tolist() == [2, 3]
+
+
+def test_a_log_in_a_folder_that_cannot_be_read_is_not_taken_for_removed(
+    tmp_path, monkeypatch
+) -> None:
+    """As on a network disk that is away."""
+
+    def refused(_self):
+        raise PermissionError(errno.EACCES, "no")
+
+    monkeypatch.setattr(log_rotation, "CHECK", 0.0)
+    said: list[rtpu_messages.FromRecorder] = []
+    recorder = begin(tmp_path, said)
+    recorder.turn()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "stat", refused)
+        recorder.turn()
+    recorder.end()
+    assert codes(said) == []
+
+
+def test_a_log_that_was_removed_is_reported_and_goes_on_in_another_file(
+    ring, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(log_rotation, "CHECK", 0.0)
+    said: list[rtpu_messages.FromRecorder] = []
+    recorder = begin(tmp_path, said)
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+        if n == 0:
+            (tmp_path / "r").rename(tmp_path / "moved")
+    recorder.end()
+    assert codes(said) == ["NOT_RECORDED"]
+    assert Log(tmp_path / "moved").complete
+    assert Log(tmp_path / "moved").arrays("a")["cycle"].tolist() == [1]
+    assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [2, 3]
 
 
 def test_rings_are_emptied_while_what_was_kept_is_written(
@@ -306,6 +364,44 @@ def test_a_recorder_that_was_lost_hands_on_what_it_has_lost(
         ring.destroy()
         recorders.stop()
     assert plans == [{}, {"a": 1}]
+
+
+def test_the_recorder_of_the_next_agent_goes_on_counting_what_is_lost(tmp_path) -> None:
+    """The RTPU process keeps the count; a new one in its plan begins no recorder."""
+    (tmp_path / "r").write_text("a file where a folder should be")
+    rtpu = SimpleNamespace(recordings={"arm": wanted(tmp_path)})
+
+    def take(message: rtpu_messages.FromRecorder) -> None:
+        if isinstance(message, rtpu_messages.Recorder):
+            record_request.keep_losses(rtpu, message)
+
+    def recorded(cycle: int) -> Recorders:
+        recorders = Recorders(take, AgentConfig())
+        recorders.update(rtpu.recordings)
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+        wait_for(lambda: rtpu.recordings["arm"].lost == {"a": cycle}, "the count")
+        return recorders
+
+    ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+    try:
+        recorders = recorded(1)
+        pids = [*recorders.processes()]
+        recorders.update(rtpu.recordings)
+        assert [*recorders.processes()] == pids
+        recorders.stop()
+        recorders = recorded(2)
+        wait_for(lambda: recorders.fares("arm").lost == 2, "its status")
+    finally:
+        ring.destroy()
+        recorders.stop()
+
+
+def test_what_the_recorder_of_an_earlier_run_has_lost_is_no_part_of_this_one(tmp_path):
+    rtpu = SimpleNamespace(recordings={"arm": wanted(tmp_path)})
+    for run, lost in (("earlier", {}), ("r", {"a": 1})):
+        late = rtpu_messages.Recorder(subsystem="arm", run=run, handed_on={"a": 1})
+        record_request.keep_losses(rtpu, late)
+        assert rtpu.recordings["arm"].lost == lost
 
 
 @pytest.mark.parametrize(

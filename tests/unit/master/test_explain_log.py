@@ -9,7 +9,7 @@ from made_logs import PLAIN, about, group, record, run
 from msgspec import structs
 
 from pbonet.errors import LogError
-from pbonet.log import Attached, LogWriter
+from pbonet.log import Attached, Log, LogWriter
 from pbonet.log.part import Part
 from pbonet.master import diagnosis
 from pbonet.master.configuration import Place
@@ -156,6 +156,42 @@ def test_what_was_turned_off_long_before_the_end_was_off(tmp_path):
     ask = recorded(tmp_path, [*SOUND[:4], *late])
     assert ask("pid").what == "task pid on arm0 is OFF"
     assert ask("arm0").what == "RTPU arm0 was used in this run, with 1 task"
+
+
+def test_a_log_with_the_earlier_words_of_signals_is_explained_as_one_of_today(tmp_path):
+    """Else a task that was turned off in order would have gone off by itself."""
+    words = {"turned on": "on: ON", "turned off": "off: OFF"}
+    late = [event("STATE", "turned off", 3000 * PERIOD, "other", "OFF")]
+    late += [event("STOPPED", "all", 3001 * PERIOD)]
+    today = [*SOUND[:4], *late]
+    before = [dict(one, text=words.get(one["text"], one["text"])) for one in today]
+    assert before != today
+    texts = []
+    for name, events in (("today", today), ("before", before)):
+        (tmp_path / name).mkdir()
+        ask = recorded(tmp_path / name, events)
+        texts.append([str(ask(one)) for one in ("pid", "arm0")])
+    assert texts[0] == texts[1]
+
+
+def test_a_log_is_read_again_only_when_it_has_changed(tmp_path, monkeypatch):
+    """What one answer adds to what is unknown is not in the next one."""
+    path = tmp_path / "run.mcap"
+    recorded(tmp_path, FAILS)
+    reads = []
+
+    def counted(found):
+        reads.append(found)
+        return Log(found)
+
+    monkeypatch.setattr(log_facts, "Log", counted)
+    log_facts.read_log(path).unknown.append("of one answer")
+    assert not log_facts.read_log(path).unknown
+    assert reads == [path]
+    with path.open("ab") as file:
+        file.write(b"more")
+    assert log_facts.read_log(path).unknown
+    assert len(reads) == 2
 
 
 HUNG = event("HANGS", "a cycle does not return", 30 * PERIOD, "pid")

@@ -1,11 +1,15 @@
 """What a run lacks, though nothing failed: its last line and its exit status."""
 
+import queue
 import signal
+import threading
 from types import SimpleNamespace
 
 import msgspec
 import pytest
+from watching import wait_for
 
+from pbonet.errors import NodeError
 from pbonet.master.console import summary
 from pbonet.master.console.run_end import (
     MOST_READ,
@@ -156,3 +160,41 @@ def test_a_signal_ends_a_wait_that_has_just_begun():
     with interrupts.wished._cond:
         interrupts.take(signal.SIGINT, None)
     assert interrupts.wished.wait(60)
+
+
+def test_each_interrupt_of_a_run_says_what_it_does():
+    """What fails in a stop is shown by the end of the run."""
+    told: queue.SimpleQueue[str] = queue.SimpleQueue()
+    interrupts = Interrupts(ends="it ends in order", say=told.put)
+    stops = []
+
+    def stop():
+        stops.append(1)
+        raise NodeError("no answer", where="arm1")
+
+    interrupts.force = stop
+    interrupts.awaited = lambda: "the off of a on arm1"
+    texts = []
+    for _ in range(3):
+        interrupts.take(signal.SIGINT, None)
+        texts.append(told.get(timeout=60))
+    assert texts == [
+        "interrupted: it ends in order",
+        "interrupted again: everything is stopped at once",
+        "interrupted again: the end is under way; waits for the off of a on arm1",
+    ]
+    wait_for(lambda: stops == [1], "one stop")
+
+
+def test_a_second_interrupt_stops_everything_also_when_its_line_cannot_be_shown():
+    """`| tee` is ended by the same Ctrl-C."""
+
+    def closed(_text):
+        raise BrokenPipeError
+
+    interrupts = Interrupts(say=closed)
+    stopped = threading.Event()
+    interrupts.force = stopped.set
+    for _ in range(2):
+        interrupts.take(signal.SIGINT, None)
+    assert stopped.wait(60)

@@ -40,7 +40,8 @@ def test_doctor_tells_which_machines_and_since_when():
         "and d, and whether arm3 runs on d; they link again by themselves",
     ]
     (same,) = doctor.losses([agent("arm0", "a", lost("arm1", "a", 3.0))])
-    assert same.remedy == "see whether arm1 runs on a"
+    starts = "'pbonet agent --name arm1' starts it"
+    assert same.remedy == f"see whether arm1 runs on a; {starts}"
 
 
 def test_a_machine_of_which_nothing_is_used_is_named_with_the_cause():
