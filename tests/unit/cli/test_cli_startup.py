@@ -67,6 +67,11 @@ def test_status_asks_over_the_network():
     assert {"zenoh", "pbonet.xm.net.rpc"} <= modules
 
 
+SLOW = {"typing_extensions", "inspect", "dis", "dataclasses", "multiprocessing"}
+SLOW |= {"tempfile", "shutil", "random"}
+"""Of Python's own library, what takes milliseconds to load."""
+
+
 def imported(*names: str) -> set[str]:
     """Return what is loaded once these modules are."""
     code = f"import {', '.join(names)}, sys; print('\\n'.join(sys.modules))"
@@ -83,6 +88,26 @@ def test_an_agent_loads_nothing_that_only_its_rtpu_process_needs():
     assert "pbonet.node.agent.rtpu_link" in modules
     assert not modules & {"asyncio", "ssl", "pbonet.node.rtpu.rtpu_state"}
     assert not modules & {"numpy", "_hashlib", "tomllib", "pbonet.node.rtpu.ranking"}
+    assert not modules & (SLOW - {"random"})
+
+
+@pytest.mark.slow
+def test_a_recorder_loads_nothing_slow_that_it_does_not_need():
+    modules = imported("pbonet.node.recorder.recorder_process")
+    assert not modules & (SLOW | NEVER | {"ast", "numpy", "zenoh"})
+
+
+@pytest.mark.slow
+def test_an_rtpu_process_loads_asyncio_without_its_encryption():
+    """It has no network; a module that needs `ssl` loads it in its task."""
+    code = (
+        "import sys\n"
+        "from pbonet.node.rtpu import rtpu_process\n"
+        "rtpu_process.load_rest()\n"
+        "assert 'ssl' not in sys.modules and 'asyncio' in sys.modules\n"
+        "import ssl"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.slow
