@@ -61,7 +61,7 @@ def load_without(part: str, library: str) -> None:
     threading = sys.modules.get("threading")
     if part in sys.modules or (threading and threading.active_count() > 1):
         return
-    sys.modules[part] = None  # type: ignore[assignment] - as the import system has it
+    sys.modules[part] = None  # type: ignore[assignment]  # none to import
     try:
         import_module(library)
     finally:
