@@ -50,7 +50,8 @@ def attach(
 def load_without(part: str, library: str) -> None:
     """Load a library without a part that it takes only where it is installed.
 
-    For a part that takes long to load and gives nothing that pbonet uses. Whoever
+    For a part that takes long to load and gives nothing that is used there: not by
+    pbonet, and not by modules and programs if they run in the same process. Whoever
     imports the part later gets it. Nothing is done if there are several threads, of
     which another one may import the part meanwhile.
 
@@ -58,8 +59,7 @@ def load_without(part: str, library: str) -> None:
         part: The module that is not to be loaded.
         library: The library, which is loaded now if it is not yet.
     """
-    threading = sys.modules.get("threading")
-    if part in sys.modules or (threading and threading.active_count() > 1):
+    if part in sys.modules or len(sys._current_frames()) > 1:  # noqa: SLF001
         return
     sys.modules[part] = None  # type: ignore[assignment]  # none to import
     try:

@@ -32,6 +32,8 @@ PR_SET_CHILD_SUBREAPER = 36
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
+_OWN_CHILDREN = Path("/proc/thread-self/children")
+"""The kernel's list, which it has if it was made with CONFIG_PROC_CHILDREN."""
 _LONGEST_STAT = 4096
 """Bytes of ``/proc/PID/stat``, which the kernel gives in one piece."""
 CONTINUE_PERIOD = 0.2
@@ -259,6 +261,19 @@ class Idle:
 def children(pid: int) -> list[int]:
     """Return the children of process `pid`, ended ones too."""
     return [one for one in _processes() if (s := stat(one)) and s.parent == pid]
+
+
+def own_children() -> list[int]:
+    """Return the children of this process, which has one thread; ended ones too.
+
+    Where the kernel lists them, this does not read the state of all processes. The list
+    is exact, because none but this thread, which reads it, can reap one of them.
+    """
+    try:
+        listed = _OWN_CHILDREN.read_text(encoding="ascii")
+    except OSError:
+        return children(os.getpid())
+    return [int(one) for one in listed.split()]
 
 
 def listed_children(pid: int) -> list[int]:

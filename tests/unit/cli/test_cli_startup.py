@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -106,6 +107,48 @@ def test_an_rtpu_process_loads_asyncio_without_its_encryption():
         "rtpu_process.load_rest()\n"
         "assert 'ssl' not in sys.modules and 'asyncio' in sys.modules\n"
         "import ssl"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+TYPES = """
+import msgspec
+import typing_extensions as t
+
+class Gains(t.TypedDict):
+    kp: t.Required[t.Annotated[int, msgspec.Meta(ge=1)]]
+    name: t.NotRequired["str"]
+
+for text in (b'{"kp": 1}', b'{"kp": 0}', b'{"name": "a"}', b'{"kp": 1, "name": 2}'):
+    try:
+        print(msgspec.json.decode(text, type=Gains))
+    except msgspec.ValidationError as error:
+        print(error)
+"""
+
+
+@pytest.mark.slow
+def test_modules_use_types_of_typing_extensions_as_without_pbonet():
+    """A task's process has loaded msgspec without that package."""
+    run = functools.partial(subprocess.check_output, text=True)
+    first = "from pbonet import config, node\n"
+    printed = run([sys.executable, "-c", first + TYPES])
+    assert printed == run([sys.executable, "-c", TYPES])
+    assert printed.splitlines()[0] == "{'kp': 1}"
+
+
+@pytest.mark.slow
+def test_nothing_is_left_out_while_another_thread_may_import_it():
+    """Such a thread may be one that Python's `threading` does not know."""
+    code = (
+        "import _thread, sys\n"
+        "wait = _thread.allocate_lock()\n"
+        "begun = _thread.allocate_lock()\n"
+        "wait.acquire(), begun.acquire()\n"
+        "_thread.start_new_thread(lambda: (begun.release(), wait.acquire()), ())\n"
+        "begun.acquire()\n"
+        "import pbonet.node, msgspec\n"
+        "assert 'typing_extensions' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -19,7 +19,11 @@ def files(puma):
 def test_files_are_not_read_again_while_none_has_changed(files):
     found = dict(files.producers())
     assert "jttrace" in found["Q_REF"]
-    with patch.object(subsystem_files.config, "parse_rmod", side_effect=AssertionError):
+    never = {"side_effect": AssertionError}
+    with (
+        patch.object(subsystem_files.config, "parse_rmod", **never),
+        patch.object(subsystem_files.config, "producers", **never),
+    ):
         assert dict(files.producers()) == found
 
 
