@@ -255,18 +255,18 @@ class Library:
         }
 
     def records(self) -> dict[str, Rmod]:
-        """Return all RMODs by name, read again, in a new one, if one has changed.
+        """Return all RMODs by name, read again if one has changed.
 
         One that is wrong is left out; that is reported when it is used.
         """
         entries = self._entries(".rmod")
         stamps = {entry.path: _written(entry) for entry in entries.values()}
         if stamps != self._stamps:
-            records: dict[str, Rmod] = {}
+            self._records = {}
             for name, entry in entries.items():
                 with contextlib.suppress(ConfigError):
-                    records[name] = self.read_rmod(Path(entry.path))
-            self._records, self._stamps = records, stamps
+                    self._records[name] = self.read_rmod(Path(entry.path))
+            self._stamps = stamps
         return self._records
 
     def _files(self, ending: str) -> dict[str, Path]:

@@ -85,7 +85,6 @@ class Files:
         _within(folder, svar, str(path), "SVARFILE")
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
-        self._producers: tuple[dict[str, Rmod], dict[str, tuple[str, ...]]] = {}, {}
         self._folders: list[Path] = []
         self._search_first_in(path.parent)
         if first is not None:
@@ -277,19 +276,7 @@ class Files:
 
     def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        return Producers(self._all_producers)
-
-    def _all_producers(self) -> dict[str, tuple[str, ...]]:
-        """Return the RMODs that write each variable; found again if a file changed."""
-        records, known = self.records(), self._producers
-        if known[0] is not records:
-            named = {n: r for n, r in records.items() if NAME.fullmatch(n)}
-            known = self._producers = records, config.producers(named)
-        return known[1]
-
-    def records(self) -> dict[str, Rmod]:
-        """Return all RMODs by name; the same `dict` if no file has changed."""
-        return self.library.records()
+        return Producers(self.library.records)
 
     def jobs(self) -> list[str]:
         """Return the jobs that are beside the ``.sbs``, sorted."""
@@ -418,15 +405,16 @@ class Producers(Mapping[str, tuple[str, ...]]):
     No module's code runs for this, so that none can harm the master.
 
     Args:
-        find: Finds them for all variables.
+        read: Returns all RMODs by name.
     """
 
-    def __init__(self, find: Callable[[], dict[str, tuple[str, ...]]]) -> None:
-        self._find = find
+    def __init__(self, read: Callable[[], Mapping[str, Rmod]]) -> None:
+        self._read = read
 
     @cached_property
     def _found(self) -> dict[str, tuple[str, ...]]:
-        return self._find()
+        records = self._read()
+        return config.producers({n: r for n, r in records.items() if NAME.fullmatch(n)})
 
     def __getitem__(self, variable: str) -> tuple[str, ...]:
         return self._found[variable]

@@ -27,7 +27,7 @@ from pbonet.config import (
     write_job,
 )
 from pbonet.errors import ConfigError
-from pbonet.master.configuration import Files, RmodSource
+from pbonet.master.configuration import Files, Producers, RmodSource
 from pbonet.xm.net import check_name
 
 from .saved_files import SavedFiles
@@ -143,6 +143,10 @@ class DraftFiles(Files):
         path = self.job_path.with_name(f"{name}.rmod")
         taken = self._draft_of(name) is not None or path.exists()
         return not taken and name not in self.rmods()
+
+    def producers(self) -> Producers:
+        """Return, by variable, the RMODs that write it, with those of the draft."""
+        return Producers(self.records)
 
     def records(self) -> dict[str, Rmod]:
         """Return all RMODs by name, those of the draft as they are there."""
