@@ -9,6 +9,7 @@ it uses.
 from __future__ import annotations
 
 import re
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,6 +45,27 @@ def attach(
         return getattr(import_module(home, package), name)
 
     return load, lambda: names, names
+
+
+def load_without(part: str, library: str) -> None:
+    """Load a library without a part that it takes only where it is installed.
+
+    For a part that takes long to load and gives nothing that is used there: not by
+    pbonet, and not by modules and programs if they run in the same process. Whoever
+    imports the part later gets it. Nothing is done if there are several threads, of
+    which another one may import the part meanwhile.
+
+    Args:
+        part: The module that is not to be loaded.
+        library: The library, which is loaded now if it is not yet.
+    """
+    if part in sys.modules or len(sys._current_frames()) > 1:  # noqa: SLF001
+        return
+    sys.modules[part] = None  # type: ignore[assignment]  # none to import
+    try:
+        import_module(library)
+    finally:
+        del sys.modules[part]
 
 
 def homes(file: str) -> dict[str, str]:

@@ -4,6 +4,8 @@ For each kind there is ``read_x(path)``, ``parse_x(text, file)``, ``write_x(reco
 the records in between are those of `pbonet.config.model`.
 """
 
-from pbonet.lazy import attach
+from pbonet.lazy import attach, load_without
+
+load_without("typing_extensions", "msgspec")  # as in `pbonet.node`
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

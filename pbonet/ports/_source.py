@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
-import linecache
 import re
+import sys
 from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import DeclarationError
 
 if TYPE_CHECKING:
+    import ast
     from collections.abc import Iterator
     from types import FrameType
 
 
 def here(depth: int = 1) -> FrameType | None:
     """Return the frame `depth` calls above the caller."""
-    frame = inspect.currentframe()
+    frame: FrameType | None = sys._getframe()  # noqa: SLF001 - as `inspect` does
     for _ in range(depth + 1):
         frame = frame.f_back if frame else None
     return frame
@@ -65,6 +64,8 @@ class Declaring:
         contains one of `marks`: a module may annotate other attributes with names that
         only a type checker knows.
         """
+        import inspect  # takes long, and only where a class is declared
+
         try:
             own = inspect.get_annotations(self.cls)
         except NameError as error:  # Python 3.14 evaluates here
@@ -89,6 +90,9 @@ class Declaring:
 
     def _find(self, attr: str) -> int:
         """Return the line of `attr` (or of the class) in the source, 0 if unknown."""
+        import ast
+        import linecache
+
         linecache.checkcache(self._file)
         lines = linecache.getlines(self._file)
         try:
@@ -117,6 +121,8 @@ _RUN_TIME = (
 
 def _names(node: ast.stmt) -> set[str]:
     """Return the names that a statement of a class body binds."""
+    import ast
+
     if isinstance(node, ast.AnnAssign):
         return {node.target.id} if isinstance(node.target, ast.Name) else set()
     if isinstance(node, ast.Assign):

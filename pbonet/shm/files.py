@@ -11,8 +11,7 @@ import errno
 import fcntl
 import os
 import stat
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,8 +22,7 @@ _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE}
 _MODE = 0o600
 
 
-@dataclass(frozen=True)
-class Files:
+class Files(NamedTuple):
     """The files of one kind of resource, and the errors that they raise.
 
     Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 import time
 from functools import cache
 from pathlib import Path
@@ -46,11 +46,14 @@ def machine_info(runs: str) -> m.MachineInfo:
     folder = Path(runs)
     for place in (folder, *folder.parents):
         try:
-            usage = shutil.disk_usage(place)
+            disk = os.statvfs(place)
         except OSError:
             continue
         return m.MachineInfo(
-            wall=time.time(), runs=runs, disk_free=usage.free, disk_size=usage.total
+            wall=time.time(),
+            runs=runs,
+            disk_free=disk.f_bavail * disk.f_frsize,
+            disk_size=disk.f_blocks * disk.f_frsize,
         )
     return m.MachineInfo(wall=time.time(), runs=runs)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import socket
 import subprocess
 from typing import Final
@@ -42,6 +41,8 @@ def notify(state: str) -> bool:
 
 def is_shutting_down() -> bool:
     """Return whether the service manager ends the agent because the machine ends."""
+    import shutil  # only at the end
+
     program = shutil.which("systemctl")
     if not os.environ.get(VARIABLE) or program is None:
         return False

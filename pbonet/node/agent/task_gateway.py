@@ -13,7 +13,6 @@ import os
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import connection as sockets
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -36,6 +35,7 @@ from .stop_orders import parted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from multiprocessing.connection import Connection
     from pathlib import Path
 
     import zenoh
@@ -51,7 +51,7 @@ LARGEST = 2 << 20
 class _Wire:
     """One connection; its answers may come from several threads."""
 
-    def __init__(self, link: sockets.Connection) -> None:
+    def __init__(self, link: Connection) -> None:
         self.link = link
         self._guard = threading.Lock()
 
@@ -128,7 +128,9 @@ class TaskGateway:
                 accepted, _ = self._listener.accept()
             except OSError:
                 continue
-            link = sockets.Connection(accepted.detach())
+            from multiprocessing.connection import Connection  # when a task asks
+
+            link = Connection(accepted.detach())
             if len(self._open) >= CONNECTIONS:
                 link.close()
                 continue

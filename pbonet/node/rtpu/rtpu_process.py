@@ -7,12 +7,18 @@ only the SBS server needs is loaded after that, so that no task has it in its me
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from pbonet.errors import PbonetError
+from pbonet.lazy import load_without
 from pbonet.node.task import fork_server
 from pbonet.node.wire import rtpu_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from socket import socket
 
 
 def main(argv: list[str]) -> int:
@@ -20,13 +26,23 @@ def main(argv: list[str]) -> int:
     config = msgspec.json.decode(argv[0], type=rtpu_messages.RtpuConfig)
     try:
         forks = fork_server.beside(config.core, close=config.ready_fd)
-        from . import sbs_server
-
-        return sbs_server.main(config, *forks)
+        return load_rest()(config, *forks)
     except PbonetError as error:
         rtpu_messages.report_ready(config.ready_fd, error)
         print(error, file=sys.stderr)  # noqa: T201 - the log in the runtime folder
         return 1
+
+
+def load_rest() -> Callable[[rtpu_messages.RtpuConfig, int, socket], int]:
+    """Load the SBS server, and asyncio without the encryption of networks.
+
+    Returns:
+        Its `main`.
+    """
+    load_without("ssl", "asyncio")
+    from . import sbs_server
+
+    return sbs_server.main
 
 
 if __name__ == "__main__":

@@ -231,7 +231,7 @@ class ForkServer:
         session of a living task may still be used by it.
         """
         tasks, found = set(self._children.values()), False
-        for pid in process_setup.children(os.getpid()):
+        for pid in process_setup.own_children():
             one = process_setup.stat(pid)
             if one is None or pid in tasks:
                 continue

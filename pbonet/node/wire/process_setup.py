@@ -32,6 +32,10 @@ PR_SET_CHILD_SUBREAPER = 36
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
+_OWN_CHILDREN = Path("/proc/thread-self/children")
+"""The kernel's list, which it has if it was made with CONFIG_PROC_CHILDREN."""
+_LONGEST_STAT = 4096
+"""Bytes of ``/proc/PID/stat``, which the kernel gives in one piece."""
 CONTINUE_PERIOD = 0.2
 """Seconds between signals that continue a process whose parent has ended."""
 SLOW_CONTINUE_PERIOD = 1.0
@@ -179,12 +183,16 @@ class ProcessStat(NamedTuple):
 def stat(pid: int) -> ProcessStat | None:
     """Return the state of process `pid`; None if there is none."""
     try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+        fd = os.open(f"/proc/{pid}/stat", os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            text = os.read(fd, _LONGEST_STAT)
+        finally:
+            os.close(fd)
     except OSError:
         return None
-    one = text.rpartition(")")[2].split()
+    one = text.rpartition(b")")[2].split()
     return ProcessStat(
-        state=one[0],
+        state=one[0].decode(),
         parent=int(one[1]),
         session=int(one[3]),
         ticks=int(one[11]) + int(one[12]),
@@ -253,6 +261,19 @@ class Idle:
 def children(pid: int) -> list[int]:
     """Return the children of process `pid`, ended ones too."""
     return [one for one in _processes() if (s := stat(one)) and s.parent == pid]
+
+
+def own_children() -> list[int]:
+    """Return the children of this process, which has one thread; ended ones too.
+
+    Where the kernel lists them, this does not read the state of all processes. The list
+    is exact, because none but this thread, which reads it, can reap one of them.
+    """
+    try:
+        listed = _OWN_CHILDREN.read_text(encoding="ascii")
+    except OSError:
+        return children(os.getpid())
+    return [int(one) for one in listed.split()]
 
 
 def listed_children(pid: int) -> list[int]:

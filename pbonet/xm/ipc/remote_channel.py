@@ -13,7 +13,6 @@ import os
 import select
 import sys
 import threading
-from multiprocessing import connection as sockets
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import msgspec
@@ -33,6 +32,7 @@ from . import names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from multiprocessing.connection import Connection
     from pathlib import Path
 
     from pbonet.xm.net import Client, Declared, Request
@@ -82,12 +82,15 @@ class RemoteChannel:
     """
 
     def __init__(self, path: str, rtpu: str, subsystem: str) -> None:
+        from multiprocessing import connection  # only where a task needs it
+
         self.name = f"{rtpu}-{os.getpid()}-{os.urandom(4).hex()}"
+        self._connect = connection.Client
         self._path, self._rtpu, self._subsystem = path, rtpu, subsystem
         self._codec = codec.Codec()
         self._own = threading.local()
         self._guard = threading.Lock()
-        self._anchor: sockets.Connection | None = None
+        self._anchor: Connection | None = None
 
     def call(
         self, rtpu: str, request: Request, result: type[T], *, timeout: float = 2.0
@@ -148,24 +151,24 @@ class RemoteChannel:
             self._forget()
             raise
 
-    def _link(self) -> sockets.Connection:
-        link: sockets.Connection | None = getattr(self._own, "link", None)
+    def _link(self) -> Connection:
+        link: Connection | None = getattr(self._own, "link", None)
         if link is None:
             with self._guard:
                 if self._anchor is None:
-                    self._anchor = sockets.Client(self._path, "AF_UNIX")
+                    self._anchor = self._connect(self._path, "AF_UNIX")
                     here = Letter(self.name, "", 0.0, b"", wait=False)
                     self._anchor.send_bytes(msgspec.msgpack.encode(here))
-            link = self._own.link = sockets.Client(self._path, "AF_UNIX")
+            link = self._own.link = self._connect(self._path, "AF_UNIX")
         return link
 
     def _forget(self) -> None:
-        link: sockets.Connection | None = self._own.__dict__.pop("link", None)
+        link: Connection | None = self._own.__dict__.pop("link", None)
         if link is not None:
             link.close()
 
 
-def _must_have_room(link: sockets.Connection, rtpu: str) -> None:
+def _must_have_room(link: Connection, rtpu: str) -> None:
     """Refuse to wait: a socket that can be written to has most of its room free."""
     poll = select.poll()
     poll.register(link.fileno(), select.POLLOUT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -67,6 +68,11 @@ def test_status_asks_over_the_network():
     assert {"zenoh", "pbonet.xm.net.rpc"} <= modules
 
 
+SLOW = {"typing_extensions", "inspect", "dis", "dataclasses", "multiprocessing"}
+SLOW |= {"tempfile", "shutil", "random"}
+"""Of Python's own library, what takes milliseconds to load."""
+
+
 def imported(*names: str) -> set[str]:
     """Return what is loaded once these modules are."""
     code = f"import {', '.join(names)}, sys; print('\\n'.join(sys.modules))"
@@ -83,6 +89,68 @@ def test_an_agent_loads_nothing_that_only_its_rtpu_process_needs():
     assert "pbonet.node.agent.rtpu_link" in modules
     assert not modules & {"asyncio", "ssl", "pbonet.node.rtpu.rtpu_state"}
     assert not modules & {"numpy", "_hashlib", "tomllib", "pbonet.node.rtpu.ranking"}
+    assert not modules & (SLOW - {"random"})
+
+
+@pytest.mark.slow
+def test_a_recorder_loads_nothing_slow_that_it_does_not_need():
+    modules = imported("pbonet.node.recorder.recorder_process")
+    assert not modules & (SLOW | NEVER | {"ast", "numpy", "zenoh"})
+
+
+@pytest.mark.slow
+def test_an_rtpu_process_loads_asyncio_without_its_encryption():
+    """It has no network; a module that needs `ssl` loads it in its task."""
+    code = (
+        "import sys\n"
+        "from pbonet.node.rtpu import rtpu_process\n"
+        "rtpu_process.load_rest()\n"
+        "assert 'ssl' not in sys.modules and 'asyncio' in sys.modules\n"
+        "import ssl"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+TYPES = """
+import msgspec
+import typing_extensions as t
+
+class Gains(t.TypedDict):
+    kp: t.Required[t.Annotated[int, msgspec.Meta(ge=1)]]
+    name: t.NotRequired["str"]
+
+for text in (b'{"kp": 1}', b'{"kp": 0}', b'{"name": "a"}', b'{"kp": 1, "name": 2}'):
+    try:
+        print(msgspec.json.decode(text, type=Gains))
+    except msgspec.ValidationError as error:
+        print(error)
+"""
+
+
+@pytest.mark.slow
+def test_modules_use_types_of_typing_extensions_as_without_pbonet():
+    """A task's process has loaded msgspec without that package."""
+    run = functools.partial(subprocess.check_output, text=True)
+    first = "from pbonet import config, node\n"
+    printed = run([sys.executable, "-c", first + TYPES])
+    assert printed == run([sys.executable, "-c", TYPES])
+    assert printed.splitlines()[0] == "{'kp': 1}"
+
+
+@pytest.mark.slow
+def test_nothing_is_left_out_while_another_thread_may_import_it():
+    """Such a thread may be one that Python's `threading` does not know."""
+    code = (
+        "import _thread, sys\n"
+        "wait = _thread.allocate_lock()\n"
+        "begun = _thread.allocate_lock()\n"
+        "wait.acquire(), begun.acquire()\n"
+        "_thread.start_new_thread(lambda: (begun.release(), wait.acquire()), ())\n"
+        "begun.acquire()\n"
+        "import pbonet.node, msgspec\n"
+        "assert 'typing_extensions' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.slow

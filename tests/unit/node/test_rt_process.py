@@ -291,3 +291,34 @@ def test_a_parent_that_is_gone_already_is_noticed() -> None:
 def test_the_guard_refuses_what_is_no_signal() -> None:
     with pytest.raises(OSError, match="the parent process cannot be watched"):
         _rt.orphan_guard(signal.SIGKILL)
+
+
+CHILDREN = """
+import os, signal, subprocess
+from pathlib import Path
+from pbonet.node.wire import process_setup
+process_setup.adopt_descendants()
+lives = subprocess.Popen(["sleep", "60"])
+ended = subprocess.Popen(["true"])
+os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
+forks = subprocess.Popen(
+    ["sh", "-c", "sleep 60 >&2 & echo $!"], stdout=subprocess.PIPE, text=True
+)
+adopted = int(forks.stdout.read())
+forks.wait()
+{how}
+found = process_setup.own_children()
+for pid in (lives.pid, adopted):
+    os.kill(pid, signal.SIGKILL)
+print(sorted(found) == sorted([lives.pid, ended.pid, adopted]))
+"""
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_own_children_are_also_ended_and_adopted_ones(listed: bool) -> None:
+    """With the list of the kernel, and without it by the state of all processes."""
+    if listed and not Path("/proc/thread-self/children").exists():
+        pytest.skip("this kernel was made without CONFIG_PROC_CHILDREN")
+    without = "process_setup._OWN_CHILDREN = Path('/proc/none')"
+    how = "process_setup.children = None  # not called" if listed else without
+    assert python(CHILDREN.format(how=how)).strip() == "True"
