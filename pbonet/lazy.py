@@ -51,7 +51,7 @@ def load_without(part: str, library: str) -> None:
     """Load a library without a part that it takes only where it is installed.
 
     For a part that takes long to load and gives nothing that is used there: not by
-    pbonet, and not by modules and programs if they run in the same process. Whoever
+    pbonet, and not by modules and programs if they run in the same process. What
     imports the part later gets it. Nothing is done if there are several threads, of
     which another one may import the part meanwhile.
 

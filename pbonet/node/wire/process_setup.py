@@ -267,7 +267,7 @@ def own_children() -> list[int]:
     """Return the children of this process, which has one thread; ended ones too.
 
     Where the kernel lists them, this does not read the state of all processes. The list
-    is exact, because none but this thread, which reads it, can reap one of them.
+    is exact, because only this thread, which reads it, can reap one of them.
     """
     try:
         listed = _OWN_CHILDREN.read_text(encoding="ascii")
