@@ -12,7 +12,7 @@ from pbonet.errors import ParameterError
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from pbonet.pbo import TaskContext
+    from pbonet import TaskContext
 
 
 PerElement = tuple[float, ...]
