@@ -59,7 +59,8 @@ def load_without(part: str, library: str) -> None:
         part: The module that is not to be loaded.
         library: The library, which is loaded now if it is not yet.
     """
-    if part in sys.modules or len(sys._current_frames()) > 1:  # noqa: SLF001
+    threads = sys._current_frames()  # noqa: SLF001 # pyright: ignore[reportPrivateUsage]
+    if part in sys.modules or len(threads) > 1:
         return
     sys.modules[part] = None  # type: ignore[assignment]  # none to import
     try:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 def here(depth: int = 1) -> FrameType | None:
     """Return the frame `depth` calls above the caller."""
-    frame: FrameType | None = sys._getframe()  # noqa: SLF001 - as `inspect` does
+    # As `inspect` does, which takes long to load.
+    frame: FrameType | None = sys._getframe()  # noqa: SLF001 # pyright: ignore[reportPrivateUsage]
     for _ in range(depth + 1):
         frame = frame.f_back if frame else None
     return frame

@@ -41,8 +41,11 @@ def _on_link(event: zenoh.LinkEvent) -> None:
 
 
 def _spelled(address: object) -> str:
-    """Return an address as zenoh writes it."""
+    """Return an address as zenoh writes it; nothing for one of another kind."""
     match address:
-        case (str(host), int(port), *_):
-            return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    return ""
+        case (str(host), int(port)):
+            return f"{host}:{port}"
+        case (str(host), int(port), int(), int()):
+            return f"[{host}]:{port}"
+        case _:
+            return ""
