@@ -29,7 +29,6 @@ from pbonet.xm.net import convert, messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
 from .call_in_thread import InThread
-from .interrupts_in_turn import InterruptsInTurn
 from .standbys import Standbys
 from .unwritten_inputs import UnwrittenInputs
 from .warning_dedup import WarningDedup
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Files, Member, RmodSource, TaskModel
     from pbonet.pbo import ModuleInfo
 
+    from .interrupts_in_turn import InterruptsInTurn
     from .recording_control import RecordingControl
     from .rtpu_clients import RtpuClients
     from .task_signal_inbox import Inbox
@@ -686,6 +686,8 @@ class SubsystemTasks:
             what: What is undone, or ended, for messages.
             first: Whether an interrupt ends the block; otherwise none does.
         """
+        from .interrupts_in_turn import InterruptsInTurn
+
         return InterruptsInTurn(
             what,
             f"'pbonet stop {self.clients.sbs.subsystem}' turns off what is left then",
