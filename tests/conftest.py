@@ -48,6 +48,14 @@ def shared_memory(monkeypatch):
 
 
 @pytest.fixture(autouse=True)
+def own_priority():
+    """A real-time priority that a test gives its own process ends with it."""
+    yield
+    if os.sched_getscheduler(0) != os.SCHED_OTHER:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+@pytest.fixture(autouse=True)
 def runs(monkeypatch, tmp_path):
     """The folder in which this test's runs are recorded."""
     folder = tmp_path / "runs"

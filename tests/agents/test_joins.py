@@ -16,7 +16,7 @@ from pbonet.master.subsystem.subsystem import Subsystem
 VARIABLE = "NAME {}\nTYPE double\nDESC a value\nUNITS rad\nNELEM 2\n{}\n"
 NDOF = "NAME NDOF\nTYPE int\nDESC size\nUNITS none\nNELEM 1\nINIT 2\n\n"
 RMOD = (
-    "MODULE {}\nDESC a test\n{}INCONST {}\nOUTCONST none\nINVAR {}\nOUTVAR {}\n"
+    "MODULE {}\nDESC a test\n{}INCONST NDOF\nOUTCONST none\nINVAR {}\nOUTVAR {}\n"
     "TASKTYPE periodic\nFREQ 100\n{}EOF\n"
 )
 
@@ -26,7 +26,6 @@ def constant(folder, name, variable, value):
         "constant",
         f"SVARALIAS Y={variable}\n",
         "none",
-        "none",
         "Y",
         f"LOCAL\nVALUE {value}\n",
     )
@@ -35,9 +34,7 @@ def constant(folder, name, variable, value):
 
 def join(folder, module, local=""):
     aliases = "".join(f"SVARALIAS Z{n}=X{n}\n" for n in ("1", "2", ""))
-    text = RMOD.format(
-        module, aliases, "NDOF", "Z1 Z2", "Z", local and f"LOCAL\n{local}\n"
-    )
+    text = RMOD.format(module, aliases, "Z1 Z2", "Z", local and f"LOCAL\n{local}\n")
     (folder / "join.rmod").write_text(text)
 
 

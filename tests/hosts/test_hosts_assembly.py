@@ -32,7 +32,7 @@ HOLD = """
 MODULE    constant
 DESC      a reference that stands
 SVARALIAS Y=Q_REF
-INCONST   none
+INCONST   NDOF
 OUTCONST  none
 INVAR     none
 OUTVAR    Y

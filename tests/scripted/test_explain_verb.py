@@ -74,7 +74,7 @@ def test_an_rtpu_that_is_silent_is_named(running, agents):
     text = str(running("jttrace"))
     assert "the state of task jttrace on arm1 is not known" in text
     assert "RTPU arm1 does not answer" in text
-    assert "do: see its output; if it hangs" in text
+    assert "do: if its machine is busy, wait and try again; else see its output" in text
 
 
 def test_all_are_away(running, agents):

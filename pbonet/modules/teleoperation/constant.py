@@ -2,7 +2,7 @@
 
 from typing import Annotated as A
 
-from pbonet import OutVar, Params, PortBasedObject, Vector, param
+from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.modules._values import PerElement, spread
 
 
@@ -17,11 +17,11 @@ class Constant(PortBasedObject[Setting], module_class="teleoperation"):
     """y moves to `value` by at most `slew` a second, and stays there.
 
     It starts from what Y was when the module is turned on, and `set` changes the value
-    while it runs: a set point that never makes its reader jump. Y has the size of its
-    variable; the value of a matrix, such as a pose [R p], is given row by row.
+    while it runs: a set point that never makes its reader jump.
     """
 
-    y: A[Vector, OutVar("Y", "n", "any", "the value")]
+    ndof: A[int, InConst("NDOF", "1", "none", "number of elements of Y")]
+    y: A[Vector, OutVar("Y", "ndof", "any", "the value")]
 
     def init(self) -> None:
         self._take_value()
@@ -36,4 +36,4 @@ class Constant(PortBasedObject[Setting], module_class="teleoperation"):
             self.y[:] = self._value
 
     def _take_value(self) -> None:
-        self._value = spread(self.params.value, len(self.y), "value")
+        self._value = spread(self.params.value, self.ndof, "value")

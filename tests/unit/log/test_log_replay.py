@@ -358,7 +358,7 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> Non
         "LOG_FULL"
     ]
     assert said[-1] == rtpu_messages.Recorder(
-        subsystem="arm", path="", lost=1, handed_on={"a": 1}
+        subsystem="arm", run="r", path="", lost=1, handed_on={"a": 1}
     )
     blocked.unlink()
     deadline = time.monotonic() + 10.0

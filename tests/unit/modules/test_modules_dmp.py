@@ -40,7 +40,7 @@ def dmp(file: Path, n: int = 2, **values: Any) -> Bench[Dmp]:
     params = {"file": file.name, **values.pop("params", {})}
     given = {"ndof": n, "library": [file.parent], **values}
     bench = Bench(Dmp, params=params, freq=1.0 / DT, **given)
-    bench.on()
+    bench.on(handover="y_dot" in values)
     return bench
 
 

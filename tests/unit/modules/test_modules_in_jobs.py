@@ -251,11 +251,11 @@ def test_a_run_in_virtual_time_ends_without_words_of_a_library(tmp_path) -> None
 def test_a_swap_of_trajectories_in_motion_does_not_jump(tmp_path) -> None:
     """From `otg` to a spline and back, with position and velocity continuous."""
     (tmp_path / "goal.rmod").write_text(
-        "MODULE constant\nDESC goal\nSVARALIAS Y=Q_DES\nINCONST none\nOUTCONST none\n"
+        "MODULE constant\nDESC goal\nSVARALIAS Y=Q_DES\nINCONST NDOF\nOUTCONST none\n"
         "INVAR none\nOUTVAR Y\nTASKTYPE periodic\nFREQ 50\nLOCAL\nVALUE 2.0\nEOF\n"
     )
     (tmp_path / "points.rmod").write_text(SPLINE)
-    with job(tmp_path, ["goal", "otg"], ["points"], {"n": 3}) as system:
+    with job(tmp_path, ["goal", "otg"], spares=["points"]) as system:
         system.start()
         system.wait(0.8)
         system.spawn("points", "a")
@@ -281,7 +281,7 @@ def test_a_simulated_base_drives_and_is_located(tmp_path, monkeypatch) -> None:
     pytest.importorskip("mujoco", reason="pip install 'pbonet[mujoco]'")
     ends = "TASKTYPE periodic\nFREQ 500\n"
     files = {
-        "go": "MODULE constant\nDESC x\nSVARALIAS Y=V_DES\nINCONST none\n"
+        "go": "MODULE constant\nDESC x\nSVARALIAS Y=V_DES\nINCONST NDOF\n"
         f"OUTCONST none\nINVAR none\nOUTVAR Y\n{ends}LOCAL\nVALUE 0.4 0.0 0.3\nEOF\n",
         "wheels": "MODULE diff_drive\nDESC x\nSVARALIAS X_MEZ=X_ODO\nINCONST none\n"
         f"OUTCONST none\nINVAR V_DES W_MEZ\nOUTVAR W_REF X_MEZ V_MEZ\n{ends}"
@@ -294,7 +294,7 @@ def test_a_simulated_base_drives_and_is_located(tmp_path, monkeypatch) -> None:
     }
     for name, text in files.items():
         (tmp_path / f"{name}.rmod").write_text(text)
-    sizes = {"nwheels": 2, "n": 3}
+    sizes = {"nwheels": 2}
     with job(tmp_path, ["go", "base", "wheels", "located"], sizes=sizes) as system:
         system.start()
         system.wait(1.0)

@@ -122,15 +122,16 @@ def test_wrong_number_of_values_stops_the_task_from_being_created() -> None:
 
 
 def test_constant_jumps_without_slew() -> None:
-    bench = Bench(Constant, params={"value": (1.0,)}, y=[0.0, 0.0])
+    bench = Bench(Constant, params={"value": (1.0,)}, ndof=2)
     bench.on()
     bench.step()
     assert bench.outputs.y == pytest.approx([1.0, 1.0])
 
 
 def test_constant_moves_by_at_most_its_slew_from_where_it_was() -> None:
-    params = {"value": (1.0, -1.0), "slew": 2.0}
-    bench = Bench(Constant, params=params, y=[0.9, 0.0])
+    bench = Bench(
+        Constant, params={"value": (1.0, -1.0), "slew": 2.0}, ndof=2, y=[0.9, 0.0]
+    )
     bench.on()
     assert bench.outputs.y == pytest.approx([0.9, 0.0]), "on changes nothing"
     bench.step(0.1)
