@@ -24,7 +24,7 @@ from pbonet.errors import NodeError, PbonetError, StateError, UnreachableError
 from pbonet.master.configuration import environment
 from pbonet.xm.net import credentials, run_folder, session
 
-from .interrupts_in_turn import InterruptsInTurn
+from .interrupt_signals import InterruptsInTurn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pbonet.master.configuration import Files, Member, RmodSource, TaskModel
     from pbonet.pbo import ModuleInfo
 
-    from .interrupts_in_turn import InterruptsInTurn
+    from .interrupt_signals import InterruptsInTurn
     from .recording_control import RecordingControl
     from .rtpu_clients import RtpuClients
     from .task_signal_inbox import Inbox
@@ -686,7 +686,7 @@ class SubsystemTasks:
             what: What is undone, or ended, for messages.
             first: Whether an interrupt ends the block; otherwise none does.
         """
-        from .interrupts_in_turn import InterruptsInTurn
+        from .interrupt_signals import InterruptsInTurn
 
         return InterruptsInTurn(
             what,

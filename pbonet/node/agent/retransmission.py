@@ -27,7 +27,7 @@ import struct
 import time
 from typing import TYPE_CHECKING
 
-from pbonet.xm.net import lingering, session
+from pbonet.xm.net import session, so_linger
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -181,5 +181,5 @@ def _connected() -> Iterator[tuple[int, int]]:
                 data = one.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO.size)
                 if data[0] != _ESTABLISHED:
                     continue
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, lingering.NEVER)
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, so_linger.NEVER)
             yield fd, found.st_ino

@@ -8,7 +8,6 @@ from . import (
     event_codes as event_codes,
     file_messages as file_messages,
     key_expressions as key_expressions,
-    lingering as lingering,
     messages as messages,
     open_files as open_files,
     pki as pki,
@@ -17,6 +16,7 @@ from . import (
     rpc as rpc,
     run_folder as run_folder,
     session as session,
+    so_linger as so_linger,
     unreachable_reason as unreachable_reason,
 )
 from .any_message import AnyMessage as AnyMessage

@@ -403,9 +403,9 @@ def client(
                 remedy=remedy + (_KEYS_REFUSED if key_folder else ""),
             ) from None
         if connect:  # else it is a socket of this machine
-            from . import lingering
+            from . import so_linger
 
-            lingering.end(opened)
+            so_linger.end(opened)
         return opened
 
 

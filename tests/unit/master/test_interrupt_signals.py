@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pbonet.master.subsystem.interrupts_in_turn import InterruptsInTurn
+from pbonet.master.subsystem.interrupt_signals import InterruptsInTurn
 
 
 def to_undo(**how):

@@ -10,7 +10,7 @@ from watching import free_port, wait_for
 
 from pbonet.node.agent import link_watchdog
 from pbonet.router import router_config
-from pbonet.xm.net import lingering, session
+from pbonet.xm.net import session, so_linger
 
 TEN_SECONDS = struct.pack("ii", 1, 10)
 
@@ -45,7 +45,7 @@ def test_a_client_closes_a_lost_connection_at_once(host, monkeypatch):
         where = f"tcp/{host}:{port}"
         held.enter_context(zenoh.open(router_config.read(listen=[where])))
         with monkeypatch.context() as patch:
-            patch.setattr(lingering, "end", lambda _opened: None)
+            patch.setattr(so_linger, "end", lambda _opened: None)
             with session.client(connect=[where], local=False):
                 assert lingering_to(port) == [True], "as zenoh has it"
         held.enter_context(session.client(connect=[where], local=False))
