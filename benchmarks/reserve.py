@@ -16,19 +16,22 @@ level that reads it and sends a signal, the first line of a C handler.
 (`SAFE` in its RMOD), by their time stamp: the dispatcher commits them, whatever the
 task does. These are blocks of their own, of a task without a handler in Python.
 
-Each call of the handler is matched with the failure of the same release. A failure may
-have no call: on a loaded machine its signal can come when the cycle has ended, and then
-it is counted as stale. One that was neither handled nor counted is lost.
+The time of a call is counted from the failure of the same release. A failure may
+have no call: on a loaded machine its signal can come when the cycle has ended, or while
+one of its kind still waits. The dispatcher and the task count these. Lost are as many
+as exceed the calls and those.
 
-Given are medians of the blocks' quantiles with the least and the greatest. Status 3: a
-goal was missed.
+Given are medians of the blocks' quantiles with the least and the greatest. With
+``--awake`` the processors do not sleep meanwhile, as under an agent with that setting.
+Status 3: a goal was missed.
 
-    python -m benchmarks.reserve [--blocks 5] [--cycles 100] [--core 1] [--json FILE]
+    python -m benchmarks.reserve [--blocks 5] [--cycles 100] [--core 1] [--awake]
 """
 
 from __future__ import annotations
 
 import argparse
+import bisect
 import json
 import os
 import statistics
@@ -45,6 +48,7 @@ from pbonet.analysis.schedule.events import Event, turns
 from pbonet.analysis.schedule.records import Decision
 from pbonet.config import Variable
 from pbonet.node import rt
+from pbonet.node.wire.cpu_idle_states import IdleStateLock
 from pbonet.svar import Table
 
 if TYPE_CHECKING:
@@ -76,7 +80,7 @@ class Found(NamedTuple):
     handler: NDArray[np.int64]
     safe: NDArray[np.int64]
     lost: int = 0
-    """Failures that were neither handled nor counted as stale."""
+    """Failures that had no call and were not counted as such."""
 
 
 def in_python() -> None:
@@ -119,6 +123,9 @@ class Failures:
         self.found: dict[int, tuple[int, int]] = {}
         """Of each release: when its cycle failed and was told so, and the CPU time used
         beyond the reserve by then."""
+        self.instants: list[int] = []
+        """When each failure was found. A cycle that goes on beyond its period, because
+        the machine stood still, can have two of one release, or none of its own."""
 
     def read(self) -> None:
         """Take in what has come since the last call.
@@ -141,6 +148,7 @@ class Failures:
         used = mine[Event.USED].a if Event.USED in mine else 0
         if Event.FAIL in mine and mine[Event.FAIL].arg >> 8:  # else it is only counted
             self.found[self._release] = now, used - self._mark - LIMIT_NS
+            self.instants.append(now)
         if Event.RELEASE in mine:
             self._mark, self._release = used, mine[Event.RELEASE].a
 
@@ -180,9 +188,11 @@ def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
 
             end.run(lambda _dt: function(), None, failing=failing)
 
-        failures, stale = watched(core, slot, body, out)
+        failures, uncalled = watched(core, slot, body, out)
+        calls = [int(at) for at, _ in out]
         handled = {int(release): int(at) for at, release in out}
-    return matched(work, failures.found, handled, stale)
+    lost = max(between(failures.instants, calls) - len(calls) - uncalled, 0)
+    return matched(work, failures.found, handled)._replace(lost=lost)
 
 
 def watched(
@@ -191,7 +201,7 @@ def watched(
     body: Callable[[rt.Slot], None],
     out: NDArray[np.int64],
 ) -> tuple[Failures, int]:
-    """Run a task until `out` is full; return its failures, and how many were stale."""
+    """Run a task until `out` is full; return its failures, and how many had no call."""
     failures = Failures(core, slot)
     pid = rtbench.start_task(core, slot, body)
 
@@ -200,10 +210,10 @@ def watched(
         return bool(out[-1, 1])
 
     rtbench.wait_for(all_there, "failures", 10 + 4e-9 * PERIOD_NS * len(out))
-    stale = core.snapshot(slot).stale_failures
+    uncalled = core.snapshot(slot).uncalled_failures
     rtbench.end_task(core, slot, pid)
     failures.read()
-    return failures, stale
+    return failures, uncalled
 
 
 def run_safe(dispatcher: rt.Dispatcher, work: str, cycles: int) -> Found:
@@ -244,30 +254,38 @@ def run_safe(dispatcher: rt.Dispatcher, work: str, cycles: int) -> Found:
         dispatcher.drop_values(slot)
         table.destroy()
         safe = {int(release): int(at) for at, release in out}
-    found = matched(work, failures.found, safe, 0)
-    return Found(found.overshoot[:0], found.handler[:0], found.handler, 0)
+    found = matched(work, failures.found, safe)
+    return Found(found.overshoot[:0], found.handler[:0], found.handler)
+
+
+def between(failures: list[int], calls: list[int]) -> int:
+    """Return how many failures came from that of the first call until the last call.
+
+    Args:
+        failures: When each was found, ascending.
+        calls: When the handler's calls began.
+    """
+    first = bisect.bisect_right(failures, min(calls)) - 1
+    return bisect.bisect_right(failures, max(calls)) - max(first, 0)
 
 
 def matched(
-    work: str, found: dict[int, tuple[int, int]], handled: dict[int, int], stale: int
+    work: str, found: dict[int, tuple[int, int]], handled: dict[int, int]
 ) -> Found:
     """Return the times of the failures that were handled, by their releases.
 
     Raises:
         RuntimeError: No failure was handled.
     """
-    first, last = min(handled), max(handled)
-    between = sum(first <= release <= last for release in found)
-    lost = max(between - len(handled) - stale, 0)
     both = sorted(handled.keys() & found.keys())  # not those amid which a period ended
     if not both:
-        msg = f"{work}: none of {between} failures was handled in its cycle"
+        msg = f"{work}: none of {len(found)} failures was handled in its cycle"
         raise RuntimeError(msg)
     at = np.array([handled[release] for release in both], np.int64)
     if work == "asleep":
-        return Found(at[:0], at - np.array(both, np.int64) - LIMIT_NS, at[:0], lost)
+        return Found(at[:0], at - np.array(both, np.int64) - LIMIT_NS, at[:0])
     when, over = np.array([found[release] for release in both], np.int64).T
-    return Found(over, at - (when - over), at[:0], lost)
+    return Found(over, at - (when - over), at[:0])
 
 
 def run_rival(program: Path, core: int, level: int, what: str, n: int) -> Found:
@@ -317,8 +335,12 @@ def main() -> None:
     parser.add_argument("--blocks", type=int, default=5)
     parser.add_argument("--cycles", type=int, default=100)
     parser.add_argument("--core", type=int, default=1)
+    parser.add_argument("--awake", action="store_true")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
+    awake = IdleStateLock() if args.awake else None
+    if awake is not None and awake.limits:
+        parser.error(awake.limits[0])
     core = rt.CoreTable(args.core)
     dispatcher = rt.Dispatcher(core)
     level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
@@ -332,7 +354,7 @@ def main() -> None:
     print(rtbench.machine())
     print(
         f"back end {dispatcher.backend}, {args.blocks} blocks of {args.cycles} cycles, "
-        f"limit {LIMIT_NS / 1e6:g} ms"
+        f"limit {LIMIT_NS / 1e6:g} ms, processors {'awake' if awake else 'as they are'}"
     )
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -350,6 +372,8 @@ def main() -> None:
     finally:
         dispatcher.stop()
         core.close()
+        if awake is not None:
+            awake.close()
     result = report(found)
     if args.json:
         told = {"machine": rtbench.machine(), **result}

@@ -110,6 +110,22 @@ int main(void)
     require(rt_take_failures(&task) == 1u << RT_DEADLINE, "and it is this one's");
     rt_exit();
     rt_unguard_failures(&task);
+
+    struct rt_event event = {.kind = RT_FAIL, .arg = RT_MAXEXEC, .a = 1};
+    struct rt_state *state = &table.slots[0].state;
+    _Atomic uint64_t *merged = &table.slots[0].grant.merged;
+    state->kind = RT_PERIODIC;
+    state->seq = 1;
+    rt_tell(&table, 0, &event);
+    require(rt_get(merged) == 0, "the first of its kind is to be handled");
+    event.arg = RT_DEADLINE;
+    rt_tell(&table, 0, &event);
+    require(rt_get(merged) == 0, "one of another kind has a call of its own");
+    rt_tell(&table, 0, &event);
+    require(rt_get(merged) == 1, "one of the same kind shares its call: it is counted");
+    state->seq = 2;
+    rt_tell(&table, 0, &event);
+    require(rt_get(merged) == 3, "two of an earlier grant have no call any more");
     require(!rt_enter(RT_OUTSIDE), "a process that is no task is told nothing");
     return 0;
 }

@@ -155,8 +155,9 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """Releases left out: too late to begin, or because a handler said so."""
     handlers: int
     """Calls of the module's failure handler."""
-    stale_failures: int
-    """Failures that came too late for their cycle, and were not reported."""
+    uncalled_failures: int
+    """Failures without a call of the handler: they came too late for their cycle, or
+    while one of their kind still waited to be handled."""
     safe: int
     """Commits of safe values at a timing failure ..."""
     safe_last_ns: int

@@ -197,7 +197,7 @@ cdef extern from "view.h" nogil:
         int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns
         uint64_t dispatcher_missed, errors, overruns, held_off
         uint64_t *failures
-        uint64_t aborted, skipped, handlers, stale_failures
+        uint64_t aborted, skipped, handlers, uncalled_failures
         uint64_t delivery_last_ns, delivery_max_ns
         uint32_t safe
         int64_t safe_last_ns, safe_max_ns

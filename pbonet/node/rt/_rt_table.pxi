@@ -247,7 +247,7 @@ cdef class CoreTable:
             rank=v.rank, drop=v.drop, handler=v.handler, minc_ns=v.minc_ns,
             maxc_ns=v.maxc_ns, failures=tuple([v.failures[k] for k in range(RT_FAILURES)]),
             overruns=v.overruns, held_off=v.held_off, aborted=v.aborted,
-            skipped=v.skipped, handlers=v.handlers, stale_failures=v.stale_failures,
+            skipped=v.skipped, handlers=v.handlers, uncalled_failures=v.uncalled_failures,
             delivery_last_ns=v.delivery_last_ns, delivery_max_ns=v.delivery_max_ns,
             safe=v.safe, safe_last_ns=v.safe_last_ns, safe_max_ns=v.safe_max_ns,
             safe_stands=bool(v.safe_stands),

@@ -179,7 +179,7 @@ static inline unsigned rt_take_failures(struct rt_task *task)
     if (!(word & 7))
         return 0;
     if ((word & ~UINT32_C(7)) != rt_number_of(task) << 3) {
-        rt_add(&task->slot->stats.stale_failures, 1);
+        rt_add(&task->slot->stats.stale_failures, (uint64_t)__builtin_popcount(word & 7));
         return 0;
     }
     return word & 7;

@@ -32,7 +32,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 16,
+    RT_VERSION = 17,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -135,6 +135,7 @@ struct rt_grant {
     _Atomic int32_t crit;               /* current criticality */
     _Atomic uint64_t failures[RT_FAILURES];
     _Atomic uint64_t overruns, held_off; /* maxc used up; sections that took too long */
+    _Atomic uint64_t merged;            /* failures that share the call of a waiting one */
     _Atomic uint64_t missed;            /* copy of `state`, for readers of the status */
     _Atomic int32_t level;              /* likewise */
     _Atomic uint32_t life;              /* the life that the dispatcher serves */

@@ -70,7 +70,8 @@ static inline void rt_signal(struct rt_table *t, int i, int signal)
         rt_refused(t, i, errno);
 }
 
-/* Notify the task of a failure: first its kind and grant, then the signal. */
+/* Notify the task of a failure: first its kind and grant, then the signal. One of the same
+ * kind, or of an earlier grant, that still waits has no call of its own: it is counted. */
 static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
 {
     struct rt_grant *g = &t->slots[i].grant;
@@ -79,6 +80,9 @@ static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
     do {
         word = (old & ~UINT32_C(7)) == grant ? old | bit : grant | bit;
     } while (!atomic_compare_exchange_weak(&g->failed, &old, word));
+    uint32_t gone = (old & ~UINT32_C(7)) == grant ? old & bit : old & 7;
+    if (gone)
+        atomic_fetch_add(&g->merged, (uint64_t)__builtin_popcount(gone));
     atomic_store(&g->failed_ns, e->a);
     atomic_store(&g->told, t->slots[i].state.told);
     rt_signal(t, i, RT_FAIL_SIGNAL);

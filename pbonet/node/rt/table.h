@@ -411,6 +411,7 @@ static inline void rt_reset_watch(struct rt_slot *slot)
         atomic_store(words[k], 0);
     for (int k = 0; k < RT_FAILURES; k++)
         atomic_store(&g->failures[k], 0);
+    atomic_store(&g->merged, 0);
     atomic_store(&slot->signals.mask, 0);
     for (int k = 0; k < RT_SIGNALS; k++)
         atomic_store(&slot->signals.counts[k], 0);

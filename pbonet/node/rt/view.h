@@ -16,7 +16,7 @@ struct rt_view {
     int restarted;                      /* the extremes may lack cycles since `on` */
     int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
-    uint64_t aborted, skipped, handlers, stale_failures;
+    uint64_t aborted, skipped, handlers, uncalled_failures;
     uint64_t delivery_last_ns, delivery_max_ns;
     uint32_t safe;              /* commits of safe values at a timing failure ... */
     int64_t safe_last_ns, safe_max_ns;  /* ... and how long after it they came */
@@ -44,7 +44,6 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     v->aborted = rt_get(&s->aborted);
     v->skipped = rt_get(&s->skipped);
     v->handlers = rt_get(&s->handlers);
-    v->stale_failures = rt_get(&s->stale_failures);
     v->delivery_last_ns = rt_get(&s->delivery_last_ns);
     v->delivery_max_ns = rt_get(&s->delivery_max_ns);
     v->on_cycles = rt_get(&s->on_cycles);
@@ -83,6 +82,7 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     v->maxc_ns = atomic_load(&c->maxc_ns);
     v->overruns = rt_get(&g->overruns);
     v->held_off = rt_get(&g->held_off);
+    v->uncalled_failures = rt_get(&slot->stats.stale_failures) + rt_get(&g->merged);
     v->hangs = atomic_load(&slot->post.locked) == RT_HANDLER_HANGS;
     v->in_sync = v->kind != RT_PERIODIC && !(atomic_load(&slot->post.events) & 1);
     v->flooded = atomic_load(&slot->grant.flooded) != 0;
