@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from .question import Question
 
 
+_PLACES = 10
+"""Cycles after missed releases that are named."""
+
+
 def healthy(facts: Facts, asked: Question) -> tuple[str, ...]:
     """Return that something is well, and its figures; nothing: that is not known.
 
@@ -76,9 +80,13 @@ def _task(facts: Facts, asked: Question) -> list[str]:
 
 def _missed(facts: Facts, asked: Question) -> list[str]:
     status = facts.task(asked.name)
-    if status is None or status.miss or any(status.failures.values()):
+    if status is None or asked.cycle > status.cycle:  # the log does not have it
         return []
-    if asked.cycle > status.cycle:  # it has not come, or is not in the log
+    if asked.cycle and (gaps := facts.gaps.get(asked.name)):
+        places = ", ".join(str(one.cycle) for one in gaps[:_PLACES])
+        more = f", and {len(gaps) - _PLACES} more" if len(gaps) > _PLACES else ""
+        return [f"what it has missed was before cycle {places}{more}"]
+    if status.miss or any(status.failures.values()):
         return []
     return _figures(status)
 

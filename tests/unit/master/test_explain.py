@@ -966,6 +966,11 @@ def test_a_cycle_of_a_log_has_its_own_causes():
     assert f"do: {REMEDIES['late start']}" in both
 
 
+def test_a_running_task_has_no_single_cycles():
+    with pytest.raises(StateError, match="only a recorded run has the single cycles"):
+        told(facts(status("pid", miss=3)), "miss", "pid", "4")
+
+
 # -- questions -------------------------------------------------------------------------
 
 

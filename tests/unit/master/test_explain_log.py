@@ -79,7 +79,7 @@ def log(tmp_path):
     return recorded(tmp_path, FAILS)
 
 
-def recorded(folder, events, without=()):
+def recorded(folder, events, without=(), missed=3):
     """Record cycle 10 of the task pid that takes too long, and three that are missed.
 
     Return a function that answers questions about it.
@@ -88,15 +88,15 @@ def recorded(folder, events, without=()):
         folder: Where.
         events: The events of the run.
         without: Cycles that are not in the log.
+        missed: How many are missed.
     """
     path = folder / "run.mcap"
     files = [Attached("a.sbs", SBS), Attached("a.svar", SVAR)]
     writer = LogWriter(path, run(), files)
     number = writer.add_task(structs.replace(about("pid", PLAIN), rmod=RMOD))
     for n in sorted({*range(1, 31)} - {*without}):
-        missed = 3 if n > 10 else 0
         cpu = 35_000_000 if n == 10 else 1_000_000
-        writer.add(number, cycle(n, (n + missed) * PERIOD, cpu))
+        writer.add(number, cycle(n, (n + missed * (n > 10)) * PERIOD, cpu))
     for one in events:
         writer.add_event(one)
     writer.close()
@@ -109,10 +109,39 @@ def recorded(folder, events, without=()):
 
 def test_missed_releases_have_the_cycle_that_took_too_long(log):
     text = str(log("miss", "pid"))
-    assert text.startswith("pid has missed 3 cycles in 1 places\n")
+    assert text.startswith("pid has missed 3 cycles in 1 place\n")
     assert "because 3 releases before cycle 11 [log]" in text
     assert "the cycle before took 35 ms of CPU time, and its period is 10 ms" in text
-    assert "pid has missed 0 releases before cycle 25" in str(log("miss", "pid", "25"))
+
+
+def test_a_cycle_before_which_nothing_was_missed_is_well(log):
+    there, beyond = log("miss", "pid", "25"), log("miss", "pid", "31")
+    assert str(there) == (
+        "pid has missed 0 releases before cycle 25\n"
+        "  nothing is wrong: what it has missed was before cycle 11"
+    )
+    assert there.healthy
+    assert str(beyond) == (
+        "pid has missed 0 releases before cycle 31; the log has 30 cycles of it\n"
+        "no cause was found"
+    )
+
+
+def test_what_was_reported_long_before_or_after_made_it_miss_nothing(tmp_path):
+    """The releases from 0.11 to 0.13 s are missed; it is checked twice a second."""
+    stood = [
+        event("CORE_STALLED", f"for the {n} time", at * PERIOD)
+        for n, at in enumerate((8, 60, 70, 190))
+    ]
+    text = str(recorded(tmp_path, [*SOUND[:1], *stood])("miss", "pid"))
+    assert [n for n in range(4) if f"for the {n} time" in text] == [1]
+    assert "turned on" not in text
+
+
+def test_a_cycle_of_a_task_without_misses_is_one_of_the_log(tmp_path):
+    answer = recorded(tmp_path, SOUND, missed=0)("miss", "pid", "5")
+    assert str(answer).startswith("pid has missed 0 releases before cycle 5\n")
+    assert "nothing is wrong: 30 cycles at 100 Hz, none missed" in str(answer)
 
 
 def test_the_flag_has_the_causes_from_before_the_end(log):
@@ -236,7 +265,7 @@ def test_a_task_that_died_has_no_process_until_it_is_spawned_again(tmp_path):
 
 def test_cycles_that_are_not_in_the_log_are_not_missed(tmp_path):
     text = str(recorded(tmp_path, SOUND, without=range(20, 25))("miss", "pid"))
-    assert text.startswith("pid has missed 3 cycles in 1 places\n")
+    assert text.startswith("pid has missed 3 cycles in 1 place\n")
 
 
 def test_a_log_that_ends_early_is_said_to(tmp_path):
