@@ -131,19 +131,18 @@ def test_with_all_rights_only_a_tight_throttle_is_said(
 
 
 @pytest.mark.parametrize(
-    ("runtime", "group", "server", "share", "reason"),
+    ("kernel", "share", "reason"),
     [
-        (950_000, None, 0, 0.95, "kernel.sched_rt_runtime_us"),
-        (1_000_000, None, 0, 1.0, "the kernel throttles nothing"),
-        (-1, None, 0, 1.0, "the kernel throttles nothing"),
-        (950_000, 400_000, 0, 0.4, "cpu.rt_runtime_us of the control group"),
-        (-1, 400_000, 0, 1.0, "the kernel throttles nothing"),
-        (-1, None, 100_000_000, 0.9, "the kernel's server of other processes"),
+        ((950_000, None, 0), 0.95, "kernel.sched_rt_runtime_us"),
+        ((1_000_000, None, 0), 1.0, "the kernel throttles nothing"),
+        ((-1, None, 0), 1.0, "the kernel throttles nothing"),
+        ((950_000, 400_000, 0), 0.4, "cpu.rt_runtime_us of the control group"),
+        ((-1, 400_000, 0), 1.0, "the kernel throttles nothing"),
+        ((-1, None, 100_000_000), 0.9, "the kernel's server of other processes"),
     ],
 )
-def test_a_core_grants_what_the_kernel_says(
-    monkeypatch, runtime, group, server, share, reason
-) -> None:
+def test_a_core_grants_what_the_kernel_says(monkeypatch, kernel, share, reason) -> None:
+    runtime, group, server = kernel
     numbers = {
         "/proc/sys/kernel/sched_rt_runtime_us": runtime,
         "/proc/sys/kernel/sched_rt_period_us": 1_000_000,
