@@ -402,8 +402,8 @@ class Log(Cycles):
     def missed(self) -> dict[str, int]:
         """Return the number of releases that tasks have missed since they were spawned.
 
-        The counts are recorded once a second and after each change of a state; tasks of
-        a simulation are not included.
+        The counts are recorded once a second, and when a task was turned on or off or
+        has failed; tasks of a simulation are not included.
         """
         return self._counted("missed")
 

@@ -232,18 +232,29 @@ def _machine(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
 
 def _in_log(chain: Chain, task: str, cycle: int) -> tuple[str, list[Cause]]:
     """Return the missed cycles of a recorded task, and why."""
-    gaps = chain.facts.gaps.get(task, [])
+    facts = chain.facts
+    if cycle and not facts.has_cycle(task, cycle):
+        return _not_there(facts, task, cycle), []
+    gaps = facts.gaps.get(task, [])
     if cycle:
-        gaps = [one for one in gaps if one.cycle - one.missed <= cycle <= one.cycle]
+        gaps = [one for one in gaps if one.cycle == cycle]
     total = sum(one.missed for one in gaps)
     what = f"{task} has missed {_some(total, 'cycle')} in {_some(len(gaps), 'place')}"
     if cycle:
         what = f"{task} has missed {_some(total, 'release')} before cycle {cycle}"
-        status = chain.facts.task(task)
-        if status is not None and cycle > status.cycle:
-            what += f"; the log has {_some(status.cycle, 'cycle')} of it"
     worst = sorted(gaps, key=lambda one: -one.missed)[:_SHOWN]
     return what, [_gap(chain, task, one) for one in worst]
+
+
+def _not_there(facts: Facts, task: str, cycle: int) -> str:
+    """Return which cycles of a task the log has instead of the one that was asked."""
+    what = f"cycle {cycle} of {task} is not in the log, which has"
+    numbers = facts.recorded.get(task)
+    if not numbers:
+        return f"{what} no cycle of it"
+    count = _some(sum(map(len, numbers)), "cycle")
+    first, last = min(one[0] for one in numbers), max(one[-1] for one in numbers)
+    return f"{what} {count} of it, from {first} to {last}"
 
 
 _SHOWN = 5
@@ -296,7 +307,7 @@ def _gap(chain: Chain, task: str, gap: Gap) -> Cause:
 
 def _reported(facts: Facts, task: str, gap: Gap, period: float) -> list[Event]:
     """Return the first event of each code that came with missed releases or after."""
-    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "STATE", "METHOD")
+    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "METHOD")
     until = gap.at + (gap.missed + 1) * period + _NEAR
     newest_first = facts.news(codes, rtpu=facts.home(task), last=len(facts.events))
     found = {

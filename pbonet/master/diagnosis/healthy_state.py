@@ -80,15 +80,22 @@ def _task(facts: Facts, asked: Question) -> list[str]:
 
 def _missed(facts: Facts, asked: Question) -> list[str]:
     status = facts.task(asked.name)
-    if status is None or asked.cycle > status.cycle:  # the log does not have it
+    if status is None or (asked.cycle and not facts.has_cycle(asked.name, asked.cycle)):
         return []
     if asked.cycle and (gaps := facts.gaps.get(asked.name)):
-        places = ", ".join(str(one.cycle) for one in gaps[:_PLACES])
-        more = f", and {len(gaps) - _PLACES} more" if len(gaps) > _PLACES else ""
-        return [f"what it has missed was before cycle {places}{more}"]
+        return [_elsewhere({one.cycle for one in gaps}, asked.cycle)]
     if status.miss or any(status.failures.values()):
         return []
     return _figures(status)
+
+
+def _elsewhere(cycles: set[int], asked: int) -> str:
+    """Return before which cycles releases were missed, those nearest to one."""
+    nearest = sorted(cycles, key=lambda cycle: (abs(cycle - asked), cycle))[:_PLACES]
+    places = ", ".join(map(str, sorted(nearest)))
+    rest = len(cycles) - len(nearest)
+    more = f", and {rest} more" if rest else ""
+    return f"what it has missed was before cycle {places}{more}"
 
 
 def _since(facts: Facts, status: TaskStatus) -> str:

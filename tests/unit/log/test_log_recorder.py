@@ -219,8 +219,9 @@ def test_the_recorder_rests_in_the_second_after_an_error(ring, tmp_path) -> None
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3]
 
 
-def test_the_counts_of_a_task_that_is_turned_off_and_killed_are_its_last(
-    ring, tmp_path, monkeypatch
+@pytest.mark.parametrize(("code", "state"), [("STATE", "OFF"), ("METHOD", "ERROR")])
+def test_the_counts_of_a_task_that_goes_off_or_fails_and_is_killed_are_its_last(
+    ring, tmp_path, monkeypatch, code, state
 ) -> None:
     """Half a second after the counts of that second."""
     now, slots = 100.0, {}
@@ -232,7 +233,7 @@ def test_the_counts_of_a_task_that_is_turned_off_and_killed_are_its_last(
         now, slots["a"] = at, {"cycles": 10, "missed": missed, "failed": 0}
         ring.put(b"", cycle=missed, now_ns=1)
         if missed == 7:
-            recorder.event(structs.replace(ERROR, code="STATE", state="OFF"))
+            recorder.event(structs.replace(ERROR, code=code, state=state))
         recorder.turn()
     slots.clear()
     recorder.end()

@@ -79,7 +79,7 @@ def log(tmp_path):
     return recorded(tmp_path, FAILS)
 
 
-def recorded(folder, events, without=(), missed=3):
+def recorded(folder, events, without=(), missed=3, again=0):
     """Record cycle 10 of the task pid that takes too long, and three that are missed.
 
     Return a function that answers questions about it.
@@ -89,6 +89,7 @@ def recorded(folder, events, without=(), missed=3):
         events: The events of the run.
         without: Cycles that are not in the log.
         missed: How many are missed.
+        again: In which period it is turned on for the second time, for five cycles.
     """
     path = folder / "run.mcap"
     files = [Attached("a.sbs", SBS), Attached("a.svar", SVAR)]
@@ -97,6 +98,8 @@ def recorded(folder, events, without=(), missed=3):
     for n in sorted({*range(1, 31)} - {*without}):
         cpu = 35_000_000 if n == 10 else 1_000_000
         writer.add(number, cycle(n, (n + missed * (n > 10)) * PERIOD, cpu))
+    for n in range(1, 6 if again else 1):
+        writer.add(number, cycle(n, (again + n) * PERIOD))
     for one in events:
         writer.add_event(one)
     writer.close()
@@ -122,9 +125,40 @@ def test_a_cycle_before_which_nothing_was_missed_is_well(log):
     )
     assert there.healthy
     assert str(beyond) == (
-        "pid has missed 0 releases before cycle 31; the log has 30 cycles of it\n"
+        "cycle 31 of pid is not in the log, which has 30 cycles of it, from 1 to 30\n"
         "no cause was found"
     )
+
+
+def test_the_last_seconds_of_a_task_have_its_cycles_and_no_others(tmp_path):
+    """A log of the seconds before errors begins late and has holes."""
+    answer = recorded(tmp_path, SOUND, without=[*range(1, 6), *range(20, 25)])
+    assert str(answer("miss", "pid", "30")).startswith("pid has missed 0 releases")
+    assert str(answer("miss", "pid", "11")).startswith("pid has missed 3 releases")
+    for n in (5, 22):
+        assert str(answer("miss", "pid", str(n))) == (
+            f"cycle {n} of pid is not in the log, which has 20 cycles of it, "
+            "from 6 to 30\nno cause was found"
+        )
+
+
+def test_a_task_that_was_off_has_missed_nothing_meanwhile(tmp_path):
+    """Its cycles are counted anew when it is turned on again, 0.3 s later."""
+    off = event("STATE", "turned off", 31 * PERIOD, "pid", "OFF")
+    on = event("STATE", "turned on", 60 * PERIOD, "pid", "ON")
+    ask = recorded(tmp_path, [SOUND[0], off, on], again=60)
+    assert str(ask("miss", "pid")).startswith("pid has missed 3 cycles in 1 place\n")
+    text = str(ask("miss", "pid", "1"))
+    assert text.startswith("pid has missed 0 releases before cycle 1\n")
+    assert str(ask("miss", "pid", "31")).startswith("cycle 31 of pid is not in the log")
+
+
+def test_what_was_turned_off_after_a_miss_has_not_missed_for_that(tmp_path):
+    off = event("STATE", "after a timing failure it is OFF", 20 * PERIOD, "pid", "OFF")
+    on = event("STATE", "turned on", 21 * PERIOD, "pid", "ON")
+    text = str(recorded(tmp_path, [SOUND[0], off, on])("miss", "pid", "11"))
+    assert "the cycle before took 35 ms" in text
+    assert "STATE of" not in text
 
 
 def test_what_was_reported_long_before_or_after_made_it_miss_nothing(tmp_path):
