@@ -402,7 +402,8 @@ class Log(Cycles):
     def missed(self) -> dict[str, int]:
         """Return the number of releases that tasks have missed since they were spawned.
 
-        Their RTPUs count them once a second; tasks of a simulation are not included.
+        The counts are recorded once a second, and when a task was turned on or off or
+        has failed; tasks of a simulation are not included.
         """
         return self._counted("missed")
 

@@ -16,15 +16,15 @@ from .known_causes import REMEDIES
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pbonet.xm.net import CoreTrace, CoreUse, TaskStatus
+    from pbonet.xm.net import CoreTrace, CoreUse, Event, TaskStatus
 
-    from .facts import Gap
+    from .facts import Facts, Gap
     from .follow_causes import Chain
 
 _MOST_USERS = 6
 """Threads that are named as users of a core."""
-_NEAR = 1.0
-"""Seconds within which an event belongs to a missed release."""
+_NEAR = 0.7
+"""Seconds after missed releases until they are reported: twice a second is checked."""
 _DELAY = 0.5
 """Share of a period from which on a late start counts as a cause."""
 
@@ -39,7 +39,7 @@ def missed(chain: Chain, task: str, cycle: int = 0) -> tuple[str, list[Cause]]:
     """
     facts = chain.facts
     status = facts.task(task)
-    if facts.gaps.get(task):
+    if facts.gaps.get(task) or (cycle and status is not None):
         return _in_log(chain, task, cycle)
     if status is None:
         what, causes = chain.explained("task", task)
@@ -78,8 +78,7 @@ def _followed(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
     at = f"{time.strftime('%H:%M:%S', time.localtime(trace.wall))}.{_ms(trace.wall)}"
     yield Cause(
         what=f"from its release at {at} on, for {trace.window * 1e3:.4g} ms, it missed "
-        f"{trace.missed} {'release' if trace.missed == 1 else 'releases'}; who "
-        f"had core {trace.core}: {_users(trace)}",
+        f"{_some(trace.missed, 'release')}; who had core {trace.core}: {_users(trace)}",
         source=Source.KERNEL,
         because=(Cause(what=trace.times, source=Source.KERNEL),) if trace.times else (),
         remedy=REMEDIES[_remedy(trace, status)],
@@ -233,15 +232,29 @@ def _machine(chain: Chain, status: TaskStatus) -> Iterator[Cause]:
 
 def _in_log(chain: Chain, task: str, cycle: int) -> tuple[str, list[Cause]]:
     """Return the missed cycles of a recorded task, and why."""
-    gaps = chain.facts.gaps[task]
+    facts = chain.facts
+    if cycle and not facts.has_cycle(task, cycle):
+        return _not_there(facts, task, cycle), []
+    gaps = facts.gaps.get(task, [])
     if cycle:
-        gaps = [one for one in gaps if one.cycle - one.missed <= cycle <= one.cycle]
+        gaps = [one for one in gaps if one.cycle == cycle]
     total = sum(one.missed for one in gaps)
-    what = f"{task} has missed {total} cycles in {len(gaps)} places"
+    what = f"{task} has missed {_some(total, 'cycle')} in {_some(len(gaps), 'place')}"
     if cycle:
-        what = f"{task} has missed {total} releases before cycle {cycle}"
+        what = f"{task} has missed {_some(total, 'release')} before cycle {cycle}"
     worst = sorted(gaps, key=lambda one: -one.missed)[:_SHOWN]
     return what, [_gap(chain, task, one) for one in worst]
+
+
+def _not_there(facts: Facts, task: str, cycle: int) -> str:
+    """Return which cycles of a task the log has instead of the one that was asked."""
+    what = f"cycle {cycle} of {task} is not in the log, which has"
+    numbers = facts.recorded.get(task)
+    if not numbers:
+        return f"{what} no cycle of it"
+    count = _some(sum(map(len, numbers)), "cycle")
+    first, last = min(one[0] for one in numbers), max(one[-1] for one in numbers)
+    return f"{what} {count} of it, from {first} to {last}"
 
 
 _SHOWN = 5
@@ -283,16 +296,28 @@ def _gap(chain: Chain, task: str, gap: Gap) -> Cause:
                 remedy=REMEDIES["late start"],
             )
         )
-    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "STATE", "METHOD")
-    home = facts.home(task)
-    because += [
-        cause_of(event, facts)
-        for event in facts.news(codes, rtpu=home, last=len(facts.events))
-        if abs(event.wall - gap.at) <= _NEAR and event.task in {"", task}
-    ][:_SHOWN]
+    because += [cause_of(event, facts) for event in _reported(facts, task, gap, period)]
     return Cause(
-        what=f"{gap.missed} releases before cycle {gap.cycle}",
+        what=f"{_some(gap.missed, 'release')} before cycle {gap.cycle}",
         source=Source.LOG,
         because=tuple(because),
         remedy="" if because else REMEDIES["late start"],
     )
+
+
+def _reported(facts: Facts, task: str, gap: Gap, period: float) -> list[Event]:
+    """Return the first event of each code that came with missed releases or after."""
+    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "METHOD")
+    until = gap.at + (gap.missed + 1) * period + _NEAR
+    newest_first = facts.news(codes, rtpu=facts.home(task), last=len(facts.events))
+    found = {
+        event.code: event
+        for event in newest_first
+        if gap.at <= event.wall <= until and event.task in {"", task}
+    }
+    return list(found.values())
+
+
+def _some(count: int, what: str) -> str:
+    """Return a number of things, in words."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

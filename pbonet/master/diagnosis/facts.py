@@ -91,6 +91,8 @@ class Facts(Struct, kw_only=True):
     withdrawn: dict[str, tuple[Event, Event]] = {}
     """Causes of the flag that a run withdrew: its first and its last event of each."""
     gaps: dict[str, list[Gap]] = {}
+    recorded: dict[str, list[range]] = {}
+    """The cycles of each task that a log has; their numbers begin anew at each ON."""
     trace: CoreTrace | None = None
     """The threads that had the core in a miss; None: they were not followed."""
     from_log: bool = False
@@ -104,6 +106,10 @@ class Facts(Struct, kw_only=True):
                 if one.task == name:
                     return one
         return None
+
+    def has_cycle(self, task: str, cycle: int) -> bool:
+        """Return whether the log has a cycle of that number."""
+        return any(cycle in numbers for numbers in self.recorded.get(task, ()))
 
     def drawn(self, name: str) -> GraphTask | None:
         """Return a task's ports and files, as it exists or as the job plans it."""

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from .question import Question
 
 
+_PLACES = 10
+"""Cycles after missed releases that are named."""
+
+
 def healthy(facts: Facts, asked: Question) -> tuple[str, ...]:
     """Return that something is well, and its figures; nothing: that is not known.
 
@@ -76,11 +80,22 @@ def _task(facts: Facts, asked: Question) -> list[str]:
 
 def _missed(facts: Facts, asked: Question) -> list[str]:
     status = facts.task(asked.name)
-    if status is None or status.miss or any(status.failures.values()):
+    if status is None or (asked.cycle and not facts.has_cycle(asked.name, asked.cycle)):
         return []
-    if asked.cycle > status.cycle:  # it has not come, or is not in the log
+    if asked.cycle and (gaps := facts.gaps.get(asked.name)):
+        return [_elsewhere({one.cycle for one in gaps}, asked.cycle)]
+    if status.miss or any(status.failures.values()):
         return []
     return _figures(status)
+
+
+def _elsewhere(cycles: set[int], asked: int) -> str:
+    """Return before which cycles releases were missed, those nearest to one."""
+    nearest = sorted(cycles, key=lambda cycle: (abs(cycle - asked), cycle))[:_PLACES]
+    places = ", ".join(map(str, sorted(nearest)))
+    rest = len(cycles) - len(nearest)
+    more = f", and {rest} more" if rest else ""
+    return f"what it has missed was before cycle {places}{more}"
 
 
 def _since(facts: Facts, status: TaskStatus) -> str:

@@ -123,6 +123,7 @@ def _read(path: str | Path) -> Facts:
     facts.on_since = _on_since(log, end)
     facts.withdrawn = _withdrawn(facts.events)
     facts.gaps = {task: _gaps(log, task) for task in log.tasks}
+    facts.recorded = {task: _recorded(log, task) for task in log.tasks}
     facts.values = _values(log, end)
     return facts
 
@@ -275,6 +276,13 @@ def _end_of(events: list[Event]) -> float:
     return begun
 
 
+def _recorded(log: Log, task: str) -> list[range]:
+    """Return the numbers of a task's cycles, in stretches without a hole."""
+    cycles = log.arrays(task)["cycle"].astype(np.int64)
+    stretches = np.split(cycles, np.flatnonzero(np.diff(cycles) != 1) + 1)
+    return [range(int(one[0]), int(one[-1]) + 1) for one in stretches if len(one)]
+
+
 def _gaps(log: Log, task: str) -> list[Gap]:
     """Return where a task has missed releases, from the times of its cycles."""
     arrays = log.arrays(task)
@@ -284,8 +292,10 @@ def _gaps(log: Log, task: str) -> list[Gap]:
         return []
     period = float(np.median(between))
     counts = np.round(between / period).astype(np.int64) - 1 if period else between * 0
-    # Cycles that were done and are not in the log are not missed.
-    counts -= np.maximum(np.diff(arrays["cycle"].astype(np.int64)) - 1, 0)
+    # Cycles that were done and are not in the log are not missed, nor is what lies
+    # before a number that is not higher: the task was turned on again.
+    numbers = np.diff(arrays["cycle"].astype(np.int64))
+    counts = np.where(numbers > 0, counts - numbers + 1, 0)
     offset = log.begin_time_ns - log.begin_ns
     places = np.flatnonzero((counts > 0) & (counts < _BREAK))
     found: list[Gap] = []

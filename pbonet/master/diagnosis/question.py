@@ -34,10 +34,18 @@ class Question(Struct, frozen=True, kw_only=True):
         A name that a task and a variable share means the task.
 
         Raises:
-            StateError: Nothing has that name.
+            StateError: Nothing has that name, or a cycle is asked of no recorded run.
         """
         if self.kind == "miss" and self.name not in facts.tasks():
             raise _unknown(f"no task {self.name}", self.name, facts.tasks(), facts)
+        if self.cycle and not facts.from_log:
+            raise StateError(
+                "only a recorded run has the single cycles of a task",
+                expected="a log or its folder, or 'miss TASK' without a cycle",
+                got=f"miss {self.name} {self.cycle}",
+                remedy=f"ask the log, as in 'pbonet explain runs/RUN miss {self.name} "
+                f"{self.cycle}', or leave the cycle out",
+            )
         if self.kind:
             return self
         rtpus = [one.name for one in facts.graph.rtpus]

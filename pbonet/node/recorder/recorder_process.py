@@ -243,10 +243,16 @@ class Recorder:
         self.event(self._events.decode(data))
 
     def event(self, event: Event) -> None:
-        """Record an event; after an error, what was kept is written."""
+        """Record an event; after an error, what was kept is written.
+
+        A task that changes its state or fails may soon be gone, and its counts with it,
+        so the next pass records them.
+        """
         if event.subsystem in {"", self._wanted.subsystem}:
             plain = msgspec.to_builtins(event)
             self._files.put(lambda writer: writer.add_event(plain))
+            if event.code in {"STATE", "METHOD"}:
+                self._status = 0.0
             if event.severity >= Severity.ERROR:
                 self._files.went_wrong()
 

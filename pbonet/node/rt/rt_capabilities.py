@@ -101,11 +101,13 @@ def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> 
 def _granted(throttle: float, cores: list[int]) -> tuple[float, str]:
     """Return the share of a core that real-time tasks get, and what limits it.
 
+    A kernel that does not throttle does not enforce the budget of a group either.
+
     Args:
         throttle: The share that the kernel throttles at; below 0: it does not.
         cores: Those that this process may use.
     """
-    group = _cgroup("cpu.rt_runtime_us")
+    group = _cgroup("cpu.rt_runtime_us") if throttle >= 0.0 else None
     budget = (group or -1) / (_cgroup("cpu.rt_period_us") or 1_000_000)
     limits = [
         (throttle, "kernel.sched_rt_runtime_us"),

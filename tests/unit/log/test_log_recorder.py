@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
+from msgspec import structs
 from watching import wait_for
 
 from pbonet.config.model import AgentConfig, Variable
@@ -216,6 +217,27 @@ def test_the_recorder_rests_in_the_second_after_an_error(ring, tmp_path) -> None
         assert recorder.pause == recording.PERIOD
     recorder.end()
     assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(("code", "state"), [("STATE", "OFF"), ("METHOD", "ERROR")])
+def test_the_counts_of_a_task_that_goes_off_or_fails_and_is_killed_are_its_last(
+    ring, tmp_path, monkeypatch, code, state
+) -> None:
+    """Half a second after the counts of that second."""
+    now, slots = 100.0, {}
+    recorder = recording.Recorder(
+        wanted(tmp_path), [].append, Time(lambda: now, 0, "here")
+    )
+    monkeypatch.setattr(recorder, "_slots", lambda: {"tasks": dict(slots)})
+    for at, missed in ((100.0, 4), (100.5, 7)):
+        now, slots["a"] = at, {"cycles": 10, "missed": missed, "failed": 0}
+        ring.put(b"", cycle=missed, now_ns=1)
+        if missed == 7:
+            recorder.event(structs.replace(ERROR, code=code, state=state))
+        recorder.turn()
+    slots.clear()
+    recorder.end()
+    assert Log(tmp_path / "r").missed() == {"a": 7}
 
 
 class Clock:

@@ -555,7 +555,7 @@ def test_cpu_times_that_were_not_measured_are_not_told():
     ],
 )
 def test_what_a_recorded_run_does_not_have_is_not_said_to_be_right(words, answered):
-    known = facts(from_log=True)
+    known = facts(recorded={"pid": [range(1, 101)]}, from_log=True)
     assert diagnosis.explain(known, asked_by(words)).answered == answered
 
 
@@ -953,10 +953,10 @@ def test_a_cycle_of_a_log_has_its_own_causes():
             window=0.01, own=0.001, others=(("sensor", 0.004),),
         ),
     ]  # fmt: skip
-    known = facts(gaps={"pid": gaps}, from_log=True)
+    known = facts(gaps={"pid": gaps}, recorded={"pid": [range(1, 101)]}, from_log=True)
     known.events = [event("CORE_STALLED", "core 1 stood still")]
-    text = told(known, "miss", "pid", "49")
-    assert text.startswith("pid has missed 2 releases before cycle 49")
+    text = told(known, "miss", "pid", "50")
+    assert text.startswith("pid has missed 2 releases before cycle 50")
     assert "the cycle before took 20 ms" in text
     assert "sensor took 9 ms of the core meanwhile" in text
     assert "CORE_STALLED of arm0" in text
@@ -964,6 +964,21 @@ def test_a_cycle_of_a_log_has_its_own_causes():
     assert both.startswith("pid has missed 4 cycles in 3 places")
     assert "for 5 of the 10 ms in which pid was ready, no task of its RTPU" in both
     assert f"do: {REMEDIES['late start']}" in both
+
+
+def test_a_cycle_near_missed_releases_has_none_of_its_own():
+    gaps = [Gap(cycle=n, missed=3, at=NOW, longest=0.0) for n in range(10, 90, 5)]
+    known = facts(gaps={"pid": gaps}, recorded={"pid": [range(1, 101)]}, from_log=True)
+    assert told(known, "miss", "pid", "49") == (
+        "pid has missed 0 releases before cycle 49\n"
+        "  nothing is wrong: what it has missed was before cycle "
+        "25, 30, 35, 40, 45, 50, 55, 60, 65, 70, and 6 more"
+    )
+
+
+def test_a_running_task_has_no_single_cycles():
+    with pytest.raises(StateError, match="only a recorded run has the single cycles"):
+        told(facts(status("pid", miss=3)), "miss", "pid", "4")
 
 
 # -- questions -------------------------------------------------------------------------

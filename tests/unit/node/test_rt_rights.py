@@ -130,6 +130,34 @@ def test_with_all_rights_only_a_tight_throttle_is_said(
     assert probe.lock_memory
 
 
+@pytest.mark.parametrize(
+    ("kernel", "share", "reason"),
+    [
+        ((950_000, None, 0), 0.95, "kernel.sched_rt_runtime_us"),
+        ((1_000_000, None, 0), 1.0, "the kernel throttles nothing"),
+        ((-1, None, 0), 1.0, "the kernel throttles nothing"),
+        ((950_000, 400_000, 0), 0.4, "cpu.rt_runtime_us of the control group"),
+        ((-1, 400_000, 0), 1.0, "the kernel throttles nothing"),
+        ((-1, None, 100_000_000), 0.9, "the kernel's server of other processes"),
+    ],
+)
+def test_a_core_grants_what_the_kernel_says(monkeypatch, kernel, share, reason) -> None:
+    runtime, group, server = kernel
+    numbers = {
+        "/proc/sys/kernel/sched_rt_runtime_us": runtime,
+        "/proc/sys/kernel/sched_rt_period_us": 1_000_000,
+        "/sys/kernel/debug/sched/fair_server/cpu1/runtime": server,
+        "/sys/kernel/debug/sched/fair_server/cpu1/period": 1_000_000_000,
+    }
+    groups = {"cpu.rt_runtime_us": group, "cpu.rt_period_us": 1_000_000}
+    monkeypatch.setattr(rt_capabilities, "_number", numbers.get)
+    monkeypatch.setattr(rt_capabilities, "_cgroup", groups.get)
+    monkeypatch.setattr(rt_capabilities, "_limit", lambda _which: -1)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {1})
+    probe = rt_capabilities.probe(0)
+    assert (probe.share, probe.share_reason) == (share, reason)
+
+
 def test_one_core_and_a_cpu_time_limit_are_said(monkeypatch) -> None:
     monkeypatch.setattr(rt_capabilities, "_limit", lambda _which: 200_000)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _pid: {3})
