@@ -1,6 +1,8 @@
 /* lease/lend.h and lease/take.h: one task of a core, whose dispatcher may be blocked at any
  * step, so that the task runs between two steps of a turn.
  *
+ * Both may wake up at any time.
+ *
  * Proved: the task and the dispatcher never both sleep past the task's next release, nor
  * while a cycle is granted. Each release is run once, given up or missed, and the task runs
  * what the dispatcher counts. No release is taken between the start of a turn and its lease.
@@ -32,6 +34,10 @@ byte under_way;
 mtype = { NONE, PRESENT, PAST };
 mtype number = NONE;
 byte cycle;
+#ifdef END_LATE
+mtype kept = NONE;
+byte kept_cycle;
+#endif
 
 /* What else both use: the next release, the end of the lease, what is granted, and what the
  * task posts. The CPU clock at a release that was taken is the number of its grant here. */
@@ -71,7 +77,13 @@ inline pass() { do :: now < INSTANTS -> now++ :: break od }
 inline recall() {
     atomic {
         is_open = false; turns = true;
-        if :: number == PRESENT -> number = PAST :: else fi
+#ifdef FORGET_CYCLE
+        under_way = 0;
+#endif
+        if :: number == PRESENT -> number = PAST :: else fi;
+#ifdef END_LATE
+        if :: kept == PRESENT -> kept = PAST :: else fi
+#endif
     }
 }
 
@@ -212,24 +224,43 @@ inline open_word() {
 
 inline read_time() { atomic { pass(); is_late = now >= first } }
 
+#ifdef LEND_OVERRUN
+#define IS_PLAIN !skips
+#else
+#define IS_PLAIN (!overrun && !skips)
+#endif
+
 /* rt_lend, which gives the time until which to sleep. */
 inline lend() {
+#ifndef NEXT_LAST
     publish_next();
+#endif
     if
-    :: atomic { !overrun && !skips && ready == (done != seq) -> n = (ready -> seq : 0) };
+    :: atomic { IS_PLAIN && ready == (done != seq) -> n = (ready -> seq : 0) };
+#ifdef NEXT_LAST
+        first = due;
+#else
         first = next;
+#endif
         grant_seq = seq;
 #ifdef TIME_FIRST
         read_time();
         open_word();
 #else
         open_word();
+#ifdef NEXT_LAST
+        publish_next();
+#endif
 #ifndef NO_TIME
         read_time();
 #endif
 #endif
         atomic { sleep_to = (is_late -> first : end); n = 0; first = 0; is_late = false }
-    :: else -> sleep_to = due
+    :: else ->
+#ifdef NEXT_LAST
+        publish_next();
+#endif
+        sleep_to = due
     fi
 }
 
@@ -237,7 +268,9 @@ active proctype Dispatcher() {
     byte at, n, first, sleep_to;
     bool is_late;
 turn:
+#ifndef MAIL_LATE
     mail = true;
+#endif
     atomic { pass(); at = now };
 #ifndef RECALL_LATE
     recall();
@@ -251,6 +284,9 @@ turn:
     atomic { at = 0; n = 0 };
     rank();
     lend();
+#ifdef MAIL_LATE
+    mail = true;
+#endif
     atomic { turns = false;
         if
         :: mail -> rests = true; rests_until = sleep_to; CHECK_SLEEP
@@ -287,6 +323,25 @@ inline give_back() {
     fi
 }
 
+#ifdef END_LATE
+/* The end of a cycle amid rt_take, which has loaded the word and the release. */
+inline end_late() {
+    atomic { kept = number; kept_cycle = cycle };
+    mark_end();
+    read_word();
+    give_back();
+    atomic {
+        number = kept; cycle = kept_cycle; kept = NONE; kept_cycle = 0; mine = 0
+    }
+}
+#endif
+
+#ifdef LIMIT_FIRST
+#define LIMIT limit
+#else
+#define LIMIT end
+#endif
+
 #ifdef SLEEP_AFTER_LOSS
 #define AGAIN 0
 #else
@@ -295,21 +350,30 @@ inline give_back() {
 
 active proctype Task() {
     byte release, late, mine, ends;
+#ifdef LIMIT_FIRST
+    byte limit;
+#endif
 wait:
 #ifndef BELL_LATE
     heard = true;
 #endif
     if
-    :: atomic { grant_seq > done -> mine = grant_seq; runs = mine; goto begin }
+    :: atomic { grant_seq > (mine -> mine : done) -> mine = grant_seq; runs = mine; goto begin }
     :: else
     fi;
     /* rt_take */
+#ifdef LIMIT_FIRST
+    limit = end;
+#endif
 #ifdef RELEASE_FIRST
     release = next;
     read_word();
 #else
     read_word();
     release = next;
+#endif
+#ifdef END_LATE
+    if :: mine -> end_late() :: else fi;
 #endif
 #ifdef BELL_LATE
     heard = true;
@@ -323,7 +387,7 @@ wait:
     };
     if
     :: number == NONE -> goto refused
-    :: number != NONE && release >= end -> goto refused
+    :: number != NONE && release >= LIMIT -> goto refused
     :: else -> if :: cycle -> goto refused :: else fi
     fi;
     if
@@ -344,6 +408,9 @@ wait:
 #else
         :: IS_SAME ->
 #endif
+#ifdef TAKE_UNASKED
+            is_open = true;
+#endif
             assert(!turns && release < chosen);
             mine = done + 1; under_way = mine; runs = mine
         :: else -> until = AGAIN; goto sleep
@@ -354,14 +421,18 @@ wait:
 #endif
     grant_rel = release;
     next = release + PERIOD;
+    /* A jump from one atomic sequence into another makes both one step: skip parts them. */
 begin:
+    skip;
     atomic { number = NONE; cycle = 0; release = 0; late = 0; begun = mine };
     atomic { assert(grant_rel > last && grant_rel <= now); last = grant_rel };
     /* rt_own_up */
     ends = (next < last + PERIOD -> next : last + PERIOD);
     if :: is_open -> atomic { pass(); if :: now >= ends -> kick() :: else fi } :: else fi;
     ends = 0;
-#if defined(GIVE_BACK_FIRST)
+#if defined(END_LATE)
+    skip; /* in rt_take */
+#elif defined(GIVE_BACK_FIRST)
     read_word();
     give_back();
     mark_end();
@@ -374,13 +445,17 @@ begin:
     read_word();
     give_back();
 #endif
+#ifndef END_LATE
     atomic { number = NONE; cycle = 0; mine = 0 };
+#endif
     goto wait;
 refused:
 #ifndef NO_SECOND_LOOK
+    skip;
     atomic { if :: IS_SAME -> skip :: else -> until = release fi };
 #endif
 sleep:
+    skip;
     atomic {
         number = NONE; cycle = 0; release = 0; late = 0;
         if
@@ -389,7 +464,7 @@ sleep:
         fi
     };
     if
-    :: atomic { !asleep -> until = 0; goto wait }
+    :: atomic { !asleep || now < INSTANTS -> asleep = false; until = 0; goto wait }
     :: atomic { asleep && until && until <= INSTANTS ->
             if :: now < until -> now = until :: else fi;
             asleep = false; until = 0; goto wait }
