@@ -205,8 +205,8 @@ static inline void rt_publish_next(struct rt_table *t)
         int64_t next = s->armed && s->kind == RT_PERIODIC ? s->next_ns : 0;
         if (atomic_load_explicit(&t->next_ns[i], memory_order_relaxed) == next)
             continue;
-        /* SYNC POINT: a cycle is marked as ended before its task loads the bell, and then the
-         * release: the task reads this release, or this sees the end and wakes it. */
+        /* SYNC POINT: a cycle is marked as ended before its task loads the release, and the bell
+         * is loaded before that: the task reads this release, or this sees the end and wakes it. */
         atomic_store(&t->next_ns[i], next);
         if (next && !(s->ready && atomic_load(&slot->post.done) != s->seq))
             rt_ring(slot);

@@ -1,8 +1,8 @@
-"""The table's protocol under reordered stores and loads, searched whole by spin.
+"""Models of the state variable table and of a core's lease, searched whole by spin.
 
-Three models stand in tests/native: register.pml, cut.pml and owner.pml. What they leave
-out is said in docs/svar-model.md. Each must hold, and must fail for every fence, check
-or step that is taken out: a model that cannot fail proves nothing.
+They stand in tests/native: register.pml, cut.pml, owner.pml, safe.pml and lease.pml.
+What they leave out is said in docs/svar-model.md. Each must hold, and must fail for
+every fence, check or step that is taken out: a model that cannot fail proves nothing.
 """
 
 import os
@@ -22,6 +22,7 @@ MODELS = {
     "takeover from the dead": ("owner",),
     "turned on again": ("owner", "RECLAIM"),
     "safe values": ("safe",),
+    "lease": ("lease",),
 }
 MUTATIONS = {
     "register": {
@@ -70,12 +71,42 @@ MUTATIONS = {
         "NO_TAKEOVER": "what a killed dispatcher has begun is not finished",
         "TAKE_UNLOCKED": "the dispatcher publishes without the lock",
     },
+    "lease": {
+        "NO_RING": "a next release that is written rings no bell",
+        "RING_GRANTED": "it rings only after a grant, not after a give-up",
+        "RING_FIRST": "the bell is rung before the next release is written",
+        "BELL_LATE": "the bell is loaded after the next release",
+        "END_LATE": "the end is marked after its task has loaded the next release",
+        "GRANT_FIRST": "a grant's number is stored before its times",
+        "BELL_FIRST": "the bell of a grant is rung before its number is stored",
+        "RECALL_LATE": "a turn reads what was taken before it calls the lease back",
+        "FORGET_CYCLE": "a turn takes the cycle under way out of the word, too",
+        "MAIL_LATE": "the dispatcher loads its mailbox after the turn",
+        "RELEASE_FIRST": "a task loads its release before the word",
+        "LIMIT_FIRST": "a task loads the end of the lease before the word",
+        "TAKE_UNASKED": "a release is taken without an exchange",
+        "SLEEP_AFTER_LOSS": "whoever loses the exchange sleeps until it is woken",
+        "NO_SECOND_LOOK": "a task that saw no lease does not load the word again",
+        "NO_KICK": "a task that slept through a release wakes no dispatcher",
+        "CPU_LATE": "the CPU clock is stored after the word",
+        "ONE_CLOCK": "two releases that follow one another have one CPU clock",
+        "GIVE_BACK_FIRST": "a cycle leaves the word before it is marked as ended",
+        "END_AFTER_WORD": "the end is marked after its task has loaded the word",
+        "GIVE_BACK_UNASKED": "a cycle leaves the word without an exchange",
+        "WORD_FIRST": "the word is opened before the end of the lease is stored",
+        "NEXT_LAST": "the word is opened before the next release is written",
+        "LEND_OVERRUN": "there is a lease while a cycle overruns",
+        "NO_LOOK_AT_END": "a cycle that ends as the word is opened stays in it",
+        "TIME_FIRST": "the dispatcher reads the time before it opens the word",
+        "NO_TIME": "the dispatcher does not read the time after that",
+    },
 }
 NEEDS = {"RECLAIM_IN_PLACE": ("RECLAIM",)}
 SETTINGS = {"COMMITS", "READS", "READERS", "COMMITS_P", "COMMITS_Q", "POOL"} | {
     "RECLAIM",
     "HINTS",
     "CYCLES",
+    "INSTANTS",
 }
 DEPTH = 10_000
 THOROUGH = ("-O1",)
