@@ -73,6 +73,26 @@ def seconds(value: float | None) -> str:
     return f"{_short(value / 1e-9)} ns"
 
 
+def stall_text(stalls: int, stalled: float, age: float | None) -> str:
+    """Return how often a core stood still, when last, and whether it does now.
+
+    Args:
+        stalls: Number of stalls that have ended.
+        stalled: Their duration, in seconds.
+        age: Seconds since the last one ended; 0 while one lasts, None if none has.
+
+    Returns:
+        Nothing if it never stood still.
+    """
+    parts = ["stands still now"] if age == 0 else []
+    if stalls:
+        times = "once" if stalls == 1 else f"{stalls} times"
+        parts.append(f"stood still {times}, {seconds(stalled)} in all")
+        if age:
+            parts.append(f"last {seconds(age)} ago")
+    return "; ".join(parts)
+
+
 def _short(value: float) -> str:
     """Return three digits and a bit, never an exponent."""
     if abs(value) >= 1000:  # noqa: PLR2004 - no decimals from there on
@@ -146,10 +166,9 @@ def _status(data: Data) -> str:
             raised.setdefault(cause, []).append(rtpu["rtpu"])
     lines += [f"ILLEGAL> {', '.join(at)}: {cause}" for cause, at in raised.items()]
     lines += [
-        f"STALLED> {rtpu['rtpu']}: its core stood still {rtpu['stalls']} times, "
-        f"{seconds(rtpu['stalled'])} in all"
+        f"STALLED> {rtpu['rtpu']}: its core {text}"
         for rtpu in data["rtpus"]
-        if rtpu["stalls"]
+        if (text := stall_text(rtpu["stalls"], rtpu["stalled"], rtpu["stall_age"]))
     ]
     links = {  # RTPUs of one machine see the same
         (link["name"], link["writer"], link["reader"]): f"LINK> {link_line(link)}"

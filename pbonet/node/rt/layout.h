@@ -32,7 +32,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 16,
+    RT_VERSION = 17,
     RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -255,6 +255,7 @@ struct rt_table {
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
     _Atomic int64_t late_max_ns;        /* longest delay of a turn after its event */
     _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stalled */
+    _Atomic int64_t stall_end_ns;       /* when the last such turn came; 0: none yet */
     _Atomic int64_t virtual_ns;         /* the time, if it is virtual; else 0 */
     int64_t due_ns;                     /* when the next turn is due ... */
     _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */
