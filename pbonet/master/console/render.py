@@ -1,4 +1,4 @@
-"""How the data of commands reads on a terminal: plain text, no colours."""
+"""The data of commands as text for a terminal: plain, without colours."""
 
 from __future__ import annotations
 
