@@ -315,8 +315,10 @@ dispatcher.stop()
         wait_for(lambda: table.status().releases > 1, "releases")
         before = table.status().stalls  # this machine may stand still at any time
         leader.send_signal(signal.SIGSTOP)
-        wait_for(lambda: table.status().stall_age_ns == 0, "a stall that lasts")
-        leader.send_signal(signal.SIGCONT)
+        try:
+            wait_for(lambda: table.status().stall_age_ns == 0, "a stall that lasts")
+        finally:
+            leader.send_signal(signal.SIGCONT)
         wait_for(lambda: table.status().stalls > before, "its end")
         wait_for(lambda: table.status().stall_age_ns, "the age of the last stall")
         leader.communicate()
