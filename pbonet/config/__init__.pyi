@@ -104,6 +104,7 @@ from .svar import (
     read_svar as read_svar,
     write_svar as write_svar,
 )
+from .toml_text import toml_record as toml_record, toml_table as toml_table
 from .types import (
     TYPES as TYPES,
     element_type as element_type,

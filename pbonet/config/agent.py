@@ -11,8 +11,9 @@ from . import words
 from .device import DRIVERS, Entry
 from .lines import Word, fault, nearest, quote
 from .model import AgentConfig, Place
-from .reader import MAX_LINE, decode, load
+from .reader import decode, load
 from .spp import SPP_DRIVERS, SppEntry
+from .toml_text import toml_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -23,7 +24,6 @@ MAX_GRACE = 3600.0
 MAX_LIMIT = 1e9
 """Greatest limit of logs, in their unit."""
 
-_AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _MOST_CORES = 4096
 _QUEUE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
 _KEY = re.compile(r"(?!.*\*\*\*)[^\s/#?$]+(/[^\s/#?$]+)*")
@@ -73,7 +73,7 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
     """
     text = decode(text, file) if isinstance(text, bytes) else text
     text = text.removeprefix("\ufeff")
-    table = _toml(text, file)
+    table = toml_table(text, file)
     known = get_type_hints(AgentConfig)
     if devices := _table(table.get("device")):
         _check_devices(devices, text, file)
@@ -288,52 +288,6 @@ def _pairs(table: Mapping[str, object]) -> Iterator[str]:
 def _table(value: object) -> dict[str, Any] | None:
     """Return the value if it is a table."""
     return cast("dict[str, Any]", value) if isinstance(value, dict) else None
-
-
-def _toml(text: str, file: str) -> dict[str, Any]:
-    """Return the table that the text is."""
-    import tomllib  # most agents have no file
-
-    _refuse_long_lines(text, file)
-    try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        message = str(error)
-        match = _AT.search(message)
-        if match and match[1]:
-            place = Place(file, int(match[1]), int(match[2]))
-        elif match:
-            last = text.rstrip("\n")
-            line = last.count("\n") + 1
-            place = Place(file, line, len(last) - (last.rfind("\n") + 1) + 1)
-        else:
-            place = Place(file, 1)
-        reason = _AT.sub("", message)
-        if isinstance(error, RecursionError):
-            reason = "nested too deeply"
-        raise fault(
-            f"this is not TOML: {quote(reason)[1:-1]}",
-            place,
-            expected="key = value",
-            remedy="write texts in quotes, lists in brackets",
-        ) from None
-
-
-def _refuse_long_lines(text: str, file: str) -> None:
-    start, number = 0, 0
-    while start <= len(text):
-        end = text.find("\n", start)
-        end = len(text) if end < 0 else end
-        number += 1
-        if end - start > MAX_LINE:
-            raise fault(
-                "the line is too long",
-                Place(file, number),
-                expected=f"at most {MAX_LINE} characters",
-                got=f"{end - start}",
-                remedy="is this a configuration file at all?",
-            )
-        start = end + 1
 
 
 def _place(text: str, file: str, key: str) -> Place:

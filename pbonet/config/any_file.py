@@ -10,6 +10,7 @@ from pbonet.errors import ConfigFileError
 from .agent import read_agent
 from .job import read_job
 from .model import AgentConfig, JobFile, Rmod, SbsFile, SeqFile, SvarFile
+from .reader import similar_file
 from .rmod import read_rmod
 from .sbs import read_sbs
 from .svar import read_svar
@@ -47,6 +48,6 @@ def read_any(path: str | Path) -> Record:
             where=str(path),
             expected=" or ".join(_READERS),
             got=Path(path).suffix or "no ending",
-            remedy="rename the file or name another",
+            remedy=similar_file(Path(path)) or "rename the file or name another",
         )
     return reader(path)

@@ -12,17 +12,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.machinery
 import importlib.util
 import keyword
 import os
 import stat
 import sys
-import threading
-import types
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
@@ -30,12 +27,12 @@ from pbonet import pbo
 from pbonet.errors import (
     ConfigError,
     ConfigFileError,
-    DeclarationError,
     ModuleLoadError,
     did_you_mean,
 )
 
 from .combining import part_info, published
+from .module_code import class_of
 from .reader import load
 
 if TYPE_CHECKING:
@@ -49,11 +46,6 @@ BUILT_IN = "pbonet.modules"
 _COMMON = f"{BUILT_IN}._values"
 GROUP = "pbonet.modules"
 """The entry point group of packages with more modules."""
-_VERSION = "__pbonet_version__"
-"""The attribute of a Python module that holds the version it was run from."""
-
-_RUNNING = threading.RLock()
-"""Held while a module's code runs: another thread must not see it half done."""
 
 
 class LoadedModule(Struct, frozen=True):
@@ -64,7 +56,7 @@ class LoadedModule(Struct, frozen=True):
     path: Path
 
 
-class Shelf(Struct, frozen=True):
+class LibraryFolder(Struct, frozen=True):
     """One folder of a library."""
 
     folder: Path
@@ -95,20 +87,15 @@ class Library:
         """The folders that are no packages, in the order in which they are searched."""
         return tuple(dict.fromkeys((*self.beside, *self._named)))
 
-    @property
-    def shelves(self) -> tuple[Shelf, ...]:
-        """The folders in the order in which they are searched."""
-        return tuple(self._search())
-
-    def _search(self) -> Iterator[Shelf]:
+    def _search(self) -> Iterator[LibraryFolder]:
         """Yield the folders; those of installed packages only if all else fails."""
         for folder in self.folders:
-            yield Shelf(folder, _package_name(folder))
+            yield LibraryFolder(folder, _package_name(folder))
         yield from built_in()
         yield from self._installed
 
     @cached_property
-    def _installed(self) -> list[Shelf]:
+    def _installed(self) -> list[LibraryFolder]:
         """The folders of registered packages, which take milliseconds to find."""
         return _registered()
 
@@ -123,14 +110,13 @@ class Library:
                 names file and line.
             DeclarationError: Its class body is wrong.
         """
-        shelf, path = self._find(_checked(module))
+        place, path = self._find(_checked(module))
         source = _read(path)
         version = pbo.source_version(source)
         known = self._loaded.get((str(path), version))
         if known is not None:
             return known
-        with _RUNNING:
-            cls = _class_of(shelf, path, source, version)
+        cls = class_of(path, place.package, source, version)
         info = pbo.describe(cls, name=module, file=str(path), version=version)
         loaded = LoadedModule(cls, info, path)
         self._loaded[str(path), version] = loaded
@@ -276,36 +262,36 @@ class Library:
     def _entries(self, ending: str) -> dict[str, os.DirEntry[str]]:
         """Return what folders say of these files; without a `Path` for each file."""
         found: dict[str, os.DirEntry[str]] = {}
-        for shelf in self._search():
-            with contextlib.suppress(OSError), os.scandir(shelf.folder) as entries:
+        for place in self._search():
+            with contextlib.suppress(OSError), os.scandir(place.folder) as entries:
                 for entry in entries:
                     name = entry.name.removesuffix(ending)
                     if name and name != entry.name:
                         found.setdefault(name, entry)
         return dict(sorted(found.items()))
 
-    def _first_with(self, *files: str) -> tuple[Shelf, Path] | None:
+    def _first_with(self, *files: str) -> tuple[LibraryFolder, Path] | None:
         """Return the first folder that has one of these files, and its path.
 
         Raises:
             ModuleLoadError: It has several of them, or may not be searched.
         """
-        for shelf in self._search():
-            folder = str(shelf.folder)  # a `Path` for each file would take most of it
+        for place in self._search():
+            folder = str(place.folder)  # a `Path` for each file would take most of it
             here = [one for one in files if _is_file(f"{folder}/{one}")]
-            found = [shelf.folder / file for file in here]
+            found = [place.folder / file for file in here]
             if len(found) > 1:
                 raise ModuleLoadError(
                     f"the folder has two modules {found[0].stem}",
-                    where=str(shelf.folder),
+                    where=str(place.folder),
                     got=" and ".join(path.name for path in found),
                     remedy="rename one of them, with its .rmod file",
                 )
             if found:
-                return shelf, found[0]
+                return place, found[0]
         return None
 
-    def _find(self, name: str) -> tuple[Shelf, Path]:
+    def _find(self, name: str) -> tuple[LibraryFolder, Path]:
         if found := self._first_with(*_files(name)):
             return found
         raise ModuleLoadError(
@@ -340,8 +326,10 @@ class Library:
         )
 
     def _places(self) -> str:
-        folders = [shelf.folder for shelf in self.shelves]
-        return " or ".join(str(one) for one in folders if one.parent not in folders)
+        """Return the folders that are searched, without those inside others."""
+        folders = {one.folder: None for one in self._search()}
+        outer = [one for one in folders if one.parent not in folders.keys() - {one}]
+        return " or ".join(map(str, outer))
 
     def _missing(self) -> str:
         """Return the hint about missing folders."""
@@ -439,7 +427,7 @@ def _read(path: Path) -> bytes:
 
 
 @functools.cache
-def built_in() -> tuple[Shelf, ...]:
+def built_in() -> tuple[LibraryFolder, ...]:
     """Return the folders of the modules that pbonet brings."""
     return tuple(_packaged(BUILT_IN))
 
@@ -481,22 +469,22 @@ def _changed(path: Path) -> int:
         return 0
 
 
-def _packaged(package: str) -> list[Shelf]:
+def _packaged(package: str) -> list[LibraryFolder]:
     """Return the folders of an importable package: its own, and those in it."""
     spec = importlib.util.find_spec(package)
     folders = [Path(one) for one in (spec and spec.submodule_search_locations) or ()]
-    return [Shelf(folder, package) for folder in folders] + [
-        Shelf(inner.parent, f"{package}.{inner.parent.name}")
+    return [LibraryFolder(folder, package) for folder in folders] + [
+        LibraryFolder(inner.parent, f"{package}.{inner.parent.name}")
         for folder in folders
         for inner in sorted(folder.glob("*/__init__.py"))
     ]
 
 
-def _registered() -> list[Shelf]:
+def _registered() -> list[LibraryFolder]:
     """Return the folders of the packages that are registered as libraries."""
     from importlib.metadata import entry_points  # it takes as long as all the rest
 
-    found: list[Shelf] = []
+    found: list[LibraryFolder] = []
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         try:
             found += _packaged(point.value)
@@ -513,128 +501,3 @@ def _registered() -> list[Shelf]:
 def _package_name(folder: Path) -> str:
     """Return the name of the package that a plain folder becomes."""
     return f"_pbonet_library_{pbo.source_version(str(folder.absolute()).encode())}"
-
-
-def _class_of(
-    shelf: Shelf, path: Path, source: bytes, version: str
-) -> type[pbo.PortBasedObject[Any]]:
-    """Return the class of a module in Python or in C."""
-    if path.suffix == ".so":
-        from pbonet.cmodule import c_class  # brings numpy
-
-        return c_class(path, source, version)
-    return _only_class(_run(shelf, path, source, version), path.stem, path)
-
-
-def _run(shelf: Shelf, path: Path, source: bytes, version: str) -> types.ModuleType:
-    """Run a module's code under its qualified name and return what it made.
-
-    A module that this process has imported by itself is taken as it is, so that there
-    are not two classes of one name.
-    """
-    module = path.stem
-    if shelf.package not in sys.modules:
-        _make_package(shelf)
-    name = f"{shelf.package}.{module}"
-    before = sys.modules.get(name)
-    if before is not None and getattr(before, _VERSION, version) == version:
-        return before
-    spec = importlib.machinery.ModuleSpec(name, loader=None, origin=str(path))
-    python = importlib.util.module_from_spec(spec)
-    python.__file__ = str(path)
-    setattr(python, _VERSION, version)
-    sys.modules[name] = python
-    try:
-        code = compile(source, str(path), "exec", dont_inherit=True)
-        exec(code, python.__dict__)  # noqa: S102
-    except BaseException as error:
-        if before is None:
-            del sys.modules[name]
-        else:
-            sys.modules[name] = before
-        if isinstance(error, DeclarationError):
-            error.where = f"{path}: {error.where}"
-            raise
-        if not isinstance(error, Exception | SystemExit):
-            raise
-        raise _broken(module, path, error) from error
-    return python
-
-
-def _make_package(shelf: Shelf) -> None:
-    """Make a plain folder a package, so that its files can import each other."""
-    if (shelf.folder / "__init__.py").exists() and not shelf.package.startswith(
-        "_pbonet"
-    ):
-        importlib.import_module(shelf.package)
-        return
-    package = types.ModuleType(shelf.package, "A folder of pbonet modules.")
-    package.__path__ = [str(shelf.folder)]
-    sys.modules[shelf.package] = package
-
-
-def _broken(module: str, path: Path, error: BaseException) -> ModuleLoadError:
-    """Return the error of a module's code, with its place."""
-    line = 0
-    if isinstance(error, SyntaxError) and error.filename == str(path):
-        line = error.lineno or 0
-        text = (error.text or "").strip()
-        got = f"{error.msg}: `{text}`" if text else error.msg
-    else:
-        trace = error.__traceback__
-        while trace is not None:
-            if trace.tb_frame.f_code.co_filename == str(path):
-                line = trace.tb_lineno
-            trace = trace.tb_next
-        got = f"{type(error).__name__}: {error}"
-    return ModuleLoadError(
-        f"the code of module {module} does not load",
-        where=f"{path}:{line}" if line else str(path),
-        got=got,
-        remedy=_beside(path, error),
-    )
-
-
-def _beside(path: Path, error: BaseException) -> str:
-    """Return what to do; of an import that failed, what it would have found."""
-    name = error.name if isinstance(error, ModuleNotFoundError) else None
-    if name and (path.parent / f"{name}.py").is_file():
-        return f"write `from . import {name}`: the folder is a package"
-    if name and not name.startswith(("_pbonet", "pbonet")):
-        package = name.partition(".")[0]
-        return f"install {package} where pbonet is ({sys.prefix}), or correct the name"
-    return "correct it there and try again"
-
-
-def _is_module(
-    value: object, python: types.ModuleType
-) -> TypeGuard[type[pbo.PortBasedObject[Any]]]:
-    """Return whether `value` is a module class that `python` itself defines."""
-    return (
-        isinstance(value, type)
-        and issubclass(value, pbo.PortBasedObject)
-        and value.__module__ == python.__name__
-        and not value.__abstract__
-    )
-
-
-def _only_class(
-    python: types.ModuleType, module: str, path: Path
-) -> type[pbo.PortBasedObject[Any]]:
-    """Return the one module class that a file defines."""
-    own = [value for value in vars(python).values() if _is_module(value, python)]
-    named = [
-        cls for cls in own if cls.__name__.lower() == module.replace("_", "").lower()
-    ]
-    if len(own) == 1 or len(named) == 1:
-        return (own if len(own) == 1 else named)[0]
-    names = ", ".join(cls.__name__ for cls in own)
-    raise ModuleLoadError(
-        f"module {module} must define one class that derives from PortBasedObject",
-        where=str(path),
-        expected="one, or one with the name of the file",
-        got=names or "none",
-        remedy="put each class into its own file"
-        if own
-        else "derive its class from pbonet.PortBasedObject",
-    )

@@ -60,7 +60,7 @@ def load(path: str | Path) -> str:
         raise ConfigFileError(
             f"the file cannot be read: {reason}",
             where=str(path),
-            remedy=_similar_file(path) or "check the path and its permissions",
+            remedy=similar_file(path) or "check the path and its permissions",
         ) from None
     if data is None:
         raise ConfigFileError(
@@ -71,13 +71,21 @@ def load(path: str | Path) -> str:
     return decode(data, str(path))
 
 
-def _similar_file(path: Path) -> str:
-    """Return a hint when the folder holds a file of that kind with nearly the name."""
+def similar_file(path: Path) -> str:
+    """Return a hint when the folder holds a file of that kind with nearly the name.
+
+    A name without an ending is that of all configuration files that have an ending
+    after it.
+    """
     try:
-        beside = path.parent.iterdir()
-        names = [entry.name for entry in beside if entry.suffix == path.suffix]
+        beside = list(path.parent.iterdir())
     except (OSError, ValueError):
         return ""
+    if not path.suffix:
+        named = [path.with_name(path.name + ending) for ending in _FIRST.values()]
+        found = [str(one) for one in named if one in beside]
+        return f"did you mean {' or '.join(found)}?" if found else ""
+    names = [entry.name for entry in beside if entry.suffix == path.suffix]
     import difflib  # only where something is wrong
 
     near = difflib.get_close_matches(path.name, names, n=1)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-import msgspec
 from msgspec import Struct
 
 from pbonet.config import (
@@ -18,6 +16,8 @@ from pbonet.config import (
     read_job,
     read_sbs,
     settings_text,
+    toml_record,
+    toml_table,
 )
 from pbonet.errors import ConfigError, did_you_mean
 from pbonet.xm.net import run_folder
@@ -113,7 +113,9 @@ def read_hosts(path: str | Path, only: Sequence[str] = ()) -> HostsFile:
         ConfigError: It says something that cannot be.
     """
     path = Path(path)
-    found = _converted(load(path), path)
+    table = toml_table(load(path), str(path))
+    remedy = "docs/operations.md lists the keys"
+    found = toml_record(table, _File, str(path), remedy=remedy)
     _check(found, path)
     folder = path.absolute().parent
 
@@ -138,30 +140,6 @@ def read_hosts(path: str | Path, only: Sequence[str] = ()) -> HostsFile:
         known_hosts=at(found.known_hosts),
         identity=at(found.identity),
     )
-
-
-def _converted(text: str, path: Path) -> _File:
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(
-            "this is not TOML",
-            where=str(path),
-            expected="key = value",
-            got=str(error),
-            remedy="write texts in quotes, lists in brackets",
-        ) from None
-    try:
-        return msgspec.convert(table, _File)
-    except msgspec.ValidationError as error:
-        what, _, where = str(error).partition(" - at ")
-        key = where.strip("`").removeprefix("$").lstrip(".")
-        raise ConfigError(
-            "the file of hosts says something that cannot be",
-            where=f"{path}: {key}" if key else str(path),
-            got=what,
-            remedy="docs/operations.md lists the keys",
-        ) from None
 
 
 def _check(found: _File, path: Path) -> None:

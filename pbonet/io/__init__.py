@@ -29,7 +29,7 @@ device, so that the same code runs in real time, in simulation and in replay. On
     A robot that MuJoCo simulates, behind the interface a real one would have.
 ``mujoco_camera``
     A camera in a scene that MuJoCo draws: for executives only, since drawing takes
-    long; ``red_in_picture`` finds the red thing in its pictures, and ``pinhole`` tells
+    long; ``red_blob`` finds the red thing in its pictures, and ``pinhole`` tells
     where that is.
 ``optional_packages``
     Packages that only some modules need.

@@ -13,6 +13,7 @@ from ._poses import (
     turn_of as turn_of,
 )
 from .arm import SimulatedArm as SimulatedArm
+from .blob_detection import NOTHING as NOTHING, Blob as Blob, red_blob as red_blob
 from .chain import Chain as Chain
 from .collision_model import CollisionModel as CollisionModel
 from .floating_model import FloatingModel as FloatingModel
@@ -30,7 +31,6 @@ from .policy import (
 )
 from .puma560 import PUMA560 as PUMA560
 from .recorded import RecordedBall as RecordedBall
-from .red_in_picture import NOTHING as NOTHING, Blob as Blob, red_blob as red_blob
 from .robot_model import RobotModel as RobotModel, find_file as find_file
 from .sample_file import Samples as Samples, read_samples as read_samples
 from .serial_line import SerialLine as SerialLine, SerialPort as SerialPort

@@ -1,4 +1,4 @@
-"""How near the links of a robot are to each other, by pinocchio and coal.
+"""Distances between the links of a robot, by pinocchio and coal.
 
 A URDF file describes the robot and the shapes of its links, its `<collision>` elements.
 """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from .moves import Moves
+from .time_conversion import Moves
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

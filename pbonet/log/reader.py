@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .clocks import Clock
-    from .moves import Moves
+    from .time_conversion import Moves
 
 
 _ABOUT: Final = msgspec.json.Decoder(TaskAbout)

@@ -14,7 +14,7 @@ from pbonet.config import Variable
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .moves import Moves
+    from .time_conversion import Moves
 
 T = TypeVar("T")
 
@@ -31,7 +31,7 @@ CLOCKS = "pbonet clocks"
 """Name of the metadata record of a merged log that describes the time conversions."""
 EPOCH = "epoch_ns"
 """Metadata of a task's channel in a merged log: the offset from its CLOCK_MONOTONIC, in
-the format of `pbonet.log.moves.Moves`."""
+the format of `pbonet.log.time_conversion.Moves`."""
 MACHINE = "machine"
 """Metadata of a task's channel in a log of several machines: its machine."""
 RUN = "run"

@@ -17,7 +17,6 @@ import msgspec
 from pbonet.errors import LogError
 
 from .events import LOG_SCHEMA, log_message
-from .moves import Moves
 from .records import (
     EPOCH,
     MACHINE,
@@ -31,6 +30,7 @@ from .records import (
     free_name,
 )
 from .schema import COMMITS, StepSchema, TaskSchema
+from .time_conversion import Moves
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

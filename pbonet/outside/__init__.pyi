@@ -1,4 +1,4 @@
-from . import openings as openings
+from . import open_devices as open_devices
 from ._tape import (
     Outside as Outside,
     Tape as Tape,
@@ -13,10 +13,10 @@ from .files import (
     note_file as note_file,
     sha256_of as sha256_of,
 )
+from .module_answers import ModuleAnswers as ModuleAnswers
 from .playing import (
     BrokenOffError as BrokenOffError,
     Player as Player,
     refuse as refuse,
     using as using,
 )
-from .told import ModuleAnswers as ModuleAnswers

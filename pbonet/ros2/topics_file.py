@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
-import msgspec
 from msgspec import Struct
 
 from pbonet.analysis.legality import same_unit
-from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
+from pbonet.config import load, toml_record, toml_table
+from pbonet.errors import ConfigError, did_you_mean
 
 from .wire_format import LONGEST, MOST_DOMAIN, NAME, Qos
 
@@ -163,25 +162,7 @@ def read_topics(path: Path) -> Topics:
         ConfigFileError: It cannot be read.
         ConfigError: It is not TOML, or says something that cannot be.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigFileError(
-            "the file of topics cannot be read",
-            where=str(path),
-            got=getattr(error, "strerror", None) or str(error),
-            remedy="see docs/ros2.md for what stands in it",
-        ) from None
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(
-            "this is not TOML",
-            where=str(path),
-            expected="key = value",
-            got=str(error),
-            remedy="write texts in quotes, lists in brackets",
-        ) from None
+    table = toml_table(load(path), str(path))
     found = _converted(table, str(path))
     found.messages = [str(path.parent / folder) for folder in found.messages]
     _check(found, str(path))
@@ -198,17 +179,7 @@ def _converted(table: dict[str, Any], where: str) -> Topics:
                 _must_know(
                     cast("dict[str, Any]", entry), kind, f"{where}: {key}[{place}]"
                 )
-    try:
-        return msgspec.convert(table, Topics)
-    except msgspec.ValidationError as error:
-        what, _, key = str(error).partition(" - at ")
-        key = key.strip("`").removeprefix("$").lstrip(".")
-        raise ConfigError(
-            "the file of topics says something that cannot be",
-            where=f"{where}: {key}" if key else where,
-            got=what,
-            remedy="docs/ros2.md lists the keys",
-        ) from None
+    return toml_record(table, Topics, where, remedy="docs/ros2.md lists the keys")
 
 
 def _must_know(table: dict[str, Any], kind: type[Struct], where: str) -> None:

@@ -1,4 +1,4 @@
-"""How a task handles the ages of the variables that it reads; native in fresh.h."""
+"""The handling of the ages of the variables that a task reads; native in fresh.h."""
 
 from __future__ import annotations
 

@@ -13,7 +13,13 @@ import msgspec
 import pytest
 from watching import wait_for
 
-from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
+from pbonet.errors import (
+    ClaimError,
+    DuplicateNameError,
+    NoAnswerError,
+    NodeError,
+    PbonetError,
+)
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import ask_master, oneshot
 from pbonet.master.console.interfaces import Script
@@ -285,6 +291,19 @@ def test_port_that_is_closed_answers_no_more(arm, world):
     client = rpc.Client(session.client(world.domain), world.domain, "late")
     with pytest.raises(PbonetError, match="the master has ended"):
         ask_master.ask(client, "gone", "status", {})
+    client.close()
+
+
+@pytest.mark.usefixtures("arm")
+def test_a_master_that_takes_no_commands_has_not_ended(world, monkeypatch):
+    """Its token is there, as on a machine that is too busy to answer."""
+    monkeypatch.setattr(rpc, "ANSWER_TIME", 0.1)
+    client = rpc.Client(session.client(world.domain), world.domain, "caller")
+    key = key_expressions.network(world.domain, "busy")
+    token = client.session.liveliness().declare_token(key)
+    with pytest.raises(NoAnswerError, match=r"busy: the master is there, but does not"):
+        ask_master.ask(client, "busy", "status", {})
+    token.undeclare()
     client.close()
 
 

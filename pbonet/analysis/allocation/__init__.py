@@ -1,4 +1,4 @@
-"""Which RTPU runs which task: the best assignment under the schedulability test.
+"""The assignment of tasks to RTPUs: the best one under the schedulability test.
 
 No clock, no file, no network; `scipy` (``pip install 'pbonet[plan]'``) solves it.
 """

@@ -1,4 +1,4 @@
-"""Why there is no assignment, and what would help."""
+"""The reasons why there is no assignment, and what would help."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How writers of one variable are joined (Stewart 1994, section 3.3, Figure 3.6)."""
+"""Joins of writers of one variable (Stewart 1994, section 3.3, Figure 3.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In which order tasks are spawned, turned on and off, and run (3.5, 6.2.4)."""
+"""The order in which tasks are spawned, turned on and off, and run (3.5, 6.2.4)."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pbonet.errors import did_you_mean
 from pbonet.ports import Kind, Port, accepts, wanted
 
 from .combined import check_parts
-from .misspelt import KEYWORDS, elsewhere, listed, meant
+from .misspelled_ports import KEYWORDS, elsewhere, listed, meant
 from .records import Code, Configuration, Problem, Task
 from .units import ANY, conversion, same_unit
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pbonet.errors import PortError
 from pbonet.ports import solve_shapes
 
-from .misspelt import KEYWORDS, listed
+from .misspelled_ports import KEYWORDS, listed
 from .records import Code, Configuration, Problem, Task
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from pbonet.errors import VerificationError, did_you_mean
 from .devices_on_rtpus import check_names
 from .freshness import check_circles
 from .joins import check_ages, check_units
-from .misspelt import as_meant
+from .misspelled_ports import as_meant
 from .order import check_initialization
 from .parts import check_ports, check_task
 from .records import Code, Configuration, Problem, Severity, Task

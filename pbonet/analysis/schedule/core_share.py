@@ -1,4 +1,4 @@
-"""How much of a core its tasks may use: the 100 % of section 6.2.3 on a real machine.
+"""The share of a core for its tasks: the 100 % of section 6.2.3 on a real machine.
 
 The thesis's kernel owns its processor. Here another kernel grants a share of a core,
 and the dispatcher takes its own time of that, at every release.

@@ -201,6 +201,8 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
     """Turns that came more than 20 ms late: the core stood still, or was throttled."""
     stalled_ns: int
     """Their delays, added up."""
+    stall_age_ns: int | None
+    """Time since the last stall ended: 0 while one lasts, None if there was none."""
     takeovers: int
     """How often a standby took over from a leader that died."""
     spared: int

@@ -11,10 +11,10 @@ from .device_classes import (
     StreamDevice as StreamDevice,
 )
 from .device_list import listed as listed
+from .device_opening import driver as driver, open_device as open_device
 from .gpio_driver import Edge as Edge
 from .guard import GUARD as GUARD
 from .iio_buffer_driver import Sample as Sample
 from .j1939_driver import Group as Group
 from .modes import Mode as Mode, Opening as Opening, Wait as Wait
-from .opening import driver as driver, open_device as open_device
 from .request_device import Line as Line, RequestDevice as RequestDevice

@@ -25,7 +25,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import DeviceError
-from pbonet.outside import openings
+from pbonet.outside import open_devices
 
 from . import database, guard, port_claims
 from .modes import Mode, Wait
@@ -93,7 +93,7 @@ class Device(ABC):
         self.patience: float | None = None
         """Seconds for which `write` waits for room; None: until there is some."""
         self._guarded = 0
-        self._openings = openings.current()
+        self._openings = open_devices.current()
 
     def open(self, claim: Claim | None) -> None:
         """Open the device; `open_device` calls this once.

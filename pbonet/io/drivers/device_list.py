@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pbonet.config import DRIVERS
 from pbonet.xm.net import messages as m
 
-from .opening import driver
+from .device_opening import driver
 from .port_claims import MOST_PORTS, fault, users
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ import msgspec
 from pbonet.errors import PbonetError
 from pbonet.outside import Outside
 
+from .device_opening import driver
 from .guard import DONE, Forget, Prepare, Watch
 from .modes import Mode, Opening, Wait
-from .opening import driver
 from .port_claims import SAFE_TIME, Claim
 
 if TYPE_CHECKING:

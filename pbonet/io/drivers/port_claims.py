@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from weakref import WeakKeyDictionary
 
 from pbonet.errors import DeviceError, DeviceTakenError
-from pbonet.outside import openings
+from pbonet.outside import open_devices
 from pbonet.xm.net import run_folder
 
 from . import database
@@ -142,7 +142,7 @@ def _lock(kind: int, entry: Entry, opening: Opening, begin: int = 0) -> bytes:
 
 
 _Ports = tuple[Path, int, int]
-_marks: Final[WeakKeyDictionary[openings.Openings, dict[_Ports, Claim]]] = (
+_marks: Final[WeakKeyDictionary[open_devices.Openings, dict[_Ports, Claim]]] = (
     WeakKeyDictionary()
 )
 """The marks of this process, by task (a bench may have several in one), and ports."""
@@ -150,7 +150,7 @@ _marks: Final[WeakKeyDictionary[openings.Openings, dict[_Ports, Claim]]] = (
 
 def _of_this_task() -> dict[_Ports, Claim]:
     """Return the marks of the present task; they are dropped with it."""
-    task = openings.current()
+    task = open_devices.current()
     mine = _marks.get(task)
     if mine is None:
         mine = _marks[task] = {}

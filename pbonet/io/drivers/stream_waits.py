@@ -1,4 +1,4 @@
-"""How a stream device waits: the same rules over any non-blocking descriptor."""
+"""Waiting on a stream device: the same rules for any non-blocking descriptor."""
 
 from __future__ import annotations
 

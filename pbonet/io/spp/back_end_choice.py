@@ -1,4 +1,4 @@
-"""Which back end a library runs on: what ``[spp.NAME]`` says, or the first that can."""
+"""The choice of a library's back end: ``[spp.NAME]``, or the first that can."""
 
 from __future__ import annotations
 

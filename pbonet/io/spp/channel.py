@@ -1,4 +1,4 @@
-"""How a client and the executive reach each other: shared memory of this machine.
+"""The connection between a client and the executive: shared memory of this machine.
 
 An executive has a bell, a semaphore that wakes it; a door, where new clients leave
 their names; a binary semaphore for exclusive use; and a segment that says what it runs

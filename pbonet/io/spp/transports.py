@@ -1,4 +1,4 @@
-"""How batches reach an executive: a process of its own, or none in virtual time."""
+"""Transports of batches to an executive: its own process, or none in virtual time."""
 
 from __future__ import annotations
 

@@ -304,7 +304,7 @@ class Files:
         return next((rtpu for rtpu in named if rtpu in rtpus), rtpus[0])
 
     def _no_job(self) -> ConfigError:
-        jobs = ", ".join(self.jobs())
+        jobs = ", ".join(f"{name}.job" for name in self.jobs())
         if self.seq is not None:
             return ConfigError(
                 "a sequence is not a single job",
@@ -317,7 +317,7 @@ class Files:
             "no job is named",
             where=self.sbs.subsystem,
             expected="the name of a .job file",
-            remedy=f"there are: {jobs}" if jobs else f"write one beside {self.path}",
+            remedy=f"name one of: {jobs}" if jobs else f"write one beside {self.path}",
         )
 
     def _search_first_in(self, folder: Path) -> None:

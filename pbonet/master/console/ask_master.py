@@ -89,11 +89,17 @@ def ask(
                     remedy="see the master's output; 'pbonet stop' needs no master",
                 )
             return _reply(codec.Codec().answer(reply.ok.payload.to_bytes()))
-        if not client.tokens(key) or time.monotonic() > deadline:
+        if not client.tokens(key):
             raise UnreachableError(
                 "the master has ended",
                 where=key,
                 remedy="give the command again: it needs no other master then",
+            )
+        if time.monotonic() > deadline:
+            raise NoAnswerError(
+                "the master is there, but does not take commands",
+                where=key,
+                remedy="give the command again; 'pbonet stop' needs no master",
             )
         time.sleep(_PAUSE)  # its port was opened a moment ago
 

@@ -92,6 +92,7 @@ def status(session: SessionState, given: Given) -> Data:
                 "spps": [msgspec.to_builtins(one) for one in rtpu.spps],
                 "stalls": rtpu.stalls,
                 "stalled": rtpu.stalled,
+                "stall_age": rtpu.stall_age,
             }
             for rtpu in rtpus
         ],

@@ -98,8 +98,8 @@ class Screen:
         for rtpu in rtpus:
             load = f"{rtpu.rtpu}: {rtpu.scheduler} over {rtpu.backend}, tasks take "
             load += f"{self._window.load(rtpu.tasks):.1%} of the core"
-            if rtpu.stalls:
-                load += f", stood still {rtpu.stalls} times, {rtpu.stalled:.2g} s"
+            if text := render.stall_text(rtpu.stalls, rtpu.stalled, rtpu.stall_age):
+                load += f", {text}"
             notes.append(Text(load, style="dim"))
             notes += [
                 Text(f"ILLEGAL {cause}", style="bold red") for cause in rtpu.illegal

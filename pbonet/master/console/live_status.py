@@ -103,10 +103,8 @@ class Plain:
     def _line(self, status: TaskStatus) -> str:
         """Return the figures of a task."""
         if status.state == State.NOT_CREATED:
-            return (
-                f"{status.task:15} {status.state} "
-                f"after {status.cycle} cycles: {status.error}"
-            )
+            why = f": {status.error}" if status.error else ""
+            return f"{status.task:15} {status.state} after {status.cycle} cycles{why}"
         now = self._window.rates(status)
         if self._fields:
             cells = (f"{name} {render.cell(name, now[name])}" for name in self._fields)

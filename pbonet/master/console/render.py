@@ -1,4 +1,4 @@
-"""How the data of commands reads on a terminal: plain text, no colours."""
+"""The data of commands as text for a terminal: plain, without colours."""
 
 from __future__ import annotations
 
@@ -71,6 +71,26 @@ def seconds(value: float | None) -> str:
         if abs(value) >= size * 0.9995:
             return f"{_short(value / size)} {prefix}s"
     return f"{_short(value / 1e-9)} ns"
+
+
+def stall_text(stalls: int, stalled: float, age: float | None) -> str:
+    """Return how often a core stood still, when last, and whether it does now.
+
+    Args:
+        stalls: Number of stalls that have ended.
+        stalled: Their duration, in seconds.
+        age: Seconds since the last one ended; 0 while one lasts, None if none has.
+
+    Returns:
+        Nothing if it never stood still.
+    """
+    parts = ["stands still now"] if age == 0 else []
+    if stalls:
+        times = "once" if stalls == 1 else f"{stalls} times"
+        parts.append(f"stood still {times}, {seconds(stalled)} in all")
+        if age:
+            parts.append(f"last {seconds(age)} ago")
+    return "; ".join(parts)
 
 
 def _short(value: float) -> str:
@@ -146,10 +166,9 @@ def _status(data: Data) -> str:
             raised.setdefault(cause, []).append(rtpu["rtpu"])
     lines += [f"ILLEGAL> {', '.join(at)}: {cause}" for cause, at in raised.items()]
     lines += [
-        f"STALLED> {rtpu['rtpu']}: its core stood still {rtpu['stalls']} times, "
-        f"{seconds(rtpu['stalled'])} in all"
+        f"STALLED> {rtpu['rtpu']}: its core {text}"
         for rtpu in data["rtpus"]
-        if rtpu["stalls"]
+        if (text := stall_text(rtpu["stalls"], rtpu["stalled"], rtpu["stall_age"]))
     ]
     links = {  # RTPUs of one machine see the same
         (link["name"], link["writer"], link["reader"]): f"LINK> {link_line(link)}"

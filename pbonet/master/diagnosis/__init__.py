@@ -1,4 +1,4 @@
-"""Why something is as it is: from facts to a chain of causes with what to do."""
+"""The causes of a state: from facts to a chain of causes with what to do."""
 
 from pbonet.lazy import attach
 

@@ -1,4 +1,4 @@
-"""Why the illegal-configuration flag is up (Stewart 1994, section 3.10)."""
+"""Explains why the illegal-configuration flag is up (Stewart 1994, section 3.10)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a task has missed cycles."""
+"""Explains why a task has missed cycles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why an RTPU does not answer, or does not do what it should."""
+"""Explains why an RTPU does not answer, or does not do what it should."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a job would not start, or did not."""
+"""Explains why a job would not start, or did not."""
 
 from __future__ import annotations
 

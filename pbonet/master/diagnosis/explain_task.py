@@ -1,4 +1,4 @@
-"""Why a task is in its state, or does not do its work though it is ON."""
+"""Explains why a task is in its state, or does not do its work though it is ON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a variable is too old, or has no value."""
+"""Explains why a variable is too old, or has no value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How something fares of which no cause was found: since when, and its figures."""
+"""The state of something for which no cause was found: since when, and its figures."""
 
 from __future__ import annotations
 

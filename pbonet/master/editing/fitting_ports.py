@@ -1,4 +1,4 @@
-"""Which ports and variables a port can be connected to, and why others do not fit."""
+"""Ports and variables that a port can be connected to, and why others do not fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an allocation reads on a terminal."""
+"""An allocation as text for a terminal."""
 
 from __future__ import annotations
 

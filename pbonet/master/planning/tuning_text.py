@@ -1,4 +1,4 @@
-"""How the choice of rates reads on a terminal, and its plot."""
+"""The choice of rates as text for a terminal, and its plot."""
 
 from __future__ import annotations
 

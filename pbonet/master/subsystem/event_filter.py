@@ -1,4 +1,4 @@
-"""Which events are wanted."""
+"""The selection of events that are wanted."""
 
 from __future__ import annotations
 

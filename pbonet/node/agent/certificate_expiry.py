@@ -1,4 +1,4 @@
-"""How long an agent's keys are valid, and whether other agents accept them.
+"""The time for which an agent's keys are valid, and whether other agents accept them.
 
 When a certificate expires, the links that it opened are closed on both sides and no
 new ones can be opened, as if every cable had been pulled. Operators are warned for

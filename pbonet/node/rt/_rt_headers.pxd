@@ -215,6 +215,7 @@ cdef extern from "view.h" nogil:
         int64_t since_ns, late_max_ns
         uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns
         uint64_t spared
+        int64_t stall_age_ns
     struct rt_part:
         int mode, begun, done, event, locked, handled, fell
         int64_t now_ns, cpu_ns

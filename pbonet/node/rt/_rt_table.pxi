@@ -278,7 +278,8 @@ cdef class CoreTable:
             leader_tid=v.leader_tid, since_ns=v.since_ns, turns=v.turns,
             releases=v.releases, level_changes=v.level_changes, errors=v.errors,
             late_max_ns=v.late_max_ns, takeovers=v.takeovers,
-            stalls=v.stalls, stalled_ns=v.stalled_ns, spared=v.spared)
+            stalls=v.stalls, stalled_ns=v.stalled_ns, spared=v.spared,
+            stall_age_ns=v.stall_age_ns if v.stall_age_ns >= 0 else None)
 
     def cpu_ns(self) -> int:
         cdef rt_core_view v

@@ -256,6 +256,7 @@ struct rt_table {
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
     _Atomic int64_t late_max_ns;        /* longest delay of a turn after its event */
     _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stalled */
+    _Atomic int64_t stall_end_ns;       /* when the last such turn came; 0: none yet */
     _Atomic int64_t virtual_ns;         /* the time, if it is virtual; else 0 */
     int64_t due_ns;                     /* when the next turn is due ... */
     _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */

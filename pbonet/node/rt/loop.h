@@ -195,6 +195,7 @@ static inline int64_t rt_once(struct rt_loop *loop, int lead)
     if (due && now - due > RT_STALL_NS) {
         atomic_fetch_add(&t->stalls, 1);
         atomic_fetch_add(&t->stalled_ns, (uint64_t)(now - due));
+        atomic_store(&t->stall_end_ns, now);
     }
     lead |= atomic_load(&t->relevel) && atomic_exchange(&t->relevel, 0);
     due = rt_turn(t, now, backend == RT_PARK, lead, rt_task_cpu);

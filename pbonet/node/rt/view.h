@@ -142,7 +142,17 @@ struct rt_core_view {
     int64_t since_ns, late_max_ns;
     uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns;
     uint64_t spared;
+    int64_t stall_age_ns;               /* since the last stall; 0: it lasts; -1: none yet */
 };
+
+/* A leader's turn that is overdue has not been counted yet. */
+static inline int64_t rt_stall_age(const struct rt_table *t, int64_t now)
+{
+    int64_t sure = atomic_load(&t->sure_ns), end = atomic_load(&t->stall_end_ns);
+    if (atomic_load(&t->leader_tid) && sure && now - sure > RT_STALL_NS)
+        return 0;
+    return end ? now - end : -1;
+}
 
 static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_view *v)
 {
@@ -160,6 +170,7 @@ static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_vie
     v->takeovers = atomic_load(&t->takeovers);
     v->stalls = atomic_load(&t->stalls);
     v->stalled_ns = atomic_load(&t->stalled_ns);
+    v->stall_age_ns = rt_stall_age(t, rt_now());
 }
 
 /* The process of member `i` (0: none); sets whether it is alive. */

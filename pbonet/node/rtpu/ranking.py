@@ -1,4 +1,4 @@
-"""Which criticality and priority each task of an RTPU has (Stewart 1994, 6.2.3, 4.5.1).
+"""The criticality and priority of each task of an RTPU (Stewart 1994, 6.2.3, 4.5.1).
 
 The rule is the one by which a configuration is verified, `legality.criticalities`;
 here it is applied to what runs. All tasks of the RTPU count, whatever their subsystem,

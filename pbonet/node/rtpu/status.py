@@ -237,5 +237,6 @@ def rtpu_status(
         unlogged=recorder.lost if recorder else 0,
         stalls=core.stalls,
         stalled=core.stalled_ns * _NS,
+        stall_age=None if core.stall_age_ns is None else core.stall_age_ns * _NS,
         versions=LAYERS,
     )

@@ -178,12 +178,14 @@ class TimingFailureEvents:
 
     def _check_core(self, core: CoreStatus) -> None:
         if core.stalls > self._stalls:
+            count = core.stalls - self._stalls
             took = (core.stalled_ns - self._stalled_ns) / 1e6
             self._events.add(
                 Severity.WARNING,
                 "CORE_STALLED",
-                f"core {core.core} stood still {core.stalls - self._stalls} times, "
-                f"{took:.0f} ms in all; {_cause()}",
+                f"core {core.core} stood still "
+                f"{'once' if count == 1 else f'{count} times'}, {took:.0f} ms in all; "
+                f"{_cause()}",
             )
         if core.errors > self._errors:
             self._events.add(

@@ -22,7 +22,7 @@ from pbonet.node.wire import (
     rule,
     signal_event,
 )
-from pbonet.outside import openings
+from pbonet.outside import open_devices
 from pbonet.pbo import (
     Answer,
     Counted,
@@ -234,7 +234,7 @@ class Executor:
         if self.state is not State.ON:
             rule(self.state, Event.WAKEUP, where=self.task.name)
         self._actions.dt = dt
-        openings.use(self._devices)
+        open_devices.use(self._devices)
         counted = self._counted
         if counted is not None:
             counted.release = now
@@ -264,7 +264,7 @@ class Executor:
             StateError: The task is not ON.
         """
         found = rule(self.state, Event.SYNC, where=self.task.name)
-        openings.use(self._devices)
+        open_devices.use(self._devices)
         try:
             self._steps(found, found.steps)
         except StepFailed as failed:
@@ -366,7 +366,7 @@ class Executor:
         return self.state
 
     def _enter(self, found: Rule) -> None:
-        openings.use(self._devices)
+        open_devices.use(self._devices)
         task = self.task
         task.nextstate = found.to
         task.on_fail = self._on_fail if found.failure is Failure.ERROR else None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import DeclarationError, PbonetError, PortError, SvarError
 from pbonet.node.wire import Step
-from pbonet.outside import openings
+from pbonet.outside import open_devices
 from pbonet.pbo import Counted, PortBasedObject, check_sizes, memory, write_safe
 from pbonet.ports import Kind, is_safe
 from pbonet.svar import Action
@@ -68,7 +68,7 @@ class LifecycleSteps:
         self.critical = Action.GO_ON
         if illegal is not None:
             self.critical = Action.STABLE if has_stable else Action.SAFE
-        self.devices = openings.Openings()
+        self.devices = open_devices.Openings()
         self._safe_ports = write_safe(instance)
         self._action = 0
         self.do: dict[Step, Callable[[], object]] = {

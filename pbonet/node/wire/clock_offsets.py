@@ -1,4 +1,4 @@
-"""How far the clocks of other machines are ahead of this one's.
+"""The offsets of other machines' clocks from this one's.
 
 The shortest of the last round trips gives the best estimate: if both directions take
 equally long, the answer was made in the middle of the round trip; the error is at most

@@ -1,4 +1,4 @@
-"""Where the time of a core went, by the kernel's own counts.
+"""The use of a core's time, by the kernel's own counts.
 
 They say what no task can: that the hypervisor took the core, that interrupts or other
 programs had it, or that even the dispatcher had to wait for it.

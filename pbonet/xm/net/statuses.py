@@ -167,6 +167,8 @@ class RtpuStatus(Struct, kw_only=True):
     """Number of times the core stalled for more than 20 ms."""
     stalled: float = 0.0
     """Total duration of these stalls in seconds."""
+    stall_age: float | None = None
+    """Seconds since the last stall ended: 0 while one lasts, None if there was none."""
     illegal: list[str] = []
     """Causes for which the illegal-configuration flag is up."""
     log: str = ""

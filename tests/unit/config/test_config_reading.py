@@ -128,6 +128,19 @@ def test_read_any_tells_the_format_by_the_ending() -> None:
     )
 
 
+def test_a_name_without_its_ending_is_completed(tmp_path: Path) -> None:
+    for name in ("arm.job", "arm.sbs", "arm.txt", "leg.job"):
+        (tmp_path / name).touch()
+    said = f"did you mean {tmp_path}/arm.sbs or {tmp_path}/arm.job?"
+    for read in (config.read_any, config.read_sbs):
+        with pytest.raises(ConfigFileError) as caught:
+            read(tmp_path / "arm")
+        assert caught.value.remedy == said
+    with pytest.raises(ConfigFileError) as caught:
+        config.read_any(tmp_path / "foot")
+    assert caught.value.remedy == "rename the file or name another"
+
+
 def test_places_are_kept_for_later_faults() -> None:
     rmod = config.parse_rmod((CASES / "valid-invdyn.rmod").read_text(), "invdyn.rmod")
     assert str(rmod.places["OUTVAR"]) == "invdyn.rmod:6:1"

@@ -295,6 +295,12 @@ def test_an_rmod_that_is_not_there(folder):
             Library([folder]).find_rmod(name)
 
 
+def test_the_present_folder_is_named_among_those_searched(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    with pytest.raises(ConfigFileError, match=r"expected zzz\.rmod in \. or /"):
+        Library(["."]).find_rmod("zzz")
+
+
 def test_an_unreadable_file_is_told(folder, monkeypatch):
     def refuse(_):
         raise PermissionError(13, "Permission denied")

@@ -25,7 +25,7 @@ from pbonet.io.drivers import (
     open_device,
     port_claims,
 )
-from pbonet.outside import Player, Tape, openings, using as recording
+from pbonet.outside import Player, Tape, open_devices, using as recording
 
 
 @pytest.fixture(params=RIGS)
@@ -76,10 +76,10 @@ def test_it_is_lost_and_its_ports_are_free(rig):
     with pytest.raises(DeviceError, match="the device is not open"):
         rig.use(one)
     assert listed({"x": rig.entry()})[0].users == []
-    before = openings.current()
-    openings.use(openings.Openings())  # those of another task
+    before = open_devices.current()
+    open_devices.use(open_devices.Openings())  # those of another task
     other = port_claims.claim(one.entry, one.opening)
-    openings.use(before)
+    open_devices.use(before)
     assert other.is_wanted(one.entry, one.opening), "it comes back to the first task"
     other.release()
 

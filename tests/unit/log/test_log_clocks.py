@@ -11,8 +11,8 @@ from made_logs import PLAIN, about, group, record, run
 from mcap.reader import make_reader
 
 from pbonet.log import Log, LogWriter, clocks, text
-from pbonet.log.moves import Moves
 from pbonet.log.rewrite import merge
+from pbonet.log.time_conversion import Moves
 
 MS = 10**6
 EPOCH = 10**18

@@ -74,6 +74,7 @@ def test_status_has_warning_and_error_below_their_task():
                 "illegal": ["equation 2"],
                 "stalls": 0,
                 "stalled": 0.0,
+                "stall_age": None,
                 "tbufs": [LINK],
             },
             {
@@ -81,6 +82,7 @@ def test_status_has_warning_and_error_below_their_task():
                 "illegal": ["equation 2", "arm1/pid died"],
                 "stalls": 2,
                 "stalled": 0.1,
+                "stall_age": 3.2,
                 "tbufs": [LINK | {"age": 0.004}, LINK | NEW],
             },
         ],
@@ -100,7 +102,7 @@ def test_status_has_warning_and_error_below_their_task():
         "start it again",
         "ILLEGAL> arm0, arm1: equation 2",
         "ILLEGAL> arm1: arm1/pid died",
-        "STALLED> arm1: its core stood still 2 times, 100 ms in all",
+        "STALLED> arm1: its core stood still 2 times, 100 ms in all; last 3.2 s ago",
         "LINK> vision:x: written by agent arm0 from eye0, read by process 8 of arm, "
         "record 7, 4 ms old",
         "LINK> arm:y: written by process 8 of arm, read by nobody, record 0, "
@@ -109,6 +111,20 @@ def test_status_has_warning_and_error_below_their_task():
     assert render.text("display", {"variables": []}) == "no variables"
     none = {"fields": ["rmod"], "tasks": [], "missing": [], "versions": [], "rtpus": []}
     assert render.text("status", none) == "no tasks"
+
+
+@pytest.mark.parametrize(
+    ("stalls", "age", "said"),
+    [
+        (0, None, ""),
+        (0, 0.0, "stands still now"),
+        (1, 0.0, "stands still now; stood still once, 100 ms in all"),
+        (1, None, "stood still once, 100 ms in all"),  # of an agent that knows no age
+        (3, 90.0, "stood still 3 times, 100 ms in all; last 90 s ago"),
+    ],
+)
+def test_a_stall_is_told_with_when_it_was(stalls, age, said):
+    assert render.stall_text(stalls, 0.1, age) == said
 
 
 def test_variables_show_writer_age_and_unit():

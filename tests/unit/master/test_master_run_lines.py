@@ -79,6 +79,12 @@ def test_a_task_that_died_has_no_rate_and_a_reason(capsys):
     assert summary.text(found).endswith(f"ERROR> lqr: {DIED}")
 
 
+def test_a_task_that_is_being_created_has_no_reason_yet(capsys):
+    live_status.Plain().show(5.1, [rtpu(task("soft", "NOT-CREATED", 0, ""))], [])
+    shown = capsys.readouterr().out.strip()
+    assert shown == "5.1 s  soft            NOT-CREATED after 0 cycles"
+
+
 def test_the_screen_shows_why_a_task_died():
     console = Console(width=160, record=True, force_terminal=True)
     with live_screen.Screen(console) as screen:

@@ -121,3 +121,15 @@ def test_core_times_are_read_only_while_there_are_tasks(monkeypatch):
         keeper.report_new(CORE, [])
         assert CountedTimes.readings == 2
         CountedTimes.readings = 0
+
+
+@pytest.mark.parametrize(("stalls", "said"), [(1, "once"), (3, "3 times")])
+def test_a_stall_of_the_core_is_an_event_with_its_time(stalls, said):
+    events = EventLog("arm0")
+    stalled = Plain(**vars(CORE) | {"stalls": stalls, "stalled_ns": 45 * MS})
+    keeper = TimingFailureEvents(events)
+    keeper.report_new(stalled, [])
+    keeper.report_new(stalled, [])  # nothing new
+    (event,) = events.since(0)
+    assert event.code == "CORE_STALLED"
+    assert event.text.startswith(f"core 1 stood still {said}, 45 ms in all; ")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import mounting
 import pytest
+from watching import wait_for
 
 from pbonet.analysis.schedule.records import Kind, Mode
 from pbonet.errors import NodeError, RealTimeError
@@ -283,6 +284,52 @@ def test_virtual_time_is_refused_beside_a_dispatcher(table) -> None:
     assert not dispatcher.leading
     assert table.status().leader_pid == 0
     assert table.step(10**9) == 0
+
+
+def test_when_a_core_stood_still_and_whether_it_does(shm) -> None:
+    """Its leader is stopped by a signal, as a core is that the kernel throttles."""
+    code = """
+import sys
+from pbonet.analysis.schedule.records import Mode
+from pbonet.node.rt import _rt
+table = _rt.CoreTable(1)
+i = table.alloc("r", "t")
+table.configure(i, period_ns=5_000_000)
+table.post(i, mode=Mode.ON)
+dispatcher = _rt.Dispatcher(table, "park")
+dispatcher.start()
+print("leads", flush=True)
+sys.stdin.read()
+dispatcher.stop()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env={**os.environ, "PBONET_SHM_DIR": str(shm)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as leader:
+        assert leader.stdout is not None
+        assert leader.stdout.readline() == b"leads\n"
+        table = _rt.CoreTable(1, member=False)
+        wait_for(lambda: table.status().releases > 1, "releases")
+        before = table.status().stalls  # this machine may stand still at any time
+        leader.send_signal(signal.SIGSTOP)
+        try:
+            wait_for(lambda: table.status().stall_age_ns == 0, "a stall that lasts")
+        finally:
+            leader.send_signal(signal.SIGCONT)
+        wait_for(lambda: table.status().stalls > before, "its end")
+        wait_for(lambda: table.status().stall_age_ns, "the age of the last stall")
+        leader.communicate()
+    assert leader.returncode == 0
+    first, later = table.status().stall_age_ns, table.status().stall_age_ns
+    assert 0 < first < later, "it is over, and a while ago"
+    table.close()
+
+
+def test_a_core_that_never_stood_still_has_no_age(table) -> None:
+    assert table.status().stall_age_ns is None
 
 
 def test_the_trace_tells_what_was_lost(table) -> None:
