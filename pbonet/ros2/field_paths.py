@@ -171,8 +171,8 @@ class _Search:
             return fields[match[1]], None
         first = int(match[2])
         end = first + 1 if match[3] is None else int(match[3])
-        size = fields[match[1]].size
-        most = 0 if size is None else size or _MOST
+        size, bound = fields[match[1]].size, fields[match[1]].bound
+        most = 0 if size is None else size or bound or _MOST
         if not first < end <= most:
             raise ConfigError(
                 f"{part} are no elements of {match[1]}",
