@@ -7,8 +7,9 @@ struct pid {
     const int32_t *ndof;
     const double *q_ref, *q, *qd;
     double *tau;
-    double kp, limit, ki, kd;
+    double kp, limit, ki, kd, speed;
     double integral[MOST];      /* N*m: one limit bounds every term */
+    double away[MOST];          /* rad: from Q_REF to the reference by which a cycle goes */
 };
 
 static const pbo_port ports[] = {
@@ -24,6 +25,7 @@ static const pbo_param params[] = {
     PBO_PARAM(struct pid, limit, "N*m", "largest torque per joint", PBO_GT(0)),
     PBO_PARAM(struct pid, ki, "N*m/(rad*s)", "integral gain", PBO_DEFAULT(0), PBO_GE(0)),
     PBO_PARAM(struct pid, kd, "N*m*s/rad", "damping", PBO_DEFAULT(0), PBO_GE(0)),
+    PBO_PARAM(struct pid, speed, "rad/s", "how fast it begins to go to a Q_REF far away", PBO_DEFAULT(0.5), PBO_GT(0)),
 };
 
 static double within(double value, double limit)
@@ -39,16 +41,17 @@ static int init(void *state, pbo_task *task)
     return PBO_OK;
 }
 
-/* With an integral term the torque begins at what the table holds: a swap without a jump. */
+/* Without a predecessor it begins where the arm is, which may have been moved by hand.
+   With an integral term the torque begins at what the table holds: a swap without a jump. */
 static int on(void *state, pbo_task *task)
 {
     struct pid *self = state;
-    (void)task;
     for (int i = 0; i < *self->ndof; i++) {
+        self->away[i] = task->handover ? 0.0 : self->q[i] - self->q_ref[i];
         self->integral[i] = 0.0;
         if (self->ki != 0.0)
             self->integral[i] += self->tau[i] + self->kd * self->qd[i]
-                                 - self->kp * (self->q_ref[i] - self->q[i]);
+                                 - self->kp * (self->q_ref[i] + self->away[i] - self->q[i]);
     }
     return PBO_OK;
 }
@@ -57,7 +60,8 @@ static int cycle(void *state, pbo_task *task)
 {
     struct pid *self = state;
     for (int i = 0; i < *self->ndof; i++) {
-        double error = self->q_ref[i] - self->q[i];
+        self->away[i] -= within(self->away[i], self->speed * task->dt);
+        double error = self->q_ref[i] + self->away[i] - self->q[i];
         double sum = self->integral[i] + self->ki * error * task->dt;
         self->integral[i] = within(sum, self->limit);       /* anti-windup */
         double torque = self->kp * error + self->integral[i] - self->kd * self->qd[i];
