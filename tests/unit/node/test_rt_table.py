@@ -87,7 +87,7 @@ def test_two_members_share_one_table(path) -> None:
 def test_one_rtpu_too_many_is_told_to_take_another_core(path) -> None:
     tables = [_rt.CoreTable(1) for _ in range(32)]
     said = r"too many RTPUs share this core \(expected at most 32\); .*another --core"
-    with pytest.raises(NodeError, match=said):
+    with pytest.raises(NodeError, match=f"^{path}: {said}"):
         _rt.CoreTable(1)
     tables.pop().close()
     tables.append(_rt.CoreTable(1))
