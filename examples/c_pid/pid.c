@@ -1,4 +1,5 @@
 /* Joint-space PID control in C: the law of pbonet/modules/controllers/joint_pid.py, to the last bit. */
+#include <math.h>
 #include <pbonet.h>
 
 enum { MOST = 64 };     /* joints that the state has room for */
@@ -28,9 +29,14 @@ static const pbo_param params[] = {
     PBO_PARAM(struct pid, speed, "rad/s", "how fast it begins to go to a Q_REF far away", PBO_DEFAULT(0.5), PBO_GT(0)),
 };
 
+static double between(double low, double value, double high)
+{
+    return value < low ? low : value > high ? high : value;
+}
+
 static double within(double value, double limit)
 {
-    return value < -limit ? -limit : value > limit ? limit : value;
+    return between(-limit, value, limit);
 }
 
 static int init(void *state, pbo_task *task)
@@ -47,7 +53,15 @@ static int on(void *state, pbo_task *task)
 {
     struct pid *self = state;
     for (int i = 0; i < *self->ndof; i++) {
-        self->away[i] = task->handover ? 0.0 : self->q[i] - self->q_ref[i];
+        double distance = self->q[i] - self->q_ref[i];
+        if (!isfinite(distance))
+            distance = 0.0;
+        if (!task->handover)
+            self->away[i] = distance;
+        else if (distance < 0.0)    /* what an aborted cycle left of its way */
+            self->away[i] = between(distance, self->away[i], 0.0);
+        else
+            self->away[i] = between(0.0, self->away[i], distance);
         self->integral[i] = 0.0;
         if (self->ki != 0.0)
             self->integral[i] += self->tau[i] + self->kd * self->qd[i]

@@ -59,7 +59,9 @@ class ComputedTorque(PortBasedObject[Gains], module_class="controller"):
         self._approach.begin(self.task, self.q_ref, self.q)
 
     def cycle(self, dt: float) -> None:
-        wish = self._approach.of(self.q_ref, self._speed * dt) - self.q
+        way = self._approach
+        reference = way.of(self.q_ref, self._speed, dt) if way.goes_on else self.q_ref
+        wish = reference - self.q
         wish *= self._kp
         pull = self.qd_ref - self.qd
         pull *= self._kd

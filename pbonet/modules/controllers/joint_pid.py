@@ -51,12 +51,13 @@ class JointPID(PortBasedObject[Gains], module_class="controller"):
         self._approach.begin(self.task, self.q_ref, self.q)
         self._integral = np.zeros_like(self.q)  # N*m: one limit bounds every term
         if k.ki:  # go on from the torque that the table holds: a swap without a jump
-            error = self._approach.of(self.q_ref, 0.0) - self.q
+            error = self._approach.of(self.q_ref, k.speed, 0.0) - self.q
             self._integral += self.tau + k.kd * self.qd - k.kp * error
 
     def cycle(self, dt: float) -> None:
-        k = self.params
-        error = self._approach.of(self.q_ref, k.speed * dt) - self.q
+        k, way = self.params, self._approach
+        reference = way.of(self.q_ref, k.speed, dt) if way.goes_on else self.q_ref
+        error = reference - self.q
         self._integral += k.ki * error * dt
         self._integral.clip(-k.limit, k.limit, out=self._integral)  # anti-windup
         torque = k.kp * error + self._integral - k.kd * self.qd

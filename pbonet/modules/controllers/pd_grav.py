@@ -50,7 +50,8 @@ class PdGrav(PortBasedObject[Gains], module_class="controller"):
         self._approach.begin(self.task, self.q_ref, self.q)
 
     def cycle(self, dt: float) -> None:
-        reference = self._approach.of(self.q_ref, self._speed * dt)
+        way = self._approach
+        reference = way.of(self.q_ref, self._speed, dt) if way.goes_on else self.q_ref
         law = self._kp * (reference - self.q) - self._kd * self.qd + self.t_grav
         self._takeover.apply(law, dt, self.params.fade)
 
