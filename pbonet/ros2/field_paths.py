@@ -411,11 +411,19 @@ def source(leaf: Leaf, joints: int, where: str) -> Source:
     """Return how a leaf is read.
 
     Raises:
-        ConfigError: How many elements it has is not said.
+        ConfigError: How many elements it has is not said, or it has room for fewer than
+            there are joints.
     """
     if leaf.span is not None:
         return Source(leaf, leaf.span.end - leaf.span.first, by_joint=False)
     size = width(leaf)
+    if size is None and 0 < leaf.field.bound < joints:
+        raise ConfigError(
+            f"{leaf.path} has no room for {joints} joints",
+            where=where,
+            expected=f"at most {leaf.field.bound}, which is its bound",
+            remedy="name fewer under `joints`, or change the definition of the type",
+        )
     if size is None and not joints:
         raise ConfigError(
             f"{leaf.path} has any number of elements",

@@ -80,6 +80,7 @@ _SIMPLE: Final = (
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 )
 _SEPARATOR: Final = re.compile(r"^---[ \t]*(?:\n|$)", re.MULTILINE)
+_NO_ROOM: Final = re.compile(r"^\s*([\w/]\S*\[(?:<=)?(?:0+|-\d+)\])\s", re.MULTILINE)
 _ACTION_PARTS: Final = ("Goal", "Result", "Feedback")
 _UUID, _TIME = "unique_identifier_msgs/UUID", "builtin_interfaces/Time"
 
@@ -432,7 +433,7 @@ def _files(folder: Path, kind: str) -> list[Path]:
 
 def _text_of(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigFileError(
             "the definition cannot be read",
@@ -440,6 +441,15 @@ def _text_of(file: Path) -> str:
             got=getattr(error, "strerror", None) or str(error),
             remedy="write it in UTF-8, and let this user read it",
         ) from None
+    if found := _NO_ROOM.search(text):
+        raise ConfigError(
+            "a list has no room for an element",
+            where=str(file),
+            expected="a length or bound of at least 1, as float64[<=3]",
+            got=found[1],
+            remedy="write `[]` for a list of any length",
+        )
+    return text
 
 
 def _type_of_file(file: Path) -> str:

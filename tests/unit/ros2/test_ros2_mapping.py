@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from types import SimpleNamespace
 
@@ -822,6 +823,29 @@ def test_a_list_longer_than_its_bound_is_not_taken(bounded) -> None:
     about = Subscribe(topic="t", type="a/msg/C", fields=["parts[0].few[0:4]"], link="l")
     with pytest.raises(ConfigError, match="elements 0 to 2"):
         reading(bounded, about, "here")
+
+
+def test_joints_beyond_the_bound_of_a_field_are_refused(bounded) -> None:
+    bounded.add("a/msg/J", "string[] name\nfloat64[<=2] position\n")
+    about = Subscribe(
+        topic="t", type="a/msg/J", fields=["position"], joints=[*"xyz"], link="l"
+    )
+    said = r"^here: position has no room for 3 joints \(expected at most 2"
+    with pytest.raises(ConfigError, match=said):
+        reading(bounded, about, "here")
+    about.joints.pop()
+    assert reading(bounded, about, "here").form == ("f8", (2,))
+
+
+@pytest.mark.parametrize("text", ["[<=0]", "[0]", "[<=-1]"])
+def test_a_list_without_room_is_refused(tmp_path, text) -> None:
+    """rosbags takes the first two for `[]`, which has another CDR."""
+    folder = tmp_path / "a" / "msg"
+    folder.mkdir(parents=True)
+    file = folder / "B.msg"
+    file.write_text(f"float64[] x  # no [0] \nfloat64{text} y\n")
+    with pytest.raises(ConfigError, match=f"^{file}: .*got float64{re.escape(text)}"):
+        MessageTypes([tmp_path])
 
 
 @pytest.mark.parametrize("text", ["B", "B[]", "a/B[<=3]"])
