@@ -1,4 +1,5 @@
 /* Joint-space PID control in C: the law of pbonet/modules/controllers/joint_pid.py, to the last bit. */
+#include <math.h>
 #include <pbonet.h>
 
 enum { MOST = 64 };     /* joints that the state has room for */
@@ -7,8 +8,9 @@ struct pid {
     const int32_t *ndof;
     const double *q_ref, *q, *qd;
     double *tau;
-    double kp, limit, ki, kd;
+    double kp, limit, ki, kd, speed;
     double integral[MOST];      /* N*m: one limit bounds every term */
+    double away[MOST];          /* rad: from Q_REF to the reference by which a cycle goes */
 };
 
 static const pbo_port ports[] = {
@@ -24,11 +26,17 @@ static const pbo_param params[] = {
     PBO_PARAM(struct pid, limit, "N*m", "largest torque per joint", PBO_GT(0)),
     PBO_PARAM(struct pid, ki, "N*m/(rad*s)", "integral gain", PBO_DEFAULT(0), PBO_GE(0)),
     PBO_PARAM(struct pid, kd, "N*m*s/rad", "damping", PBO_DEFAULT(0), PBO_GE(0)),
+    PBO_PARAM(struct pid, speed, "rad/s", "how fast it begins to go to a Q_REF far away", PBO_DEFAULT(0.5), PBO_GT(0)),
 };
+
+static double between(double low, double value, double high)
+{
+    return value < low ? low : value > high ? high : value;
+}
 
 static double within(double value, double limit)
 {
-    return value < -limit ? -limit : value > limit ? limit : value;
+    return between(-limit, value, limit);
 }
 
 static int init(void *state, pbo_task *task)
@@ -39,16 +47,25 @@ static int init(void *state, pbo_task *task)
     return PBO_OK;
 }
 
-/* With an integral term the torque begins at what the table holds: a swap without a jump. */
+/* Without a predecessor it begins where the arm is, which may have been moved by hand.
+   With an integral term the torque begins at what the table holds: a swap without a jump. */
 static int on(void *state, pbo_task *task)
 {
     struct pid *self = state;
-    (void)task;
     for (int i = 0; i < *self->ndof; i++) {
+        double distance = self->q[i] - self->q_ref[i];
+        if (!isfinite(distance))
+            distance = 0.0;
+        if (!task->handover)
+            self->away[i] = distance;
+        else if (distance < 0.0)    /* what an aborted cycle left of its way */
+            self->away[i] = between(distance, self->away[i], 0.0);
+        else
+            self->away[i] = between(0.0, self->away[i], distance);
         self->integral[i] = 0.0;
         if (self->ki != 0.0)
             self->integral[i] += self->tau[i] + self->kd * self->qd[i]
-                                 - self->kp * (self->q_ref[i] - self->q[i]);
+                                 - self->kp * (self->q_ref[i] + self->away[i] - self->q[i]);
     }
     return PBO_OK;
 }
@@ -57,7 +74,8 @@ static int cycle(void *state, pbo_task *task)
 {
     struct pid *self = state;
     for (int i = 0; i < *self->ndof; i++) {
-        double error = self->q_ref[i] - self->q[i];
+        self->away[i] -= within(self->away[i], self->speed * task->dt);
+        double error = self->q_ref[i] + self->away[i] - self->q[i];
         double sum = self->integral[i] + self->ki * error * task->dt;
         self->integral[i] = within(sum, self->limit);       /* anti-windup */
         double torque = self->kp * error + self->integral[i] - self->kd * self->qd[i];

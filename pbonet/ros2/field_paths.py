@@ -171,8 +171,8 @@ class _Search:
             return fields[match[1]], None
         first = int(match[2])
         end = first + 1 if match[3] is None else int(match[3])
-        size = fields[match[1]].size
-        most = 0 if size is None else size or _MOST
+        size, bound = fields[match[1]].size, fields[match[1]].bound
+        most = 0 if size is None else size or bound or _MOST
         if not first < end <= most:
             raise ConfigError(
                 f"{part} are no elements of {match[1]}",
@@ -411,11 +411,19 @@ def source(leaf: Leaf, joints: int, where: str) -> Source:
     """Return how a leaf is read.
 
     Raises:
-        ConfigError: How many elements it has is not said.
+        ConfigError: How many elements it has is not said, or it has room for fewer than
+            there are joints.
     """
     if leaf.span is not None:
         return Source(leaf, leaf.span.end - leaf.span.first, by_joint=False)
     size = width(leaf)
+    if size is None and 0 < leaf.field.bound < joints:
+        raise ConfigError(
+            f"{leaf.path} has no room for {joints} joints",
+            where=where,
+            expected=f"at most {leaf.field.bound}, which is its bound",
+            remedy="name fewer under `joints`, or change the definition of the type",
+        )
     if size is None and not joints:
         raise ConfigError(
             f"{leaf.path} has any number of elements",

@@ -80,6 +80,7 @@ _SIMPLE: Final = (
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 )
 _SEPARATOR: Final = re.compile(r"^---[ \t]*(?:\n|$)", re.MULTILINE)
+_NO_ROOM: Final = re.compile(r"^\s*([\w/]\S*\[(?:<=)?(?:0+|-\d+)\])\s", re.MULTILINE)
 _ACTION_PARTS: Final = ("Goal", "Result", "Feedback")
 _UUID, _TIME = "unique_identifier_msgs/UUID", "builtin_interfaces/Time"
 
@@ -92,7 +93,9 @@ class Field(NamedTuple):
     """A number's type, ``string``, or the name of a message."""
     nested: bool
     size: int | None
-    """Elements of an array; 0: a sequence of any length; None: a single value."""
+    """Elements of an array; 0: a sequence; None: a single value."""
+    bound: int
+    """Elements that a sequence may have; 0: any number."""
 
 
 class MessageTypes:
@@ -118,6 +121,7 @@ class MessageTypes:
         defined: dict[str, Any] = self._store.fielddefs
         defined.update(_as_in_ros(defined))
         self._files: dict[str, str] = {}
+        self._with_bounds: dict[str, list[Field]] = {}
         self.add_service(COMMAND, COMMAND_TEXT)
         for name, text in _PARAMETERS.items():
             self.add_service(
@@ -275,12 +279,28 @@ class MessageTypes:
         """Return whether a message is known."""
         return name in self._store.fielddefs
 
-    def must_have(self, name: str, where: str = "") -> None:
-        """Refuse a type that is not known, or has a field of a type that is not.
+    def must_have(
+        self, name: str, where: str = "", within: tuple[str, ...] = ()
+    ) -> None:
+        """Refuse a type that is not known, has a field of such a type, or has itself.
+
+        Args:
+            name: The type.
+            where: The place, for errors.
+            within: Types from the whole message to this one.
 
         Raises:
             ConfigError: It is none.
         """
+        way = (*within, name)
+        if name in within:
+            raise ConfigError(
+                f"the message {name} contains itself",
+                where=self._files.get(name) or where,
+                expected="fields whose types lead to numbers and texts",
+                got=" has ".join(way[way.index(name) :]),
+                remedy="remove one of these fields",
+            )
         if name not in self._store.fielddefs:
             raise ConfigError(
                 f"there is no message {name}",
@@ -292,7 +312,7 @@ class MessageTypes:
         for field in self.fields(name):
             if field.nested:
                 self._must_have_field(name, field, where)
-                self.must_have(field.type, where)
+                self.must_have(field.type, where, way)
 
     def _must_have_field(self, name: str, field: Field, where: str) -> None:
         if self.has(field.type):
@@ -327,12 +347,14 @@ class MessageTypes:
     def _field(self, name: str, kind: tuple[Any, Any]) -> Field:
         node, about = kind
         size: int | None = None
-        if node in {self._nodes.ARRAY, self._nodes.SEQUENCE}:
-            is_array = node == self._nodes.ARRAY
+        bound = 0
+        if node == self._nodes.ARRAY:
             (node, about), size = about
-            size = size if is_array else 0
+        elif node == self._nodes.SEQUENCE:
+            size = 0
+            (node, about), bound = about
         nested = node == self._nodes.NAME
-        return Field(name, about if nested else about[0], nested, size)
+        return Field(name, about if nested else about[0], nested, size, bound)
 
     def new(self, name: str) -> Any:  # noqa: ANN401 - by its type
         """Return a message whose numbers are 0, whose texts and lists are empty."""
@@ -351,23 +373,57 @@ class MessageTypes:
         return make() if field.size is None else [make() for _ in range(field.size)]
 
     def encode(self, name: str, message: object) -> bytes:
-        """Return a message in CDR."""
+        """Return a message in CDR.
+
+        Raises:
+            ProtocolError: A list has more elements than its type allows.
+        """
+        self._must_keep_bounds(name, message)
         return bytes(self._store.serialize_cdr(message, name))
 
     def decode(self, name: str, data: bytes) -> Any:  # noqa: ANN401 - by its type
         """Return the message that CDR means.
 
         Raises:
-            ProtocolError: It is no such message.
+            ProtocolError: It is no such message, or a list in it has more elements than
+                its type allows.
         """
         try:
-            return self._store.deserialize_cdr(data, name)
+            message = self._store.deserialize_cdr(data, name)
         except Exception as error:  # noqa: BLE001 - what its generated code raises
             raise ProtocolError(
                 f"this is no message {name}",
                 got=f"{len(data)} bytes: {type(error).__name__}",
                 remedy="its sender has another definition of the type",
             ) from None
+        self._must_keep_bounds(name, message)
+        return message
+
+    def _must_keep_bounds(self, name: str, message: object, above: str = "") -> None:
+        for field in self._bounded(name):
+            path, value = f"{above}{field.name}", getattr(message, field.name)
+            if field.bound and len(value) > field.bound:
+                raise ProtocolError(
+                    f"the list {path} is too long for its type",
+                    expected=f"at most {field.bound} elements, as {name} says",
+                    got=f"{len(value)}",
+                    remedy="give fewer, or change the definition of the type",
+                )
+            if field.nested and field.size is None:
+                self._must_keep_bounds(field.type, value, f"{path}.")
+            elif field.nested:
+                for place, one in enumerate(value):
+                    self._must_keep_bounds(field.type, one, f"{path}[{place}].")
+
+    def _bounded(self, name: str) -> list[Field]:
+        """Return the fields that are lists with a bound, or contain one."""
+        if name not in self._with_bounds:
+            self._with_bounds[name] = [
+                one
+                for one in self.fields(name)
+                if one.bound or (one.nested and self._bounded(one.type))
+            ]
+        return self._with_bounds[name]
 
 
 def _files(folder: Path, kind: str) -> list[Path]:
@@ -377,7 +433,7 @@ def _files(folder: Path, kind: str) -> list[Path]:
 
 def _text_of(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigFileError(
             "the definition cannot be read",
@@ -385,6 +441,15 @@ def _text_of(file: Path) -> str:
             got=getattr(error, "strerror", None) or str(error),
             remedy="write it in UTF-8, and let this user read it",
         ) from None
+    if found := _NO_ROOM.search(text):
+        raise ConfigError(
+            "a list has no room for an element",
+            where=str(file),
+            expected="a length or bound of at least 1, as float64[<=3]",
+            got=found[1],
+            remedy="write `[]` for a list of any length",
+        )
+    return text
 
 
 def _type_of_file(file: Path) -> str:

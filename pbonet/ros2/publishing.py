@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from pbonet.errors import ConfigError, PbonetError, SvarError, SvarMissingError
+from pbonet.errors import (
+    ConfigError,
+    PbonetError,
+    ProtocolError,
+    SvarError,
+    SvarMissingError,
+)
 from pbonet.svar import Flags, Freshness, Table, Watch, now_ns
 
 from . import field_paths
@@ -115,7 +121,16 @@ class Filling:
         for one in plan:
             field_paths.clear(self._message, one)
         _must_be_of_one_size(about.type, self._message, where)
-        template = Template(types, about.type, self._message)
+        try:
+            template = Template(types, about.type, self._message)
+        except ProtocolError as error:
+            raise ConfigError(
+                error.what,
+                where=where,
+                expected=error.expected,
+                got=error.got,
+                remedy=error.remedy,
+            ) from None
         self._message_bytes = template.bytes
         self._numbers = [
             (*field_paths.place(template, self._message, one), one.share, one.leaf)

@@ -161,6 +161,37 @@ def test_what_one_twin_wrote_the_other_writes_again_to_the_bit(example, tmp_path
     assert Library([twins]).load("joint_pid").path.suffix == ".so"
 
 
+@pytest.mark.parametrize("ki", [0.0, 2.0])
+def test_both_twins_go_the_same_way_to_a_reference_far_away(example, ki):
+    """Through an aborted cycle, a swap away and back, and a robot moved by hand."""
+    gains = {"kp": 3.0, "limit": 20.0, "ki": ki, "kd": 0.3, "speed": 0.7}
+    classes = (Library([example]).load("pid").cls, Library().load("joint_pid").cls)
+    twins = [Bench(one, params=gains, ndof=3, freq=500) for one in classes]
+    rng = np.random.default_rng(1)
+    told = []
+
+    def run(cycles):
+        for _ in range(cycles):
+            q_ref, q, qd = rng.normal(size=(3, 3))
+            for one in twins:
+                one.inputs.q_ref, one.inputs.q, one.inputs.qd = q_ref, q, qd
+                one.step()
+            told.append([one.outputs.tau.copy() for one in twins])
+
+    for handover in (False, True, False, True, True):
+        for one in twins:
+            one.on(handover=handover)
+        run(20)
+        for one in twins:
+            one.executor.abort()
+        run(20)
+        for one in twins:
+            one.off(handover=True)
+    told = np.array(told)
+    assert len(np.unique(told)) > 300, "most are no limit"
+    assert told[:, 0].tobytes() == told[:, 1].tobytes()
+
+
 def test_a_log_knows_the_version_of_a_module_in_c(example, tmp_path, call):
     log = logged(call, example / "c_pid.job", tmp_path / "in_c")
     source = example / "pid.c"

@@ -79,6 +79,17 @@ FUNCTIONS = {
 TAKES_OVER = {"controller", "trajectory", "kinematics", "signal", "connector"}
 TAKES_OVER |= {"teleoperation"}
 """Classes whose outputs are commands; those of the others are measurements."""
+FAR, LATER = 1.0, 0.15
+"""How far a robot is from its reference, in its unit, and seconds after `on`."""
+AT_ONCE = {
+    "pid": "of any unit, so that no speed fits all: `rate_limit` makes Z_REF",
+    "lqr": "the same",
+    "mpc_linear": "the same",
+    "impedance": "a spring, whose FORCE and MOMENT say how hard it pulls",
+    "whole_body_dyn": "who moves X_BODY_DES says how fast the body moves",
+    "damped_ls": "LINEAR, ANGULAR and JOINT_ACCEL bound what it commands",
+}
+"""Modules that go to a reference as their law says, and why."""
 FOLLOWS = re.compile(r"\^|COV|AGE|CONTACT")
 """Variables that follow from those that are taken over."""
 
@@ -230,6 +241,57 @@ def test_rates_that_a_dead_writer_left_have_no_effect(folder, name) -> None:
         assert np.array_equal(value, left_there[attr]), attr
 
 
+def pairs(name):
+    """Return references of places and what is measured of the same, by attribute."""
+    known = {one.name: one for one in MODULES[name].info.ports}
+    found = [re.fullmatch("([^FV].*)_(REF|DES)", one) for one in inputs_of(name)]
+    both = [(known[one[0]], known.get(f"{one[1]}_MEZ")) for one in found if one]
+    return [
+        (reference.attr, measured.attr)
+        for reference, measured in both
+        if measured and reference.unit in {"rad", "m", "any", "mixed"}
+    ]
+
+
+def moved_by_hand(name, folder, away, then=0.0):
+    """Turn a module on with references away from what is measured.
+
+    Args:
+        away: How far they are.
+        then: By how much they jump when it is on.
+
+    Returns:
+        Its outputs `LATER`, and the speed that its parameters give.
+    """
+    made = bench(MODULES[name], folder)
+    first = {ref: getattr(made.module, mez) + away for ref, mez in pairs(name)}
+    made.kill()
+    made = bench(MODULES[name], folder, first=first)
+    for attr, value in first.items():
+        setattr(made.inputs, attr, value + then)
+    made.step(n=round(LATER / made.module.task.period))
+    after = values(made, Kind.OUTVAR)
+    speed = float(np.max(made.module.params.speed))
+    made.kill()
+    return after, speed
+
+
+@pytest.mark.parametrize(
+    "name", [one for one in EVERY if pairs(one) and one not in AT_ONCE]
+)
+def test_turned_on_away_from_its_reference_a_robot_is_moved_slowly(folder, name):
+    """A person may have moved it while no task did, and Q_REF stays what it was."""
+    here, speed = moved_by_hand(name, folder, 0.0)
+    far, _ = moved_by_hand(name, folder, FAR)
+    near = 1.01 * speed * LATER
+    assert near < 0.5 * FAR, "else it tells nothing"
+    jumped, _ = moved_by_hand(name, folder, 0.0, near)
+    moves = far.keys() & {mez for _, mez in pairs(name)}
+    for attr in moves or far:
+        most = near if moves else np.abs(jumped[attr] - here[attr]) + 1e-9
+        assert (np.abs(far[attr] - here[attr]) <= most).all(), attr
+
+
 ROBOTS = cases("robot interface")
 
 
@@ -326,3 +388,4 @@ def test_lists_of_exceptions_name_what_is_there() -> None:
     assert set(UNMOVED) <= known
     assert set(FUNCTIONS) <= set(cases(*TAKES_OVER))
     assert set(MODULES) >= PROCESSORS
+    assert all(pairs(name) for name in AT_ONCE)

@@ -141,7 +141,7 @@ def test_pd_grav_is_a_spring_a_damper_and_gravity(n: int) -> None:
     params = {"kp": tuple(range(1, n + 1)), "kd": (0.5,), "limit": (1e3,)}
     values = {"q_ref": q_ref, "q": q, "qd": qd, "t_grav": held, "tau": before}
     bench = Bench(PdGrav, params=params, ndof=n, freq=500, **values)
-    bench.on()
+    bench.on(handover=True)
     bench.step()
     assert bench.outputs.tau == pytest.approx(before, abs=1e-9)
     bench.step(n=60)

@@ -226,7 +226,7 @@ def test_pid_with_an_integral_begins_at_the_torque_that_the_table_holds() -> Non
     assert np.all(before > 0.0)
     bench.off()
     bench.inputs.q_ref = [0.0, -0.1]
-    bench.on()
+    bench.on(handover=True)
     assert bench.outputs.tau == pytest.approx(before)
     bench.step()
     step = np.array([0.0, -0.1 * 100.0 * 0.002])

@@ -82,7 +82,7 @@ def test_computed_torque_gives_the_acceleration_that_it_wants(chain: Chain) -> N
         qdd_ref=qdd_ref,
     )
     bench.module._takeover.bound(-np.inf, np.inf)  # the law itself
-    bench.on()
+    bench.on(handover=True)
     bench.step(n=60)  # the takeover is over after 0.1 s
     model = mujoco.MjModel.from_xml_path(str(chain.path))
     data = mujoco.MjData(model)
@@ -158,7 +158,7 @@ def test_torque_goes_on_from_what_was_commanded_and_fades() -> None:
 def test_torque_stays_within_what_the_file_allows() -> None:
     bench = panda_torque()
     bench.inputs.q_ref = HOME + 3.0
-    bench.on()
+    bench.on(handover=True)
     bench.step(n=60)
     limit = np.array([87.0] * 4 + [12.0] * 3)
     assert np.abs(bench.outputs.tau) == pytest.approx(limit), "all the arm has"

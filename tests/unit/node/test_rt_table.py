@@ -85,6 +85,17 @@ def test_two_members_share_one_table(path) -> None:
     two.close()
 
 
+def test_one_rtpu_too_many_is_told_to_take_another_core(path) -> None:
+    tables = [_rt.CoreTable(1) for _ in range(32)]
+    said = r"too many RTPUs share this core \(expected at most 32\); .*another --core"
+    with pytest.raises(NodeError, match=f"^{path}: {said}"):
+        _rt.CoreTable(1)
+    tables.pop().close()
+    tables.append(_rt.CoreTable(1))
+    for table in tables:
+        table.close()
+
+
 def test_a_table_whose_members_are_dead_is_stale(path) -> None:
     code = (
         "import os; from pbonet.node.rt import _rt; t = _rt.CoreTable(1);"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import time
 from types import SimpleNamespace
 
@@ -772,6 +773,91 @@ def use(folder):
     types = MessageTypes([folder])
     types.add_following()
     types.must_have("a/msg/B")
+
+
+@pytest.fixture
+def bounded(tmp_path):
+    """Types with lists that have at most three numbers, two texts, two messages."""
+    folder = tmp_path / "a" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "B.msg").write_text("float64[<=3] few\nstring[<=2] words\nbool x\n")
+    (folder / "C.msg").write_text("B[<=2] parts\nfloat64[] many\n")
+    return MessageTypes([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("about", "said"),
+    [
+        ({"fields": {"parts[1].few": "X"}}, r"here: the list parts\[1\].few .*7"),
+        ({"fields": {"parts[2].x": "ON"}}, r"parts\[2\] are no .*elements 0 to 1"),
+        (
+            {"fields": {"parts[0].x": "ON"}, "constants": {"parts[0].words": [*"abc"]}},
+            r"here: the list parts\[0\].words .*at most 2 .*a/msg/B says, got 3",
+        ),
+    ],
+)
+def test_a_published_list_longer_than_its_bound_is_refused(bounded, about, said):
+    with pytest.raises(ConfigError, match=said):
+        filled(bounded, "a/msg/C", **about)
+
+
+def test_a_list_as_long_as_its_bound_is_published(bounded) -> None:
+    fields = {"parts[1].few": "Q_MEZ", "many": "X"}
+    got = filled(bounded, "a/msg/C", fields)
+    assert list(got.parts[1].few) == [1, 2, 3]
+    assert len(got.many) == 7
+
+
+def test_a_list_longer_than_its_bound_is_not_taken(bounded) -> None:
+    """Its sender has the same type without the bound, so the bytes are a message."""
+    message = bounded.new("a/msg/C")
+    message.parts = [bounded.new("a/msg/B")]
+    message.parts[0].few = np.zeros(4)
+    data = bytes(bounded.store.serialize_cdr(message, "a/msg/C"))
+    said = r"parts\[0\].few is too long .*at most 3 elements, as a/msg/B says, got 4"
+    with pytest.raises(ProtocolError, match=said):
+        bounded.decode("a/msg/C", data)
+    message.parts[0].few = np.zeros(3)
+    data = bounded.encode("a/msg/C", message)
+    assert len(bounded.decode("a/msg/C", data).parts[0].few) == 3
+    about = Subscribe(topic="t", type="a/msg/C", fields=["parts[0].few[0:4]"], link="l")
+    with pytest.raises(ConfigError, match="elements 0 to 2"):
+        reading(bounded, about, "here")
+
+
+def test_joints_beyond_the_bound_of_a_field_are_refused(bounded) -> None:
+    bounded.add("a/msg/J", "string[] name\nfloat64[<=2] position\n")
+    about = Subscribe(
+        topic="t", type="a/msg/J", fields=["position"], joints=[*"xyz"], link="l"
+    )
+    said = r"^here: position has no room for 3 joints \(expected at most 2"
+    with pytest.raises(ConfigError, match=said):
+        reading(bounded, about, "here")
+    about.joints.pop()
+    assert reading(bounded, about, "here").form == ("f8", (2,))
+
+
+@pytest.mark.parametrize("text", ["[<=0]", "[0]", "[<=-1]"])
+def test_a_list_without_room_is_refused(tmp_path, text) -> None:
+    """rosbags takes the first two for `[]`, which has another CDR."""
+    folder = tmp_path / "a" / "msg"
+    folder.mkdir(parents=True)
+    file = folder / "B.msg"
+    file.write_text(f"float64[] x  # no [0] \nfloat64{text} y\n")
+    with pytest.raises(ConfigError, match=f"^{file}: .*got float64{re.escape(text)}"):
+        MessageTypes([tmp_path])
+
+
+@pytest.mark.parametrize("text", ["B", "B[]", "a/B[<=3]"])
+def test_a_message_that_contains_itself_is_refused(tmp_path, text) -> None:
+    folder = tmp_path / "a" / "msg"
+    folder.mkdir(parents=True)
+    for name, its in (("A", "B"), ("B", "C"), ("C", text)):
+        (folder / f"{name}.msg").write_text(f"{its} inner\nfloat64 x\n")
+    types = MessageTypes([tmp_path])
+    said = r"B.msg: .*a/msg/B contains itself .*got a/msg/B has a/msg/C has a/msg/B\);"
+    with pytest.raises(ConfigError, match=said):
+        types.must_have("a/msg/A")
 
 
 GOAL = "control_msgs/action/FollowJointTrajectory.action"
