@@ -377,8 +377,12 @@ class MirroredTable:
     # -- the carrier's thread ----------------------------------------------------------
 
     def _take_waiting(self) -> None:
-        for data in self.incoming.taken():
-            self._owner.safely(partial(self._take, data))
+        """Process the packets that wait; old values among them are not written."""
+        read = [self._readable(data) for data in self.incoming.taken()]
+        received = [packet for packet in read if packet is not None]
+        packets.leave_newest(received)
+        for packet in received:
+            self._owner.safely(partial(self._place, packet))
         lost, now = self.incoming.lost.total(), time.monotonic_ns()
         if lost > self._lost and now - self._told_ns > TOLD_NS:
             self._owner.tell(

@@ -8,11 +8,18 @@ many.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import msgspec
 from msgspec import Struct
 
 from pbonet.versions import LAYERS
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+NUMBERS = (1 << 56) - 1
+"""Mask for numbers of commits, which wrap around."""
 VERSIONS = LAYERS["table"]
 """Versions of packets that are understood; others are refused and reported."""
 
@@ -108,3 +115,21 @@ def other_version(data: bytes) -> Head | None:
     except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
     return head if head.v not in VERSIONS else None
+
+
+def is_newer(one: News, other: News) -> bool:
+    """Return whether a commit is newer than another of its group."""
+    return one.seq != other.seq and one.seq - other.seq & NUMBERS < NUMBERS >> 1
+
+
+def leave_newest(received: Sequence[Packet]) -> None:
+    """Remove news of which a later packet contains newer ones, or the same again."""
+    newest: dict[tuple[str, int, int], News] = {}
+    for packet in reversed(received):
+        left: list[News] = []
+        for news in packet.news:
+            group = packet.machine, packet.run, news.uid
+            if (later := newest.get(group)) is None or is_newer(news, later):
+                newest[group] = news
+                left.append(news)
+        packet.news = left

@@ -278,6 +278,39 @@ def test_packets_that_come_too_fast_are_told_of(carrying):
     assert carried.incoming.lost == {"m2": 7}
 
 
+def test_old_values_that_waited_are_not_written_one_after_the_other(carrying, table):
+    """After an interruption they come together, and with them the first new one."""
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    there = Table.create("there", [Variable(name="Q", type="double", nelem=3)])
+    other = Mirror(there, "m2", 1, keep=False)
+    task = there.local("pid", os.getpid(), outvar=["Q"])
+
+    def put(*, full=False):
+        data = packets.pack(other.next_packet(full=full))
+        payload = SimpleNamespace(to_bytes=lambda: data)
+        key = "pbonet/d/sbs/arm/svar/news/m2"
+        carried._on_packet(SimpleNamespace(key_expr=key, payload=payload))
+
+    try:
+        task.claim()
+        put(full=True)
+        turn(mirrors)
+        counts = carried.mirror.others["m2"].counts
+        before = counts.commits
+        for n in range(100):
+            task.array("Q")[:] = n
+            task.commit()
+            put(full=n == 50)
+        turn(mirrors)
+        assert table.read("Q").tolist() == [99.0] * 3
+        assert (counts.commits - before, counts.gaps) == (1, 99)
+    finally:
+        task.close()
+        other.close()
+        there.destroy()
+
+
 def test_what_others_ask_is_bounded(carrying):
     mirrors, _ = carrying
     queries = [MagicMock(payload=None) for _ in range(mirrors_module.ASKED + 1)]
