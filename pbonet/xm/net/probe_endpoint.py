@@ -38,7 +38,7 @@ def _reason_here(path: str) -> tuple[str, str]:
             pass
         except PermissionError as error:
             return (
-                error.strerror,
+                error.strerror or "no access",
                 "run this as the user that started the agent, or as root",
             )
         except OSError as error:
