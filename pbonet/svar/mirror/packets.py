@@ -92,6 +92,7 @@ class Head(Struct, array_like=True):
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(Packet)
 _head_decoder = msgspec.msgpack.Decoder(Head)
+_UNREADABLE = msgspec.MsgspecError, UnicodeDecodeError, RecursionError
 
 
 def pack(packet: Packet) -> bytes:
@@ -103,7 +104,7 @@ def unpack(data: bytes) -> Packet | None:
     """Return the packet; None if it is malformed or of another version."""
     try:
         packet = _decoder.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):
+    except _UNREADABLE:
         return None
     return packet if packet.v in VERSIONS else None
 
@@ -112,7 +113,7 @@ def other_version(data: bytes) -> Head | None:
     """Return the begin of a packet of another version; None if it is none."""
     try:
         head = _head_decoder.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):
+    except _UNREADABLE:
         return None
     return head if head.v not in VERSIONS else None
 
@@ -123,13 +124,13 @@ def is_newer(one: News, other: News) -> bool:
 
 
 def leave_newest(received: Sequence[Packet]) -> None:
-    """Remove news of which a later packet contains newer ones, or the same again."""
+    """Remove news of which a later packet contains newer ones."""
     newest: dict[tuple[str, int, int], News] = {}
     for packet in reversed(received):
         left: list[News] = []
         for news in packet.news:
             group = packet.machine, packet.run, news.uid
-            if (later := newest.get(group)) is None or is_newer(news, later):
+            if not is_newer(newest.get(group, news), news):
                 newest[group] = news
                 left.append(news)
         packet.news = left

@@ -6,6 +6,7 @@ import contextlib
 import os
 import threading
 import time
+from functools import partial
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -309,6 +310,37 @@ def test_old_values_that_waited_are_not_written_one_after_the_other(carrying, ta
         task.close()
         other.close()
         there.destroy()
+
+
+def test_a_packet_that_cannot_be_read_keeps_none_of_the_others_out(carrying):
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    known = packets.VERSIONS.newest
+    good = packets.pack(packets.Packet(known, "m2", "two", 1, 0, 0, []))
+    fields = good[0] & 15
+    deep = bytes([0x90 | fields + 1]) + good[1:] + b"\x91" * 200_000 + b"\xc0"
+    for data in (deep, b"", b"\xff", good):
+        payload = SimpleNamespace(to_bytes=partial(bytes, data))
+        key = "pbonet/d/sbs/arm/svar/news/m2"
+        carried._on_packet(SimpleNamespace(key_expr=key, payload=payload))
+    turn(mirrors)
+    assert set(carried.mirror.others) == {"m2"}
+
+
+def test_packets_that_come_together_count_in_their_order(carrying, table):
+    """A machine that restarts with another version: its last packet is not read."""
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    known = packets.VERSIONS.newest
+    read = packets.Packet(known, "m2", "two", 1, 0, 0, [])
+    other = packets.Packet(known + 1, "m2", "two", 2, 0, 0, [])
+    for packet in (read, other):
+        payload = SimpleNamespace(to_bytes=partial(packets.pack, packet))
+        key = "pbonet/d/sbs/arm/svar/news/m2"
+        carried._on_packet(SimpleNamespace(key_expr=key, payload=payload))
+    turn(mirrors)
+    (cause,) = table.illegal
+    assert f"is of version {known + 1}" in cause.cause
 
 
 def test_what_others_ask_is_bounded(carrying):
