@@ -113,8 +113,8 @@ def test_a_machine_is_out_of_sight_while_its_link_is_kept(lan, how) -> None:
         lab.close()
 
 
-def test_little_waits_during_an_interruption(lan) -> None:
-    """Else old values would come first when it is over, one after the other."""
+def test_few_old_values_are_written_after_an_interruption(lan) -> None:
+    """Else they would be written one after the other, before the first new one."""
     lan.heal_all()
     lab = Lab(lan, OWN_PORT, lease_ms=round(LIMIT * 1e3))
 

@@ -165,11 +165,11 @@ class Standstills:
         return "; ".join(found)
 
 
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interrupts:
-    """Turn SIGINT and SIGTERM into a request to end; a second one stops at once.
+    """Turn SIGINT, SIGTERM and SIGHUP into a request to end; a second stops at once.
 
     Args:
         once: A second one acts as if signals were not caught, which ends a module that
@@ -190,7 +190,7 @@ class Interrupts:
         self._once = once
         self._ends = ends
         self._say = say
-        self._before: list[Any] = []
+        self._before: dict[signal.Signals, Any] = {}
         self.force: Callable[[], object] | None = None
         """Called, once, in a thread of its own after the second interrupt."""
         self.awaited: Callable[[], str] = str
@@ -235,12 +235,14 @@ class Interrupts:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        self._before = [signal.signal(one, self.take) for one in _SIGNALS]
+        for one in _SIGNALS:
+            if one != signal.SIGHUP or signal.getsignal(one) is not signal.SIG_IGN:
+                self._before[one] = signal.signal(one, self.take)  # else: nohup
         try:
             yield
         finally:
             self._give_back()
 
     def _give_back(self) -> None:
-        for one, handler in zip(_SIGNALS, self._before, strict=True):
+        for one, handler in self._before.items():
             signal.signal(one, handler)

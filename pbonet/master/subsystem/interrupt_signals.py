@@ -1,8 +1,9 @@
-r"""Ctrl-C and SIGTERM during a command that undoes what it began when it fails.
+r"""Ctrl-C, SIGTERM and SIGHUP in a command that undoes what it began when it fails.
 
 The first one ends the command, and begins the undoing. Python would end that at the
 second one, with tasks that are created or ON; here each further one only shows what is
-waited for. SIGQUIT (Ctrl-\) ends the process at once, as ever.
+waited for. A terminal that is closed (SIGHUP) begins the undoing as well, but under
+`nohup`. SIGQUIT (Ctrl-\) ends the process at once, as ever.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 _DEFAULTS: Final = (
     (signal.SIGINT, signal.default_int_handler),
     (signal.SIGTERM, signal.SIG_DFL),
+    (signal.SIGHUP, signal.SIG_DFL),
 )
 """Signals with the handlers that end a program; of others the program takes care."""
 
@@ -53,8 +55,8 @@ class InterruptsInTurn:
         self._installed = False
         self._late = 0
         """A signal that came while handlers were exchanged."""
-        self._ends = False
-        """Whether SIGTERM is carried out after the block."""
+        self._ends = 0
+        """SIGTERM or SIGHUP if it is carried out after the block."""
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
@@ -75,7 +77,7 @@ class InterruptsInTurn:
         if self._late:
             signal.raise_signal(self._late)
         if self._ends and kind is None:
-            raise SystemExit(128 + signal.SIGTERM)
+            raise SystemExit(128 + self._ends)
 
     def wait(self) -> None:
         """Let no interrupt end what follows."""
@@ -85,7 +87,8 @@ class InterruptsInTurn:
         if not self._installed:
             self._late = number
         elif not self._first:
-            self._ends = self._ends or number == signal.SIGTERM
+            if number != signal.SIGINT:
+                self._ends = self._ends or number
             awaited = self._awaited()
             _say(
                 f"still {self._what}{awaited and f'; waits for {awaited}'}. "

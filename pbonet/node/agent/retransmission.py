@@ -47,7 +47,8 @@ FIRST_US = 75_000
 the 40 ms by which a receiver may delay an acknowledgement."""
 UNSENT = 8192
 """Bytes that wait in a socket: what is written during an interruption is old at its
-end, and would be sent before all that is new."""
+end, and would be sent before all that is new. The kernel appends small packets to the
+last buffer without asking for this limit, up to 64 kB."""
 GIVEN_UP = 2
 """Times the lease of a link: zenoh itself has given it up before, or tries to."""
 _RTO_MIN_US = 45

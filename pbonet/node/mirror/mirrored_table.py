@@ -377,8 +377,11 @@ class MirroredTable:
     # -- the carrier's thread ----------------------------------------------------------
 
     def _take_waiting(self) -> None:
-        for data in self.incoming.taken():
-            self._owner.safely(partial(self._take, data))
+        """Process the packets that wait; old values among them are not written."""
+        waiting = [(data, packets.unpack(data)) for data in self.incoming.taken()]
+        packets.leave_newest([packet for _, packet in waiting if packet is not None])
+        for data, packet in waiting:
+            self._owner.safely(partial(self._take_read, data, packet))
         lost, now = self.incoming.lost.total(), time.monotonic_ns()
         if lost > self._lost and now - self._told_ns > TOLD_NS:
             self._owner.tell(
@@ -398,7 +401,16 @@ class MirroredTable:
             data: The packet.
             asked: When it was asked for, and when it came, if it is an answer.
         """
-        packet = self._readable(data)
+        return self._take_read(data, packets.unpack(data), asked)
+
+    def _take_read(
+        self,
+        data: bytes,
+        read: packets.Packet | None,
+        asked: tuple[int, int] | None = None,
+    ) -> str:
+        """Process a packet after `packets.unpack`; return its machine."""
+        packet = self._usable(data, read)
         if packet is None:
             return ""
         self._place(packet, asked)
@@ -410,14 +422,15 @@ class MirroredTable:
     def _take_value(self, query: zenoh.Query) -> bytes:
         """Process another machine's single value; return the answer to it."""
         data = query.payload.to_bytes() if query.payload is not None else b""
-        packet, mirror = self._readable(data), self.mirror
+        packet, mirror = self._usable(data, packets.unpack(data)), self.mirror
         if packet is None or mirror is None:
             return b""
         return TAKEN if self._place(packet) and mirror.has(packet) else b""
 
-    def _readable(self, data: bytes) -> packets.Packet | None:
+    def _usable(
+        self, data: bytes, packet: packets.Packet | None
+    ) -> packets.Packet | None:
         """Return another machine's packet, unless it is not to be used here."""
-        packet = packets.unpack(data)
         if self.mirror is None:
             return None
         if packet is None:

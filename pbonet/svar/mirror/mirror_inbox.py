@@ -11,6 +11,7 @@ from pbonet.svar import layout, now_ns
 
 from .epochs import Claim
 from .mirror_outbox import MARK, room_of
+from .packets import NUMBERS, is_newer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +24,6 @@ LONGEST_NAME = 63
 """Bytes of a task's name in a register."""
 UNKNOWN_NS = 1
 """The time of values whose age is unknown: a nanosecond after boot, so they are old."""
-_NUMBERS = (1 << 56) - 1
 
 
 class Counts:
@@ -100,7 +100,7 @@ class Machine:
             if theirs is None:
                 continue
             self._count(theirs, news)
-            if theirs.news is None or _newer(news, theirs.news):
+            if theirs.news is None or is_newer(news, theirs.news):
                 theirs.news, theirs.time_ns = news, _time(now, news, late_ns)
                 self._commit(theirs)
             elif theirs.time_ns == UNKNOWN_NS and late_ns is not None:
@@ -165,8 +165,8 @@ class Machine:
 
     def _count(self, theirs: RemoteGroup, news: News) -> None:
         if theirs.news is not None and not self.kept(theirs):
-            self.counts.gaps += max((news.seq - theirs.news.seq & _NUMBERS) - 1, 0) * (
-                _newer(news, theirs.news)
+            self.counts.gaps += max((news.seq - theirs.news.seq & NUMBERS) - 1, 0) * (
+                is_newer(news, theirs.news)
             )
 
     @staticmethod
@@ -239,11 +239,6 @@ def _places(table: Table, variables: Sequence[int]) -> list[tuple[int, int]]:
     """Return the offset of each variable in a group's data."""
     group = layout.group_of(table.variables, variables)
     return list(zip(group.indices, group.at, strict=True))
-
-
-def _newer(one: News, other: News) -> bool:
-    """Return whether a commit is newer than another; numbers wrap around."""
-    return one.seq != other.seq and one.seq - other.seq & _NUMBERS < _NUMBERS >> 1
 
 
 __all__ = ["Counts", "Machine", "RemoteGroup"]

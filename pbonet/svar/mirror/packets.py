@@ -8,11 +8,18 @@ many.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import msgspec
 from msgspec import Struct
 
 from pbonet.versions import LAYERS
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+NUMBERS = (1 << 56) - 1
+"""Mask for numbers of commits, which wrap around."""
 VERSIONS = LAYERS["table"]
 """Versions of packets that are understood; others are refused and reported."""
 
@@ -85,6 +92,7 @@ class Head(Struct, array_like=True):
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(Packet)
 _head_decoder = msgspec.msgpack.Decoder(Head)
+_UNREADABLE = msgspec.MsgspecError, UnicodeDecodeError, RecursionError
 
 
 def pack(packet: Packet) -> bytes:
@@ -96,7 +104,7 @@ def unpack(data: bytes) -> Packet | None:
     """Return the packet; None if it is malformed or of another version."""
     try:
         packet = _decoder.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):
+    except _UNREADABLE:
         return None
     return packet if packet.v in VERSIONS else None
 
@@ -105,6 +113,24 @@ def other_version(data: bytes) -> Head | None:
     """Return the begin of a packet of another version; None if it is none."""
     try:
         head = _head_decoder.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):
+    except _UNREADABLE:
         return None
     return head if head.v not in VERSIONS else None
+
+
+def is_newer(one: News, other: News) -> bool:
+    """Return whether a commit is newer than another of its group."""
+    return one.seq != other.seq and one.seq - other.seq & NUMBERS < NUMBERS >> 1
+
+
+def leave_newest(received: Sequence[Packet]) -> None:
+    """Remove news of which a later packet contains newer ones."""
+    newest: dict[tuple[str, int, int], News] = {}
+    for packet in reversed(received):
+        left: list[News] = []
+        for news in packet.news:
+            group = packet.machine, packet.run, news.uid
+            if not is_newer(newest.get(group, news), news):
+                newest[group] = news
+                left.append(news)
+        packet.news = left

@@ -36,6 +36,11 @@ def _reason_here(path: str) -> tuple[str, str]:
             one.connect(path)
         except (TimeoutError, BlockingIOError):  # too many wait for it already
             pass
+        except PermissionError as error:
+            return (
+                error.strerror or "no access",
+                "run this as the user that started the agent, or as root",
+            )
         except OSError as error:
             return error.strerror or "no answer", "is an agent running there?"
     return (

@@ -21,10 +21,11 @@ def to_undo(**how):
 
 @pytest.fixture(autouse=True)
 def usual_handlers():
-    """A shell's job in the background begins with SIGINT ignored."""
+    """A job of a shell may begin with SIGINT or SIGHUP ignored."""
     usual = {
         signal.SIGINT: signal.default_int_handler,
         signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
     }
     before = {number: signal.signal(number, one) for number, one in usual.items()}
     yield usual
@@ -41,7 +42,11 @@ STILL = (
 
 @pytest.mark.parametrize(
     ("number", "error"),
-    [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)],
+    [
+        (signal.SIGINT, KeyboardInterrupt),
+        (signal.SIGTERM, SystemExit),
+        (signal.SIGHUP, SystemExit),
+    ],
 )
 def test_the_first_one_ends_the_block_and_further_ones_say_what_is_awaited(
     number, error, capsys
@@ -55,13 +60,14 @@ def test_the_first_one_ends_the_block_and_further_ones_say_what_is_awaited(
             finally:
                 os.kill(os.getpid(), signal.SIGINT)
                 os.kill(os.getpid(), signal.SIGTERM)
+                os.kill(os.getpid(), signal.SIGHUP)
                 undone.append(1)
 
     with pytest.raises(error):
         block()
     assert undone
     said = capsys.readouterr().err.splitlines()
-    assert said == ["interrupted: undoing", STILL, STILL]
+    assert said == ["interrupted: undoing", STILL, STILL, STILL]
 
 
 def test_none_ends_what_is_undone_for_another_reason(capsys):
@@ -113,24 +119,35 @@ def test_one_that_comes_while_handlers_are_exchanged_leaves_none_installed(
     assert entered == ([] if when == "installed" else [1])
 
 
-def test_a_request_to_end_the_process_is_carried_out_after_an_orderly_end(capsys):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_request_to_end_the_process_is_carried_out_after_an_orderly_end(
+    number, capsys
+):
     """It is sent once, as by `timeout` or systemd; an error of the block is kept."""
     done = []
 
     def block(error):
         with to_undo(first=False):
-            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), number)
             done.append(1)
             if error is not None:
                 raise error
 
     with pytest.raises(SystemExit) as caught:
         block(None)
-    assert caught.value.code == 143
+    assert caught.value.code == 128 + number
     with pytest.raises(ValueError, match="of the block"):
         block(ValueError("of the block"))
     assert done == [1, 1]
     assert capsys.readouterr().err.splitlines() == [STILL, STILL]
+
+
+def test_a_closed_terminal_ends_nothing_under_nohup(usual_handlers):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with to_undo():
+        os.kill(os.getpid(), signal.SIGHUP)
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    signal.signal(signal.SIGHUP, usual_handlers[signal.SIGHUP])
 
 
 def test_handlers_of_the_program_stay(usual_handlers):

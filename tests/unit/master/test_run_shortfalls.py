@@ -198,3 +198,17 @@ def test_a_second_interrupt_stops_everything_also_when_its_line_cannot_be_shown(
     for _ in range(2):
         interrupts.take(signal.SIGINT, None)
     assert stopped.wait(60)
+
+
+@pytest.mark.parametrize("nohup", [False, True])
+def test_a_closed_terminal_ends_a_run_in_order_but_under_nohup(nohup):
+    interrupts = Interrupts()
+    handler = signal.SIG_IGN if nohup else signal.SIG_DFL
+    before = signal.signal(signal.SIGHUP, handler)
+    try:
+        with interrupts.caught():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is handler
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert interrupts.count == (not nohup)

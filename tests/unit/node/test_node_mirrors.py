@@ -6,6 +6,7 @@ import contextlib
 import os
 import threading
 import time
+from functools import partial
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -276,6 +277,70 @@ def test_packets_that_come_too_fast_are_told_of(carrying):
     assert note.code == "TABLE_BEHIND"
     assert "7 packets for the table of arm" in note.text
     assert carried.incoming.lost == {"m2": 7}
+
+
+def test_old_values_that_waited_are_not_written_one_after_the_other(carrying, table):
+    """After an interruption they come together, and with them the first new one."""
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    there = Table.create("there", [Variable(name="Q", type="double", nelem=3)])
+    other = Mirror(there, "m2", 1, keep=False)
+    task = there.local("pid", os.getpid(), outvar=["Q"])
+
+    def put(*, full=False):
+        data = packets.pack(other.next_packet(full=full))
+        payload = SimpleNamespace(to_bytes=lambda: data)
+        key = "pbonet/d/sbs/arm/svar/news/m2"
+        carried._on_packet(SimpleNamespace(key_expr=key, payload=payload))
+
+    try:
+        task.claim()
+        put(full=True)
+        turn(mirrors)
+        counts = carried.mirror.others["m2"].counts
+        before = counts.commits
+        for n in range(100):
+            task.array("Q")[:] = n
+            task.commit()
+            put(full=n == 50)
+        turn(mirrors)
+        assert table.read("Q").tolist() == [99.0] * 3
+        assert (counts.commits - before, counts.gaps) == (1, 99)
+    finally:
+        task.close()
+        other.close()
+        there.destroy()
+
+
+def test_a_packet_that_cannot_be_read_keeps_none_of_the_others_out(carrying):
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    known = packets.VERSIONS.newest
+    good = packets.pack(packets.Packet(known, "m2", "two", 1, 0, 0, []))
+    fields = good[0] & 15
+    deep = bytes([0x90 | fields + 1]) + good[1:] + b"\x91" * 200_000 + b"\xc0"
+    for data in (deep, b"", b"\xff", good):
+        payload = SimpleNamespace(to_bytes=partial(bytes, data))
+        key = "pbonet/d/sbs/arm/svar/news/m2"
+        carried._on_packet(SimpleNamespace(key_expr=key, payload=payload))
+    turn(mirrors)
+    assert set(carried.mirror.others) == {"m2"}
+
+
+def test_packets_that_come_together_count_in_their_order(carrying, table):
+    """A machine that restarts with another version: its last packet is not read."""
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    known = packets.VERSIONS.newest
+    read = packets.Packet(known, "m2", "two", 1, 0, 0, [])
+    other = packets.Packet(known + 1, "m2", "two", 2, 0, 0, [])
+    for packet in (read, other):
+        payload = SimpleNamespace(to_bytes=partial(packets.pack, packet))
+        key = "pbonet/d/sbs/arm/svar/news/m2"
+        carried._on_packet(SimpleNamespace(key_expr=key, payload=payload))
+    turn(mirrors)
+    (cause,) = table.illegal
+    assert f"is of version {known + 1}" in cause.cause
 
 
 def test_what_others_ask_is_bounded(carrying):

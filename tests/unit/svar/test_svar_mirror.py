@@ -187,6 +187,43 @@ def test_an_old_packet_changes_nothing(sides):
     assert b.table.read("Q").tolist() == [2, 2, 2]
 
 
+def test_of_packets_that_come_together_only_the_newest_values_are_left():
+    """Groups, machines and their runs are kept apart; 6 after 7 is not written."""
+
+    def packet(*news, machine="a", run=1):
+        made = [packets.News(uid, seq, 0, 0, b"") for uid, seq in news]
+        return packets.Packet(packets.VERSIONS.newest, machine, "a", run, 0, 0, made)
+
+    last = packets.NUMBERS  # 0 comes next
+    received = [
+        packet((1, 5), (2, last)),
+        packet((1, 7)),
+        packet((1, 7), (2, 0)),
+        packet((1, 6)),
+        packet((1, 2), run=2),
+        packet((1, 3), machine="b"),
+    ]
+    packets.leave_newest(received)
+    left = [[(news.uid, news.seq) for news in one.news] for one in received]
+    assert left == [[], [(1, 7)], [(1, 7), (2, 0)], [(1, 6)], [(1, 2)], [(1, 3)]]
+
+
+def test_a_packet_that_repeats_a_value_does_not_take_it_from_the_first_one(sides):
+    """Without its value a constant would be in conflict with the equal one here."""
+    a, b = sides
+    for side in sides:
+        task = side.table.local("maker", ME, outconst=["MODE"])
+        task.array("MODE")[:] = 6
+        task.copy_out_consts()
+    b.mirror.next_packet(full=True)
+    received = [a.mirror.next_packet(full=True) for _ in range(2)]
+    packets.leave_newest(received)
+    for packet in received:
+        b.mirror.take(packet)
+        assert not b.mirror.conflicts()
+        assert not b.table.illegal
+
+
 def test_the_rate_that_variables_declare(sides):
     """Nobody gets more, however often all is told; who comes gets the newest."""
     a, b = sides

@@ -1,6 +1,7 @@
 """Why nobody answers at an endpoint: what is told, and what to do."""
 
 import contextlib
+import errno
 import socket
 import threading
 import time
@@ -75,6 +76,20 @@ def test_reasons_of_a_socket_of_this_machine(tmp_path):
             got, remedy = probe_endpoint.reasons([endpoint])
             assert got == "a process listens there, but does not answer"
             assert remedy.startswith("try again")
+
+
+def test_a_socket_of_this_machine_that_may_not_be_opened(monkeypatch, tmp_path):
+    """As a test runs as root, the kernel refuses it nothing."""
+
+    def refused(_self, _path):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(socket.socket, "connect", refused)
+    told = probe_endpoint.reasons([f"unixsock-stream/{tmp_path}/x.sock"])
+    assert told == (
+        "Permission denied",
+        "run this as the user that started the agent, or as root",
+    )
 
 
 @contextlib.contextmanager
