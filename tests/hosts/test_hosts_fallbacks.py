@@ -105,12 +105,14 @@ def start(hosts, tmp_path):
     one.notes, one.warnings = notes, warnings
     yield one
     hosts.lan.heal_all()
-    hosts.wait_all()
-    for arm in opened:
-        with contextlib.suppress(PbonetError):
-            if not arm.is_open:  # a test that failed while it was detached
-                arm.open()
-            arm.finish()
+    try:
+        hosts.wait_all()
+    finally:  # else each test after this one fails, too
+        for arm in opened:
+            with contextlib.suppress(PbonetError):
+                if not arm.is_open:  # a test that failed while it was detached
+                    arm.open()
+                arm.finish()
 
 
 def left(hosts, name):
@@ -306,13 +308,15 @@ def test_the_agent_of_the_original_is_killed_or_stopped(start, hosts, how, runs)
     arm = start(TAKES_OVER)
     _, agent = hosts.agents["arm0"]
     agent.send_signal(how)
-    wait_for(lambda: "cycle" in words(start.notes("second")), "the takeover")
-    gave_way(start)
-    if how is signal.SIGKILL:
-        hosts.kill("arm0")
-        hosts.start("arm0", "a", runs=runs, grace=GRACE)
-    else:
-        agent.send_signal(signal.SIGCONT)
+    try:
+        wait_for(lambda: "cycle" in words(start.notes("second")), "the takeover")
+        gave_way(start)
+    finally:
+        if how is signal.SIGKILL:
+            hosts.kill("arm0")
+            hosts.start("arm0", "a", runs=runs, grace=GRACE)
+        else:
+            agent.send_signal(signal.SIGCONT)
     wait_replaced(arm, start)
     gave_way(start, "off")
 

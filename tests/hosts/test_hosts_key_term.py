@@ -18,7 +18,7 @@ from pbonet.xm.net.credentials import FILES, Role
 GRACE = 30.0
 """An agent that starts again may end its links slowly; its tasks wait for it."""
 
-SHORT = 20.0 / 86400
+SHORT = 30.0 / 86400
 """Days of a certificate that runs out in a test: some seconds behind the start."""
 
 

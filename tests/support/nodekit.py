@@ -351,7 +351,8 @@ class Nodes:
         waiting = {state.pid for name in killed if (state := self.state(name))}
         for pid, _ in processes_of("PBONET_RUN_DIR", str(self.folder)):
             if pid in waiting:
-                os.kill(pid, signal.SIGTERM)
+                with contextlib.suppress(ProcessLookupError):  # its grace is over
+                    os.kill(pid, signal.SIGTERM)
 
     def check_folder(self):
         """Fail when processes or files are left."""
