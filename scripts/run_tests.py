@@ -1,10 +1,11 @@
 """Run every test; those of real time that fail are run once more, alone.
 
 Where nothing is judged by how long it takes, two run at a time, those that take long
-first, and three of real agents, which wait more than they work; the rest has the
-machine to itself. A test of real agents or of real time that
-fails, and passes when it is run again, is printed as FLAKY: it is to be mended. More
-than a few such failures, or any other one, end with status 1.
+first, and three of real agents, which wait more than they work: one of the three begins
+with the tests of three machines, which wait most. The rest has the machine to itself. A
+test of real agents or of real time that fails, and passes when it is run again, is
+printed as FLAKY: it is to be mended. More than a few such failures, or any other one,
+end with status 1.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parents[1]
 CACHE: Final = ROOT / ".pytest_cache" / "v" / "cache" / "lastfailed"
 BESIDE: Final = ("deploy", "native", "scripted", "unit", "property", "typing")
-AGENTS: Final = ("agents",)
-ALONE: Final = ("integration", "hosts")
+AGENTS: Final = ("hosts", "agents")
+ALONE: Final = ("integration",)
 REAL: Final = ("tests/agents/", "tests/integration/", "tests/hosts/")
 MOST_AGAIN: Final = 8
 

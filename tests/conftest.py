@@ -7,6 +7,7 @@ there for all tests.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import shutil
@@ -114,6 +115,20 @@ def nodes(request, monkeypatch, tmp_path):
             kit.close()
         finally:
             kit.check_folder()
+
+
+@pytest.fixture
+def briefly(monkeypatch):
+    """Wait for tasks that hang no longer than needed, within a `with` block."""
+    from pbonet.master.subsystem import subsystem_tasks
+
+    @contextlib.contextmanager
+    def wait():
+        with monkeypatch.context() as short:
+            short.setattr(subsystem_tasks, "CONTROL_TIME", 1.0)
+            yield
+
+    return wait
 
 
 @pytest.fixture

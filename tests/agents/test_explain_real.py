@@ -75,7 +75,9 @@ def test_a_task_that_failed_and_the_flag_for_it(arm, asked):
 
 
 @pytest.mark.parametrize("by", ["kill", "signal"])
-def test_a_task_that_ended_in_a_cycle_with_safe_values(nodes, arm, tmp_path, by):
+def test_a_task_that_ended_in_a_cycle_with_safe_values(
+    nodes, arm, tmp_path, by, briefly
+):
     job = tmp_path / "late.job"
     job.write_text("JOB late\nDESC a late task\nSBS t.sbs\nTASK busy arm0\nEOF\n")
     place = Place(domain=nodes.domain, libraries=arm.files.library.folders)
@@ -88,7 +90,8 @@ def test_a_task_that_ended_in_a_cycle_with_safe_values(nodes, arm, tmp_path, by)
         lambda: (found := arm.status("busy")).made_safe and found, "safe values"
     )
     if by == "kill":
-        arm.kill("busy")
+        with briefly():
+            arm.kill("busy")
     else:
         os.kill(status.tid, signal.SIGKILL)
         wait_for(

@@ -105,12 +105,14 @@ def start(hosts, tmp_path):
     one.notes, one.warnings = notes, warnings
     yield one
     hosts.lan.heal_all()
-    hosts.wait_all()
-    for arm in opened:
-        with contextlib.suppress(PbonetError):
-            if not arm.is_open:  # a test that failed while it was detached
-                arm.open()
-            arm.finish()
+    try:
+        hosts.wait_all()
+    finally:  # else each test after this one fails, too
+        for arm in opened:
+            with contextlib.suppress(PbonetError):
+                if not arm.is_open:  # a test that failed while it was detached
+                    arm.open()
+                arm.finish()
 
 
 def left(hosts, name):
@@ -124,6 +126,17 @@ def left(hosts, name):
 
 def words(notes):
     return [what for _, what in notes]
+
+
+def gave_way(start, *then):
+    """Judge that the original was stable before the standby wrote, then did `then`.
+
+    Before that it may have been stable for a time: a machine that stands still loses
+    its links for a moment.
+    """
+    first, ((begun, _), *_) = start.notes("first"), start.notes("second")
+    assert words(one for one in first if one[0] < begun)[-1] == "stable"
+    assert words(one for one in first if one[0] >= begun) == [*then]
 
 
 def writer(arm, rtpu):
@@ -189,11 +202,10 @@ def test_the_original_is_stable_before_the_standby_writes(start, lan, how):
     wait_for(lambda: "second" in states(arm), "answers")
     how(lan, "a", "b")
     wait_for(lambda: "cycle" in words(start.notes("second")), "the takeover")
-    assert words(start.notes("first"))[:2] == ["cycle", "stable"]
-    assert start.notes("first")[1][0] < start.notes("second")[0][0]
+    gave_way(start)
     lan.heal_all()
     wait_replaced(arm, start)
-    assert words(start.notes("first")) == ["cycle", "stable", "off"]
+    gave_way(start, "off")
     assert events(arm, "arm1", "FALLBACK")[-1].startswith("first on arm0 is lost")
     arm.swap("second", "first")
     assert states(arm)["first"] == "ON"
@@ -208,11 +220,10 @@ def test_by_the_word_of_a_keeper_on_a_third_machine(start, lan):
     wait_for(lambda: reached(arm, "arm2"), "the keeper to be in reach")
     lan.cut("a", "c")
     wait_for(lambda: "cycle" in words(start.notes("second")), "the takeover")
-    assert words(start.notes("first")) == ["cycle", "stable"]
-    assert start.notes("first")[1][0] < start.notes("second")[0][0]
+    gave_way(start)
     lan.heal_all()
     wait_replaced(arm, start)
-    assert words(start.notes("first")) == ["cycle", "stable", "off"]
+    gave_way(start, "off")
 
 
 def reached(arm, rtpu):
@@ -231,7 +242,7 @@ def test_a_machine_without_the_keeper_takes_nothing_over(start, hosts, lan):
     lan.heal_all()
     hosts.wait_all()
     wait_for(lambda: not causes(arm), "healing")
-    assert words(start.notes("first"))[-1] == "cycle"
+    wait_for(lambda: words(start.notes("first"))[-1] == "cycle", "cycles of first")
     assert arm.status("second").stands_by
 
 
@@ -297,16 +308,17 @@ def test_the_agent_of_the_original_is_killed_or_stopped(start, hosts, how, runs)
     arm = start(TAKES_OVER)
     _, agent = hosts.agents["arm0"]
     agent.send_signal(how)
-    wait_for(lambda: "cycle" in words(start.notes("second")), "the takeover")
-    assert words(start.notes("first")) == ["cycle", "stable"]
-    assert start.notes("first")[1][0] < start.notes("second")[0][0]
-    if how is signal.SIGKILL:
-        hosts.kill("arm0")
-        hosts.start("arm0", "a", runs=runs, grace=GRACE)
-    else:
-        agent.send_signal(signal.SIGCONT)
+    try:
+        wait_for(lambda: "cycle" in words(start.notes("second")), "the takeover")
+        gave_way(start)
+    finally:
+        if how is signal.SIGKILL:
+            hosts.kill("arm0")
+            hosts.start("arm0", "a", runs=runs, grace=GRACE)
+        else:
+            agent.send_signal(signal.SIGCONT)
     wait_replaced(arm, start)
-    assert words(start.notes("first")) == ["cycle", "stable", "off"]
+    gave_way(start, "off")
 
 
 @pytest.mark.parametrize(

@@ -118,8 +118,16 @@ def test_robots_take_part_in_all_that_is_no_command(lab, cell):
     assert took.code == 1
     asks.call("arm2", r.Detach(handle=grip.handle, destroy=True), type(None))
     token.undeclare()
-    report = asks.call("arm1", m.Links(), m.LinkReport)
-    assert {way.rtpu: way.error for way in report.ways} == {"desk": "", "arm2": ""}
+    wait_for(
+        lambda: (
+            {
+                way.rtpu: way.error
+                for way in asks.call("arm1", m.Links(), m.LinkReport).ways
+            }
+            == {"desk": "", "arm2": ""}
+        ),
+        "that both answer in time",
+    )
 
 
 def commands(cell):
@@ -199,12 +207,13 @@ def test_a_revoked_key_opens_nothing_and_the_others_go_on(lab, cell):
     """Behind SIGHUP of the others: links that stand are cut, and no new one is made."""
     before = cell.status("arm1", "src")
     comes(cell)
-    assert lab.seen("c") == ["arm1", "arm2", "desk"]
+    wait_for(lambda: lab.seen("c") == ["arm1", "arm2", "desk"], "all of them")
     theirs = (lab.keys["c"] / CA).read_bytes()
     written = pki.revoke(lab.authority, "c")
     assert lab.keys["b"] / CA in written
     (lab.keys["c"] / CA).write_bytes(theirs)  # it is stolen, and keeps the old one
-    assert lab.seen("c") == ["arm1", "arm2", "desk"], "until then nothing changes"
+    all_of_them = "all of them, as until then nothing changes"
+    wait_for(lambda: lab.seen("c") == ["arm1", "arm2", "desk"], all_of_them)
     zids = {name: lab.info(name).zid for name in ("desk", "arm1")}
     for name in zids:
         host, process = lab.agents[name]

@@ -69,8 +69,10 @@ def cell(pair):
         yield desk
     finally:
         pair.lan.heal_all()
-        pair.wait_all()
-        desk.close()
+        try:
+            pair.wait_all()
+        finally:  # else no test after this one gets the subsystem
+            desk.close()
 
 
 def spawn_critical(desk, rtpu):

@@ -141,6 +141,10 @@ class Plant:
         assert got.returncode == 0, got
         return json.loads(got.stdout)
 
+    def all_are_on(self):
+        states = {t["task"]: t["fields"]["state"] for t in self.status()["tasks"]}
+        return states == dict.fromkeys(TASKS, "ON")
+
     def illegal(self):
         return [cause for rtpu in self.status()["rtpus"] for cause in rtpu["illegal"]]
 
@@ -203,8 +207,7 @@ def test_a_rolling_upgrade(plant):
     for release in (BOTH, NEW):
         for name in reversed(HOSTS):  # the master's machine, a, comes last
             step = f"{name} becomes {release}"
-            states = {t["task"]: t["fields"]["state"] for t in plant.status()["tasks"]}
-            assert states == dict.fromkeys(TASKS, "ON"), step
+            wait_for(plant.all_are_on, f"all tasks before {step}")
             plant.lab.stop(name)
             plant.install(HOSTS[name], commands=release, table=release)
             plant.agent(name)

@@ -334,6 +334,7 @@ class Nodes:
     def close(self):
         """End everything that was started, in order where that still works."""
         with contextlib.ExitStack() as everything:
+            everything.callback(self._end_abandoned)
             for process in self.processes.values():
                 everything.callback(process.wait, END_TIME)
             for process in self.processes.values():
@@ -341,6 +342,17 @@ class Nodes:
             for agent in self.agents.values():
                 everything.callback(agent.stop)
             everything.callback(self.forget_session)
+
+    def _end_abandoned(self):
+        """End RTPU processes that wait for another agent, as theirs was killed."""
+        killed = (
+            n for n, p in self.processes.items() if p.returncode == -signal.SIGKILL
+        )
+        waiting = {state.pid for name in killed if (state := self.state(name))}
+        for pid, _ in processes_of("PBONET_RUN_DIR", str(self.folder)):
+            if pid in waiting:
+                with contextlib.suppress(ProcessLookupError):  # its grace is over
+                    os.kill(pid, signal.SIGTERM)
 
     def check_folder(self):
         """Fail when processes or files are left."""

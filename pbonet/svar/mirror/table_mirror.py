@@ -150,7 +150,6 @@ class Mirror:
             other = self.others[packet.machine] = Machine(
                 self.table, packet.run, packet.host
             )
-            self._lost.pop(packet.machine, None)
             self._newcomers.add(packet.machine)
         if self._unread:
             self._keep_unread(lambda machine, _: machine != packet.machine)
@@ -159,6 +158,7 @@ class Mirror:
             packet.full = None  # it was overtaken by a newer one
         placed = other.take(packet, late)
         if packet.full is not None:
+            self._lost.pop(packet.machine, None)
             self._epochs.there(
                 packet.machine, other.claims(), packet.full.ended, packet.full.fights
             )
@@ -207,7 +207,8 @@ class Mirror:
         other = self.others.get(machine)
         if other is None:
             return
-        self._lost[machine] = (other.host, other.owned())
+        # Still there if only a late packet has come meanwhile, without its groups.
+        self._lost.setdefault(machine, (other.host, other.owned()))
         self._remove(machine)
         self._reconcile()
 

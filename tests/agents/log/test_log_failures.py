@@ -197,7 +197,7 @@ def test_a_task_that_is_killed_while_it_hangs_leaves_word_of_its_safe_values(lin
     line.spawn("asks", "overruns", text=text)
     line.on("asks")
     wait_for(lambda: line.status("asks").made_safe, "safe values")
-    line.kill("asks")
+    line.kill("asks", limit=1.0)
     log = finish(line, path)
     (told,) = [event for event in log.events() if event["code"] == "LEFT_SAFE"]
     assert told["task"] == "asks"

@@ -6,7 +6,6 @@ import os
 import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 
 import pytest
 from long_limits import LIMIT
@@ -174,19 +173,6 @@ def test_a_switch_kills_nobody_for_a_task_that_fails_at_once(
     assert back.items == [("third", "off"), ("good", "on")]
     assert states(arm) == {"stays": "ON", "good": "ON"}
     assert writer(arm) == "good"
-
-
-@pytest.fixture
-def briefly(monkeypatch):
-    """Wait for tasks that hang no longer than needed, within a `with` block."""
-
-    @contextmanager
-    def wait():
-        with monkeypatch.context() as short:
-            short.setattr(subsystem_tasks, "CONTROL_TIME", 1.0)
-            yield
-
-    return wait
 
 
 def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):

@@ -53,7 +53,7 @@ def test_while_a_c_call_does_not_return_the_table_has_the_safe_values(arm):
     assert status.made_safe == 1, "once for a cycle"
     assert status.cycle == 4, "that cycle has not ended"
     assert status.aborted == 0
-    arm.kill("bad")
+    arm.kill("bad", limit=1.0)
     start(arm, overruns(work="sleep", busy=0.0), "other")
     wait_for(lambda: arm.value("Y0").values[0] > 0, "another task that writes it")
 

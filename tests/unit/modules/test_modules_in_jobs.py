@@ -50,7 +50,7 @@ ELSEWHERE = {
 """Modules that run in virtual time in another test, with what they control."""
 SYSTEM = {".job", ".rmod"}
 """Files that say which modules an example has."""
-REAL = {"mppi_arm": "../../integration/modules/test_mppi.py"}
+REAL = {"mppi_arm": "../../agents/modules/test_mppi.py"}
 """One whose plans come from another process, in real time."""
 TWINS = {
     **{f"can_{what}": f"axes_{what}_sim" for what in ("position", "speed", "torque")},

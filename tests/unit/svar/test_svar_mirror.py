@@ -374,6 +374,23 @@ def test_a_machine_out_of_sight(sides):
     assert not b.table.illegal
 
 
+@pytest.mark.parametrize("losses", [1, 2])
+def test_the_flag_stays_up_for_news_that_come_after_the_loss(sides, losses):
+    """They had waited in a queue, and do not say what its tasks write."""
+    a, b = sides
+    task = on(a, "pid", "Q")
+    meet(a, b)
+    b.mirror.lose("a")
+    for _ in range(losses):
+        task.commit()
+        assert carry(a, b).full is None
+        b.mirror.lose("a")
+    (cause,) = b.table.illegal
+    assert cause.cause == "host host-a is unreachable; no task writes Q"
+    meet(a, b)
+    assert not b.table.illegal
+
+
 def test_it_comes_back(sides):
     a, b = sides
     task = on(a, "pid", "Q")

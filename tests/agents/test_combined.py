@@ -13,7 +13,7 @@ from watching import wait_for
 from pbonet.errors import ParameterError
 from pbonet.master.subsystem.subsystem import Subsystem
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "servoing"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "servoing"
 
 
 @pytest.fixture
