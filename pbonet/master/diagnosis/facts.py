@@ -92,7 +92,7 @@ class Facts(Struct, kw_only=True):
     """Causes of the flag that a run withdrew: its first and its last event of each."""
     gaps: dict[str, list[Gap]] = {}
     recorded: dict[str, list[range]] = {}
-    """The cycles of each task that a log has; their numbers begin anew at each ON."""
+    """The cycles of each task that a log has; a task spawned again has its own."""
     trace: CoreTrace | None = None
     """The threads that had the core in a miss; None: they were not followed."""
     from_log: bool = False

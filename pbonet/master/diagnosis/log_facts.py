@@ -293,7 +293,7 @@ def _gaps(log: Log, task: str) -> list[Gap]:
     period = float(np.median(between))
     counts = np.round(between / period).astype(np.int64) - 1 if period else between * 0
     # Cycles that were done and are not in the log are not missed, nor is what lies
-    # before a number that is not higher: the task was turned on again.
+    # before a number that is not higher: the task was spawned again.
     numbers = np.diff(arrays["cycle"].astype(np.int64))
     counts = np.where(numbers > 0, counts - numbers + 1, 0)
     offset = log.begin_time_ns - log.begin_ns
