@@ -607,6 +607,40 @@ static void end_before_lend(void)
     rest();
 }
 
+static void publish_now(void)
+{
+    rt_publish_next(&table);
+}
+
+/* The dispatcher says when the next release is, wherever the task is as it ends its cycle and
+ * falls asleep: the task sleeps until then, or is woken, or its release is a turn's. */
+static void publish_amid_end(void)
+{
+    int slept = 0;
+    for (int64_t steps = 0; steps < 20; steps++) {
+        begin(2000 * US, 0);
+        finish(0);
+        rt_recall(&table);
+        now = atomic_load(&table.next_ns[0]);
+        int64_t due = rt_turn(&table, now, 0, 0, no_cpu);
+        rt_turn_end(&table);
+        wake(0);
+        require(runs_now[0], "granted");
+        happens = publish_now;
+        steps_left = steps;
+        finish(0);
+        wake(0);
+        slept += steps_left < 0;
+        steps_left = -1;
+        rt_lend(&table, due);
+        kick();
+        require(rt_is_lent(&table), "its next release is its own");
+        require(woken || slept_until == atomic_load(&table.next_ns[0]), "it knows when");
+        rest();
+    }
+    require(slept > 5, "between its steps");
+}
+
 /* The release comes while the dispatcher is blocked, and then its MINC fits no more. */
 static void come_and_pass(void)
 {
@@ -724,6 +758,7 @@ int main(int argc, char **argv)
         end_amid_lend();
         lend_late();
         end_before_lend();
+        publish_amid_end();
         blocked_turn();
         slow();
         other_period();
