@@ -37,5 +37,5 @@ from .schema import (
     StepSchema as StepSchema,
 )
 from .series import Series as Series
-from .states import timelines as timelines
+from .states import Stretch as Stretch, not_on as not_on, timelines as timelines
 from .writer import LogWriter as LogWriter

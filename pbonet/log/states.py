@@ -5,8 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import msgspec
+import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
     from .reader import Log
 
 GONE: Final = "NOT-CREATED"
@@ -43,6 +48,20 @@ def timelines(log: Log) -> dict[str, list[Stretch]]:
                     changes[name].append((GONE, one.time_ns))
     _, end = log.span_ns
     return {task: _stretches(found, end) for task, found in changes.items()}
+
+
+def not_on(releases: NDArray[Any], stretches: Iterable[Stretch]) -> NDArray[np.bool_]:
+    """Return for each interval of releases whether the task was not ON in between.
+
+    Args:
+        releases: When its cycles were released, ascending, in ns since 1970, [n].
+        stretches: Its states over time.
+    """
+    found = np.zeros(max(len(releases) - 1, 0), bool)
+    for one in stretches:
+        if one.state != ON:
+            found |= (releases[:-1] < one.end_ns) & (releases[1:] > one.begin_ns)
+    return found
 
 
 def _stretches(changes: list[tuple[str, int]], end_ns: int) -> list[Stretch]:

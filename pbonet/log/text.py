@@ -12,7 +12,7 @@ from pbonet.errors import LogError
 
 from .damage import Lost
 from .records import CLOCKS
-from .states import ON, timelines
+from .states import not_on, timelines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -110,7 +110,7 @@ def task_info(
     gaps = np.diff(releases)
     period = float(np.median(gaps)) if len(gaps) else 0.0
     missed = np.maximum(np.round(gaps / period) - 1, 0) if period else np.zeros(0)
-    away = (missed > _BREAK) | _not_on(releases + log.epoch_ns, stretches)
+    away = (missed > _BREAK) | not_on(releases + log.epoch_ns, stretches)
     delays = (arrays["start_ns"] - releases) * 1e-9
     return {
         "module": about.module,
@@ -130,15 +130,6 @@ def task_info(
 
 _BREAK = 1000
 """A longer gap, in periods, counts as time in which the task was OFF."""
-
-
-def _not_on(releases: NDArray[Any], stretches: Sequence[Stretch]) -> NDArray[np.bool_]:
-    """Return for each interval of releases whether the task was not ON in between."""
-    found = np.zeros(max(len(releases) - 1, 0), bool)
-    for one in stretches:
-        if one.state != ON:
-            found |= (releases[:-1] < one.end_ns) & (releases[1:] > one.begin_ns)
-    return found
 
 
 def info_text(data: JsonObject) -> str:

@@ -307,7 +307,7 @@ def _gap(chain: Chain, task: str, gap: Gap) -> Cause:
 
 def _reported(facts: Facts, task: str, gap: Gap, period: float) -> list[Event]:
     """Return the first event of each code that came with missed releases or after."""
-    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "STATE", "METHOD")
+    codes = ("CORE_STALLED", "HANGS", "WAITS", "TIMING_FAILURE", "METHOD")
     until = gap.at + (gap.missed + 1) * period + _NEAR
     newest_first = facts.news(codes, rtpu=facts.home(task), last=len(facts.events))
     found = {

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import structs
 
 from pbonet.errors import PbonetError
-from pbonet.log import Log, files_of, timelines
+from pbonet.log import Log, files_of, not_on, timelines
 from pbonet.master.configuration import Graph, recorded_graph
 from pbonet.xm.net import (
     Event,
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
+
+    from pbonet.log import Stretch
 
 _GONE: Final = "NOT-CREATED"
 _SAME: Final = 1e-3
@@ -119,10 +121,11 @@ def _read(path: str | Path) -> Facts:
         from_log=True,
         unknown=unknown,
     )
-    facts.rtpus = _rtpus(log, facts, end)
+    over_time = timelines(log)
+    facts.rtpus = _rtpus(log, facts, {k: _last(v, end) for k, v in over_time.items()})
     facts.on_since = _on_since(log, end)
     facts.withdrawn = _withdrawn(facts.events)
-    facts.gaps = {task: _gaps(log, task) for task in log.tasks}
+    facts.gaps = {task: _gaps(log, task, over_time.get(task, [])) for task in log.tasks}
     facts.recorded = {task: _recorded(log, task) for task in log.tasks}
     facts.values = _values(log, end)
     return facts
@@ -139,9 +142,8 @@ def _event(recorded: dict[str, Any]) -> Event:
     return event
 
 
-def _rtpus(log: Log, facts: Facts, end: float) -> dict[str, RtpuStatus]:
-    """Return the status of each RTPU, with its tasks as they were at the end."""
-    states = {name: _last(line, end) for name, line in timelines(log).items()}
+def _rtpus(log: Log, facts: Facts, states: dict[str, str]) -> dict[str, RtpuStatus]:
+    """Return the status of each RTPU, with its tasks in these states."""
     missed, failed = log.missed(), log.failed()
     tasks: dict[str, list[TaskStatus]] = {}
     for name in log.tasks:
@@ -283,8 +285,8 @@ def _recorded(log: Log, task: str) -> list[range]:
     return [range(int(one[0]), int(one[-1]) + 1) for one in stretches if len(one)]
 
 
-def _gaps(log: Log, task: str) -> list[Gap]:
-    """Return where a task has missed releases, from the times of its cycles."""
+def _gaps(log: Log, task: str, states: list[Stretch]) -> list[Gap]:
+    """Return where a task that was ON has missed releases, from its cycles' times."""
     arrays = log.arrays(task)
     releases: NDArray[np.int64] = arrays["release_ns"]
     between = np.diff(releases)
@@ -296,8 +298,9 @@ def _gaps(log: Log, task: str) -> list[Gap]:
     # before a number that is not higher: the task was spawned again.
     numbers = np.diff(arrays["cycle"].astype(np.int64))
     counts = np.where(numbers > 0, counts - numbers + 1, 0)
+    away = not_on(releases + log.epoch_ns, states)
     offset = log.begin_time_ns - log.begin_ns
-    places = np.flatnonzero((counts > 0) & (counts < _BREAK))
+    places = np.flatnonzero((counts > 0) & (counts < _BREAK) & ~away)
     found: list[Gap] = []
     for place in places.tolist():
         release, end = int(releases[place]), int(arrays["end_ns"][place])

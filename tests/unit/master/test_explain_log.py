@@ -153,6 +153,14 @@ def test_a_task_that_was_spawned_again_has_missed_nothing_meanwhile(tmp_path):
     assert str(ask("miss", "pid", "31")).startswith("cycle 31 of pid is not in the log")
 
 
+def test_a_task_that_was_off_has_missed_nothing_meanwhile(tmp_path):
+    """Cycles 10 and 11 are three periods apart: it was turned off, and on again."""
+    off = event("STATE", "turned off", 11 * PERIOD, "pid", "OFF")
+    on = event("STATE", "turned on", 13 * PERIOD, "pid", "ON")
+    text = str(recorded(tmp_path, [SOUND[0], off, on])("miss", "pid"))
+    assert text.startswith("pid has missed 0 of ")
+
+
 def test_what_was_reported_long_before_or_after_made_it_miss_nothing(tmp_path):
     """The releases from 0.11 to 0.13 s are missed; it is checked twice a second."""
     stood = [
