@@ -18,7 +18,7 @@ cdef _refuse(int error, str path):
                         remedy="restart the agents of this core")
     if error == RT_MEMBERS_FULL:
         raise NodeError("too many RTPUs share this core", where=path,
-                            expected=f"at most {RT_MEMBERS}",
+                        expected=f"at most {RT_MEMBERS}",
                         remedy="start the agent with another --core, or stop one of this core")
     if error == ENOSPC:
         raise RealTimeError("shared memory is full", where=path,
