@@ -2,8 +2,8 @@ r"""Ctrl-C, SIGTERM and SIGHUP in a command that undoes what it began when it fa
 
 The first one ends the command, and begins the undoing. Python would end that at the
 second one, with tasks that are created or ON; here each further one only shows what is
-waited for. A terminal that is closed (SIGHUP) begins the undoing as well, but under
-`nohup`. SIGQUIT (Ctrl-\) ends the process at once, as ever.
+waited for. A terminal that is closed (SIGHUP) begins the undoing as well, unless the
+program was started by `nohup`. SIGQUIT (Ctrl-\) ends the process at once, as ever.
 """
 
 from __future__ import annotations

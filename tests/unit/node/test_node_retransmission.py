@@ -1,9 +1,11 @@
 """Connections whose retransmissions and whose end are looked after: which."""
 
 import contextlib
+import fcntl
 import os
 import socket
 import struct
+import sys
 
 import zenoh
 from watching import free_port, wait_for
@@ -11,6 +13,12 @@ from watching import free_port, wait_for
 from pbonet.node.agent import link_watchdog, retransmission
 from pbonet.router import router_config, router_process
 from pbonet.xm.net import session
+
+NOT_SENT = 0x894B
+"""SIOCOUTQNSD: the bytes in a socket that were not sent yet."""
+ROOM = 1 << 20
+MOST_APPENDED = retransmission.UNSENT + (1 << 16)
+"""What the kernel may append to the last buffer, in addition to the limit."""
 
 
 def limit(one):
@@ -79,3 +87,20 @@ def test_a_new_connection_with_the_descriptor_of_the_last_one_is_found():
         assert limit(again) != retransmission.UNSENT
         found.find()
         assert limit(again) == retransmission.UNSENT
+
+
+def test_little_waits_in_a_socket():
+    """Else old values would come first after an interruption, by the megabyte."""
+    with contextlib.ExitStack() as held:
+        listener = held.enter_context(socket.create_server(("127.0.0.1", 0)))
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
+        one = held.enter_context(socket.create_connection(listener.getsockname()))
+        held.enter_context(listener.accept()[0])  # reads nothing
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
+        retransmission.Retransmission().find()
+        one.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                one.send(bytes(1000))
+        found = fcntl.ioctl(one, NOT_SENT, bytes(4))
+    assert 0 < int.from_bytes(found, sys.byteorder) < MOST_APPENDED
