@@ -508,8 +508,13 @@ BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}  # for `from_wire`
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``did you mean NAME?`` for the nearest known name, or an empty string."""
+    """Return ``did you mean NAME?`` for the nearest known name, or an empty string.
+
+    Names that begin with the word go before others.
+    """
     import difflib  # only where something is wrong
 
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    names = list(known)
+    near = difflib.get_close_matches(word, names, n=len(names) or 1)
+    near.sort(key=lambda name: not name.startswith(word))
     return f"did you mean {near[0]}?" if near else ""

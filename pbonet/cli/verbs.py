@@ -72,7 +72,7 @@ def load(name: str) -> Verb | Family:
         UsageError: There is none of that name.
     """
     if name not in NAMES:
-        raise _unknown(f"there is no verb {name}", name, NAMES)
+        raise _unknown(f"there is no verb {name}", name, NAMES, "see 'pbonet --help'")
     folder = next((f"{f}." for f, names in _FOLDERS.items() if name in names), "")
     if not folder and name not in _OWN:
         from . import table
@@ -104,7 +104,7 @@ def find(words: list[str]) -> tuple[Verb | Family, list[str]]:
     name = words[1]
     if name not in found.verbs:
         text = f"pbonet {words[0]} has no verb {name}"
-        raise _unknown(text, name, found.verbs, f"pbonet {words[0]}")
+        raise _unknown(text, name, found.verbs, f"it has {', '.join(found.verbs)}")
     return found.verbs[name], words[2:]
 
 
@@ -114,11 +114,7 @@ def summary(name: str) -> str:
     return found.summary if isinstance(found, Verb) else found.help
 
 
-def _unknown(
-    text: str, name: str, known: Iterable[str], program: str = "pbonet"
-) -> UsageError:
+def _unknown(text: str, name: str, known: Iterable[str], rest: str) -> UsageError:
     from pbonet.errors import did_you_mean
 
-    meant = did_you_mean(name, known)
-    meant = meant or f"see '{program} --help'"
-    return UsageError(f"{text}; {meant}")
+    return UsageError(f"{text}; {did_you_mean(name, known) or rest}")

@@ -30,6 +30,8 @@ def launch_agents(
 
     Raises:
         ConfigError: A file is missing or wrong; nothing was started.
+        UnreachableError: An endpoint that was named is not reached; nothing was
+            started.
         NodeError: This process may open too few files; nothing was started.
         OSError: The system cannot create a process.
     """

@@ -154,6 +154,7 @@ class Embedded:
             The core of each.
 
         Raises:
+            UnreachableError: An endpoint that was named is not reached.
             NodeError: One of them ended, or did not come up; the others were ended.
         """
         self.launch(rtpus)
@@ -163,8 +164,12 @@ class Embedded:
         """Start an agent for each RTPU; `wait` follows.
 
         Raises:
+            UnreachableError: An endpoint that was named is not reached, where these
+                RTPUs may have agents; nothing was started.
             OSError: The system cannot create a process; the others were ended.
         """
+        if rtpus:
+            self._must_reach_endpoints(rtpus)
         self.launched = True
         try:
             for rtpu, core in assign_cores(rtpus, os.sched_getaffinity(0)).items():
@@ -172,6 +177,23 @@ class Embedded:
         except BaseException:
             self.stop()
             raise
+
+    def _must_reach_endpoints(self, rtpus: Sequence[str]) -> None:
+        for endpoint in self._connect:
+            try:
+                opened = session.client(self._domain, connect=[endpoint], local=False)
+            except UnreachableError as error:
+                raise UnreachableError(
+                    "this endpoint was named and is not reached; nothing was started",
+                    where=endpoint,
+                    expected=f"its answer, before {' and '.join(rtpus)} may be started "
+                    "on this machine",
+                    got=error.got,
+                    remedy="check the address, start the agents there, or leave "
+                    "--connect, PBONET_CONNECT and connect= out to run here; "
+                    f"{error.remedy}",
+                ) from None
+            opened.close()  # type: ignore[no-untyped-call]
 
     def wait(self) -> dict[str, int]:
         """Wait until all that were started can be reached; return the core of each.

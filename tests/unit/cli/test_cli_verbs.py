@@ -213,7 +213,9 @@ def test_an_option_that_is_no_number_or_out_of_range_is_told_with_its_word(
     [
         (("stats",), "there is no verb stats; did you mean status?"),
         (("log", "inf"), "pbonet log has no verb inf; did you mean info?"),
-        (("new", "q"), "pbonet new has no verb q; see 'pbonet new --help'"),
+        (("stat",), "there is no verb stat; did you mean status?"),
+        (("q",), "there is no verb q; see 'pbonet --help'"),
+        (("new", "q"), "pbonet new has no verb q; it has module, svar, job, program"),
         (("on", "a.sbs", "--domian", "x"), "there is no option --domian; did you mean"),
         (("get",), "FILE is missing: The subsystem's .sbs file"),
         (("get", "a.sbs", "a", "b", "c"), "one word too many: c"),
