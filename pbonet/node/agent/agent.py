@@ -10,6 +10,7 @@ was lost (`desired_state`).
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import platform
@@ -51,7 +52,7 @@ from .duplicate_agents import DuplicateAgents
 from .heartbeat import ALWAYS, Change, Heartbeat
 from .ipc_facade import Mail
 from .key_subscriptions import KeySubscriptions
-from .link_watchdog import NearestRouter
+from .link_watchdog import NearestRouter, cut_tls
 from .machine_state import NeededFolders, copy_speed, machine_info
 from .peer_latency import PeerLatencies
 from .recorder_supervisor import Recorders
@@ -328,7 +329,13 @@ class Agent:
             refuses=self._stops.holds_agent,
             need=ways.need,
         )
-        self._term = KeyTerm(self._key_folder, self.name, self._note, self._unlinked)
+        self._term = KeyTerm(
+            self._key_folder,
+            self.name,
+            self._note,
+            self._unlinked,
+            functools.partial(cut_tls, self._session),
+        )
         self._term.start()
         self._nearest = NearestRouter(
             self._session,

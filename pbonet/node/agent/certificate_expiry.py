@@ -2,9 +2,12 @@
 
 When a certificate expires, the links that it opened are closed on both sides and no
 new ones can be opened, as if every cable had been pulled. Operators are warned for
-weeks before, and the cause is reported when it has happened. The same is done if two
-agents have keys of different authorities, for example while a laboratory replaces its
-keys: zenoh does not report it, and the dialling side would only get no answer.
+weeks before, and the cause is reported when it has happened. zenoh keeps a link that
+was opened in the second in which the certificate expired; it is cut here.
+
+It is also reported if two agents have keys of different authorities, for example while
+a laboratory replaces its keys: zenoh does not do so, and the dialling side would only
+get no answer.
 """
 
 from __future__ import annotations
@@ -43,6 +46,7 @@ class KeyTerm:
         name: The agent's name.
         tell: Called with reports for masters.
         unlinked: Returns the dialled endpoints without a link.
+        cut: Called again and again when the keys have expired, to cut all links.
     """
 
     def __init__(
@@ -51,9 +55,10 @@ class KeyTerm:
         name: str,
         tell: Callable[[rtpu_messages.Note], None],
         unlinked: Callable[[], Iterable[str]] = tuple,
+        cut: Callable[[], object] = bool,
     ) -> None:
         self._folder, self._name, self._tell = folder, name, tell
-        self._unlinked = unlinked
+        self._unlinked, self._cut = unlinked, cut
         self._refused: dict[str, str] = {}
         """The reported reason why there is no link, by endpoint."""
         self._until = credentials.prove(folder) if folder is not None else None
@@ -87,6 +92,8 @@ class KeyTerm:
                 told = days
             if left > 0:
                 self._check_links()
+            else:
+                self._cut()
             if self._over.wait(min(LOOK, LINK_LOOK, max(left, 0.0) or LOOK)):
                 return
 

@@ -128,6 +128,14 @@ class LinkWatchdog:
         return _cut(links, known)
 
 
+def cut_tls(session: zenoh.Session) -> bool:
+    """Cut a session's links over TLS; return whether there were any."""
+    with contextlib.suppress(zenoh.ZError):  # it is being closed
+        links = session.info.links()
+        return _cut(one for one in links if str(one.src).startswith("tls/"))
+    return False
+
+
 class NearestRouter:
     """Takes an agent that is a client back to a router that it prefers.
 

@@ -71,6 +71,23 @@ def test_it_is_told_once_a_day_and_when_it_is_over(lab, clock):
     assert all(f"put them into {folder}, " in note.text for note in told)
 
 
+def test_links_are_cut_again_and_again_when_the_keys_have_expired(lab, clock):
+    """And not before: zenoh keeps one that is opened in the second of the end."""
+    folder = pki.issue(lab, Role.AGENT, "pc", hosts=["arm-pc"], days=1.0)
+    told, cuts = [], []
+    term = certificate_expiry.KeyTerm(
+        folder, "arm0", told.append, cut=lambda: cuts.append(len(told))
+    )
+    term.start()
+    try:
+        wait_for(lambda: told, "the warning")
+        clock(DAY)
+        wait_for(lambda: cuts[1:], "two cuts")
+    finally:
+        term.stop()
+    assert cuts[0] == len(("warning", "end"))
+
+
 def test_without_keys_there_is_nothing_to_tell():
     term = certificate_expiry.KeyTerm(None, "arm0", pytest.fail)
     term.start()
