@@ -36,7 +36,7 @@ static void ages(void)
     atomic_store(&table->stall_end_ns, rt_now() - 5);
     require(rt_stall_age(table) >= 5, "it ended a while ago");
     atomic_store(&table->sure_ns, rt_now() - 2 * RT_STALL_NS);
-    require(rt_stall_age(table) >= 5, "nobody leads, and nobody is late");
+    require(rt_stall_age(table) >= 5, "without a leader none is late");
     atomic_store(&table->leader_tid, 1);
     require(rt_stall_age(table) == 0, "the leader is late");
     atomic_store(&table->sure_ns, rt_now());
