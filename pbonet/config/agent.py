@@ -13,7 +13,6 @@ from .lines import Word, fault, nearest, quote
 from .model import AgentConfig, Place
 from .reader import decode, load
 from .spp import SPP_DRIVERS, SppEntry
-from .toml_text import toml_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -71,6 +70,8 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
     Raises:
         ConfigError: It is not TOML, or says something that cannot be.
     """
+    from .toml_text import toml_table  # most agents have no file
+
     text = decode(text, file) if isinstance(text, bytes) else text
     text = text.removeprefix("\ufeff")
     table = toml_table(text, file)

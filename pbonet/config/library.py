@@ -32,7 +32,6 @@ from pbonet.errors import (
 )
 
 from .combining import part_info, published
-from .module_code import class_of
 from .reader import load
 
 if TYPE_CHECKING:
@@ -116,6 +115,8 @@ class Library:
         known = self._loaded.get((str(path), version))
         if known is not None:
             return known
+        from .module_code import class_of  # most commands run no module
+
         cls = class_of(path, place.package, source, version)
         info = pbo.describe(cls, name=module, file=str(path), version=version)
         loaded = LoadedModule(cls, info, path)

@@ -48,10 +48,10 @@ class Line(NamedTuple):
         return found
 
 
-def quote(text: str) -> str:
+def quote(text: str, longest: int = LONGEST_QUOTE) -> str:
     """Return `text` in quotes, shortened and with unprintable characters escaped."""
-    if len(text) > LONGEST_QUOTE:
-        text = text[: LONGEST_QUOTE - 3] + "..."
+    if len(text) > longest:
+        text = text[: longest - 3] + "..."
     shown = (
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
     )

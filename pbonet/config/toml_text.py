@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 _Record = TypeVar("_Record", bound=msgspec.Struct)
 
+LONGEST_REASON = 100
+"""Longest reason of the parser in a message; one may hold a key of any length."""
+
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
@@ -47,7 +50,7 @@ def toml_table(text: str, file: str) -> dict[str, Any]:
         if isinstance(error, RecursionError):
             reason = "nested too deeply"
         raise fault(
-            f"this is not TOML: {quote(reason)[1:-1]}",
+            f"this is not TOML: {quote(reason, LONGEST_REASON)[1:-1]}",
             place,
             expected="key = value",
             remedy="write texts in quotes, lists in brackets",

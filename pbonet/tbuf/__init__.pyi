@@ -1,5 +1,5 @@
 from . import layout as layout, places as places
-from .ends import Reader as Reader, Writer as Writer
+from .link_ends import Reader as Reader, Writer as Writer
 from .link_status import seen as seen
 from .native import (
     CARER as CARER,

@@ -1,6 +1,7 @@
 from ._bench import Bench as Bench
 from ._clock import FakeClock as FakeClock
 from ._replay import DivergedError as DivergedError, replay as replay, verify as verify
+from ._rerun import rerun as rerun
 from ._table import BenchTable as BenchTable, PortValues as PortValues
 from ._trial import params_to_try as params_to_try
 from ._verdict import (
@@ -10,4 +11,3 @@ from ._verdict import (
     Replayed as Replayed,
     Verdict as Verdict,
 )
-from ._whole import rerun as rerun

@@ -19,7 +19,7 @@ import secrets
 import shutil
 import subprocess
 
-from ._slow import Delay
+from ._delay import Delay
 
 CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
 NUMBERS = {"a": 1, "b": 2, "c": 3}

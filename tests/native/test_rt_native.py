@@ -51,6 +51,11 @@ def test_a_failure_reaches_its_cycle_whenever_its_signal_comes(tmp_path) -> None
     run(program)
 
 
+def test_the_age_of_a_stall_and_a_leader_that_begins(tmp_path) -> None:
+    program = built(tmp_path, "rt_stalls", COMPILERS[0], MEMORY)
+    run(program)
+
+
 def test_the_last_cycle_s_end_takes_a_look_back(tmp_path) -> None:
     program = built(tmp_path, "rt_looks", COMPILERS[0], MEMORY)
     if subprocess.run([program], check=False).returncode == 77:

@@ -25,9 +25,9 @@ from pbonet.analysis.schedule.analysis import (
     utilization,
 )
 from pbonet.analysis.schedule.core_share import CoreShare
+from pbonet.analysis.schedule.effective_time import every
 from pbonet.analysis.schedule.servers import Server, ServerKind, safe_size, server_size
 from pbonet.analysis.schedule.simulate import PeriodicTask, ServerTask, simulate
-from pbonet.analysis.schedule.soft import every
 
 PERIODS = [4, 5, 6, 8, 10, 12, 15, 20, 24, 30]
 """Whose least common multiple is 120."""

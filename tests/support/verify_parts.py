@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from msgspec import structs
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule.soft import from_steps
+from pbonet.analysis.schedule.effective_time import from_steps
 from pbonet.config.model import Rmod, RtpuEntry, Scheduler, SvarFile, TaskType, Variable
 from pbonet.pbo import ModuleInfo
 from pbonet.ports import Kind, Port, parse_shape

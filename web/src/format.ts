@@ -29,6 +29,14 @@ export function seconds(value: number | null | undefined): string {
   return `${short(value / 1e-9)} ns`;
 }
 
+/** Returns how often a core stood still, when last, and whether it does now; "" if never. */
+export function stallText(times: number, age: number | null | undefined): string {
+  const parts = age === 0 ? ["its core stands still now"] : [];
+  if (times) parts.push(`its core stood still ${times === 1 ? "once" : `${times} times`}`);
+  if (times && age) parts.push(`last ${seconds(age)} ago`);
+  return parts.join("; ");
+}
+
 /** Returns a number in a width that hardly changes. */
 export function number(value: number | null | undefined): string {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";

@@ -2,7 +2,7 @@
 import { Handle, Position, useReactFlow, useStore, type NodeProps } from "@xyflow/react";
 import { memo, useEffect, useState, type ReactNode } from "react";
 import { SignalButtons, StateMark, TaskState } from "./controls";
-import { clock, count, field, short } from "./format";
+import { clock, count, field, short, stallText } from "./format";
 import {
   inHandle,
   outHandle,
@@ -316,6 +316,7 @@ export function CardPorts({
 
 export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>) {
   const status = useRtpu(data.rtpu);
+  const stall = stallText(status?.stalls ?? 0, status?.stall_age);
   const load = status?.load === undefined ? null : Math.round(status.load * 100);
   return (
     <section
@@ -346,12 +347,12 @@ export const FrameCard = memo(function FrameCard({ data }: NodeProps<FrameNode>)
           </span>
         )}
         {status?.silent && <span className="badge bad">does not answer</span>}
-        {Boolean(status?.stalls) && (
+        {stall && (
           <span
-            className="badge warn"
-            title={`its core stood still ${status?.stalls} times`}
+            className={`badge ${status?.stall_age === 0 ? "bad" : "warn"}`}
+            title={stall}
             role="img"
-            aria-label={`its core stood still ${status?.stalls} times`}
+            aria-label={stall}
           >
             ❚❚ {status?.stalls}×
           </span>

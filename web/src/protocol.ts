@@ -147,6 +147,8 @@ export interface RtpuStatus {
   util?: number;
   dispatcher?: number;
   stalls?: number;
+  /** Seconds since the last stall: 0 while one lasts, null if there was none. */
+  stall_age?: number | null;
   load?: number;
 }
 /** Its time and age are null if it was never written. */

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { clock, count, number, seconds } from "../src/format";
+import { clock, count, number, seconds, stallText } from "../src/format";
 import type { Variable } from "../src/protocol";
 import { Ring } from "../src/ring";
 import { alignSeries, parseSeries, toCsv } from "../src/series";
@@ -214,4 +214,17 @@ test("counts of days of cycles stay short", () => {
     "1 M",
     "2.5 G",
   ]);
+});
+
+test("a stall is shown with when it was, and whether it lasts", () => {
+  assert.deepEqual(
+    [stallText(0, null), stallText(0, 0), stallText(1, 0), stallText(3, 2.5), stallText(1, null)],
+    [
+      "",
+      "its core stands still now",
+      "its core stands still now; its core stood still once",
+      "its core stood still 3 times; last 2.5 s ago",
+      "its core stood still once",
+    ],
+  );
 });

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule import Demand, Server, ServerKind, soft
+from pbonet.analysis.schedule import Demand, Server, ServerKind, effective_time
 from pbonet.config import TaskType
 
 if TYPE_CHECKING:
@@ -81,9 +81,9 @@ def worst(task: Task) -> Figure:
 
 
 _SOURCES = {
-    soft.Basis.GIVEN: Source.RMOD,
-    soft.Basis.MEASURED: Source.MEASURED,
-    soft.Basis.ASSUMED: Source.ASSUMED,
+    effective_time.Basis.GIVEN: Source.RMOD,
+    effective_time.Basis.MEASURED: Source.MEASURED,
+    effective_time.Basis.ASSUMED: Source.ASSUMED,
 }
 
 
@@ -94,7 +94,7 @@ def effective(task: Task) -> Figure | None:
     """
     if not task.rmod.softness:
         return None
-    found = soft.effective(
+    found = effective_time.effective(
         task.rmod.softness,
         given_ns=None if task.rmod.effc is None else ns(task.rmod.effc),
         profile=task.profile,

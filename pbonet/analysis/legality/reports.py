@@ -21,8 +21,8 @@ from pbonet.analysis.schedule import (
     ServerKind,
     Transformation,
     analysis,
+    effective_time,
     server_size,
-    soft,
     transfers,
 )
 from pbonet.config import Scheduler, TaskType
@@ -287,7 +287,7 @@ def _task(
 def _every(task: Task, soft_time: Figure | None) -> int | None:
     if soft_time is None or not soft_time.seconds or task.worst is None:
         return None
-    return soft.every(round(task.worst * 1e9), round(soft_time.seconds * 1e9))
+    return effective_time.every(round(task.worst * 1e9), round(soft_time.seconds * 1e9))
 
 
 def _on_time(task: Task, soft_time: Figure | None) -> float | None:

@@ -2,8 +2,8 @@ from . import (
     analysis as analysis,
     chart as chart,
     criticality as criticality,
+    effective_time as effective_time,
     histogram as histogram,
-    soft as soft,
     transfers as transfers,
 )
 from .analysis import (
@@ -23,6 +23,7 @@ from .criticality import (
     Timing as Timing,
     dropped as dropped,
 )
+from .effective_time import Profile as Profile
 from .events import Event as Event, turns as turns
 from .histogram import BINS as BINS, edge_ns as edge_ns, octaves as octaves
 from .outcome import Outcome as Outcome
@@ -46,4 +47,3 @@ from .simulate import (
     PeriodicTask as PeriodicTask,
     ServerTask as ServerTask,
 )
-from .soft import Profile as Profile

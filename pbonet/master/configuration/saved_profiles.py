@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Struct, structs
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule import BINS, soft
+from pbonet.analysis.schedule import BINS, Profile, effective_time
 from pbonet.errors import ConfigFileError, StateError
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ class Saved(Struct, frozen=True, kw_only=True):
         return structs.replace(self, runs=tuple(runs), **every)
 
     @property
-    def profile(self) -> soft.Profile:
+    def profile(self) -> Profile:
         """The execution profile Psi(t)."""
         return profile_of(self.bins, self.most)
 
@@ -123,7 +123,7 @@ def _run_of(saved: Saved) -> Run:
 
 
 @lru_cache(maxsize=256)
-def profile_of(bins: tuple[tuple[int, int], ...], most: float) -> soft.Profile:
+def profile_of(bins: tuple[tuple[int, int], ...], most: float) -> Profile:
     """Return the execution profile that bins and the longest cycle give.
 
     Raises:
@@ -135,7 +135,7 @@ def profile_of(bins: tuple[tuple[int, int], ...], most: float) -> soft.Profile:
             msg = f"there is no bin {index} with {count} cycles"
             raise ValueError(msg)
         counts[index] = count
-    return soft.from_histogram(counts, worst_ns=round(most * 1e9))
+    return effective_time.from_histogram(counts, worst_ns=round(most * 1e9))
 
 
 def here() -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pbonet.analysis.schedule import histogram, soft
+from pbonet.analysis.schedule import effective_time, histogram
 from pbonet.errors import StateError
 from pbonet.master.configuration import profile_of
 from pbonet.xm.net import TaskProfile, messages as m
@@ -96,7 +96,7 @@ def task_data(found: TaskProfile, rmod: Rmod | None) -> Data:
     softness = rmod.softness if rmod else None
     reserve = None
     if rmod is not None and softness:
-        reserve = soft.effective(
+        reserve = effective_time.effective(
             softness,
             given_ns=None if rmod.effc is None else round(rmod.effc * 1e9),
             profile=psi,

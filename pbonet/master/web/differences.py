@@ -166,6 +166,7 @@ class States:
             "dispatcher": _short(status.dispatcher),
             "illegal": status.illegal,
             "stalls": status.stalls,
+            "stall_age": _short(status.stall_age),
             "load": _short(self._window.load(status.tasks)),
             "log": status.log,
             "silent": False,

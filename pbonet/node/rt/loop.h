@@ -193,9 +193,10 @@ static inline int64_t rt_once(struct rt_loop *loop, int lead)
     if (due && now - due > atomic_load_explicit(&t->late_max_ns, memory_order_relaxed))
         atomic_store_explicit(&t->late_max_ns, now - due, memory_order_relaxed);
     if (due && now - due > RT_STALL_NS) {
-        atomic_fetch_add(&t->stalls, 1);
-        atomic_fetch_add(&t->stalled_ns, (uint64_t)(now - due));
+        /* SYNC POINT: rt_core_snapshot loads the count before the time. */
         atomic_store(&t->stall_end_ns, now);
+        atomic_fetch_add(&t->stalled_ns, (uint64_t)(now - due));
+        atomic_fetch_add(&t->stalls, 1);
     }
     lead |= atomic_load(&t->relevel) && atomic_exchange(&t->relevel, 0);
     due = rt_turn(t, now, backend == RT_PARK, lead, rt_task_cpu);
@@ -282,6 +283,9 @@ static inline void *rt_thread(void *arg)
         atomic_fetch_add(&t->takeovers, 1);
     atomic_store(&t->backend, loop->backend);
     atomic_store(&t->since_ns, rt_now());
+    /* SYNC POINT: rt_stall_age loads `leader_tid` first. This leader is not late for what the
+     * one before was to do. */
+    atomic_store(&t->sure_ns, 0);
     atomic_store(&t->leader_tid, (int32_t)syscall(SYS_gettid));
     atomic_store(&t->leader_pid, getpid());
     atomic_store(&loop->leading, 1);

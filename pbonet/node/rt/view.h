@@ -146,12 +146,17 @@ struct rt_core_view {
 };
 
 /* A leader's turn that is overdue has not been counted yet. */
-static inline int64_t rt_stall_age(const struct rt_table *t, int64_t now)
+static inline int64_t rt_stall_age(const struct rt_table *t)
 {
-    int64_t sure = atomic_load(&t->sure_ns), end = atomic_load(&t->stall_end_ns);
-    if (atomic_load(&t->leader_tid) && sure && now - sure > RT_STALL_NS)
+    /* SYNC POINT: rt_thread clears `sure_ns` before it says that it leads; rt_once stores the
+     * end before the turn, and rt_turn the next event. The clock is read between: no end is in
+     * the future, and a slow reader sees no stall. */
+    int leads = atomic_load(&t->leader_tid) != 0;
+    int64_t end = atomic_load(&t->stall_end_ns), now = rt_now();
+    int64_t sure = atomic_load(&t->sure_ns);
+    if (leads && sure && now - sure > RT_STALL_NS)
         return 0;
-    return end ? now - end : -1;
+    return !end ? -1 : now > end ? now - end : 1;
 }
 
 static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_view *v)
@@ -170,7 +175,7 @@ static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_vie
     v->takeovers = atomic_load(&t->takeovers);
     v->stalls = atomic_load(&t->stalls);
     v->stalled_ns = atomic_load(&t->stalled_ns);
-    v->stall_age_ns = rt_stall_age(t, rt_now());
+    v->stall_age_ns = rt_stall_age(t);
 }
 
 /* The process of member `i` (0: none); sets whether it is alive. */

@@ -4,13 +4,13 @@ import random
 
 import pytest
 
-from pbonet.analysis.schedule.histogram import BINS, bin_of
-from pbonet.analysis.schedule.soft import (
+from pbonet.analysis.schedule.effective_time import (
     every,
     from_histogram,
     from_samples,
     from_steps,
 )
+from pbonet.analysis.schedule.histogram import BINS, bin_of
 
 MS = 1_000_000
 FIGURE_6_6 = from_steps([

@@ -7,7 +7,7 @@ from verify_parts import configuration, figure_6_1, rtpu, task, texts
 from pbonet.analysis import legality
 from pbonet.analysis.legality import times
 from pbonet.analysis.schedule import CoreShare
-from pbonet.analysis.schedule.soft import from_steps
+from pbonet.analysis.schedule.effective_time import from_steps
 from pbonet.config.model import TaskType, Variable
 from pbonet.node.rt import _rt
 

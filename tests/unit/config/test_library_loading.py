@@ -45,11 +45,11 @@ def test_a_module_is_loaded_and_described(folder):
 
 
 def test_the_version_is_that_of_the_text_that_ran(folder):
-    shelf = Library([folder])
-    first = shelf.load("ramp")
-    assert shelf.load("ramp") is first
+    lib = Library([folder])
+    first = lib.load("ramp")
+    assert lib.load("ramp") is first
     (folder / "ramp.py").write_text(GOOD.replace("steadily", "slowly"))
-    second = shelf.load("ramp")
+    second = lib.load("ramp")
     assert second.info.version != first.info.version
     assert second.info.doc == "Rise slowly."
     assert second.cls is not first.cls
@@ -84,19 +84,19 @@ def test_everything_is_listed_without_running_it(folder):
     (folder / "_shared.py").write_text("1/0")
     (folder / "test_ramp.py").write_text("1/0")
     (folder / "not-a-name.py").write_text("1/0")
-    shelf = Library([folder])
-    assert {"ramp", "broken", "diff"} <= set(shelf.modules())
-    assert not {"_shared", "test_ramp", "not-a-name"} & set(shelf.modules())
-    assert {"fast_ramp", "qmdiff", "qrdiff"} <= set(shelf.rmods())
-    assert list(shelf.modules()) == sorted(shelf.modules())
+    lib = Library([folder])
+    assert {"ramp", "broken", "diff"} <= set(lib.modules())
+    assert not {"_shared", "test_ramp", "not-a-name"} & set(lib.modules())
+    assert {"fast_ramp", "qmdiff", "qrdiff"} <= set(lib.rmods())
+    assert list(lib.modules()) == sorted(lib.modules())
 
 
 def test_folders_come_before_what_pbonet_brings(folder):
     (folder / "diff.py").write_text(GOOD)
     (folder / "qmdiff.rmod").write_text("MODULE diff\n")
-    shelf = Library([folder])
-    assert shelf.load("diff").path == folder / "diff.py"
-    assert shelf.find_rmod("qmdiff") == folder / "qmdiff.rmod"
+    lib = Library([folder])
+    assert lib.load("diff").path == folder / "diff.py"
+    assert lib.find_rmod("qmdiff") == folder / "qmdiff.rmod"
     assert Library().load("diff").cls is pbonet.modules.signals.diff.Diff
 
 
@@ -109,9 +109,9 @@ def test_of_two_folders_the_first_one_counts(folder, tmp_path):
 
 
 def test_every_module_of_the_library_loads():
-    shelf = Library()
-    for name in shelf.modules():
-        info = shelf.load(name).info
+    lib = Library()
+    for name in lib.modules():
+        info = lib.load(name).info
         assert info.name == name
         assert info.doc
 
@@ -162,12 +162,12 @@ def test_sys_exit_while_loading_ends_nothing(folder):
 
 
 def test_what_does_not_load_leaves_what_did(folder):
-    shelf = Library([folder])
-    cls = shelf.load("ramp").cls
+    lib = Library([folder])
+    cls = lib.load("ramp").cls
     for wrong in ("1/0", "class Ramp:", GOOD.replace('"none"', '""')):
         (folder / "ramp.py").write_text(wrong)
         with pytest.raises((ModuleLoadError, DeclarationError)):
-            shelf.load("ramp")
+            lib.load("ramp")
         assert sys.modules[cls.__module__].Ramp is cls
 
 
@@ -264,10 +264,10 @@ def test_a_package_that_is_missing_is_to_be_installed(folder):
 
 
 def test_a_folder_that_is_not_there_is_told_when_it_matters(folder):
-    shelf = Library([folder / "gone", folder])
-    assert shelf.load("ramp").info.name == "ramp"
+    lib = Library([folder / "gone", folder])
+    assert lib.load("ramp").info.name == "ramp"
     with pytest.raises(ModuleLoadError, match=r"there is no folder .*/gone$"):
-        shelf.load("zzzzzz")
+        lib.load("zzzzzz")
     with pytest.raises(ModuleLoadError, match="its folder by --library"):
         Library([folder]).load("zzzzzz")
 
@@ -282,9 +282,9 @@ def test_a_module_is_named_and_not_located(folder, name):
 
 
 def test_an_rmod_is_found(folder):
-    shelf = Library([folder])
-    assert shelf.find_rmod("fast_ramp") == folder / "fast_ramp.rmod"
-    assert shelf.find_rmod("fast_ramp.rmod") == folder / "fast_ramp.rmod"
+    lib = Library([folder])
+    assert lib.find_rmod("fast_ramp") == folder / "fast_ramp.rmod"
+    assert lib.find_rmod("fast_ramp.rmod") == folder / "fast_ramp.rmod"
 
 
 def test_an_rmod_that_is_not_there(folder):
@@ -339,15 +339,15 @@ def test_installed_packages_are_looked_up_last_and_once(folder, monkeypatch):
     monkeypatch.setattr(
         "importlib.metadata.entry_points", lambda **_: asked.append(1) or []
     )
-    shelf = Library([folder])
-    shelf.load("ramp")
-    shelf.load("diff")
-    shelf.find_rmod("fast_ramp")
+    lib = Library([folder])
+    lib.load("ramp")
+    lib.load("diff")
+    lib.find_rmod("fast_ramp")
     assert asked == []
     for _ in range(2):
         with pytest.raises(ModuleLoadError):
-            shelf.load("nowhere")
-        shelf.rmods()
+            lib.load("nowhere")
+        lib.rmods()
     assert asked == [1]
 
 
@@ -423,8 +423,8 @@ def test_a_combination_with_a_robot_interface_is_one(folder):
             f"{first}\nDESC one\n{alias}INCONST none\nOUTCONST none\nINVAR {invar}\n"
             f"OUTVAR {outvar}\nTASKTYPE periodic\nFREQ 9\nEOF\n"
         )
-    shelf = Library([folder])
-    info = shelf.load_rmod(shelf.read_rmod(folder / "both.rmod")).info
+    lib = Library([folder])
+    info = lib.load_rmod(lib.read_rmod(folder / "both.rmod")).info
     assert (info.module_class, info.robot_interface) == ("", True)
 
 

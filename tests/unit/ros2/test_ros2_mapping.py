@@ -722,7 +722,7 @@ actual = "B"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[publish]", r"t.toml:1:10: this is not TOML: .*expected key = value"),
+        ("[[publish]", r"t.toml:1:10: .*at the end of an array declaration \(expected"),
         ("nothing = 1", "unknown key 'nothing'.*expected domain node"),
         ("[[publishes]]", "unknown key 'publishes'.*did you mean publish?"),
         (f"{TOPIC}max_hertz = 1", r"t.toml: publish\[0\]: unknown .*mean max_hz?"),

@@ -121,6 +121,14 @@ def test_states_send_only_what_changed_and_whole_has_all():
     assert [len(whole["tasks"]), len(whole["rtpus"])] == [1, 2]
 
 
+def test_a_page_gets_when_a_core_last_stood_still():
+    states, status = States(), rtpu()
+    for age in (None, 0.0, 3.21987):
+        status.stall_age = age
+        (sent,) = states.new({"arm0": status}, [], 1.0)["rtpus"]
+        assert sent["stall_age"] == (age and 3.22)
+
+
 def test_tasks_of_a_silent_rtpu_stay_and_it_is_marked():
     states = States()
     states.new({"arm0": rtpu(tasks=[task()])}, [], 1.0)
