@@ -81,6 +81,7 @@ def _run(path: Path, package: str, source: bytes, version: str) -> types.ModuleT
         if not isinstance(error, Exception | SystemExit):
             raise
         raise _broken(module, path, error) from error
+    setattr(sys.modules[package], module, python)  # as `import` does
     return python
 
 

@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import subprocess
 import sys
 
 import pytest
@@ -98,6 +99,19 @@ def test_folders_come_before_what_pbonet_brings(folder):
     assert lib.load("diff").path == folder / "diff.py"
     assert lib.find_rmod("qmdiff") == folder / "qmdiff.rmod"
     assert Library().load("diff").cls is pbonet.modules.signals.diff.Diff
+
+
+def test_a_module_that_was_loaded_can_be_imported_by_its_full_name():
+    """In a process of its own: here a test may have imported it before."""
+    code = """
+from pbonet.config.library import Library
+loaded = Library().load("gain").cls
+import pbonet.modules.signals.gain
+print(loaded is pbonet.modules.signals.gain.Gain)
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
 
 
 def test_of_two_folders_the_first_one_counts(folder, tmp_path):
