@@ -445,7 +445,8 @@ def load_common() -> dict[Path, int]:
     read = {one: _changed(one) for one in names}  # first, for it may change meanwhile
     built_in()
     importlib.import_module(_COMMON)
-    importlib.import_module(f"{pbo.__name__}._describe")  # loaded by its first use
+    for name in (f"{pbo.__name__}._describe", f"{__package__}.module_code"):
+        importlib.import_module(name)  # loaded by its first use
     return read
 
 
