@@ -585,9 +585,8 @@ static void lend_late(void)
     rest();
 }
 
-/* A task that ends its cycle before the dispatcher says when the next one is sleeps until it
- * is woken. So there is no lease, and the task is woken to read it: the next turn lends. */
-static void end_before_lend(void)
+/* A turn has granted a release, and no lease has followed yet; returns the next event. */
+static int64_t grant_before_lend(void)
 {
     begin(2000 * US, 0);
     finish(0);
@@ -597,6 +596,14 @@ static void end_before_lend(void)
     rt_turn_end(&table);
     wake(0);
     require(runs_now[0], "granted");
+    return due;
+}
+
+/* A task that ends its cycle before the dispatcher says when the next one is sleeps until it
+ * is woken. So there is no lease, and the task is woken to read it: the next turn lends. */
+static void end_before_lend(void)
+{
+    int64_t due = grant_before_lend();
     finish(0);
     wake(0);
     require(!runs_now[0] && !slept_until, "it sleeps");
@@ -618,14 +625,7 @@ static void publish_amid_end(void)
 {
     int slept = 0;
     for (int64_t steps = 0; steps < 20; steps++) {
-        begin(2000 * US, 0);
-        finish(0);
-        rt_recall(&table);
-        now = atomic_load(&table.next_ns[0]);
-        int64_t due = rt_turn(&table, now, 0, 0, no_cpu);
-        rt_turn_end(&table);
-        wake(0);
-        require(runs_now[0], "granted");
+        int64_t due = grant_before_lend();
         happens = publish_now;
         steps_left = steps;
         finish(0);

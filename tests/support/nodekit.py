@@ -398,3 +398,18 @@ __all__ = [
     "wait_gone",
     "wait_hung",
 ]
+
+
+def others_go_first(arm):
+    """Require that `good` and all commands have the core, while `bad` wants it.
+
+    Args:
+        arm: The `Master` of both tasks, which are ON.
+    """
+    arm.wait_cycles("good", 20)
+    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
+    arm.off("good")
+    arm.on("good")
+    assert arm.off("bad").state == "OFF"
+    arm.kill("bad")
+    assert not arm.events("FORCED", "bad")

@@ -21,25 +21,6 @@ ENOUGH = 150
 
 
 @pytest.fixture
-def two(nodes):
-    """Two real RTPUs, as processes of their own."""
-    nodes.agent_processes("arm0", "arm1")
-    return nodes
-
-
-@pytest.fixture
-def arm(two, puma):
-    """The PUMA subsystem, open; warnings are in ``arm.heard``."""
-    subsystem = Subsystem(puma, domain=two.domain, libraries=[two.library])
-    subsystem.heard = []
-    subsystem.warned = subsystem.heard.append
-    subsystem.open()
-    yield subsystem
-    if subsystem._task_set is not None:
-        subsystem.finish()
-
-
-@pytest.fixture
 def running(arm):
     """The whole job, after enough cycles of the fast tasks."""
     arm.start("puma")

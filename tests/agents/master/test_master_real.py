@@ -29,25 +29,6 @@ ROOT = Path(__file__).parents[3]
 FOUR = {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
 
 
-@pytest.fixture
-def two(nodes):
-    """Two real RTPUs on one core, as processes of their own."""
-    nodes.agent_processes("arm0", "arm1")
-    return nodes
-
-
-@pytest.fixture
-def arm(two, puma):
-    """The PUMA subsystem, open; warnings are in ``arm.heard``."""
-    subsystem = Subsystem(puma, domain=two.domain, libraries=[two.library])
-    subsystem.heard = []
-    subsystem.warned = subsystem.heard.append
-    subsystem.open()
-    yield subsystem
-    if subsystem._task_set is not None:
-        subsystem.finish()
-
-
 def kernel_cpu(pid):
     """Return the CPU seconds that the kernel charged to a process's main thread."""
     return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0]) * 1e-9

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from c_modules import put_misbehaving
-from nodekit import alive, level, rmod, wait_gone, wait_hung
+from nodekit import alive, level, others_go_first, rmod, wait_gone, wait_hung
 from watching import wait_for
 
 from pbonet.errors import (
@@ -180,40 +180,7 @@ def test_a_sync_that_computes_or_does_not_wait_blocks_nobody(
     assert arm.wait_event("HANGS", "bad").text.startswith("`sync` of module")
     if arm.rtpu_status().backend == "fifo":
         assert os.sched_getscheduler(tid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
-    arm.wait_cycles("good", 20)
-    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
-    arm.off("good")
-    arm.on("good")
-    assert arm.off("bad").state == "OFF"
-    arm.kill("bad")
-    assert not arm.events("FORCED", "bad")
-
-
-@pytest.mark.parametrize(
-    ("scheduler", "kind", "crit"),
-    [("MUF", "deferrable", 2), ("EDF", "sporadic", None), ("RM", "deferrable", None)],
-)
-def test_events_without_end_get_no_more_than_a_server_s_capacity(
-    nodes, scheduler, kind, crit
-):
-    """Less critical tasks and commands to them go before what is beyond it."""
-    nodes.agent("arm0")
-    arm = nodes.master("arm0", "arm", scheduler=scheduler)
-    arm.spawn("good", "counts", out="Y7", freq=10.0, crit=crit)
-    text = rmod("never_waits", freq=20.0).replace("periodic", kind)
-    text = text.replace("FREQ 20\n", "FREQ 20\nCAPACITY 0.004\n")
-    arm.spawn("bad", "never_waits", text=text)
-    arm.on("good")
-    arm.on("bad")
-    assert "capacity is used up in every period" in arm.wait_event("HANGS", "bad").text
-    arm.wait_cycles("good", 20)
-    assert arm.ask(m.Freq(task="good", hz=50.0), float) == 50.0
-    arm.off("good")
-    arm.on("good")
-    assert arm.off("bad").state == "OFF"
-    arm.kill("bad")
-    assert not arm.events("FORCED", "bad")
-    assert len(arm.events("HANGS", "bad")) == 1
+    others_go_first(arm)
 
 
 def test_a_cycle_hangs_after_the_time_that_the_subsystem_declares(nodes):

@@ -4,7 +4,7 @@ import os
 import statistics
 
 import pytest
-from nodekit import CORE, level, rmod
+from nodekit import CORE, level, others_go_first, rmod
 from plain_dispatcher.dispatch import replay
 from reference import Reference
 from watching import wait_for
@@ -225,3 +225,24 @@ def test_commands_reach_a_server_that_waits(arm, pipe, kind):
     pipe[1](1)
     wait_served(arm, 1, 1)
     assert arm.kill("s").state == "NOT-CREATED"
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "kind", "crit"),
+    [("MUF", "deferrable", 2), ("EDF", "sporadic", None), ("RM", "deferrable", None)],
+)
+def test_events_without_end_get_no_more_than_a_server_s_capacity(
+    nodes, scheduler, kind, crit
+):
+    """Less critical tasks and commands to them go before what is beyond it."""
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", scheduler=scheduler)
+    arm.spawn("good", "counts", out="Y7", freq=10.0, crit=crit)
+    text = rmod("never_waits", freq=20.0).replace("periodic", kind)
+    text = text.replace("FREQ 20\n", "FREQ 20\nCAPACITY 0.004\n")
+    arm.spawn("bad", "never_waits", text=text)
+    arm.on("good")
+    arm.on("bad")
+    assert "capacity is used up in every period" in arm.wait_event("HANGS", "bad").text
+    others_go_first(arm)
+    assert len(arm.events("HANGS", "bad")) == 1
