@@ -110,9 +110,9 @@ def _core(chain: Chain, name: str) -> Iterator[Cause]:
     status = facts.rtpus[name]
     if status.stalls:
         newest = facts.news(("CORE_STALLED",), rtpu=name)
+        times = "once" if status.stalls == 1 else f"{status.stalls} times"
         yield Cause(
-            what=f"its core stood still {status.stalls} times, "
-            f"{status.stalled:.3g} s in all",
+            what=f"its core stood still {times}, {status.stalled:.3g} s in all",
             source=Source.STATUS,
             because=tuple(cause_of(one, facts) for one in newest),
             remedy=REMEDIES["stalled"],
